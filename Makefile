@@ -1,0 +1,115 @@
+# make demo    sets up, simulates a measuring campaign, runs the nightly over it, says what to try next
+# make test    sets up and runs the tests
+# make bench   benchmarks against other libraries, side by side; writes tests/benchmarks/results.md
+# make study   the long statistical studies that the README quotes; writes tests/studies/results.md
+# make fuzz    the property tests with cases drawn anew, mutated input files for every reader and a search guided by
+#              coverage; writes tests/bad_files/results.md
+# make faults  kills, full disks, readers and rivals of the nightly, many times; writes tests/faults/results.md
+# make docs    renews the generated parts of the README and its pictures (those with Chromium, from the demonstration)
+# make lint    formatting, lint, types, the import rule
+# make pins    writes the hashes of the pinned requirements anew, for every supported Python (needs uv)
+# make clean   removes environments, caches and the demonstration
+#
+# Set-up is done once: pip runs again only when a requirements file or pyproject.toml has changed.
+
+PYTHON ?= python3
+VENV := .venv
+PEERS := .venv-peers
+FUZZ := .venv-fuzz
+BIN := $(VENV)/bin
+DEMO := demo
+
+PROPERTIES = $(shell grep -lr --include='test_*.py' '^from hypothesis import' tests)
+RUNTIME := $(VENV)/.runtime
+DEVELOPMENT := $(VENV)/.development
+PIP_FLAGS := --quiet --disable-pip-version-check
+SUPPORTED := 3.11 3.12 3.13 3.14
+# With hashes where the Python is a supported one; a newer one gets the same versions, unhashed.
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements/$(1)-$(VERSION).txt,-r $(2))
+
+.PHONY: demo test bench study fuzz faults docs lint pins clean
+.DEFAULT_GOAL := demo
+
+demo: $(RUNTIME)
+	$(BIN)/dealab simulate thesis --out $(DEMO)/raw --truth $(DEMO)/truth.json
+	@$(BIN)/dealab nightly $(DEMO)/raw --lab $(DEMO)/lab || [ $$? -eq 3 ]
+	@echo
+	@echo "Exit status 3 is meant: the campaign holds a damaged recording and two that have to be refused, as real ones do."
+	@echo
+	@echo "Report:    $(DEMO)/lab/reports/index.html"
+	@echo "Database:  $(DEMO)/lab/results.duckdb"
+	@echo
+	@echo "Try:"
+	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT specimen_id, model_order FROM best_models'"
+	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab 'SELECT * FROM survival_at(60)'"
+	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab \"SELECT source_path, problem FROM recordings WHERE status = 'quarantined'\""
+
+test: $(DEVELOPMENT)
+	$(BIN)/python -m pytest -n 2
+
+bench: $(PEERS)/.ready
+	$(PEERS)/bin/python -m tests.benchmarks
+
+study: $(DEVELOPMENT)
+	$(BIN)/python -m tests.studies
+
+fuzz: $(DEVELOPMENT) $(FUZZ)/.ready
+	DEALAB_HYPOTHESIS=new $(BIN)/python -m pytest -n 2 $(PROPERTIES)
+	$(BIN)/python -m tests.bad_files.fuzz
+
+faults: $(DEVELOPMENT)
+	$(BIN)/python -m tests.faults.harness
+
+docs: $(DEVELOPMENT)
+	$(BIN)/python -m tests.docs --pictures $(wildcard $(DEMO)/lab)
+
+lint: $(DEVELOPMENT)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+pins:
+	for version in $(SUPPORTED); do \
+	  uv pip compile --quiet --generate-hashes --only-binary :all: --no-annotate --no-header --python-version $$version \
+	    requirements.txt --output-file requirements/runtime-$$version.txt && \
+	  uv pip compile --quiet --generate-hashes --only-binary :all: --no-annotate --no-header --python-version $$version \
+	    requirements-dev.txt --output-file requirements/development-$$version.txt || exit 1; \
+	done
+
+clean:
+	rm -rf $(VENV) $(PEERS) $(FUZZ) $(DEMO) build dist artifacts
+	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find schemas ingest pipeline reports tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# An environment with the project in it: $(call environment,FOLDER,WHAT PIP INSTALLS)
+define environment
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "dealab needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1)." >&2; \
+	  echo "Name one: make PYTHON=/path/to/python3.12" >&2; exit 1; }
+	@[ -x $(1)/bin/python ] || $(PYTHON) -m venv $(1) || { \
+	  echo "Python could not make an environment; on Debian: apt install python3-venv" >&2; rm -rf $(1); exit 1; }
+	$(1)/bin/python -m pip install $(PIP_FLAGS) $(2)
+	$(1)/bin/python -m pip install $(PIP_FLAGS) --no-deps --no-build-isolation --editable .
+endef
+
+$(RUNTIME): requirements.txt pyproject.toml
+	$(call environment,$(VENV),$(call HASHED,runtime,requirements.txt))
+	@touch $@
+
+$(DEVELOPMENT): requirements.txt requirements-dev.txt pyproject.toml
+	$(call environment,$(VENV),$(call HASHED,development,requirements-dev.txt))
+	@touch $@ $(RUNTIME)
+
+# Ours first, the peers over it: lifelines asks for a pandas before 3, which only this environment gets.
+$(PEERS)/.ready: requirements.txt requirements-dev.txt requirements-peers.txt pyproject.toml
+	$(call environment,$(PEERS),$(call HASHED,development,requirements-dev.txt))
+	$(PEERS)/bin/python -m pip install $(PIP_FLAGS) -r requirements-peers.txt
+	@touch $@
+
+# atheris has no builds for every Python and system: without it the search guided by coverage is left out, and said so.
+$(FUZZ)/.ready: requirements.txt requirements-dev.txt pyproject.toml
+	$(call environment,$(FUZZ),$(call HASHED,development,requirements-dev.txt))
+	$(FUZZ)/bin/python -m pip install $(PIP_FLAGS) atheris==3.0.0 || echo "atheris does not install here"
+	@touch $@

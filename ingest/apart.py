@@ -1,0 +1,128 @@
+"""Parsers of compiled code at arm's length: in a child process, which alone dies of a damaged file.
+
+HDF5's library and scipy's MATLAB reader trust lengths and addresses in the file; some damaged files make them crash or go
+round for ever, which no exception can catch. Does not belong here: the parsers, and limits of a whole item (the nightly
+has its own).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import os
+import pickle
+import signal
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from schemas.errors import RefusedError
+
+Given = ParamSpec("Given")
+Value = TypeVar("Value")
+_SHORTEST_S = 0.7
+_BYTES_PER_S = 5e6
+"""Slowest parsing of a sound file: a deflated dataset on an old machine is an order of magnitude faster."""
+_FREE_S = 0.02
+"""Processor time of a child that does nothing."""
+
+
+def apart(path: Path, call: Callable[Given, Value], *args: Given.args, **options: Given.kwargs) -> Value:
+    """The value of a single call that parses a file; see `Apart`."""
+    return Apart(path)(call, *args, **options)
+
+
+class Apart:
+    """Calls that parse one file, each made in a child process; they share the processor time that the file may take."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._left_s = _SHORTEST_S + path.stat().st_size / _BYTES_PER_S
+
+    def __call__(self, call: Callable[Given, Value], *args: Given.args, **options: Given.kwargs) -> Value:
+        """The value of a call; errors that it raises are raised here.
+
+        Raises `RefusedError` when the child dies, or when all calls together take more processor time than a file of
+        that size can. Time of other programs does not count. Without `fork` (Windows) the call is made in this process.
+        """
+        if not hasattr(os, "fork"):
+            return call(*args, **options)
+        if self._left_s <= 0:
+            raise _refusal(self._path, -signal.SIGPROF)
+        good, value, used_s = _in_child(self._path, self._left_s + _FREE_S, lambda: call(*args, **options))
+        self._left_s -= max(0.0, used_s - _FREE_S)
+        if not good:
+            raise value
+        result: Value = value
+        return result
+
+
+def _in_child(path: Path, seconds: float, call: Callable[[], Any]) -> tuple[bool, Any, float]:
+    """(whether it came to an end, its value or error, processor time in s) of a call in a child process."""
+    reading, writing = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # the child touches nothing that other threads may hold
+        child = os.fork()
+    if child == 0:
+        os.close(reading)
+        _answer(writing, seconds, call)
+    os.close(writing)
+    try:
+        with open(reading, "rb") as pipe:
+            answer = pipe.read()
+    except BaseException:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(child, signal.SIGKILL)
+        raise
+    finally:
+        _, status, usage = os.wait4(child, 0)
+    if status:
+        raise _refusal(path, os.waitstatus_to_exitcode(status))
+    good, value = pickle.loads(answer)  # noqa: S301 - made by our own child a moment ago
+    return good, value, usage.ru_utime + usage.ru_stime
+
+
+def _answer(writing: int, seconds: float, call: Callable[[], Any]) -> None:
+    """The child: makes the call, writes what came of it, and ends without what a Python process does at its end."""
+    code = 1
+    try:
+        faulthandler.disable()  # the parent says what happened
+        for number in (signal.SIGPROF, signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+        try:
+            answer = pickle.dumps((True, call()), protocol=5)
+        except Exception as error:
+            answer = _pickled(error)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        with open(writing, "wb") as pipe:
+            pipe.write(answer)
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _pickled(error: Exception) -> bytes:
+    """An exception for the way back; one that cannot travel goes as its text."""
+    try:
+        answer = pickle.dumps((False, error))
+        pickle.loads(answer)  # noqa: S301
+    except Exception:
+        return pickle.dumps((False, ValueError(f"{type(error).__name__}: {error}")))
+    return answer
+
+
+def _refusal(path: Path, code: int) -> RefusedError:
+    if -code == signal.SIGPROF:
+        what = "its parser does not come to an end"
+    elif -code in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL):
+        what = f"its parser crashed ({signal.Signals(-code).name})"
+    else:
+        what = f"its parser was ended (exit status {code})"
+    return RefusedError(
+        f"the file cannot be read: {what}",
+        where=path.name,
+        expected="a whole file",
+        remedy="Copy the file again, or save it anew",
+    )

@@ -1,0 +1,267 @@
+"""The check between a file and an analysis: a `RawRecording` becomes a `Recording` in canonical units, or is refused.
+
+Refused (quarantined): metadata missing or malformed, an unknown protocol, a required channel that is missing, empty,
+never changes in a dynamic test, runs backwards or lies beyond the load cell's range for most of its samples; required
+channels that share no time; a unit of the wrong dimension. Kept but `damaged`, each with a problem: lost or non-finite
+samples (NaN), instants told twice, forces at or beyond the range of the load cell, optional channels that cannot be used.
+Nothing is repaired in silence, and nothing is shifted, sorted or resampled.
+
+Does not belong here: reading files, and what takes an analysis to see (clipping, drift, delay).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.timing import sampling_notes
+from schemas.errors import RefusedError
+from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.protocols import Protocol, missing_channels
+from schemas.quantities import QUANTITIES
+from schemas.recording import Channel, RawChannel, RawRecording, Recording, Source
+from schemas.units import ANY, conversion
+
+Bool = NDArray[np.bool_]
+
+_DYNAMIC = ("chirp", "sphs", "cyclic", "cycle", "step", "tap")
+"""Protocols in which every required channel must change."""
+_FORCES = ("force", "force_1", "force_2")
+_REPEATED_INSTANTS = 0.01
+"""Share of samples that may stand at an instant told twice with two values; beyond it the clock is too coarse."""
+_CLOCK_DIFFERENCE_S = 3600.0
+
+
+def canonical(
+    raw: RawRecording,
+    *,
+    where: str,
+    rig_file: Mapping[str, Any] | None = None,
+    source: Source | None = None,
+) -> Recording:
+    """The checked recording in canonical units.
+
+    Parameters
+    ----------
+    raw : what a reader found
+    where : name of the file, for messages
+    rig_file : keys of the rig's own file; it wins over the recording's, key by key
+    source : where the recording came from
+
+    Raises
+    ------
+    RefusedError : with the field, the value found and what was expected
+    """
+    metadata = RecordingMetadata.parse(raw.metadata, where=where)
+    rig = RigConstants.parse({**raw.rig, **(rig_file or {})}, where=where)
+    definition = metadata.definition(where=where)
+    problems, notes = list(raw.problems), list(raw.notes)
+    known = _known(raw.channels, notes, where)
+    required = _required(definition, known, where)
+    channels: dict[str, Channel] = {}
+    for quantity, found in known.items():
+        try:
+            channels[quantity] = _checked(found, quantity in required, problems, notes, where)
+        except _Unusable as reason:
+            if quantity in required:
+                raise RefusedError(
+                    f"{quantity}: {reason.problem}", where=where, expected=reason.expected, remedy=reason.remedy
+                ) from None
+            problems.append(f"{quantity}: {reason.problem}: the channel is left out")
+    _check_overlap(channels, required, where)
+    if definition.name in _DYNAMIC:
+        for quantity in required:
+            _check_changes(channels[quantity], where)
+    for quantity in _FORCES:
+        if quantity in channels and rig.load_cell_range_n is not None:
+            _check_range(channels[quantity], rig.load_cell_range_n, quantity in required, problems, where)
+    recording = Recording(metadata, rig, channels, source)
+    notes += sampling_notes(channels)
+    _note_clock(recording, notes)
+    return replace(recording, problems=tuple(dict.fromkeys(problems)), notes=tuple(dict.fromkeys(notes)))
+
+
+class _Unusable(Exception):
+    """A channel that cannot be used: refused when it is required, left out with a problem when it is not."""
+
+    def __init__(self, problem: str, expected: str = "", remedy: str = "") -> None:
+        super().__init__(problem)
+        self.problem, self.expected, self.remedy = problem, expected, remedy
+
+
+def _known(channels: tuple[RawChannel, ...], notes: list[str], where: str) -> dict[str, RawChannel]:
+    """Channels by quantity; others are left out with a note."""
+    known: dict[str, RawChannel] = {}
+    for channel in channels:
+        name = channel.quantity
+        if name not in QUANTITIES:
+            notes.append(f'channel "{name[:80]}" is no quantity of the contract: left out')
+        elif name in known:
+            raise RefusedError(
+                f"two channels hold {name}",
+                where=where,
+                expected="one channel per quantity",
+                remedy="Map the right one in the TOML beside the file",
+            )
+        else:
+            known[name] = channel
+    return known
+
+
+def _required(definition: Protocol, known: Mapping[str, RawChannel], where: str) -> tuple[str, ...]:
+    """The required channels of the alternative that the recording has."""
+    missing = missing_channels(definition, set(known))
+    if missing:
+        needed = " or ".join(", ".join(alternative) for alternative in definition.required)
+        found = ", ".join(known) or "no channel of the contract"
+        raise RefusedError(
+            f"required channel {', '.join(missing)} is missing; found: {found}",
+            where=where,
+            expected=f"for protocol {definition.name} ({definition.loading}): {needed}",
+            remedy="Record or map the channel",
+        )
+    return next(a for a in definition.required if set(a) <= known.keys())
+
+
+def _checked(raw: RawChannel, required: bool, problems: list[str], notes: list[str], where: str) -> Channel:
+    """One channel in its canonical unit, strictly ascending, NaN where a sample was lost."""
+    name = raw.quantity
+    canonical_unit = QUANTITIES[name].unit
+    change = conversion(raw.unit, canonical_unit, where=f"{where}: {name}")
+    if raw.values.size == 0:
+        raise _Unusable("the channel is empty", "samples")
+    time, values = _ascending(raw, problems, notes)
+    finite = np.isfinite(values)
+    lost = int(values.size - finite.sum())
+    if lost == values.size:
+        raise _Unusable(f"none of its {lost} samples is a finite number", "finite samples")
+    if required and values.size - lost < 2:
+        raise _Unusable("it has a single usable sample", "at least two")
+    if lost:
+        first = int(np.argmin(finite))
+        at = (int(time[first]) - int(time[0])) * 1e-9
+        problems.append(
+            f"{name}: {lost} of {values.size} samples are missing or not finite (first at {at:.6g} s): NULL"
+        )
+        values = np.where(finite, values, np.nan)
+    values = change.apply(values)
+    if np.isinf(values).any():
+        raise _Unusable("its values overflow in the canonical unit", f"values in {canonical_unit}")
+    resolution, filter_hz, delay = (_key(raw, key, where) for key in ("resolution", "filter_hz", "delay_s"))
+    return Channel(
+        quantity=name,
+        time_ns=time,
+        values=values,
+        resolution=None if resolution is None else abs(change.apply_difference(resolution)),
+        filter_hz=filter_hz,
+        delay_s=delay,
+        sensor=raw.metadata.get("sensor") or None,
+        unit=raw.unit if canonical_unit == ANY else None,
+    )
+
+
+def _ascending(raw: RawChannel, problems: list[str], notes: list[str]) -> tuple[Any, Any]:
+    """Times and values without instants told twice. `_Unusable` when time runs backwards."""
+    time, values = raw.time_ns, raw.values
+    steps = np.diff(time)
+    if (steps > 0).all():
+        return time, values
+    back = np.flatnonzero(steps < 0)
+    if back.size:
+        i = int(back[0])
+        raise _Unusable(
+            f"time runs backwards {back.size} times: sample {i + 2} is {-int(steps[i]) * 1e-9:.6g} s before sample {i + 1}",
+            "ascending time",
+            "Check the recorder's clock and the zone (a change from summer time?), or give sample_rate_hz",
+        )
+    repeated = np.concatenate(([False], steps == 0))
+    before = np.concatenate((values[:1], values[:-1]))
+    equal = repeated & ((values == before) | (np.isnan(values) & np.isnan(before)))
+    differing = int((repeated & ~equal).sum())
+    if differing > max(1, _REPEATED_INSTANTS * time.size):
+        raise _Unusable(
+            f"{differing} of {time.size} samples stand at the same instant as the one before",
+            "one sample per instant",
+            "The time is too coarse for the sample rate: give sample_rate_hz in the mapping TOML",
+        )
+    if differing:
+        problems.append(f"{raw.quantity}: {differing} instants have two values: the first was kept")
+    if equal.any():
+        notes.append(f"{raw.quantity}: {int(equal.sum())} samples told twice were dropped")
+    return time[~repeated], values[~repeated]
+
+
+def _key(raw: RawChannel, key: str, where: str) -> float | None:
+    """A number of the channel's metadata. Raises `RefusedError` when it is malformed."""
+    text = raw.metadata.get(key, "")
+    if not str(text).strip():
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number) or (key == "filter_hz" and number <= 0) or (key == "resolution" and number < 0):
+        expected = {"filter_hz": "a frequency above 0", "resolution": "a step not below 0"}.get(key, "a finite number")
+        raise RefusedError(f'{raw.quantity}: {key} is "{str(text)[:80]}"', where=where, expected=expected)
+    return number
+
+
+def _check_overlap(channels: Mapping[str, Channel], required: tuple[str, ...], where: str) -> None:
+    """The required channels must share a stretch of time."""
+    spans = {q: (int(channels[q].time_ns[0]), int(channels[q].time_ns[-1])) for q in required}
+    latest, earliest = max(spans, key=lambda q: spans[q][0]), min(spans, key=lambda q: spans[q][1])
+    apart = (spans[latest][0] - spans[earliest][1]) * 1e-9
+    if len(required) > 1 and apart >= 0:
+        raise RefusedError(
+            f"{latest} begins {apart:.6g} s after {earliest} has ended",
+            where=where,
+            expected="channels that share their time",
+            remedy="Check the clocks of the recorders",
+        )
+
+
+def _check_changes(channel: Channel, where: str) -> None:
+    values = channel.values[np.isfinite(channel.values)]
+    if values.min() == values.max():
+        hint = " (load cell not connected?)" if channel.quantity in _FORCES else " (sensor not connected?)"
+        unit = channel.unit or QUANTITIES[channel.quantity].unit
+        raise RefusedError(
+            f"{channel.quantity} is {values[0]:.6g} {unit} in all {values.size} samples{hint}",
+            where=where,
+            expected="a channel that changes during the test",
+            remedy="Check the sensor and measure again",
+        )
+
+
+def _check_range(channel: Channel, limit: float, required: bool, problems: list[str], where: str) -> None:
+    """Forces at or beyond the load cell's range: some are a problem, most of them refuse the recording."""
+    size = np.abs(channel.values)
+    beyond: Bool = size >= limit
+    count = int(beyond.sum())
+    if not count:
+        return
+    largest = channel.values[int(np.nanargmax(size))]
+    usable = int(np.isfinite(size).sum())
+    text = (
+        f"{channel.quantity}: {count} of {usable} samples at or beyond the load cell's range (largest {largest:.6g} N)"
+    )
+    if required and count > usable / 2:
+        raise RefusedError(
+            text,
+            where=where,
+            expected=f"at most {limit:g} N, load_cell_range_n of the rig",
+            remedy="Check the unit of the channel and the rig's load_cell_range_n",
+        )
+    problems.append(f"{text}; expected below {limit:g} N")
+
+
+def _note_clock(recording: Recording, notes: list[str]) -> None:
+    apart = recording.start_ns * 1e-9 - recording.metadata.started_at.timestamp()
+    if abs(apart) > _CLOCK_DIFFERENCE_S:
+        side = "after" if apart > 0 else "before"
+        notes.append(f"the first sample is {abs(apart) / 3600:.4g} h {side} started_at: the recorder's clock?")

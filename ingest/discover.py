@@ -1,0 +1,230 @@
+"""Which files are there: a walk over the raw files and folders, each file with its format, mapping and state.
+
+Also the content hash that notices a file changing under it, and the look that tells a file still being written.
+Does not belong here: reading recordings; the lab's bookkeeping of what is new (pipeline.run).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import time
+import zipfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
+from ingest.mapping_keys import IGNORE
+from ingest.remote import Mirror, RemoteFile
+from schemas.errors import DealabError, PendingError, UsageError
+
+NATIVE, MAPPED, UNMAPPED = "native", "mapped", "unmapped"
+_YOUNG_S = 60.0
+_LOOK_S = 1.0
+_UNFINISHED = (".part", ".partial", ".tmp", ".crdownload", ".filepart", ".swp", "~")
+_DOCUMENTS = ("readme", "licence", "license", "changes", "changelog", "notes", "copying", "citation")
+"""Beginnings of names of text files that are no data."""
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class SourceFile:
+    """A file that may be a recording.
+
+    `path` as found below what was given, `root` the file or folder that was given, `format` as `ingest.mapping.FORMATS`
+    (None when unknown), `state` `native` (MCAP), `mapped` or `unmapped`. `error` says why its mapping cannot be used.
+    Of a `remote` file, `path` is the local place that it is fetched to when it is read, below `root`, which stands for
+    the address that was given.
+    """
+
+    path: Path
+    root: Path
+    size: int
+    mtime_ns: int
+    format: str | None
+    state: str
+    mapping: FileMapping | None = None
+    error: DealabError | None = None
+    remote: RemoteFile | None = None
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """Files in the order of their paths, and notes on what was passed over."""
+
+    files: tuple[SourceFile, ...]
+    notes: tuple[str, ...]
+
+
+def discover(paths: Iterable[Path], *, skip: Sequence[Path] = (), mirrors: Iterable[Mirror] = ()) -> Discovery:
+    """The data files among files and folders; folders are walked in sorted order.
+
+    Hidden and unfinished files, documents, TOML files and folders under `skip` (the lab itself) are passed over; links
+    that lead nowhere or in a circle, pipes, devices and unreadable folders too, with a note. A file that is reached
+    twice counts once. The files of `mirrors` are taken as they are listed. Raises `UsageError` for a given path that does
+    not exist.
+    """
+    walk = _Walk([s.resolve() for s in skip])
+    for given in paths:
+        if not os.path.lexists(given):
+            raise UsageError(
+                "there is no such file or folder", where=str(given), expected="recordings or folders of them"
+            )
+        walk.take(given, given)
+    for mirror in mirrors:
+        walk.notes += mirror.notes
+        for path, file in mirror.files:
+            if not any(part.startswith((".", "~$")) for part in file.name.split("/")):
+                walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
+    files = tuple(sorted(walk.files, key=lambda f: os.fspath(f.path)))
+    return Discovery(files, tuple(walk.notes))
+
+
+def file_sha256(path: Path, *, chunk: int = 1 << 20) -> str:
+    """SHA-256 of a file's content. Raises `PendingError` when it changes while it is read, or has gone."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            before = os.fstat(file.fileno())
+            while block := file.read(chunk):
+                digest.update(block)
+            after = os.fstat(file.fileno())
+    except FileNotFoundError:
+        raise PendingError("the file has gone since it was found", where=path.name) from None
+    if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+        raise PendingError(
+            f"the file changed while it was read ({before.st_size} to {after.st_size} bytes)", where=path.name
+        )
+    return digest.hexdigest()
+
+
+def check_unchanged(path: Path, *, size: int, mtime_ns: int) -> None:
+    """Raises `PendingError` when a file is no longer as it was found, so what was read of it may be mixed."""
+    try:
+        now = path.stat()
+    except OSError:
+        raise PendingError("the file has gone while it was read", where=path.name) from None
+    if (now.st_size, now.st_mtime_ns) != (size, mtime_ns):
+        raise PendingError(f"the file changed while it was read ({size} to {now.st_size} bytes)", where=path.name)
+
+
+def growing(
+    files: Iterable[SourceFile],
+    *,
+    now: Callable[[], float] = time.time,
+    sleep: Callable[[float], None] = time.sleep,
+) -> tuple[SourceFile, ...]:
+    """The files that are being written: younger than a minute, without their end, other after a second than before.
+
+    Sleeps once for all of them, and only when there is a file to ask.
+    """
+    young = [f for f in files if now() - f.mtime_ns * 1e-9 < _YOUNG_S and lacks_end(f.path, f.format)]
+    if not young:
+        return ()
+    before = [_size_and_time(f.path) for f in young]
+    sleep(_LOOK_S)
+    return tuple(f for f, look in zip(young, before, strict=True) if _size_and_time(f.path) != look)
+
+
+def lacks_end(path: Path, found: str | None) -> bool:
+    """Whether a file lacks what its format ends with: the closing magic of MCAP, the last line end of text, the directory
+    of a zipped workbook. Formats without an end are taken to lack it."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - len(_MCAP_MAGIC)))
+            tail = file.read()
+    except OSError:
+        return False
+    if found == "mcap":
+        return tail != _MCAP_MAGIC
+    if found == "csv":
+        return not tail.endswith((b"\n", b"\r", b"\n\x00"))
+    if found == "excel" and path.suffix.lower() != ".xls":
+        return not zipfile.is_zipfile(path)
+    return True
+
+
+class _Walk:
+    def __init__(self, skip: Sequence[Path]) -> None:
+        self.skip = skip
+        self.files: list[SourceFile] = []
+        self.notes: list[str] = []
+        self.seen: set[str | tuple[int, int]] = set()
+
+    def take(self, path: Path, root: Path) -> None:
+        """One path: a file or a folder with all that is below it."""
+        try:
+            info = path.stat()
+        except OSError as error:
+            what = "a link that leads nowhere or in a circle" if path.is_symlink() else error.strerror or "unreadable"
+            self.notes.append(f"{shown(path)}: {what}: passed over")
+            return
+        if stat.S_ISDIR(info.st_mode):
+            self._folder(path, root, info)
+        elif stat.S_ISREG(info.st_mode):
+            self.file(path, root, info.st_size, info.st_mtime_ns)
+        else:
+            self.notes.append(f"{shown(path)}: a pipe, socket or device: passed over")
+
+    def _folder(self, path: Path, root: Path, info: os.stat_result) -> None:
+        if any(path.resolve() == s for s in self.skip) or not self._first_time((info.st_dev, info.st_ino)):
+            return
+        if path.suffix.lower() == ".mcap":
+            self.notes.append(f"{shown(path)}: a folder with the name of a recording")
+        try:
+            names = sorted(os.listdir(path))
+        except OSError as error:
+            self.notes.append(f"{shown(path)}: {error.strerror}: passed over")
+            return
+        for name in names:
+            if not name.startswith((".", "~$")):
+                self.take(path / name, root)
+
+    def file(self, path: Path, root: Path, size: int, mtime_ns: int, remote: RemoteFile | None = None) -> None:
+        """One file, also one that is not here yet: nothing but what lies beside it is read."""
+        if path.suffix.lower() == ".toml":
+            return
+        if path.name.lower().endswith(_UNFINISHED):
+            self.notes.append(f"{shown(path)}: an unfinished file: passed over")
+            return
+        mapping, error = None, None
+        try:
+            mapping = find_mapping(path)
+        except DealabError as found:
+            error = found
+        file_format = format_of(path, mapping)
+        if mapping is not None and mapping.kind == IGNORE:
+            self.notes.append(f"{shown(path)}: passed over, as {mapping.source} says")
+            return
+        if file_format is None and mapping is None and not own_mapping(path).is_file():
+            return
+        if mapping is None and error is None:
+            if path.name.lower().startswith(_DOCUMENTS):
+                return
+            state = NATIVE if file_format == "mcap" else UNMAPPED
+        else:
+            state = NATIVE if file_format == "mcap" and mapping is None else MAPPED
+        if self._first_time(os.path.realpath(path)):
+            self.files.append(SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote))
+
+    def _first_time(self, place: str | tuple[int, int]) -> bool:
+        new = place not in self.seen
+        self.seen.add(place)
+        return new
+
+
+def _size_and_time(path: Path) -> tuple[int, int] | None:
+    try:
+        info = path.stat()
+    except OSError:
+        return None
+    return info.st_size, info.st_mtime_ns
+
+
+def shown(value: object) -> str:
+    """A path or text for messages: control and direction marks, and bytes that are no UTF-8, as escapes."""
+    text = str(value).encode("utf-8", "backslashreplace").decode()
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

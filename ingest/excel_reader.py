@@ -1,0 +1,177 @@
+"""Excel and OpenDocument sheets through python-calamine. Columns from A = 0, rows as the sheet shows them.
+
+Does not belong here: formulas (their stored results are read), units and time (`ingest.assemble`).
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, datetime, time, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column, refuse_other_notation
+from ingest.mapping import ColumnName, FileMapping
+from schemas.errors import RefusedError
+
+_INFLATED_LIMIT = 1 << 29
+"""Most bytes that a workbook may inflate to."""
+
+
+@dataclass(frozen=True)
+class SheetFile:
+    """One sheet; a `ColumnFile`. `rows` are the rows of data, wholly blank ones left out."""
+
+    where: str
+    header: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: tuple[Sequence[Any], ...]
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def names(self) -> tuple[str, ...]:
+        return self.header
+
+    def numbers(self, column: ColumnName, index: int | None = None) -> Numbers:
+        cells = self.cells(column, index)
+        values = np.full(len(cells), np.nan)
+        empty = np.zeros(len(cells), dtype=bool)
+        texts, example = 0, ""
+        for row, cell in enumerate(cells):
+            if isinstance(cell, int | float) and not isinstance(cell, bool):
+                values[row] = cell
+            elif isinstance(cell, timedelta):
+                values[row] = cell.total_seconds()
+            elif cell is None or not str(cell).strip():
+                empty[row] = True
+            else:
+                refuse_other_notation(str(cell).strip(), column, ".", self.where)
+                texts += 1
+                example = example or str(cell)[:40]
+        return Numbers(values, empty, texts, example)
+
+    def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
+        if index is not None:
+            raise RefusedError(f"index is {index}", where=self.where, expected="no index: sheets have no matrices")
+        position = named_column(self.header, column, self.where)
+        return [row[position] for row in self.rows]
+
+    def unit(self, column: ColumnName) -> str | None:
+        position = named_column(self.header, column, self.where)
+        return self.units[position] or None if self.units else None
+
+    def own_time(self, column: ColumnName) -> OwnTime | None:
+        return None
+
+
+def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
+    """The sheet that a mapping names. Raises `RefusedError` when it is missing, damaged, locked or oversized."""
+    options = mapping.options
+    rows = sheet_rows(path, options.get("sheet"))[options.get("skip_rows", 0) :]
+    header: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    if options.get("header", True) and rows:
+        header, rows = _texts(rows[0]), rows[1:]
+    if options.get("unit_row", False) and rows:
+        units, rows = _texts(rows[0]), rows[1:]
+    filled = tuple(row for row in rows if any(str(cell).strip() for cell in row))
+    if not filled:
+        raise RefusedError("there are no rows of data", where=path.name, expected="rows after the header")
+    return SheetFile(path.name, header or ("",) * len(filled[0]), units, filled)
+
+
+def sheet_names(path: Path) -> tuple[str, ...]:
+    """Names of the sheets of a workbook."""
+    return tuple(_workbook(path).sheet_names)
+
+
+def sheet_rows(path: Path, sheet: str | int | None) -> list[list[Any]]:
+    """All rows of a sheet, by name or number from 0; the only sheet where `sheet` is None."""
+    where = path.name
+    book = _workbook(path)
+    names = list(book.sheet_names)
+    if sheet is None and len(names) == 1:
+        sheet = 0
+    known = sheet in names if isinstance(sheet, str) else sheet is not None and 0 <= sheet < len(names)
+    if not known:
+        shown = ", ".join(f'"{name[:60]}"' for name in names[:40])
+        raise RefusedError(
+            f"the workbook has {len(names)} sheets" if sheet is None else f'there is no sheet "{str(sheet)[:60]}"',
+            where=where,
+            expected=f"sheet = one of {shown}",
+            remedy="Give sheet in [excel] of the mapping TOML",
+        )
+    name = sheet if isinstance(sheet, str) else names[sheet or 0]
+    found = _guarded(book.get_sheet_by_name, name, where=where)
+    if found.total_height * found.total_width > CELL_LIMIT >> 4:
+        raise RefusedError(
+            f"the sheet has {found.total_height} × {found.total_width} cells",
+            where=where,
+            expected=f"at most {CELL_LIMIT >> 4}",
+            remedy="Delete what stands far away from the data",
+        )
+    return list(_guarded(found.to_python, skip_empty_area=False, where=where))
+
+
+def _workbook(path: Path) -> Any:
+    import python_calamine
+
+    if zipfile.is_zipfile(path):
+        try:
+            with zipfile.ZipFile(path) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+        except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+            raise _unreadable(path.name, error) from None
+        if size > _INFLATED_LIMIT:
+            raise RefusedError(
+                f"the workbook inflates to {size >> 20} MiB",
+                where=path.name,
+                expected=f"at most {_INFLATED_LIMIT >> 20} MiB",
+            )
+    return _guarded(python_calamine.load_workbook, str(path), where=path.name)
+
+
+def _guarded(call: Any, *arguments: Any, where: str, **options: Any) -> Any:
+    """The call's result; whatever the library raises for a damaged workbook becomes a `RefusedError`."""
+    import python_calamine
+
+    try:
+        return call(*arguments, **options)
+    except python_calamine.PasswordError:
+        raise RefusedError(
+            "the workbook is locked with a password",
+            where=where,
+            expected="a readable workbook",
+            remedy="Save it without",
+        ) from None
+    except (python_calamine.CalamineError, ValueError, OSError) as error:
+        raise _unreadable(where, error) from None
+    except BaseException as error:
+        if type(error).__name__ == "PanicException":  # a bug of the library in compiled code; no Exception subclass
+            raise _unreadable(where, error) from None
+        raise
+
+
+def _unreadable(where: str, error: BaseException) -> RefusedError:
+    return RefusedError(
+        f"the workbook cannot be read: {str(error)[:200] or type(error).__name__}",
+        where=where,
+        expected="a whole Excel or OpenDocument file",
+        remedy="Copy the file again, or save it anew",
+    )
+
+
+def _texts(row: Sequence[Any]) -> tuple[str, ...]:
+    return tuple(" ".join(_shown(cell).split()) for cell in row)
+
+
+def _shown(cell: Any) -> str:
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    if isinstance(cell, datetime | date | time):
+        return cell.isoformat()
+    return "" if cell is None else str(cell)

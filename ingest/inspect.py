@@ -1,0 +1,219 @@
+"""What is in a file, whether it fits the contract, and what is wrong with it. Writes nothing.
+
+For a foreign file without a mapping it drafts a complete TOML; only there anything is guessed. Does not belong here: the
+command line (pipeline.cli).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ingest.canonical import canonical
+from ingest.discover import shown
+from ingest.draft import draft_mapping
+from ingest.mapping import find_mapping, format_of
+from ingest.read import read_raw
+from ingest.rigs import find_rig
+from ingest.tables import LifetimeTable, RelaxationTable
+from schemas.errors import DealabError, RefusedError, UnmappedError
+from schemas.metadata import RecordingMetadata
+from schemas.quantities import QUANTITIES
+from schemas.recording import RawRecording, Recording
+from schemas.units import ANY
+
+FITS, DAMAGED, REFUSED, UNMAPPED = "fits the contract", "damaged, usable in part", "refused", "unmapped"
+
+
+@dataclass(frozen=True)
+class ChannelSummary:
+    """One channel or column: `unit` of `low` and `high` (finite samples), `rate_hz` from the median interval."""
+
+    name: str
+    unit: str
+    samples: int
+    lost: int
+    rate_hz: float | None
+    start_s: float
+    span_s: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """The findings about one file. `draft` is a mapping TOML for a file without one."""
+
+    path: Path
+    format: str | None
+    size: int
+    verdict: str
+    kind: str = "recording"
+    channels: tuple[ChannelSummary, ...] = ()
+    metadata: tuple[tuple[str, str], ...] = ()
+    rig: tuple[tuple[str, str], ...] = ()
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    error: DealabError | None = None
+    draft: str | None = None
+
+    @property
+    def fits(self) -> bool:
+        """Usable, whole or in part."""
+        return self.verdict in (FITS, DAMAGED)
+
+    def as_text(self) -> str:
+        """The findings for a terminal: control characters of the file's texts as escapes."""
+        lines = [f"{shown(self.path)}: {self.verdict}"]
+        lines += [f"  format    {self.format or 'unknown'}, {self.size:,} bytes, {self.kind}"]
+        if self.error is not None:
+            lines += [f"  {label:<9} {shown(text)}" for label, text in _parts(self.error) if text]
+        lines += [f"  problem   {shown(p)}" for p in self.problems]
+        lines += [f"  note      {shown(n)}" for n in self.notes]
+        if self.channels:
+            lines += ["  channels"]
+            lines += [f"    {_line(c)}" for c in self.channels]
+        for title, pairs in (("metadata", self.metadata), ("rig", self.rig)):
+            if pairs:
+                lines += [f"  {title}"] + [f"    {shown(k)} = {_short(shown(v))}" for k, v in pairs]
+        if self.draft is not None:
+            lines += ["  draft of a mapping:", "", self.draft]
+        return "\n".join(lines)
+
+
+def inspect(path: Path, *, root: Path | None = None, rigs: Path | None = None) -> Inspection:
+    """What is in a file. `root` and `rigs` say where rig files are looked for, as in `ingest.rigs.find_rig`.
+
+    Never raises for what is in the file: `error` holds the reason. Raises `RefusedError` only when the path is no file.
+    """
+    if not path.is_file():
+        raise RefusedError("not a file", where=shown(path), expected="a recording or a table")
+    size = path.stat().st_size
+    found = format_of(path)
+    try:
+        mapping = find_mapping(path)
+        found = format_of(path, mapping)
+        raw = read_raw(path, mapping)
+        if isinstance(raw, RawRecording):
+            return _recording(path, found, size, raw, root, rigs)
+    except UnmappedError as error:
+        return _unmapped(path, found, size, error)
+    except DealabError as error:
+        return Inspection(path, found, size, REFUSED, error=error)
+    if isinstance(raw, LifetimeTable):
+        kind, rows = "lifetimes", len(raw.rows)
+        columns: tuple[ChannelSummary, ...] = (
+            _summary("lifetime", "s", np.array([r.lifetime_s for r in raw.rows])),
+            _summary("failed", "", np.array([float(r.failed) for r in raw.rows])),
+        )
+    elif isinstance(raw, RelaxationTable):
+        kind, rows = "relaxation", raw.time_s.size
+        columns = (_summary("time", "s", raw.time_s), _summary("relaxation", "N/mm", raw.value))
+    else:
+        kind, rows = "frequency_response", raw.frequency_hz.size
+        columns = (
+            _summary("frequency", "Hz", raw.frequency_hz),
+            _summary("storage", "N/mm", raw.value.real),
+            _summary("loss", "N/mm", raw.value.imag),
+        )
+    return Inspection(
+        path,
+        found,
+        size,
+        DAMAGED if raw.problems else FITS,
+        kind=kind,
+        channels=columns,
+        metadata=tuple(raw.metadata.to_text().items()),
+        problems=raw.problems,
+        notes=(f"{rows} rows", *raw.notes),
+    )
+
+
+def _recording(
+    path: Path, found: str | None, size: int, raw: RawRecording, root: Path | None, rigs: Path | None
+) -> Inspection:
+    start = min((int(c.time_ns.min()) for c in raw.channels if c.time_ns.size), default=0)
+    as_found = tuple(_summary(c.quantity, c.unit, c.values, c.time_ns, start) for c in raw.channels)
+    texts = tuple((str(k), str(v)) for k, v in raw.metadata.items())
+    constants = tuple((str(k), str(v)) for k, v in raw.rig.items())
+    try:
+        rig_id = RecordingMetadata.parse(raw.metadata, where=path.name).rig_id or raw.rig.get("rig_id")
+        rig_file = find_rig(rig_id, path, root=root, rigs=rigs)
+        recording = canonical(raw, where=path.name, rig_file=None if rig_file is None else rig_file.values)
+    except DealabError as error:
+        return Inspection(
+            path,
+            found,
+            size,
+            REFUSED,
+            channels=as_found,
+            metadata=texts,
+            rig=constants,
+            problems=raw.problems,
+            notes=raw.notes,
+            error=error,
+        )
+    return Inspection(
+        path,
+        found,
+        size,
+        DAMAGED if recording.problems else FITS,
+        channels=_canonical_channels(recording),
+        metadata=tuple(recording.metadata.to_text().items()),
+        rig=tuple(recording.rig.to_text().items()),
+        problems=recording.problems,
+        notes=recording.notes,
+    )
+
+
+def _canonical_channels(recording: Recording) -> tuple[ChannelSummary, ...]:
+    channels = []
+    for name, c in recording.channels.items():
+        unit = QUANTITIES[name].unit
+        channels.append(
+            _summary(name, (c.unit or "") if unit == ANY else unit, c.values, c.time_ns, recording.start_ns)
+        )
+    return tuple(channels)
+
+
+def _unmapped(path: Path, found: str | None, size: int, error: DealabError) -> Inspection:
+    try:
+        draft = draft_mapping(path)
+    except DealabError as reason:
+        notes = (f"no mapping can be drafted: {reason}",)
+        return Inspection(path, found, size, UNMAPPED, error=error, notes=notes)
+    return Inspection(path, found, size, UNMAPPED, error=error, draft=draft)
+
+
+def _summary(
+    name: str, unit: str, values: np.ndarray, time_ns: np.ndarray | None = None, start_ns: int = 0
+) -> ChannelSummary:
+    finite = values[np.isfinite(values)]
+    rate, begin, span = None, 0.0, 0.0
+    if time_ns is not None and time_ns.size:
+        begin = (int(time_ns[0]) - start_ns) * 1e-9
+        span = (int(time_ns[-1]) - int(time_ns[0])) * 1e-9
+        step = float(np.median(np.diff(time_ns))) if time_ns.size > 1 else 0.0
+        rate = 1e9 / step if step > 0 else None
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (None, None)
+    return ChannelSummary(name, unit, values.size, values.size - finite.size, rate, begin, span, low, high)
+
+
+def _parts(error: DealabError) -> tuple[tuple[str, str], ...]:
+    problem = f"{error.where}: {error.problem}" if error.where else error.problem
+    return ("because", problem), ("expected", error.expected), ("remedy", error.remedy)
+
+
+def _line(c: ChannelSummary) -> str:
+    text = f"{_short(shown(c.name), 30):<16} {c.samples:>9,} samples"
+    if c.rate_hz is not None:
+        text += f", {c.rate_hz:.6g} Hz, {c.span_s:.6g} s from {c.start_s:.6g} s"
+    if c.low is not None:
+        text += f", {c.low:.6g} to {c.high:.6g} {_short(shown(c.unit), 20)}"
+    return text + (f", {c.lost} lost" if c.lost else "")
+
+
+def _short(text: str, limit: int = 100) -> str:
+    return text if len(text) <= limit else text[: limit - 1] + "…"

@@ -1,0 +1,328 @@
+"""The TOML beside a foreign file: what its columns mean, and the metadata that the file lacks.
+
+`find_mapping` finds and parses the one that belongs to a file; `<file>.toml` beside it comes before `recordings.toml`
+of its folder, whose `[[files]]` entries are tried in order: the first whose `match` fits the file's name is taken.
+
+Keys beyond the contract's example
+----------------------------------
+`format`             csv, excel, matlab, hdf5, tdms, uff or mcap, where the file's ending does not tell
+`kind = "ignore"`    files that match are passed over
+`csv`                delimiter (one character or "whitespace"), decimal, encoding, skip_rows, header, unit_row, quote,
+                     comment (lines that begin so are left out), missing (list of texts that stand for no value),
+                     final_newline (false: this exporter ends its last line without a line end)
+`excel`              sheet (name, or number from 0), skip_rows, header, unit_row
+`hdf5`, `matlab`     root (prefix of every path; MATLAB paths are `structure.field`), transpose (true: the samples run
+                     along the rows of matrices)
+`tdms`               group
+`uff`                no keys; a column is the number of the type-58 set from 0, or its first description line
+`time`               column, index, unit, sample_rate_hz, origin ("started_at": elapsed time, the default; "unix": time
+                     since 1970 UTC), format ("iso" or a strptime pattern: absolute times as text), zone (an IANA name,
+                     for absolute times that lack theirs)
+`columns.<name>`     column, index (column of a matrix, from 0), field (key inside an MCAP message, dots for deeper
+                     ones), time (a time column of its own), unit (may be left out where a unit row has it), scale,
+                     offset, sparse (true: an empty cell means that this slower channel has no sample there), sensor,
+                     delay_s, resolution, filter_hz
+tables               see `ingest.tables`
+
+Does not belong here: reading the data files.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from ingest.mapping_keys import (
+    CHANNEL_METADATA,
+    COLUMN,
+    FORMATS,
+    IGNORE,
+    KINDS,
+    OPTIONS,
+    RECORDING,
+    TABLE_COLUMN,
+    TABLE_COLUMNS,
+    TIME,
+    Types,
+    checked,
+    choice,
+    refused,
+    table,
+)
+from ingest.toml_files import content_hash, load_toml
+from schemas.quantities import QUANTITIES
+
+FOLDER_FILE = "recordings.toml"
+ColumnName: TypeAlias = str | int
+
+
+@dataclass(frozen=True)
+class ColumnMapping:
+    """One column of a file. value = scale × raw + offset, in `unit`.
+
+    `metadata` holds the channel's own keys (`sensor`, `delay_s`, `resolution`, `filter_hz`) as text, as MCAP has them.
+    `value` stands for a column that is the same in every row (tables only); `meanings` says which cell values mean
+    failed, censored and left-censored (column `failed` of lifetime tables only).
+    """
+
+    column: ColumnName | None
+    unit: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    index: int | None = None
+    field: str | None = None
+    time: ColumnName | None = None
+    sparse: bool = False
+    value: Any = None
+    meanings: Mapping[str, tuple[Any, ...]] = dataclass_field(default_factory=dict)
+    metadata: Mapping[str, str] = dataclass_field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """The column as a reader of messages knows it."""
+        return column_label(self.column, self.index)
+
+
+def column_label(column: ColumnName | None, index: int | None = None) -> str:
+    """`"name"`, `number 3` or `"name", column 1` for messages."""
+    shown = f"number {column}" if isinstance(column, int) else f'"{column}"'
+    return shown if index is None else f"{shown}, column {index}"
+
+
+@dataclass(frozen=True)
+class TimeMapping:
+    """Where the time of the samples comes from; see the module's docstring."""
+
+    column: ColumnName | None = None
+    index: int | None = None
+    unit: str | None = None
+    sample_rate_hz: float | None = None
+    origin: str = "started_at"
+    format: str | None = None
+    zone: str | None = None
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Only rows whose `column` holds one of `equals` belong to the table."""
+
+    column: ColumnName
+    equals: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class FileMapping:
+    """What the TOML says about one file, `{stem}` already replaced.
+
+    `options` are the keys of the format's own table (`csv`, `excel`, …). `hash` is the SHA-256 of the effective
+    content: it changes when anything that matters for this file changes, and not when a comment does.
+    """
+
+    kind: str
+    format: str | None
+    options: Mapping[str, Any]
+    time: TimeMapping | None
+    columns: Mapping[str, ColumnMapping]
+    recording: Mapping[str, Any]
+    rig: Mapping[str, Any]
+    select: tuple[Selection, ...] = ()
+    source: str = ""
+    hash: str = ""
+
+    @classmethod
+    def parse(cls, content: Mapping[str, Any], *, stem: str, suffix: str = "", source: str = "") -> FileMapping:
+        """The mapping of a file from TOML content; `stem` and `suffix` are the two parts of the file's name.
+
+        Raises `RefusedError` for keys that are unknown, of a wrong type or missing.
+        """
+        content = {k: _with_stem(v, stem) for k, v in content.items() if k != "match"}
+        known = {"kind", "format", "time", "columns", "recording", "rig", "select", *OPTIONS}
+        for key in content:
+            if key not in known:
+                raise refused(source, f'key "{key[:80]}" is unknown', "one of " + ", ".join(sorted(known)))
+        kind = choice(content.get("kind", RECORDING), "kind", KINDS, source)
+        chosen = _format(content, source) or format_of_suffix(suffix)
+        if kind == IGNORE:
+            columns: dict[str, ColumnMapping] = {}
+        else:
+            columns = _columns(content, kind, chosen, source)
+        return cls(
+            kind=kind,
+            format=chosen,
+            options=checked(content.get(chosen or "", {}), chosen or "", OPTIONS.get(chosen or "", {}), source),
+            time=_time(content, source),
+            columns=columns,
+            recording=table(content, "recording", source),
+            rig=table(content, "rig", source),
+            select=_selections(content, source),
+            source=source,
+            hash=content_hash(content),
+        )
+
+
+def find_mapping(path: Path) -> FileMapping | None:
+    """The mapping of a data file, or None when there is none. `RefusedError` when there is one but it is wrong."""
+    own = own_mapping(path)
+    if own.is_file():
+        return FileMapping.parse(load_toml(own), stem=_stem(path), suffix=path.suffix, source=own.name)
+    shared = path.with_name(FOLDER_FILE)
+    if not shared.is_file():
+        return None
+    info = shared.stat()
+    for number, entry in enumerate(_folder_entries(shared, info.st_mtime_ns, info.st_size), start=1):
+        if fnmatch.fnmatchcase(path.name, entry["match"]):
+            return FileMapping.parse(
+                entry, stem=_stem(path), suffix=path.suffix, source=f"{shared.name}, [[files]] number {number}"
+            )
+    return None
+
+
+def _stem(path: Path) -> str:
+    """The file's name without its ending; bytes that are no UTF-8 become question marks."""
+    return path.stem.encode("utf-8", "replace").decode()
+
+
+def own_mapping(path: Path) -> Path:
+    """The mapping file beside a data file, whether it exists or not."""
+    return path.with_name(path.name + ".toml")
+
+
+@functools.lru_cache(maxsize=64)
+def _folder_entries(path: Path, mtime_ns: int, size: int) -> tuple[dict[str, Any], ...]:
+    """Entries of a folder's file in this state of it: a folder of thousands of recordings parses it once."""
+    return tuple(_entries(load_toml(path), path.name))
+
+
+def format_of(path: Path, mapping: FileMapping | None = None) -> str | None:
+    """The format of a data file: what its mapping says, else what its ending says; None when neither does."""
+    if mapping is not None and mapping.format is not None:
+        return mapping.format
+    return format_of_suffix(path.suffix)
+
+
+def format_of_suffix(suffix: str) -> str | None:
+    """The format that a file ending stands for, in capitals or not; None for an unknown one."""
+    return next((name for name, suffixes in FORMATS.items() if suffix.lower() in suffixes), None)
+
+
+def _entries(content: Mapping[str, Any], source: str) -> list[dict[str, Any]]:
+    for key in content:
+        if key != "files":
+            raise refused(source, f'key "{key[:80]}" is unknown at the top level', "only [[files]] entries")
+    entries = content.get("files", [])
+    if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
+        raise refused(source, "files is not a list of tables", "[[files]] entries")
+    for number, entry in enumerate(entries, start=1):
+        if not isinstance(entry.get("match"), str):
+            raise refused(source, f"[[files]] number {number} has no match", 'a pattern such as match = "*.csv"')
+    return entries
+
+
+def _with_stem(value: Any, stem: str) -> Any:
+    if isinstance(value, str):
+        return value.replace("{stem}", stem)
+    if isinstance(value, list):
+        return [_with_stem(v, stem) for v in value]
+    if isinstance(value, dict):
+        return {k: _with_stem(v, stem) for k, v in value.items()}
+    return value
+
+
+def _format(content: Mapping[str, Any], source: str) -> str | None:
+    named = [name for name in OPTIONS if name in content]
+    if len(named) > 1:
+        raise refused(source, f"tables of {len(named)} formats: {', '.join(named)}", "the table of one format")
+    if "format" not in content:
+        return named[0] if named else None
+    chosen = choice(content["format"], "format", tuple(FORMATS), source)
+    if named and named[0] != chosen:
+        raise refused(source, f'format is "{chosen}" but the options are in [{named[0]}]', f"[{chosen}]")
+    return chosen
+
+
+def _columns(content: Mapping[str, Any], kind: str, chosen: str | None, source: str) -> dict[str, ColumnMapping]:
+    columns = table(content, "columns", source)
+    allowed = tuple(QUANTITIES) if kind == RECORDING else TABLE_COLUMNS[kind]
+    keys = COLUMN if kind == RECORDING else TABLE_COLUMN
+    mapped = {}
+    for name, entry in columns.items():
+        if name not in allowed:
+            raise refused(source, f'columns.{name[:80]} is unknown for kind "{kind}"', "one of " + ", ".join(allowed))
+        mapped[name] = _column(entry, f"columns.{name}", keys, source)
+    if not mapped and chosen != "mcap":
+        raise refused(source, "no columns are mapped", "a table [columns.<quantity>] for each quantity")
+    return mapped
+
+
+def _column(entry: Any, name: str, keys: Mapping[str, Types], source: str) -> ColumnMapping:
+    entry = checked(entry, name, keys, source)
+    if ("column" in entry) == ("value" in entry):
+        raise refused(
+            source,
+            f"{name} has no column" if "column" not in entry else f"{name} has column and value",
+            'the name (or number from 0) of a column in the file: column = "…"',
+        )
+    for key in ("column", "index"):
+        if isinstance(entry.get(key), int) and entry[key] < 0:
+            raise refused(source, f"{name}.{key} is {entry[key]}", "a number from 0")
+    meanings = {
+        key.removesuffix("_values"): tuple(entry[key])
+        for key in ("failed_values", "censored_values", "left_censored_values")
+        if key in entry
+    }
+    return ColumnMapping(
+        column=entry.get("column"),
+        unit=entry.get("unit"),
+        scale=float(entry.get("scale", 1.0)),
+        offset=float(entry.get("offset", 0.0)),
+        index=entry.get("index"),
+        field=entry.get("field"),
+        time=entry.get("time"),
+        sparse=entry.get("sparse", False),
+        value=entry.get("value"),
+        meanings=meanings,
+        metadata={k: str(entry[k]) for k in CHANNEL_METADATA if k in entry},
+    )
+
+
+def _time(content: Mapping[str, Any], source: str) -> TimeMapping | None:
+    if "time" not in content:
+        return None
+    entry = checked(content["time"], "time", TIME, source)
+    if "column" in entry and "sample_rate_hz" in entry:
+        raise refused(source, "time has column and sample_rate_hz", "one of the two")
+    if "column" not in entry and "sample_rate_hz" not in entry and entry.get("origin") is None:
+        raise refused(source, "time has neither column nor sample_rate_hz", "one of the two")
+    rate = entry.get("sample_rate_hz")
+    if rate is not None and not 0 < rate < 1e9:
+        raise refused(source, f"time.sample_rate_hz is {rate}", "a rate above 0 and below 1e9 Hz")
+    if "format" in entry and "unit" in entry:
+        raise refused(source, "time has format and unit", "format for dates as text, unit for numbers")
+    return TimeMapping(
+        column=entry.get("column"),
+        index=entry.get("index"),
+        unit=entry.get("unit"),
+        sample_rate_hz=None if rate is None else float(rate),
+        origin=choice(entry.get("origin", "started_at"), "time.origin", ("started_at", "unix"), source),
+        format=entry.get("format"),
+        zone=entry.get("zone"),
+    )
+
+
+def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...]:
+    entries = content.get("select", [])
+    if not isinstance(entries, list):
+        raise refused(source, "select is not a list of tables", "[[select]] entries with column and equals")
+    selections = []
+    for entry in entries:
+        found = checked(entry, "select", {"column": (str, int), "equals": (list, str, int, float, bool)}, source)
+        if "column" not in found or "equals" not in found:
+            raise refused(source, "a select entry lacks column or equals", 'column = "Set" and equals = 0')
+        equals = found["equals"]
+        selections.append(Selection(found["column"], tuple(equals) if isinstance(equals, list) else (equals,)))
+    return tuple(selections)

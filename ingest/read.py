@@ -1,0 +1,111 @@
+"""The one door for files: from a path and its mapping to what the file holds, whatever its format.
+
+Does not belong here: finding files (`ingest.discover`) and mappings (`ingest.mapping`), validation (`ingest.canonical`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+from ingest.assemble import assemble
+from ingest.columns import ColumnFile
+from ingest.mapping import FileMapping, format_of
+from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION
+from ingest.tables import (
+    LifetimeTable,
+    RelaxationTable,
+    ResponseTable,
+    lifetime_table,
+    relaxation_table,
+    response_table,
+)
+from ingest.times import with_zone, zone_of
+from schemas.errors import PendingError, RefusedError, UnmappedError
+from schemas.recording import RawRecording
+
+Content: TypeAlias = RawRecording | LifetimeTable | ResponseTable | RelaxationTable
+
+
+def read_raw(path: Path, mapping: FileMapping | None) -> Content:
+    """What a file holds, in its own units.
+
+    Raises `UnmappedError` for a foreign format without a mapping, `RefusedError` for content that cannot be used,
+    `MissingExtraError` where the format's reader is not installed, `PendingError` when the file has gone.
+    """
+    found = format_of(path, mapping)
+    if found is None:
+        raise RefusedError(
+            f'the format of "{path.suffix[:40]}" files is unknown',
+            where=path.name,
+            expected="a known file ending, or format in the mapping TOML",
+        )
+    if mapping is None and found != "mcap":
+        raise UnmappedError(
+            "there is no mapping TOML for this file",
+            where=path.name,
+            remedy=f"Draft one with dealab inspect, save it as {path.name[:100]}.toml beside the file",
+        )
+    try:
+        if found == "mcap":
+            return _read_mcap(path, mapping)
+        assert mapping is not None
+        return _read_columns(path, found, mapping)
+    except FileNotFoundError:
+        raise PendingError("the file has gone since it was found", where=path.name) from None
+    except OSError as error:
+        raise RefusedError(
+            f"the file cannot be read: {error.strerror or error}", where=path.name, expected="a readable file"
+        ) from None
+
+
+def open_columns(path: Path, found: str, mapping: FileMapping) -> ColumnFile:
+    """The columns of a file of a foreign format."""
+    if found == "csv":
+        from ingest.csv_reader import read_csv
+
+        return read_csv(path, mapping)
+    if found == "excel":
+        from ingest.excel_reader import read_excel
+
+        return read_excel(path, mapping)
+    if found == "matlab":
+        from ingest.matlab_reader import read_matlab
+
+        return read_matlab(path, mapping)
+    if found == "hdf5":
+        from ingest.hdf5_reader import read_hdf5
+
+        return read_hdf5(path, mapping)
+    if found == "tdms":
+        from ingest.tdms_reader import read_tdms
+
+        return read_tdms(path, mapping)
+    from ingest.uff_reader import read_uff
+
+    return read_uff(path, mapping)
+
+
+def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:
+    file = open_columns(path, found, mapping)
+    if mapping.kind == LIFETIMES:
+        return lifetime_table(file, mapping, stem=path.stem.encode("utf-8", "replace").decode(), where=path.name)
+    if mapping.kind == FREQUENCY_RESPONSE:
+        return response_table(file, mapping, where=path.name)
+    if mapping.kind == RELAXATION:
+        return relaxation_table(file, mapping, where=path.name)
+    return assemble(file, mapping, where=path.name)
+
+
+def _read_mcap(path: Path, mapping: FileMapping | None) -> RawRecording:
+    from ingest.mcap_reader import read_mcap
+
+    if mapping is None:
+        return read_mcap(path)
+    if mapping.kind != RECORDING:
+        raise RefusedError(
+            f'kind is "{mapping.kind}" for an MCAP file', where=mapping.source or path.name, expected=f'"{RECORDING}"'
+        )
+    raw = read_mcap(path, mapping)
+    return replace(raw, metadata=with_zone(raw.metadata, zone_of(mapping.time, mapping.source)))

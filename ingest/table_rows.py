@@ -1,0 +1,262 @@
+"""The rows of a table that stands instead of recordings, read through its mapping: units, constants, selections, order.
+
+What the columns of each kind mean is in `ingest.tables`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.assemble import scaled_numbers, unit_of
+from ingest.columns import ColumnFile, Float
+from ingest.mapping import FileMapping, column_label
+from ingest.times import with_zone, zone_of
+from schemas.errors import RefusedError
+from schemas.metadata import TableMetadata
+from schemas.units import conversion
+
+Complex = NDArray[np.complex128]
+Bool = NDArray[np.bool_]
+
+MODULUS, STIFFNESS = "modulus", "stiffness"
+
+
+class TableRows:
+    """The selected rows of a file of columns, read through the mapping."""
+
+    def __init__(self, file: ColumnFile, mapping: FileMapping, where: str) -> None:
+        self.file, self.mapping, self.where = file, mapping, where
+        zone = zone_of(mapping.time, mapping.source)
+        self.metadata = TableMetadata.parse(with_zone(mapping.recording, zone), where=where)
+        self.problems: list[str] = list(file.problems)
+        self.notes: list[str] = list(file.notes)
+        self.rows = self._selected()
+
+    @property
+    def remarks(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Problems and notes, those of the file first."""
+        return tuple(self.problems), tuple(self.notes)
+
+    @property
+    def row_numbers(self) -> NDArray[np.int64]:
+        """Numbers from 1 of the selected rows in the file."""
+        return np.flatnonzero(self.rows) + 1
+
+    def require(self, *names: str) -> None:
+        """Raises `RefusedError` for the first of these columns that is not mapped."""
+        missing = [name for name in names if name not in self.mapping.columns]
+        if missing:
+            raise RefusedError(
+                f"columns.{missing[0]} is missing",
+                where=self.mapping.source or self.where,
+                expected=f'for kind "{self.mapping.kind}": ' + ", ".join(names),
+                remedy="Add it to the mapping TOML",
+            )
+
+    def one_of(self, *pairs: tuple[str, str]) -> tuple[str, str]:
+        """The one pair whose columns are both mapped; `RefusedError` when none or several are."""
+        found = [pair for pair in pairs if all(name in self.mapping.columns for name in pair)]
+        if len(found) != 1:
+            raise RefusedError(
+                f"{len(found)} complete pairs of columns",
+                where=self.mapping.source or self.where,
+                expected="one of " + " or ".join(" and ".join(pair) for pair in pairs),
+                remedy="Correct the mapping TOML",
+            )
+        return found[0]
+
+    def numbers(self, name: str, canonical: str) -> Float:
+        """A column of the selected rows in a canonical unit, NaN where a cell has no number."""
+        column = self.mapping.columns[name]
+        if column.value is not None:
+            return self._constant(name, canonical)
+        unit = unit_of(self.file, column, name, canonical, where=self.where)
+        found = scaled_numbers(self.file, column, name, where=self.where)
+        if found.texts:
+            self.problems.append(f'{name}: {found.texts} cells hold no number, such as "{found.example}"')
+        self._check_length(name, found.values.size)
+        return conversion(unit, canonical, where=f"{self.where}: {name}").apply(found.values)[self.rows]
+
+    def numbers_or(self, name: str, canonical: str, default: float | None, count: int) -> Float:
+        """A column as `numbers`, or `count` times the default (NaN for None) where it is not mapped."""
+        if name in self.mapping.columns:
+            return self.numbers(name, canonical)
+        return np.full(count, math.nan if default is None else default)
+
+    def cells(self, name: str) -> list[Any]:
+        """The cells of a column in the selected rows, as they stand."""
+        column = self.mapping.columns[name]
+        if column.value is not None or column.column is None:
+            return [column.value] * int(self.rows.sum())
+        cells = self.file.cells(column.column, column.index)
+        self._check_length(name, len(cells))
+        return [cell for cell, keep in zip(cells, self.rows, strict=True) if keep]
+
+    def texts_or(self, name: str, default: str | None, count: int) -> list[str | None]:
+        """A column as text, the default where a cell is empty or the column is not mapped."""
+        if name not in self.mapping.columns:
+            return [default] * count
+        return [cell_text(cell) or default for cell in self.cells(name)]
+
+    def elastic(self, name: str) -> tuple[Float, str]:
+        """A column in MPa or N/mm, and which of the two its unit makes it."""
+        canonical = self._of_one("MPa", "N/mm", name, "a modulus (such as MPa) or a stiffness (such as N/mm)")
+        return self.numbers(name, canonical), MODULUS if canonical == "MPa" else STIFFNESS
+
+    def ratio(self, above: str, below: str) -> Float | None:
+        """One column over another, lengths or angles, NaN where it does not exist; None where neither is mapped."""
+        given = [name for name in (above, below) if name in self.mapping.columns]
+        if not given:
+            return None
+        self.require(above, below)
+        units = [self._of_one("mm", "rad", name, "a length (such as mm) or an angle (such as rad)") for name in given]
+        if units[0] != units[1]:
+            raise RefusedError(
+                f"{above} is in {units[0]}, {below} in {units[1]}",
+                where=self.where,
+                expected="two lengths or two angles",
+                remedy=f"Correct unit of [columns.{above}] or [columns.{below}] in the mapping TOML",
+            )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.abs(self.numbers(above, units[0]) / self.numbers(below, units[1]))
+        return np.where(np.isfinite(found), found, math.nan)
+
+    def _of_one(self, first: str, second: str, name: str, expected: str) -> str:
+        """That of two canonical units which a column's unit converts to."""
+        column = self.mapping.columns[name]
+        unit = column.unit or (None if column.column is None else self.file.unit(column.column)) or ""
+        for canonical in (first, second):
+            try:
+                conversion(unit.strip(" []()"), canonical)
+            except RefusedError:
+                continue
+            return canonical
+        raise RefusedError(
+            f'{name} has the unit "{unit[:40]}"',
+            where=self.where,
+            expected=expected,
+            remedy=f"Correct unit of [columns.{name}] in the mapping TOML",
+        )
+
+    def note_signs(self, value: Complex) -> None:
+        """Notes losses and storages that no passive material has."""
+        lossless = int((value.imag < 0).sum())
+        if lossless:
+            self.notes.append(f"{lossless} of {value.size} rows have a negative loss: the machine's own compliance?")
+        if (value.real <= 0).any():
+            self.notes.append(f"{int((value.real <= 0).sum())} of {value.size} rows have a storage of 0 or below")
+
+    def _constant(self, name: str, canonical: str) -> Float:
+        column = self.mapping.columns[name]
+        if column.unit is None or isinstance(column.value, str | bool):
+            raise RefusedError(
+                f"columns.{name}: value {column.value!r} with unit {column.unit!r}",
+                where=self.mapping.source or self.where,
+                expected="a number and its unit",
+            )
+        value = np.full(int(self.rows.sum()), float(column.value) * column.scale + column.offset)
+        return conversion(column.unit, canonical, where=f"{self.where}: {name}").apply(value)
+
+    def _selected(self) -> Bool:
+        first = next((c for c in self.mapping.columns.values() if c.column is not None), None)
+        if first is None or first.column is None:
+            raise RefusedError("no column of the file is mapped", where=self.mapping.source or self.where)
+        keep = np.ones(len(self.file.cells(first.column, first.index)), dtype=bool)
+        for selection in self.mapping.select:
+            cells = self.file.cells(selection.column)
+            keep &= np.fromiter((any(same_cell(cell, v) for v in selection.equals) for cell in cells), bool, len(cells))
+            if not keep.any():
+                shown = ", ".join(dict.fromkeys(str(cell)[:20] for cell in list(cells)[:200]))
+                raise RefusedError(
+                    f"no row has {list(selection.equals)} in column {column_label(selection.column)}",
+                    where=self.where,
+                    expected=f"one of {shown[:200]}",
+                )
+        return keep
+
+    def _check_length(self, name: str, found: int) -> None:
+        if found != self.rows.size:
+            raise RefusedError(
+                f"columns.{name} has {found} rows, others {self.rows.size}",
+                where=self.where,
+                expected="columns of the same length",
+            )
+
+
+def stiffness_scale(metadata: TableMetadata, measured_as: str, where: str) -> float:
+    """N/mm per MPa of a modulus; 1 for a stiffness."""
+    sides = (metadata.film_width_mm, metadata.film_thickness_mm, metadata.film_length_mm)
+    if measured_as == STIFFNESS or sides == (None, None, None):
+        return 1.0
+    width, thickness, length = sides
+    if width is None or thickness is None or length is None:
+        raise RefusedError(
+            "the geometry is incomplete: a modulus becomes a stiffness with all of film_length_mm, film_width_mm and "
+            "film_thickness_mm",
+            where=where,
+            expected="all three, or none (a 1 mm cube)",
+            remedy="Complete [recording] in the mapping TOML",
+        )
+    return width * thickness / length
+
+
+def standard_error(table: TableRows, measured_as: str, count: int) -> Float:
+    """The standard errors in the unit of the values (MPa or N/mm), NaN where the table has none."""
+    if "standard_error" not in table.mapping.columns:
+        return np.full(count, math.nan)
+    error, same = table.elastic("standard_error")
+    if same != measured_as or (error < 0).any():
+        raise RefusedError(
+            "standard_error is negative" if same == measured_as else f"standard_error is a {same}",
+            where=table.where,
+            expected=f"standard errors of the {measured_as}",
+        )
+    return error
+
+
+def ordered(table: TableRows, axis: Float, usable: Bool, name: str, unit: str) -> NDArray[np.intp]:
+    """Positions of the usable rows in ascending order."""
+    usable = usable & np.isfinite(axis)
+    lost = int(usable.size - usable.sum())
+    if lost == usable.size:
+        raise RefusedError("no row holds numbers above 0", where=table.where, expected=f"{name} and value in each row")
+    if lost:
+        row = table.row_numbers[np.flatnonzero(~usable)[0]]
+        table.problems.append(f"{lost} of {usable.size} rows lack a number (first: row {row} of the data): left out")
+    keep = np.flatnonzero(usable)
+    order = keep[np.argsort(axis[keep], kind="stable")]
+    twice = np.flatnonzero(np.diff(axis[order]) == 0)
+    if twice.size:
+        raise RefusedError(
+            f"{name} {axis[order][twice[0]]:g} {unit} stands in two rows ({twice.size} repeats in all)",
+            where=table.where,
+            expected=f"each {name} once",
+            remedy="Pick one set of several with [[select]] in the mapping TOML",
+        )
+    if (order != keep).any():
+        table.notes.append(f"the rows were not in the order of {name}")
+    return order
+
+
+def same_cell(cell: Any, value: Any) -> bool:
+    """Whether a cell holds a value: as numbers where both are, as text without outer blanks else."""
+    if isinstance(cell, bool) or isinstance(value, bool):
+        return str(cell).strip().lower() == str(value).lower()
+    try:
+        return float(cell) == float(value)
+    except (TypeError, ValueError):
+        return str(cell).strip() == str(value).strip()
+
+
+def cell_text(cell: Any) -> str | None:
+    """A cell as text; whole numbers of a spreadsheet without their decimals; None when it is empty."""
+    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+        return None
+    text = str(int(cell)) if isinstance(cell, float) and cell.is_integer() else str(cell).strip()
+    if len(text) > 10_000 or "\x00" in text:
+        text = text.replace("\x00", "")[:10_000]
+    return text or None

@@ -1,0 +1,9 @@
+"""From recordings to results: responses, models, survival, simulation, diagnosis, the database and the nightly.
+
+`transform`, `fit`, `simulate` and `diagnose` are pure: arrays and frozen dataclasses in, frozen dataclasses out.
+Files, databases and processes are touched in `store`, `run` and `cli` only. `Lab` is the door for notebooks.
+"""
+
+from pipeline.notebook import Lab
+
+__all__ = ["Lab"]

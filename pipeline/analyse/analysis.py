@@ -1,0 +1,67 @@
+"""The result of analysing one item, and how a step that fails becomes data in it."""
+
+from __future__ import annotations
+
+import traceback
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from schemas.errors import DealabError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Given = ParamSpec("Given")
+Value = TypeVar("Value")
+
+
+@dataclass
+class Analysis:
+    """Rows by table, results that later stages take in full, and what could not be done.
+
+    `notes` say what the data could not carry (no fault of anyone); `failures` are unexpected errors with their
+    tracebacks, `summary` line first.
+    """
+
+    tables: dict[str, list[pa.Table]] = field(default_factory=dict)
+    carried: list[Any] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+    def attempt(
+        self, what: str, step: Callable[Given, Value], /, *args: Given.args, **options: Given.kwargs
+    ) -> Value | None:
+        """The step's value for the arguments; None where it cannot be had, which is then noted. Nothing but a lack of memory escapes."""
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("default", RuntimeWarning)
+                value = step(*args, **options)
+        except DealabError as error:
+            self.notes.append(f"{what}: {error}")
+            return None
+        except MemoryError:
+            raise
+        except Exception as error:
+            self.failures.append(f"{what}: {type(error).__name__}: {error}\n{traceback.format_exc()}")
+            return None
+        self.notes += sorted({f"{what}: numerical warning: {w.message}" for w in caught})
+        return value
+
+    def add(self, tables: Mapping[str, pa.Table]) -> None:
+        """Takes rows; several pieces of one table are joined at the end."""
+        for name, rows in tables.items():
+            self.tables.setdefault(name, []).append(rows)
+
+    def carry(self, *results: Any) -> None:
+        self.carried += results
+
+    def note(self, texts: Sequence[str]) -> None:
+        self.notes += texts
+
+    def joined(self) -> dict[str, pa.Table]:
+        """One arrow table per table that has rows."""
+        import pyarrow as pa
+
+        return {name: pa.concat_tables(parts) for name, parts in self.tables.items()}

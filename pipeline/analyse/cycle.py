@@ -1,0 +1,109 @@
+"""A large load-unload cycle as stretch and nominal stress over time, whatever the machine gave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.fit.metrics import Geometry
+from pipeline.fit.time_domain import CycleFits, fit_cycle
+from schemas.errors import NotIdentifiableError
+from schemas.metadata import RecordingMetadata
+from schemas.recording import Channel, Recording
+
+Float = NDArray[np.float64]
+
+MOST_SAMPLES = 1000
+"""Samples that are fitted; of more, equally spaced ones are taken: a cycle is smooth, and its law is exact between them."""
+_KPA_PER_MPA = 1000.0
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One cycle, (m,) s, stretch and nominal stress in kPa, and its fits: on the law that the recording gives, where it does, and
+    with the law fitted."""
+
+    time_s: Float
+    stretch: Float
+    stress: Float
+    fits: tuple[CycleFits, ...]
+
+
+def cycle_fits(recording: Recording) -> Cycle:
+    """Equilibrium law and branches of one cycle. Raises `NotIdentifiableError` where it cannot carry them."""
+    about = recording.metadata
+    found = stretch_and_stress(recording)
+    every = max(1, found[0].size // MOST_SAMPLES)
+    time, stretch, stress = (values[::every] for values in found)
+    given = given_law(about)
+    laws = (None,) if given is None else (given, None)
+    fits = tuple(
+        fit_cycle(
+            time,
+            stretch,
+            stress,
+            equilibrium=law,
+            recording_id=about.recording_id,
+            specimen_id=about.specimen_id,
+        )
+        for law in laws
+    )
+    return Cycle(time, stretch, stress, fits)
+
+
+def given_law(about: RecordingMetadata) -> dict[str, float] | None:
+    """The film's equilibrium stress as the metadata give it, moduli in kPa; None where they do not.
+
+    Raises `NotIdentifiableError` where they give a part of it.
+    """
+    given = {
+        "crosslink_modulus": about.crosslink_modulus_kpa,
+        "entanglement_modulus": about.entanglement_modulus_kpa,
+        "largest_stretch": about.largest_stretch,
+    }
+    values = {name: value for name, value in given.items() if value is not None}
+    if values and len(values) < len(given):
+        raise NotIdentifiableError(
+            f"of the equilibrium stress only {', '.join(values)} is given",
+            where=about.recording_id,
+            expected="crosslink_modulus_kpa, entanglement_modulus_kpa and largest_stretch, or none of them",
+        )
+    return values or None
+
+
+def stretch_and_stress(recording: Recording) -> tuple[Float, Float, Float]:
+    """Time in s, stretch and nominal stress in kPa (n,), at the samples of the stretch.
+
+    Force and displacement become stress and stretch with the film's sizes; without sizes they are those of a 1 mm cube.
+    """
+    if {"stretch", "stress"} <= recording.channels.keys():
+        driven, answer = recording.channels["stretch"], recording.channels["stress"]
+        zero, length, section = 0.0, 1.0, 1.0
+    else:
+        driven, answer = recording.channels["displacement"], recording.channels["force"]
+        zero, length, section = _sizes(recording.metadata)
+    time = np.asarray((driven.time_ns - recording.start_ns) * 1e-9)
+    return time, zero + driven.values / length, _at(answer, driven) / section
+
+
+def _sizes(about: RecordingMetadata) -> tuple[float, float, float]:
+    """Stretch at displacement 0, length in mm, section in mm² per N/kPa, of the undeformed film."""
+    found = Geometry.of(about)
+    if found is None or about.stretch_1 is None:
+        return 1.0, 1.0, 1.0 / _KPA_PER_MPA
+    undeformed = found.section_mm2 * about.stretch_1
+    return about.stretch_1, found.length_mm / about.stretch_1, undeformed / _KPA_PER_MPA
+
+
+def _at(channel: Channel, other: Channel) -> Float:
+    """A channel's values at another's times, by straight lines; NaN outside of it."""
+    if channel.time_ns.size == other.time_ns.size and np.array_equal(channel.time_ns, other.time_ns):
+        return channel.values
+    good = np.isfinite(channel.values)
+    if good.sum() < 2:
+        raise NotIdentifiableError("no usable force", where=channel.quantity, expected="at least two finite samples")
+    start = other.time_ns[0]
+    times, wanted = (channel.time_ns[good] - start).astype(float), (other.time_ns - start).astype(float)
+    return np.asarray(np.interp(wanted, times, channel.values[good], left=np.nan, right=np.nan))

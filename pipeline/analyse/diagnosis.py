@@ -1,0 +1,93 @@
+"""One specimen's session: its recordings' features, and those of the calibrations of its rigs, to a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.inputs import Measured
+from pipeline.analyse.session_features import SessionFeatures
+from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.features import RecordingFeatures
+from pipeline.diagnose.features_io import unpack
+from pipeline.diagnose.results import Diagnosis
+from pipeline.tabulate.diagnoses import diagnosis_tables, undiagnosed_tables
+from schemas.errors import NotIdentifiableError
+from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.protocols import CALIBRATION
+
+
+def analyse_diagnosis(specimen_id: str, recordings: Sequence[Measured], calibrations: Sequence[Measured]) -> Analysis:
+    """What the simulation of a specimen gets wrong, and why; the reasons where it cannot be asked."""
+    analysis = Analysis()
+    session, refused = session_of(specimen_id, recordings, calibrations)
+    analysis.note([f"diagnosis: {reason}" for reason in refused])
+    if all(isinstance(r.metadata, RecordingMetadata) and r.metadata.loading == CALIBRATION for r in recordings):
+        return analysis  # a clamp under its own name is no specimen
+    found = analysis.attempt("diagnosis", _asked, session, refused)
+    if isinstance(found, Diagnosis):
+        whole = replace(found, could_not_ask=(*found.could_not_ask, *refused))
+        analysis.add(diagnosis_tables(whole, session))
+    elif found is not None:
+        analysis.add(undiagnosed_tables(specimen_id, found))
+    return analysis
+
+
+def session_of(
+    specimen_id: str, recordings: Sequence[Measured], calibrations: Sequence[Measured]
+) -> tuple[list[RecordingFeatures], list[str]]:
+    """Features of the specimen's recordings and of the calibrations of its rigs, and why others have none.
+
+    Calibrations are measurements of the session like any other, so rigs stay as their files have them: sharpened
+    constants would count them twice. They count from when the specimen was first measured, since their age says nothing
+    about the film; calibrations made after its last recording are left out, as in the fits.
+    """
+    features, refused = [], []
+    for one in recordings:
+        found = _features(one)
+        if isinstance(found, RecordingFeatures):
+            features.append(found)
+        elif found:
+            refused.append(found)
+    if not features:
+        return [], refused
+    first, last = min(f.started_at for f in features), max(f.started_at for f in features)
+    own = {f.recording_id for f in features}
+    clamps = {_clamp(f.rig) for f in features}
+    for one in calibrations:
+        found = _features(one)
+        if one.recording_id in own or isinstance(found, str):
+            continue
+        if found.started_at <= last and _clamp(found.rig) in clamps:
+            started = max(found.started_at, first)
+            features.append(replace(found, specimen_id=specimen_id, started_at=started))
+    return features, refused
+
+
+def _clamp(rig: RigConstants) -> tuple[float | None, ...]:
+    """What a calibration is about: a clamp of another mass on the same rig is another clamp."""
+    return rig.clamp_mass_kg, rig.load_cell_stiffness_n_per_mm, rig.load_cell_damping_n_s_per_mm
+
+
+def _features(one: Measured) -> RecordingFeatures | str:
+    """The features of a recording, or why there are none."""
+    kept = one.of(SessionFeatures)
+    if not kept:
+        about = one.metadata
+        what = f"{about.loading} {about.protocol}" if isinstance(about, RecordingMetadata) else "table"
+        return f"{one.recording_id}: a {what} is not simulated"
+    if kept[0].refused:
+        return f"{one.recording_id}: {kept[0].refused}"
+    return unpack(kept[0].content)
+
+
+def _asked(session: Sequence[RecordingFeatures], refused: Sequence[str]) -> Diagnosis | list[str]:
+    """The diagnosis, or the reasons why there is none."""
+    if not session:
+        return [*refused, "no recording of this specimen can be simulated"]
+    try:
+        return diagnose(session)
+    except NotIdentifiableError as error:
+        expected = f"; needed: {error.expected}" if error.expected else ""
+        return [f"{error.problem}{expected}", *refused]

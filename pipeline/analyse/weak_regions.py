@@ -1,0 +1,93 @@
+"""Weak regions of films over rods: thickness by finite elements against the places where specimens failed."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.inputs import Measured
+from pipeline.fit.weak_regions import check_layout, compare_regions, electrodes, on_grid
+from pipeline.simulate.thickness.continuous import continuous_thickness
+from pipeline.simulate.thickness.film import RodFilm, ThicknessMap
+from pipeline.simulate.thickness.incremental import incremental_thickness
+from pipeline.tabulate.weak_regions import weak_region_tables
+from schemas.errors import NotIdentifiableError
+from schemas.lifetimes import LifetimeRow
+from schemas.metadata import RecordingMetadata
+
+ELEMENTS = 3000
+"""Elements of a film. Against 32 000 the shares of the regions and of the rods change by 0.007 at most, that of thin film
+under the electrodes by 0.02, in a tenth of the time."""
+
+
+def analyse_weak_regions(recordings: Sequence[Measured]) -> Analysis:
+    """Expected and found failures of each configuration whose recordings say where its rods are."""
+    analysis = Analysis()
+    groups: dict[str, list[Measured]] = {}
+    for one in recordings:
+        about = one.metadata
+        if isinstance(about, RecordingMetadata) and about.rods is not None and about.configuration is not None:
+            groups.setdefault(about.configuration, []).append(one)
+    for configuration, members in sorted(groups.items()):
+        analysis.attempt(f"weak regions of {configuration}", _configuration, analysis, configuration, members)
+    return analysis
+
+
+def _configuration(analysis: Analysis, configuration: str, members: Sequence[Measured]) -> None:
+    about = members[0].metadata
+    assert isinstance(about, RecordingMetadata)
+    film = rod_film(about)
+    layout = electrodes(film, about.electrode_gap_mm)
+    failures = [life for one in members for life in one.of(LifetimeRow) if life.failed]
+    continuous, incremental = _maps(film)
+    shares = compare_regions(continuous, layout, [life.failure_region for life in failures])
+    sites = [life.failure_site for life in failures]
+    voltages = [life.voltage_kv for one in members for life in one.of(LifetimeRow) if life.voltage_kv is not None]
+    checks = [
+        check_layout(
+            one,
+            layout,
+            sites,
+            voltage_kv=max(voltages, default=None),
+            thickness_mm=about.film_thickness_mm,
+        )
+        for one in (continuous, incremental)
+    ]
+    grids = [on_grid(one, layout) for one in (continuous, incremental)]
+    analysis.add(weak_region_tables(configuration, shares, checks, grids))
+
+
+def rod_film(about: RecordingMetadata) -> RodFilm:
+    """The film over its rods from a recording's metadata: direction 2 runs along the rods, direction 1 across.
+
+    Raises `NotIdentifiableError` when a size is missing or the rods do not fit.
+    """
+    names = ("stretch_1", "stretch_2", "active_length_mm", "active_width_mm", "rod_spacing_mm", "rod_diameter_mm")
+    missing = [name for name in names if getattr(about, name) is None]
+    if missing:
+        raise NotIdentifiableError(
+            f"{', '.join(missing)} not given", where=about.recording_id, expected="the geometry of film and rods"
+        )
+    across, along = about.active_length_mm or 0.0, about.active_width_mm or 0.0
+    stretch_across, stretch_along = about.stretch_1 or 1.0, about.stretch_2 or 1.0
+    if about.active_drawn == "undeformed":
+        across, along = across * stretch_across, along * stretch_along
+    try:
+        return RodFilm(
+            length_mm=along,
+            width_mm=across,
+            rods=about.rods or 1,
+            rod_spacing_mm=about.rod_spacing_mm or 0.0,
+            rod_diameter_mm=about.rod_diameter_mm or 0.0,
+            stretch_along=stretch_along,
+            stretch_across=stretch_across,
+        )
+    except ValueError as error:
+        raise NotIdentifiableError(str(error), where=about.recording_id) from None
+
+
+@functools.lru_cache(maxsize=4)
+def _maps(film: RodFilm) -> tuple[ThicknessMap, ThicknessMap]:
+    """Both schemes; configurations that differ in their electrodes only share one film."""
+    return continuous_thickness(film, elements=ELEMENTS), incremental_thickness(film, elements=ELEMENTS)

@@ -1,0 +1,152 @@
+"""The plain model: which parameters it has for a session, what they mean, and what is known of them beforehand.
+
+θ holds the material (logarithms), the rig's constants (independent standard normal directions of their prior), the
+actuation constant, the amplifier's gain and the sensing constants, as far as the session's features depend on them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.effects import Rig
+from pipeline.fit.model import RelaxationModel
+from pipeline.fit.rig import RigPrior
+
+Float = NDArray[np.float64]
+
+_RIG_NAMES = ("clamp mass", "load-cell stiffness", "load-cell damping", "force gain")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of θ: prior mean and standard deviation (infinite: flat), bounds of a search."""
+
+    name: str
+    mean: float = 0.0
+    sd: float = np.inf
+    low: float = -np.inf
+    high: float = np.inf
+
+
+@dataclass(frozen=True)
+class Physical:
+    """θ in physical terms.
+
+    film : relaxation model
+    rigs : constants of each rig, (1, 1) arrays
+    actuation : F_A/V², N/kV²
+    amplifier : kV/V, per rig
+    pf_per_n, pf_per_mm : what the sensing region makes of the tension (at rest) and of the displacement
+    """
+
+    film: RelaxationModel
+    rigs: tuple[Rig, ...]
+    actuation: float
+    amplifier: tuple[float, ...]
+    pf_per_n: float
+    pf_per_mm: float
+
+
+@dataclass(frozen=True)
+class BaseModel:
+    """The plain model of a session: a film with `arms` relaxation arms (and a pure dashpot), and the entries of θ."""
+
+    arms: int
+    dashpot: bool
+    entries: tuple[Entry, ...]
+    rigs: tuple[RigPrior | None, ...]
+
+    @property
+    def size(self) -> int:
+        return len(self.entries)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(e.name for e in self.entries)
+
+    def index(self, name: str) -> int | None:
+        return self.names.index(name) if name in self.names else None
+
+    @property
+    def film(self) -> slice:
+        """Places of the material in θ."""
+        return slice(0, 1 + 2 * self.arms + self.dashpot)
+
+    def physical(self, theta: Float) -> Physical:
+        """θ (P,) in physical terms."""
+        n = self.arms
+        x = np.exp(theta[self.film])
+        order = np.argsort(-x[1 + n : 1 + 2 * n])
+        film = RelaxationModel(
+            float(x[0]),
+            tuple(float(v) for v in x[1 : 1 + n][order]),
+            tuple(float(v) for v in x[1 + n : 1 + 2 * n][order]),
+            float(x[-1]) if self.dashpot else 0.0,
+        )
+        at = self.film.stop
+        rigs = []
+        for prior in self.rigs:
+            if prior is None:
+                mass, compliance, damping, gain = 0.0, 0.0, 0.0, 1.0
+            else:
+                mass, stiffness, damping, gain = prior.values(theta[at : at + prior.size])
+                compliance = 1 / stiffness
+                at += prior.size
+            rigs.append(Rig(*(np.array([[v]], dtype=float) for v in (mass, compliance, damping, gain))))
+        named = dict(zip(self.names[at:], theta[at:], strict=True))
+        return Physical(
+            film=film,
+            rigs=tuple(rigs),
+            actuation=float(np.exp(named.get("log actuation", 0.0))),
+            amplifier=tuple(float(np.exp(named.get(f"log amplifier {i}", 0.0))) for i in range(len(self.rigs))),
+            pf_per_n=float(named.get("capacitance per force", 0.0)),
+            pf_per_mm=float(named.get("capacitance per displacement", 0.0)),
+        )
+
+    def theta(self, film: RelaxationModel, **named: float) -> Float:
+        """θ from a film of this order and entries by name (spaces as underscores); what is not given takes its prior mean.
+
+        Raises ValueError for a film of another order.
+        """
+        if len(film.k) != self.arms or (film.c_inf > 0) != self.dashpot:
+            raise ValueError(f"a film with {len(film.k)} arms, the model has {self.arms}")
+        theta = np.array([e.mean for e in self.entries])
+        head = [film.k0, *film.k, *film.tau] + ([film.c_inf] if self.dashpot else [])
+        theta[self.film] = np.log(head)
+        for name, value in named.items():
+            place = self.index(name.replace("_", " "))
+            if place is None:
+                raise ValueError(f"no entry {name!r}")
+            theta[place] = value
+        return theta
+
+    @property
+    def prior_mean(self) -> Float:
+        return np.array([e.mean for e in self.entries])
+
+    @property
+    def prior_sd(self) -> Float:
+        return np.array([e.sd for e in self.entries])
+
+
+def film_entries(arms: int, dashpot: bool, times_s: tuple[float, float]) -> list[Entry]:
+    """Entries of the material; relaxation times are searched within `times_s`."""
+    low, high = np.log(times_s[0]), np.log(times_s[1])
+    entries = [Entry("log k0")] + [Entry(f"log k{i}") for i in range(1, arms + 1)]
+    entries += [Entry(f"log tau{i}", low=low, high=high) for i in range(1, arms + 1)]
+    return entries + ([Entry("log c_inf")] if dashpot else [])
+
+
+def rig_entries(number: int, prior: RigPrior | None) -> list[Entry]:
+    """One standard normal entry per direction of a rig's prior."""
+    if prior is None:
+        return []
+    names = []
+    for column in prior.factor.T:
+        strongest = int(np.argmax(np.abs(column) / np.maximum(np.abs(prior.nominal), 1e-300)))
+        names.append(f"rig {number} {_RIG_NAMES[strongest]}")
+    unique = [n if names.count(n) == 1 else f"{n} ({i})" for i, n in enumerate(names)]
+    return [Entry(n, 0.0, 1.0, -8.0, 8.0) for n in unique]

@@ -1,0 +1,216 @@
+"""Amplitude-dependent films under a sinusoid: describing functions at the film's own strain, solved with the rig.
+
+The fundamental of the tension scales k exactly within the response; the amplitude of the strain x0 − x′ follows from that
+response, so that both are found together. Mean and harmonics of the tension move the clamp, and with it the film (harmonic
+balance with four terms).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.effects import Course, Scale
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+PHASES = 32
+_ITERATIONS = 12
+_SETTLED = 1e-4
+_LOOPS = 2
+_SLOPES = 0.05, 1.5
+_GRID = np.concatenate([[0.02, 0.1, 0.2, 0.3], np.linspace(0.38, 1.6, 18)])
+"""Amplitudes of the grid over the largest that the linear film has at a frequency."""
+_ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
+COSINE = np.cos(_ANGLE)
+_COSINES, _SINES = np.cos(np.outer(np.arange(4), _ANGLE)), np.sin(np.outer(np.arange(4), _ANGLE))
+_TURNS = np.exp(-1j * np.outer(_ANGLE, np.arange(4))) * 2 / PHASES
+_TURNS[:, 0] /= 2
+
+
+@dataclass(frozen=True)
+class Described:
+    """(S, J) each: `factor` of k, mean tension N, second and third harmonic of the tension N (phase: strain is a cosine),
+    strain amplitude, and `turn` = strain over x0 (complex, times the length)."""
+
+    factor: Complex
+    mean: Float
+    second: Complex
+    third: Complex
+    strain: Float
+    turn: Complex
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Largest rise and fall of the tension, N, and largest force reading of a session, N."""
+
+    tension_n: float
+    fall_n: float
+    reading_n: float
+
+
+def harmonics(wave: Float) -> Complex:
+    """(..., 4) mean and harmonics 1 … 3 of a wave (..., PHASES): Σ Re c_m e^{jmθ}."""
+    return np.asarray(wave @ _TURNS)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What closes the loop about the elements at harmonics 0 … 3 of the drive: film and rig, linear.
+
+    frequency_hz (S, J) of the drive, `cycles` (S, J) each as in `Course`; k (4, S, J) N/mm of the linear film (at 0 the main spring), `dynamic` (4, S, J) = 1 + (−Mω² + jωcL)/kL, `compliance` 1/kL.
+    """
+
+    frequency_hz: Float
+    k: Complex
+    dynamic: Complex
+    compliance: Float
+    cycles: tuple[Float, Float] | None = None
+
+    def mean(self) -> Loop:
+        """One for all states."""
+        k, dynamic = self.k.mean(axis=1, keepdims=True), self.dynamic.mean(axis=1, keepdims=True)
+        return Loop(self.frequency_hz[:1], k, dynamic, self.compliance)
+
+
+def describe(
+    elements: Sequence[Callable[[Course], Float]],
+    loop: Loop,
+    strain: Float,
+    mean_strain: Float,
+    rest_force_n: Float,
+    loads: Loads,
+    scale: Scale,
+) -> Described:
+    """Describing functions of `elements` for a driven end of strain amplitude `strain` (S, J).
+
+    The mean tension that the elements find beyond what the scaled k0 carries is `mean`.
+    """
+    k, dynamic, compliance = loop.k[1], loop.dynamic[1], loop.compliance
+    turn = dynamic / (dynamic + k * compliance)
+    amplitude = strain * np.abs(turn)
+    factor: Complex = np.ones(k.shape, dtype=complex)
+    found: Complex = np.zeros((*k.shape, 4), dtype=complex)
+    own: Complex | None = None
+    for i in range(_ITERATIONS):
+        factor, found, own = _one_amplitude(elements, loop, amplitude, mean_strain, rest_force_n, loads, scale, own)
+        turn = dynamic / (dynamic + factor * k * compliance)
+        amplitude, change = _next(amplitude, strain, turn, i)
+        if change < _SETTLED:
+            break
+    return Described(factor, found[..., 0].real, found[..., 2], found[..., 3], amplitude, turn)
+
+
+def describe_sweeps(
+    elements: Sequence[Callable[[Course], Float]],
+    loop: Loop,
+    strain: Float,
+    rest_force_n: Float,
+    loads: Loads,
+    scale: Scale,
+) -> Described:
+    """The same for sweeps without mean strain, whose states differ in amplitude and little else.
+
+    The elements are asked on a grid of amplitudes at each frequency with the states' mean stiffness and rest force; the
+    states' own amplitudes are solved with the rig between the points of that grid.
+    """
+    k, dynamic, compliance = loop.k[1], loop.dynamic[1], loop.compliance
+    turn = dynamic / (dynamic + k * compliance)
+    amplitude = strain * np.abs(turn)
+    top = np.maximum(amplitude.max(axis=0), 1e-15)
+    grid: Float = _GRID[:, None] * top
+    rest = np.full(grid.shape, float(np.mean(rest_force_n)))
+    nothing = np.zeros(grid.shape)
+    own: Complex | None = None
+    for _ in range(_LOOPS):
+        table, waves, own = _one_amplitude(elements, loop.mean(), grid, nothing, rest, loads, scale, own)
+    stacked = np.concatenate([table[..., None], waves / grid[..., None]], axis=-1)
+    columns = np.arange(grid.shape[1])[None, :]
+    found: Complex = np.ones((*k.shape, 5), dtype=complex)
+    for i in range(_ITERATIONS):
+        at = np.interp(amplitude / top, _GRID, np.arange(_GRID.size, dtype=float)).clip(0.0, _GRID.size - 1.001)
+        left = at.astype(np.int64)
+        share = (at - left)[..., None]
+        found = (1 - share) * stacked[left, columns] + share * stacked[left + 1, columns]
+        turn = dynamic / (dynamic + found[..., 0] * k * compliance)
+        amplitude, change = _next(amplitude, strain, turn, i)
+        if change < _SETTLED:
+            break
+    own_part = found[..., 1:] * amplitude[..., None]
+    return Described(found[..., 0], own_part[..., 0].real, own_part[..., 2], own_part[..., 3], amplitude, turn)
+
+
+def _next(amplitude: Float, strain: Float, turn: Complex, i: int) -> tuple[Float, float]:
+    """The next amplitude, half the way once the first step is made: a lightly damped resonance would overshoot."""
+    wanted = strain * np.abs(turn)
+    new = 0.5 * (amplitude + wanted) if i else wanted
+    return new, float(np.max(np.abs(new - amplitude) / np.maximum(strain, 1e-30), initial=0.0))
+
+
+def _one_amplitude(
+    elements: Sequence[Callable[[Course], Float]],
+    loop: Loop,
+    amplitude: Float,
+    mean_strain: Float,
+    rest_force_n: Float,
+    loads: Loads,
+    scale: Scale,
+    own: Complex | None,
+) -> tuple[Complex, Complex, Complex]:
+    """Factor of k, what the elements add to mean and harmonics 1 … 3 of the tension, at given strain amplitudes.
+
+    `own` (..., 4) is the film's strain as found so far (None: the driven end's mean and the fundamental alone), returned with
+    what the clamp does to its mean and overtones: it gives way to the harmonics, and the elements see that.
+    """
+    k = np.moveaxis(loop.k, 0, -1)
+    dynamic = np.moveaxis(loop.dynamic, 0, -1)
+    give = np.asarray(loop.compliance)[..., None]
+    e = np.zeros((*amplitude.shape, 4), dtype=complex) if own is None else own.copy()
+    if own is None:
+        e[..., 0] = mean_strain
+    e[..., 1] = amplitude
+    linear = k * e * scale.length_mm
+    course = Course(
+        strain=_wave(e),
+        tension=_wave(linear),
+        periodic=True,
+        rest_force_n=rest_force_n[..., None],
+        largest_tension_n=loads.tension_n,
+        largest_fall_n=loads.fall_n,
+        stiffness=np.broadcast_to(np.abs(k[..., 1:2]), (*amplitude.shape, 1)),
+        static=float(loop.k[0].flat[0].real),
+        interval_s=np.broadcast_to(1 / (PHASES * loop.frequency_hz[..., None]), (*amplitude.shape, 1)),
+        scale=scale,
+        cycles=loop.cycles,
+        carry=lambda strain: _wave(k * harmonics(strain) * scale.length_mm),
+    )
+    found = harmonics(along(elements, course))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(np.abs(linear[..., 1]) > 0, 1 + found[..., 1] / linear[..., 1], 1.0)
+    # The mean slope of the elements is what the clamp feels at its overtones; the rest of the tension drives it.
+    slope = np.clip(factor.real, *_SLOPES)[..., None]
+    driving = found + (1 - slope) * linear
+    driving[..., 0] += (slope[..., 0] - 1) * (k * scale.length_mm)[..., 0] * mean_strain
+    moved = -driving * give / (dynamic + slope * k * give) / scale.length_mm
+    moved[..., 0] = moved[..., 0].real + mean_strain
+    moved[..., 1] = amplitude
+    found[..., 0] -= (factor.real - 1) * (k * scale.length_mm)[..., 0].real * mean_strain
+    return factor, found, moved
+
+
+def _wave(coefficients: Complex) -> Float:
+    """(..., PHASES) wave of mean and harmonics 1 … 3 (..., 4)."""
+    return np.asarray(coefficients.real @ _COSINES - coefficients.imag @ _SINES)
+
+
+def along(elements: Sequence[Callable[[Course], Float]], course: Course) -> Float:
+    """Tension that the elements make of a course, less the linear one, (..., P)."""
+    wave = course.tension
+    for element in elements:
+        wave = element(course if wave is course.tension else replace(course, tension=wave))
+    return np.asarray(wave - course.tension)

@@ -1,0 +1,241 @@
+"""Recordings that could be made next: a catalogue around what a session has, and their features as the plain model would give them.
+
+The features of a recording that was not made have their operators and noise from its input, for which the plain model supplies an
+output: what is compared later are predictions, not these values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.base import Physical
+from pipeline.diagnose.features import SPHS_VOLTAGE, STEP_CAPACITANCE, STEP_VOLTAGE, RecordingFeatures
+from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.session import Session
+from pipeline.simulate import excitation
+from schemas.metadata import RecordingMetadata
+from schemas.recording import Channel, Recording
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Key = str | float
+
+_NS = 1_000_000_000
+_PAUSE_S = 60.0
+_SEED = 3
+_RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
+_CHIRP: dict[str, Key] = {"frequency_start_hz": 1.0, "frequency_stop_hz": 100.0, "sweep": "log", "repeats": 2.0}
+_KNEE_HZ = 30.0
+_SWEEP_S, _REST_S = 6.0, 2.0
+_SPHS: dict[str, Key] = {
+    "period_s": 2.0,
+    "periods": 7.0,
+    "frequency_start_hz": 0.5,
+    "frequency_stop_hz": 100.0,
+    "lines": "odd",
+}
+_LARGEST_STRAIN = 0.3
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A recording to make: keys of the contract's `recording` block, and how a person would ask for it."""
+
+    design: Mapping[str, Key]
+    text: str
+
+    @property
+    def test(self) -> str:
+        mechanical = self.design.get("loading") == "mechanical"
+        protocol = str(self.design["protocol"])
+        return "relaxation" if protocol == "step" and mechanical else protocol
+
+
+def catalogue(session: Session) -> list[Proposal]:
+    """Tests around what the session has: smaller and larger, slower, lower and higher voltage, the other polarity."""
+    strain = 2 * max((s for s in [session.scale.strain] if s > 0), default=0.02)
+    found: list[Proposal] = []
+    for level in sorted({round(0.1 * strain, 4), round(0.4 * strain, 4), round(min(1.5 * strain, _LARGEST_STRAIN), 4)}):
+        found.append(
+            Proposal(
+                {"protocol": "chirp", "loading": "mechanical", "strain_pp": level, **_CHIRP},
+                f"a chirp from 1 to 100 Hz at {100 * level:.2g} % strain (peak to peak), twice",
+            )
+        )
+        for frequency, cycles in ((0.02, 4.0), (1.0, 30.0)):
+            found.append(
+                Proposal(
+                    {
+                        "protocol": "cyclic",
+                        "loading": "mechanical",
+                        "strain_pp": level,
+                        "frequency_hz": frequency,
+                        "cycles": cycles,
+                    },
+                    f"{cycles:g} cycles of {100 * level:.2g} % strain (peak to peak) at {frequency:g} Hz",
+                )
+            )
+    found.append(
+        Proposal(
+            {"protocol": "step", "loading": "mechanical", "strain_pp": round(0.4 * strain, 4), "hold_s": 600.0},
+            f"a step of {40 * strain:.2g} % strain held for ten minutes",
+        )
+    )
+    if session.scale.voltage_kv > 0:
+        found += _electrical(session.scale.voltage_kv)
+    return found
+
+
+def _electrical(highest: float) -> list[Proposal]:
+    found = []
+    for share in (0.25, 0.5, 0.75, 1.0):
+        for polarity in (1.0, -1.0):
+            kv = round(share * highest, 2)
+            side = "" if polarity > 0 else " of the opposite polarity"
+            sign: dict[str, Key] = {} if polarity > 0 else {"polarity": -1.0}
+            found.append(
+                Proposal(
+                    {"protocol": "sphs", "loading": "electrical", "drive_kv": kv, **_SPHS, **sign},
+                    f"an SPHS with a peak of {kv:g} kV{side}",
+                )
+            )
+            found.append(
+                Proposal(
+                    {
+                        "protocol": "step",
+                        "loading": "electrical",
+                        "drive_kv": kv,
+                        "on_s": 5.0,
+                        "off_s": 5.0,
+                        "cycles": 3.0,
+                        **sign,
+                    },
+                    f"three voltage steps of {kv:g} kV{side}, 5 s on and 5 s off",
+                )
+            )
+    return found
+
+
+def imagined(session: Session, physical: Physical, proposal: Proposal) -> RecordingFeatures:
+    """Features of the proposed recording after the session's last one, on its rig. Raises `NotIdentifiableError` as `reduce`."""
+    last = session.recordings[-1]
+    number = int(session.rig[-1])
+    rng = np.random.default_rng(_SEED)
+    time, given = _INPUTS[proposal.test](proposal.design, session.scale.length_mm, 1 / _RATE_HZ[proposal.test])
+    electrical = proposal.design["loading"] == "electrical"
+    channels: dict[str, Float] = {"voltage" if electrical else "displacement": given}
+    frequency = np.asarray(np.fft.rfftfreq(2 * given.size, 1 / _RATE_HZ[proposal.test]), dtype=np.float64)
+    drive = given**2 if electrical else given
+    channels["force"] = _filtered(drive, _response(physical, number, frequency, electrical))
+    kinds = session.kinds
+    if electrical and kinds & {SPHS_VOLTAGE, STEP_VOLTAGE}:
+        channels["command"] = given / physical.amplifier[number]
+    if proposal.test == "step" and STEP_CAPACITANCE in kinds:
+        k = physical.film.stiffness(frequency)
+        sensed = _response(physical, number, frequency, True) * (physical.film.k0 / k) * physical.pf_per_n
+        channels["capacitance"] = _filtered(drive, sensed)
+    begin = int((last.started_at + timedelta(seconds=last.duration_s + _PAUSE_S)).timestamp() * _NS)
+    stamps = begin + np.rint(time * _NS).astype(np.int64)
+    made = {
+        quantity: Channel(quantity, stamps, values + rng.normal(0.0, _noise(session, number, quantity), values.size))
+        for quantity, values in channels.items()
+    }
+    extra = ("polarity", "hold_s")
+    keys = {k: v for k, v in proposal.design.items() if k not in extra}
+    metadata = RecordingMetadata.parse(
+        {
+            **{k: (f"{v:g}" if isinstance(v, float) else v) for k, v in keys.items()},
+            "recording_id": "next",
+            "specimen_id": session.specimen_id,
+            "started_at": (last.started_at + timedelta(seconds=last.duration_s + _PAUSE_S)).isoformat(),
+            "total_length_mm": f"{session.scale.length_mm:g}",
+        }
+    )
+    found = reduce(Recording(metadata=metadata, rig=last.rig, channels=made))
+    carried = {k: v for k, v in last.values.items() if k in ("pre_strain", "actuation_n_per_kv2", "actuation_sd")}
+    return replace(found, values={**found.values, **carried})
+
+
+def _noise(session: Session, rig: int, quantity: str) -> float:
+    law = session.laws.get((rig, quantity))
+    return 0.0 if law is None else float(np.sqrt(np.median(law.white)))
+
+
+def _response(physical: Physical, number: int, frequency: Float, electrical: bool) -> Complex:
+    """F/x0 or −F/V² of the plain model at frequencies (m,)."""
+    rig = physical.rigs[number]
+    mass, compliance, damping, gain = (float(v[0, 0]) for v in (rig.mass, rig.compliance, rig.damping, rig.gain))
+    omega = 2 * np.pi * frequency
+    own = 1 + compliance * (-mass * omega**2 + 1j * omega * damping)
+    k = physical.film.stiffness(frequency)
+    numerator = -physical.actuation if electrical else k
+    return np.asarray(gain * numerator / (own + k * compliance), dtype=complex)
+
+
+def _filtered(values: Float, response: Complex) -> Float:
+    """Causal answer of a filter to a signal that begins at rest, without wrapping around."""
+    return np.asarray(np.fft.irfft(np.fft.rfft(values, 2 * values.size) * response, 2 * values.size)[: values.size])
+
+
+def _clock(duration_s: float, interval_s: float) -> Float:
+    return np.asarray(np.arange(round(duration_s / interval_s)) * interval_s)
+
+
+def _chirp(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+    time = _clock(_REST_S + 2 * (_SWEEP_S + _REST_S), interval_s)
+    total: Float = np.zeros(time.size)
+    for repeat in range(2):
+        one = excitation.sweep(
+            time - _REST_S - repeat * (_SWEEP_S + _REST_S),
+            start_hz=1.0,
+            stop_hz=100.0,
+            duration_s=_SWEEP_S,
+            amplitude=float(design["strain_pp"]) * length_mm / 2,
+            exponent=-0.3,
+            taper_start_s=0.5,
+            taper_stop_s=0.05,
+        )
+        total = total + one
+    return time, total
+
+
+def _cyclic(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+    frequency, cycles = float(design["frequency_hz"]), int(float(design["cycles"]))
+    time = _clock(1.0 + cycles / frequency, interval_s)
+    peak = float(design["strain_pp"]) * length_mm
+    return time, excitation.raised_cosine(time - 1.0, frequency_hz=frequency, peak_to_peak=peak, cycles=cycles)
+
+
+def _relaxation(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+    time = _clock(8.0 + float(design["hold_s"]), interval_s)
+    return time, excitation.ramp(time, start_s=8.0, duration_s=0.2, height=float(design["strain_pp"]) * length_mm)
+
+
+def _sphs(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+    period = round(float(design["period_s"]) / interval_s)
+    lines = excitation.excited_lines("odd", int(100 * float(design["period_s"])))
+    wave = excitation.square_root_drive(0.95 * excitation.schroeder_multisine(period, lines), float(design["drive_kv"]))
+    rest = np.zeros(round(0.5 / interval_s))
+    given = np.concatenate([rest, np.tile(wave, int(float(design["periods"])))]) * float(design.get("polarity", 1.0))
+    return _clock(given.size * interval_s, interval_s), np.asarray(given, dtype=np.float64)
+
+
+def _step(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+    on, off, cycles = (float(design[k]) for k in ("on_s", "off_s", "cycles"))
+    time = _clock(1.0 + cycles * (on + off), interval_s)
+    kv = float(design["drive_kv"]) * float(design.get("polarity", 1.0))
+    return time, excitation.pulses(time, levels=(kv,) * int(cycles), on_s=on, off_s=off, first_s=1.0)
+
+
+_INPUTS: dict[str, Callable[[Mapping[str, Key], float, float], tuple[Float, Float]]] = {
+    "chirp": _chirp,
+    "cyclic": _cyclic,
+    "relaxation": _relaxation,
+    "sphs": _sphs,
+    "step": _step,
+}

@@ -1,0 +1,257 @@
+"""The diagnosis of a specimen: what the simulation gets wrong, why, and what fixing it gains. The one door.
+
+features of its recordings → session → plain fit → is there anything? → causes → held-out gain → what to measure next
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose import features as kinds
+from pipeline.diagnose.decide import LEFT_LEVEL, Outcome, decide, explained
+from pipeline.diagnose.discrepancies import described, discrepancies
+from pipeline.diagnose.extend import ExtendedFit
+from pipeline.diagnose.features import RecordingFeatures
+from pipeline.diagnose.held_out import held_out, supported_by
+from pipeline.diagnose.hum import with_hum
+from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
+from pipeline.diagnose.next_recording import next_recording
+from pipeline.diagnose.plain import fit_plain
+from pipeline.diagnose.power import reported, smallest_parameters
+from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.results import (
+    AMBIGUOUS,
+    NAMED,
+    UNKNOWN,
+    Candidate,
+    Diagnosis,
+    Estimate,
+    Extension,
+    HeldOut,
+    Residuals,
+)
+from pipeline.diagnose.session import Session, make_session
+from pipeline.diagnose.structure import Structure, words
+from pipeline.fit.model import RelaxationModel
+
+Float = NDArray[np.float64]
+
+_LEFT = 1e-3
+"""Probability below which a pattern that stays is mentioned."""
+_GAIN_WITH_PATTERN = 0.4
+"""Least held-out gain of a cause that leaves a pattern."""
+
+
+def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
+    """Diagnosis of the recordings of one specimen, whatever their order.
+
+    Raises `NotIdentifiableError` where they cannot be asked at all: none of them, several specimens, no response of the film.
+    """
+    session = with_hum(make_session(recordings))
+    simulation = Simulation(session)
+    fitted = fit_plain(session, simulation)
+    outcome = decide(session, simulation, fitted)
+    context = context_of(session, simulation, outcome.untempered)
+    final = outcome.final
+    smallest = smallest_parameters(outcome.untempered, outcome.threshold)
+    gain = None if final is None else held_out(outcome.plain, final)
+    verdict = _checked(outcome, gain)
+    named = () if final is None else tuple(c.id for c in final.of.chosen)
+    alternatives = tuple(fit.of.chosen[0].id for fit in outcome.alternatives)
+    return Diagnosis(
+        specimen_id=session.specimen_id,
+        verdict=verdict,
+        mechanisms=named,
+        also_possible=alternatives if verdict == AMBIGUOUS else (),
+        p_value=outcome.p_value,
+        supported_by=() if final is None else supported_by(outcome.plain, final),
+        held_out=gain,
+        extension=None if final is None else _extension(outcome, final, context),
+        candidates=_candidates(outcome, context, gain),
+        discrepancies=discrepancies(outcome.untempered),
+        next_recording=next_recording(final, outcome.alternatives) if verdict == AMBIGUOUS and final else None,
+        smallest_detectable=reported(smallest, context),
+        invisible=invisible(session.kinds),
+        could_not_ask=could_not_ask(session),
+        unexplained=_unexplained(outcome) if verdict == UNKNOWN else (),
+        plain_film=fitted.model.physical(fitted.theta).film,
+        residuals=_residuals(session, outcome),
+        smallest_parameters={id: values for id, (_, values) in smallest.items()},
+    )
+
+
+def context_of(session: Session, simulation: Simulation, fit: ExtendedFit) -> Context:
+    """What severities of a session are relative to."""
+    loads = simulation.loads(fit.of.model.physical(fit.theta))
+    rest = session.states.rest_force_n
+    return Context(session.scale, loads, float(np.nanmean(rest)) if np.isfinite(rest).any() else float("nan"))
+
+
+def could_not_ask(session: Session) -> tuple[str, ...]:
+    """Questions that these recordings cannot answer, in words."""
+    found = []
+    if len(session.recordings) == 1:
+        found.append(
+            "There is one recording: nothing can be held out but parts of it, and no change from recording to recording shows."
+        )
+    if any(prior is None for prior in session.priors):
+        found.append(
+            "The rig's constants (clamp mass, load-cell stiffness) are missing: the clamp cannot be told from the film."
+        )
+    protocols = set(session.protocols)
+    if not protocols & {"sphs", "step"}:
+        found.append("No electrical test: causes in drive and actuation leave no trace.")
+    elif not session.kinds & {kinds.SPHS_VOLTAGE, kinds.STEP_VOLTAGE}:
+        found.append("The command was not recorded: the amplifier's gain, lag and offset cannot be questioned.")
+    if protocols & {"sphs", "step"} and not protocols & {"chirp", "cyclic", "relaxation", "cycle"}:
+        found.append("No mechanical test: the film's own dynamics rest on the electrical ones.")
+    if not np.isfinite(session.states.temperature_k).any():
+        found.append(
+            "No temperature was recorded: warming is told from other slow changes by its course in time alone."
+        )
+    return tuple(found)
+
+
+def _checked(outcome: Outcome, gain: HeldOut | None) -> str:
+    """A name needs a held-out gain, and a large one where a pattern stays: else it explains what it was fitted to and no more."""
+    if outcome.verdict not in (NAMED, AMBIGUOUS) or gain is None:
+        return outcome.verdict
+    left = outcome.after is not None and outcome.after.p_value < LEFT_LEVEL
+    if np.isnan(gain.gain):
+        return outcome.verdict if gain.after < gain.before or not left else UNKNOWN
+    return UNKNOWN if gain.gain <= (_GAIN_WITH_PATTERN if left else 0.0) else outcome.verdict
+
+
+def _extension(outcome: Outcome, final: ExtendedFit, context: Context) -> Extension:
+    model, plain = final.of.model, outcome.untempered
+    raw = final.of.data_residual(final.x)
+    return Extension(
+        severities={c.id: _estimates(final, i, context) for i, c in enumerate(final.of.chosen)},
+        variants={c.id: c.variant for c in final.of.chosen},
+        film=model.physical(final.theta).film,
+        film_sd=_film_sd(final),
+        plain_film=model.physical(plain.theta).film,
+        plain_film_sd=_film_sd(plain),
+        chi2=float(raw @ raw),
+        plain_chi2=float(plain.misfit @ plain.misfit),
+        size=final.of.session.size,
+    )
+
+
+def _film_sd(fit: ExtendedFit) -> tuple[float, ...]:
+    """Standard deviations of k0, k…, tau… in the order of the film's arms."""
+    model = fit.of.model
+    values = np.exp(fit.theta[model.film])
+    sd = values * np.sqrt(np.maximum(np.diag(fit.covariance)[model.film], 0.0))
+    n = model.arms
+    order = np.argsort(-values[1 + n : 1 + 2 * n])
+    own = np.concatenate([sd[:1], sd[1 : 1 + n][order], sd[1 + n : 1 + 2 * n][order], sd[1 + 2 * n :]])
+    return tuple(float(v) for v in own)
+
+
+def _estimates(fit: ExtendedFit, number: int, context: Context) -> dict[str, Estimate]:
+    """Severity by the contract's keys; standard deviations by the delta method through the report."""
+    chosen, values = fit.of.chosen[number], fit.values[number]
+    spread = fit.sd()[number]
+    base = _numbers(chosen.mechanism.reported(values, chosen.variant, context))
+    variance = dict.fromkeys(base, 0.0)
+    for name, sd in spread.items():
+        step = 1e-4 * max(abs(values[name]), 1e-9)
+        moved = _numbers(chosen.mechanism.reported({**values, name: values[name] + step}, chosen.variant, context))
+        for key in base:
+            variance[key] += ((moved.get(key, base[key]) - base[key]) / step * sd) ** 2
+    return {key: Estimate(value, float(np.sqrt(variance[key]))) for key, value in base.items()}
+
+
+def _numbers(report: Mapping[str, float | str]) -> dict[str, float]:
+    return {key: float(value) for key, value in report.items() if isinstance(value, int | float)}
+
+
+def _candidates(outcome: Outcome, context: Context, gain: HeldOut | None) -> tuple[Candidate, ...]:
+    if not outcome.singles:
+        return ()
+    evidence = np.array([f.log_evidence for f in outcome.singles])
+    probability = np.exp(evidence - evidence.max())
+    probability /= probability.sum()
+    size = _effective_size(outcome.plain)
+    found = []
+    for fit, share in zip(outcome.singles, probability, strict=True):
+        chosen = fit.of.chosen[0]
+        estimates = _estimates(fit, 0, context)
+        key = main_key(chosen.id, estimates)
+        ratio = outcome.plain.chi2 - fit.chi2
+        alone = outcome.final is not None and len(outcome.final.of.chosen) == 1
+        believed = alone and outcome.final is not None and outcome.final.of.chosen[0].id == chosen.id
+        found.append(
+            Candidate(
+                mechanism=chosen.id,
+                likelihood_ratio=float(ratio),
+                bic=float(ratio - len(chosen.mechanism.parameters) * np.log(size)),
+                probability=float(share),
+                severity=estimates[key].value,
+                severity_sd=estimates[key].sd,
+                explained=explained(outcome.plain, fit),
+                gain=gain.gain if believed and gain is not None else float("nan"),
+                variant=chosen.variant,
+                equation=chosen.mechanism.equation,
+            )
+        )
+    return tuple(found)
+
+
+def main_key(id: str, estimates: Mapping[str, Estimate]) -> str:
+    """Key of the main severity among the reported ones."""
+    name = MECHANISMS[id].severities[0].name
+    return name if name in estimates else next(iter(estimates))
+
+
+def _effective_size(plain: ExtendedFit) -> float:
+    """Number of data less what neighbours say twice: from the lag-1 correlation of the residual."""
+    r = plain.misfit
+    rho = float(np.clip(np.sum(r[1:] * r[:-1]) / max(float(r @ r), 1e-300), 0.0, 0.99))
+    return max(r.size * (1 - rho) / (1 + rho), 10.0)
+
+
+def _unexplained(outcome: Outcome) -> tuple[str, ...]:
+    left: Structure = outcome.after or outcome.before
+    found = []
+    for kind, p in sorted(left.kind_p.items(), key=lambda item: item[1]):
+        if p < _LEFT:
+            found.append(f"A pattern stays in {described(kind)}.")
+    depends = [words(name) for name, p in sorted(left.variable_p.items(), key=lambda item: item[1]) if p < _LEFT]
+    if depends:
+        found.append(f"What stays depends on {', '.join(depends)}.")
+    return tuple(found)
+
+
+def _residuals(session: Session, outcome: Outcome) -> tuple[Residuals, ...]:
+    plain = outcome.untempered.of.predict(outcome.untempered.x)
+    extended = plain if outcome.final is None else outcome.final.of.predict(outcome.final.x)
+    kind, frequency, time = session.kind, session.covariate("frequency_hz"), session.covariate("time_s")
+    label = np.concatenate([np.full(p.block.size, p.block.label) for p in session.places])
+    found = []
+    for number, recording in enumerate(session.recordings):
+        own = np.flatnonzero(session.recording_of == number)
+        if own.size:
+            found.append(
+                Residuals(
+                    recording.recording_id,
+                    kind[own],
+                    label[own],
+                    frequency[own],
+                    time[own],
+                    session.value[own],
+                    plain[own],
+                    extended[own],
+                    session.sd[own],
+                )
+            )
+    return tuple(found)
+
+
+def film_of(diagnosis: Diagnosis) -> RelaxationModel:
+    """The film as it is best known: of the extended model where there is one."""
+    return diagnosis.plain_film if diagnosis.extension is None else diagnosis.extension.film

@@ -1,0 +1,201 @@
+"""What mechanisms may change in a simulation, stage by stage, and how changes compose.
+
+An `Effect` holds functions for the stages; two effects are one with both functions, in the order of composition. Belongs
+here: the stages' inputs and outputs. The equations stand with the mechanisms, the simulation in `predict`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What the whole session has: largest strain amplitude, largest voltage kV, exposure kV² s, duration s, length mm,
+    pre-strain (share of the stretched length, NaN where unknown), cycles under voltage."""
+
+    strain: float
+    voltage_kv: float
+    exposure_kv2_s: float
+    duration_s: float
+    length_mm: float
+    pre_strain: float
+
+
+@dataclass(frozen=True)
+class View:
+    """States (a sweep, a group of cycles, ...) by frequencies; arrays broadcast to (S, J).
+
+    Parameters
+    ----------
+    frequency_hz : (1 or S, J)
+    strain : amplitude of the driven end over the length at that frequency
+    largest_strain, strain_before : largest strain amplitude up to and with this recording, and before it
+    cycle : number of the cycle, sweep or period within the recording, from 1; `elapsed`: mechanical cycles since its start
+    recording_s, session_s : time since the start of the recording and of the session
+    voltage_kv : largest voltage of the state; `exposure_kv2_s`: ∫V²dt until then, over the session;
+        `exposure_start_kv2_s`: until the recording began
+    temperature_k : measured temperature less that of the first recording, NaN where not recorded
+    rest_force_n : tension before the recording, NaN where not known
+    k0 : N/mm, main spring of the plain film
+    test : `sweep`, `cyclic`, `ramp`, `step` (of voltage) or `multisine`
+    """
+
+    frequency_hz: Float
+    strain: Float
+    largest_strain: Float
+    strain_before: Float
+    cycle: Float
+    elapsed: Float
+    recording_s: Float
+    session_s: Float
+    voltage_kv: Float
+    exposure_kv2_s: Float
+    exposure_start_kv2_s: Float
+    temperature_k: Float
+    rest_force_n: Float
+    scale: Scale
+    test: str
+    k0: float = 1.0
+
+    def at(self, index: NDArray[np.int64]) -> View:
+        """The view at some frequencies (places on the last axis)."""
+        return replace(
+            self,
+            frequency_hz=self.frequency_hz[:, index],
+            strain=self.strain[:, index] if self.strain.shape[1] > 1 else self.strain,
+            elapsed=self.elapsed[:, index] if self.elapsed.shape[1] > 1 else self.elapsed,
+        )
+
+
+Factor = Callable[[View], Complex | Float | float]
+"""What an effect multiplies a channel's spectrum with, broadcasts to (S, J)."""
+
+
+Edge = Callable[[View, float], Complex | Float | float]
+"""The same after edges of voltage steps: side 1 after the voltage was put on, −1 after it was taken off."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """Dynamic stiffness k N/mm and the share of the actuation force that reaches the ends, both (1 or S, J)."""
+
+    k: Complex
+    share: Complex | float = 1.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Clamp and load cell, each (1 or S, 1): mass N s²/mm, compliance mm/N, damping N s/mm, gain of the force channel."""
+
+    mass: Float
+    compliance: Float
+    damping: Float
+    gain: Float
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Voltage over time, (S, W): `film_kv`, and what acts on the film in place of its square, `squared`.
+
+    One period with samples `interval_s` apart, or levels that last (plateaus of steps), where that is None.
+    """
+
+    film_kv: Float
+    squared: Float
+    interval_s: float | None
+    scale: Scale
+
+
+@dataclass(frozen=True)
+class Course:
+    """Strain and tension over time, (..., P); along one period where `periodic`, else a course from rest.
+
+    `strain` of the film (positive: longer) and `tension` N as the linear film has it, both against rest. `rest_force_n` is the
+    tension at rest (NaN unknown); `largest_tension_n` and `largest_fall_n` are the largest rise and the largest fall of the
+    tension in the session as the linear film has it. `stiffness` |k| N/mm at the frequency, broadcasts against the waves;
+    `static` k0. `interval_s` is the time from one point to the next, (..., 1) or (..., P). A period is the mean of those from
+    `cycles[0]` to `cycles[1]` since the film was at rest, (...) each; where that is None, of a later one. `carry`: see `carried`.
+    """
+
+    strain: Float
+    tension: Float
+    periodic: bool
+    rest_force_n: Float
+    largest_tension_n: float
+    largest_fall_n: float
+    stiffness: Float
+    static: float
+    interval_s: Float
+    scale: Scale
+    cycles: tuple[Float, Float] | None = None
+    carry: Callable[[Float], Float] | None = None
+
+    def carried(self, strain: Float) -> Float:
+        """Tension N of the linear film under a change of its strain along the course: as it relaxes where that is known."""
+        if self.carry is not None:
+            return self.carry(strain)
+        return np.asarray(strain * self.scale.length_mm * self.stiffness)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Force of the load cell over time, (..., P), total; `largest_n` is the largest of the session without mechanisms."""
+
+    force: Float
+    largest_n: float
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Functions that a mechanism adds to the stages, in the order of the stages.
+
+    film_voltage : voltage on the film from the voltage measured (waveforms and levels); film_edges: the same for the square of
+        the voltage after the edges of steps
+    monitor, monitor_wave, monitor_edges : voltage measured from the voltage asked for: as a factor (steps), of waveforms, after
+        edges
+    squared : what acts in place of the square of the voltage
+    actuation, electrode : factors of the actuation force; those of the electrode act on the capacitance as well
+    opening : share of the capacitance lost at the session's largest strain, where cracks of the electrode open with the strain
+    film : stiffness and the share of the actuation force that reaches the ends
+    tension : tension of the film over time, of a sinusoid or along a course
+    rig, clamp : constants, and the clamp's dynamic stiffness over kL, given the film's stiffness on it
+    force, displacement, voltage, capacitance : factors of the channels
+    reading : force of the load cell over time
+    drift : force added at times since the start of recording and session (q,) s, given the rest force
+    hum_n : amplitudes of the mains at 50 and 100 Hz
+    """
+
+    film_voltage: tuple[Callable[[Wave], Wave], ...] = ()
+    film_edges: tuple[Edge, ...] = ()
+    monitor: tuple[Factor, ...] = ()
+    monitor_wave: tuple[Callable[[Wave], Wave], ...] = ()
+    monitor_edges: tuple[Edge, ...] = ()
+    squared: tuple[Callable[[Wave], Wave], ...] = ()
+    actuation: tuple[Factor, ...] = ()
+    film: tuple[Callable[[Film, View], Film], ...] = ()
+    tension: tuple[Callable[[Course], Float], ...] = ()
+    rig: tuple[Callable[[Rig], Rig], ...] = ()
+    clamp: tuple[Callable[[Complex, Rig, View, Complex], Complex], ...] = ()
+    force: tuple[Factor, ...] = ()
+    displacement: tuple[Factor, ...] = ()
+    voltage: tuple[Factor, ...] = ()
+    capacitance: tuple[Factor, ...] = ()
+    electrode: tuple[Factor, ...] = ()
+    opening: tuple[Factor, ...] = ()
+    reading: tuple[Callable[[Reading], Float], ...] = ()
+    drift: tuple[Callable[[Float, Float, float], Float], ...] = ()
+    hum_n: tuple[tuple[float, float], ...] = ()
+
+    def __or__(self, other: Effect) -> Effect:
+        return Effect(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(Effect)})
+
+
+NONE = Effect()

@@ -1,0 +1,289 @@
+"""The plain model with mechanisms added: one vector of entries for both, its fit, and the evidence for it.
+
+Entries of a mechanism are logarithms where its parameter is searched in the logarithm, else parts of its plausible range, so
+that steps and priors mean the same for all. Belongs here: parameters and fits. Which mechanisms are tried is in `screen` and
+`select`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.base import BaseModel
+from pipeline.diagnose.effects import NONE, Effect
+from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parameter
+from pipeline.diagnose.plain import bounds, deviations
+from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.session import Session
+from pipeline.diagnose.solve import Solution, central, minimise
+
+Float = NDArray[np.float64]
+
+_BEYOND = np.log(20.0)
+"""How far a severity is searched beyond its plausible range, which is no limit."""
+_SHAPE_BEYOND = np.log(4.0)
+_LEAST_DENSITY = 1e-12
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A mechanism in one of its forms."""
+
+    id: str
+    variant: str
+
+    @property
+    def mechanism(self) -> Mechanism:
+        return MECHANISMS[self.id]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """How a parameter is searched: value = exp(x), or `scale` × x; prior N(mean, sd) in x for shapes."""
+
+    owner: int
+    parameter: Parameter
+
+    @property
+    def logarithmic(self) -> bool:
+        return self.parameter.log and not self.parameter.signed
+
+    @property
+    def fixed(self) -> bool:
+        """Not searched: it only says in which unit another one counts."""
+        return self.parameter.low == self.parameter.high
+
+    @property
+    def scale(self) -> float:
+        p = self.parameter
+        return p.start if p.signed else max(abs(p.low), abs(p.high))
+
+    def value(self, x: float) -> float:
+        return float(np.exp(x)) if self.logarithmic else self.scale * float(x)
+
+    def entry(self, value: float) -> float:
+        return float(np.log(max(value, 1e-300))) if self.logarithmic else value / self.scale
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        p = self.parameter
+        if self.fixed:
+            return self.entry(p.low), self.entry(p.low)
+        beyond = _BEYOND if p.role == SEVERITY else _SHAPE_BEYOND
+        if self.logarithmic:
+            low, high = np.log(p.low) - beyond, np.log(p.high) + beyond
+            if p.role == SEVERITY:
+                low -= _BEYOND
+            least = np.log(p.least) if p.least > 0 else -np.inf
+            return max(low, least), min(high, np.log(p.most))
+        if p.signed:
+            far = float(np.exp(_BEYOND)) * p.high / self.scale
+            return max(-far, p.least / self.scale if p.least else -far), min(far, p.most / self.scale)
+        room = 0.5 * (p.high - p.low)
+        return max(p.low - room, p.least) / self.scale, min(p.high + room, p.most) / self.scale
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """Mean and standard deviation in x: the plausible range is two standard deviations wide. Severities have none."""
+        p = self.parameter
+        if p.role == SEVERITY or self.fixed:
+            return 0.0, np.inf
+        low, high = self.entry(p.low), self.entry(p.high)
+        return (low + high) / 2, max((high - low) / 2, 1e-6)
+
+    def log_density(self, x: float) -> float:
+        """Log of the prior density of a severity in x: log-uniform over its plausible range, either sign alike where signed."""
+        p = self.parameter
+        width = np.log(p.high / p.low)
+        if self.logarithmic:
+            return float(-np.log(width))
+        size = max(abs(self.value(x)), p.low)
+        return float(-np.log(2 * width) - np.log(max(size / self.scale, _LEAST_DENSITY)))
+
+
+@dataclass(frozen=True)
+class Extended:
+    """A plain model with mechanisms, over a session and its simulation.
+
+    `weight` (N,) scales whitened residuals (ones: the noise alone; smaller where the model's form is allowed to be wrong).
+    """
+
+    session: Session
+    simulation: Simulation
+    model: BaseModel
+    chosen: tuple[Chosen, ...]
+    weight: Float
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(Coordinate(i, p) for i, c in enumerate(self.chosen) for p in c.mechanism.parameters)
+
+    @cached_property
+    def limits(self) -> tuple[Float, Float]:
+        low, high = bounds(self.model)
+        own = [c.limits for c in self.coordinates]
+        return np.concatenate([low, [a for a, _ in own]]), np.concatenate([high, [b for _, b in own]])
+
+    @cached_property
+    def _priors(self) -> tuple[Float, Float]:
+        pairs = np.array([c.prior for c in self.coordinates]).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
+
+    def values(self, x: Float) -> tuple[dict[str, float], ...]:
+        """Parameters of each mechanism by name at entries x (P,)."""
+        found: list[dict[str, float]] = [{} for _ in self.chosen]
+        for c, entry in zip(self.coordinates, x[self.model.size :], strict=True):
+            found[c.owner][c.parameter.name] = c.value(entry)
+        return tuple(found)
+
+    def entries(self, theta: Float, values: Sequence[Mapping[str, float]]) -> Float:
+        """Entries from θ and the parameters of each mechanism; those not given are at their start."""
+        own = [c.entry(float(values[c.owner].get(c.parameter.name, c.parameter.start))) for c in self.coordinates]
+        return np.concatenate([theta, own])
+
+    def effect(self, x: Float) -> Effect:
+        return effect_of_all(self.chosen, self.values(x))
+
+    def predict(self, x: Float) -> Float:
+        """(N,) features."""
+        return self.simulation.predict(self.model, x[: self.model.size], self.effect(x))
+
+    def data_residual(self, x: Float) -> Float:
+        """(N,) whitened, not weighted."""
+        return self.session.whiten(self.session.value - self.predict(x))
+
+    def residual(self, x: Float) -> Float:
+        """(N + priors,) what the fit makes small."""
+        own = x[self.model.size :]
+        mean, sd = self._priors
+        shaped = np.isfinite(sd)
+        data = self.weight * self.data_residual(x)
+        return np.concatenate([data, deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
+
+    def fit(
+        self,
+        start: Float,
+        *,
+        most: int = 15,
+        near: ExtendedFit | None = None,
+        jacobian: Float | None = None,
+        thorough: bool = True,
+    ) -> ExtendedFit:
+        """The optimum from `start`. `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian."""
+        low, high = self.limits
+        if near is not None:
+            shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
+            jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), start.size))
+            jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
+        found = minimise(
+            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
+        )
+        return ExtendedFit(self, found)
+
+    def refined(self, fit: ExtendedFit) -> ExtendedFit:
+        """The same optimum with a Jacobian by central differences."""
+        jacobian = central(self.residual, fit.x, *self.limits)
+        return ExtendedFit(self, replace(fit.solution, jacobian=jacobian))
+
+    def room(self, start: Float, most: int) -> Float:
+        """Entries with the material and the rig at their best for the mechanisms as they stand at `start`."""
+        low, high = (bound.copy() for bound in self.limits)
+        low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
+        return minimise(self.residual, start, low, high, most=most).x
+
+    def with_weight(self, weight: Float) -> Extended:
+        return replace(self, weight=weight)
+
+    def on(self, session: Session, simulation: Simulation, weight: Float) -> Extended:
+        return replace(self, session=session, simulation=simulation, weight=weight)
+
+
+@dataclass(frozen=True)
+class ExtendedFit:
+    """An optimum of an extended model."""
+
+    of: Extended
+    solution: Solution
+
+    @property
+    def x(self) -> Float:
+        return self.solution.x
+
+    @property
+    def theta(self) -> Float:
+        return self.solution.x[: self.of.model.size]
+
+    @property
+    def values(self) -> tuple[dict[str, float], ...]:
+        return self.of.values(self.solution.x)
+
+    @property
+    def chi2(self) -> float:
+        """Weighted χ² with the priors' terms."""
+        return self.solution.chi2
+
+    @property
+    def misfit(self) -> Float:
+        """(N,) weighted whitened residual of the features."""
+        return self.solution.residual[: self.of.session.size]
+
+    @cached_property
+    def covariance(self) -> Float:
+        return self.solution.covariance
+
+    def sd(self) -> tuple[dict[str, float], ...]:
+        """Standard deviations of the parameters of each mechanism, by the delta method."""
+        found: list[dict[str, float]] = [{} for _ in self.of.chosen]
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[self.of.model.size :]
+        own = self.x[self.of.model.size :]
+        for c, x, s in zip(self.of.coordinates, own, spread, strict=True):
+            factor = 0.0 if c.fixed else c.value(x) if c.logarithmic else c.scale
+            found[c.owner][c.parameter.name] = float(s * abs(factor))
+        return tuple(found)
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Laplace's approximation of log ∫ likelihood × prior over the mechanisms' parameters, given the model's entries.
+
+        Without the constants that all models of one session share. −χ²/2 for the plain model.
+        """
+        model = self.of.model.size
+        total = -0.5 * self.chi2
+        own = self.x[model:]
+        searched = [i for i, c in enumerate(self.of.coordinates) if not c.fixed]
+        for i in searched:
+            c = self.of.coordinates[i]
+            if c.parameter.role == SEVERITY:
+                total += c.log_density(own[i])
+            else:
+                total -= float(np.log(c.prior[1])) + 0.5 * np.log(2 * np.pi)
+        if searched:
+            places = model + np.array(searched)
+            inside = self.covariance[np.ix_(places, places)]
+            # A direction that the data leave open is as wide as its plausible range, not wider.
+            widest = np.array([self._widest(self.of.coordinates[i]) for i in searched])
+            volumes = np.linalg.eigvalsh(inside / np.outer(widest, widest))
+            total += 0.5 * float(np.sum(np.log(np.clip(volumes, 1e-30, 1.0)))) + float(np.sum(np.log(widest)))
+            total += 0.5 * len(searched) * np.log(2 * np.pi)
+        return float(total)
+
+    @staticmethod
+    def _widest(c: Coordinate) -> float:
+        p = c.parameter
+        if c.logarithmic:
+            return float(max(np.log(p.high / p.low), 1e-3) / np.sqrt(2 * np.pi))
+        return float(max((p.high - p.low) / c.scale, 1e-3) / np.sqrt(2 * np.pi))
+
+
+def effect_of_all(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float]]) -> Effect:
+    """The composed effect of mechanisms in their forms, in the order of the stages."""
+    total = NONE
+    order = list(MECHANISMS)
+    for c, own in sorted(zip(chosen, values, strict=True), key=lambda pair: order.index(pair[0].id)):
+        total = total | c.mechanism.effect(own, c.variant)
+    return total

@@ -1,0 +1,172 @@
+"""Families of blocks that are linear functionals of a record: one rig, one kind of test, one set of nodes.
+
+The response of a family is computed at the nodes once, or once per state where an effect depends on the state, and passes
+through all operators in one sparse product. What the response is, and what is not linear, is in `predict_mechanical` and
+`predict_electrical`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from pipeline.diagnose.base import Physical
+from pipeline.diagnose.blocks import operator_of
+from pipeline.diagnose.effects import Effect, Factor, Film, Rig, View
+from pipeline.diagnose.features import CHIRP_RESPONSE
+from pipeline.diagnose.session import Place, Session
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Int = NDArray[np.int64]
+
+
+class Family:
+    """Blocks of one rig and one test kind that share nodes.
+
+    `frequency` (J,) Hz the nodes that any of them uses; `states` (S,) numbers of the session's states in use.
+    """
+
+    def __init__(self, session: Session, places: Sequence[Place], nodes: Float, test: str) -> None:
+        self.session, self.places, self.test = session, tuple(places), test
+        operators = [operator_of(p.block, nodes.size) for p in self.places]
+        used = np.zeros(nodes.size, dtype=bool)
+        for found in operators:
+            if found is not None:
+                used[np.unique(found.re.indices)] = True
+                used[np.unique(found.im.indices)] = True
+        columns = np.flatnonzero(used)
+        self.frequency = nodes[columns]
+        self.states, number = np.unique([p.state for p in self.places], return_inverse=True)
+        self.state_of = dict(zip((id(p) for p in self.places), number.tolist(), strict=True))
+        self.rows = np.concatenate([np.arange(p.first, p.stop) for p in self.places])
+        one, many = [], []
+        j, s = columns.size, self.states.size
+        for found, state in zip(operators, number, strict=True):
+            if found is None:
+                raise ValueError("a block without operator")
+            re, im = found.re[:, columns].tocoo(), found.im[:, columns].tocoo()
+            shape = re.shape[0]
+            one.append(scipy.sparse.hstack([re, im]).tocsr())
+            data = np.concatenate([re.data, im.data])
+            row = np.concatenate([re.row, im.row])
+            column = np.concatenate([re.col + state * j, im.col + (s + state) * j])
+            many.append(scipy.sparse.csr_array((data, (row, column)), shape=(shape, 2 * s * j)))
+        self._one, self._many = scipy.sparse.vstack(one).tocsr(), scipy.sparse.vstack(many).tocsr()
+        self.rig = int(session.states.rig[self.states[0]])
+        self.view = self._view()
+
+    def _view(self) -> View:
+        view = state_view(self.session, self.states, self.frequency[None, :], self.test)
+        profiles = self._profiles()
+        return view if profiles is None else replace(view, strain=profiles[0], elapsed=profiles[1])
+
+    def _profiles(self) -> tuple[Float, Float] | None:
+        """Strain amplitude and mechanical cycles so far at the nodes, for sweeps; None for other tests."""
+        found: dict[int, tuple[Float, Float]] = {}
+        before: dict[int, float] = {}
+        for p in self.places:
+            if p.block.kind != CHIRP_RESPONSE:
+                continue
+            n = p.block.size // 2
+            f, mm, time = p.block.support["profile_hz"], p.block.support["profile_mm"], p.block.time_s[:n]
+            order = np.argsort(time)
+            steps = np.diff(time[order]) * (f[order][1:] + f[order][:-1]) / 2
+            passed = before.get(p.recording, 0.0) + np.concatenate([[0.0], np.cumsum(steps)])
+            before[p.recording] = float(passed[-1])
+            rising = np.argsort(f)
+            x = np.log(np.maximum(self.frequency, 1e-9))
+            elapsed = np.empty(n)
+            elapsed[order] = passed
+            found[self.state_of[id(p)]] = (
+                np.interp(x, np.log(f[rising]), mm[rising]) / self.session.scale.length_mm,
+                np.interp(x, np.log(f[rising]), elapsed[rising]),
+            )
+        if not found:
+            return None
+        shape = self.states.size, self.frequency.size
+        strain: Float = np.zeros(shape)
+        elapsed_all: Float = np.zeros(shape)
+        for state in range(shape[0]):
+            # The level of a recording has no sweep of its own: that of any sweep of its recording will do.
+            number = state if state in found else self._any_sweep(state, found)
+            strain[state], elapsed_all[state] = found[number]
+        return strain, elapsed_all
+
+    def _any_sweep(self, state: int, found: dict[int, tuple[Float, Float]]) -> int:
+        recording = self.session.states.recording[self.states[state]]
+        same = [n for n in found if self.session.states.recording[self.states[n]] == recording]
+        return same[-1] if same else next(iter(found))
+
+    def apply(self, response: Complex) -> Float:
+        """Features (rows,) of a response (1 or S, J) at the nodes."""
+        if response.shape[0] == 1:
+            return np.asarray(self._one @ np.concatenate([response[0].real, response[0].imag]))
+        return np.asarray(self._many @ np.concatenate([response.real.ravel(), response.imag.ravel()]))
+
+
+def state_view(session: Session, number: Int, frequency: Float, test: str, *, strain: Float | None = None) -> View:
+    """View of the session's states `number` (S,) at frequencies (1 or S, J)."""
+    states = session.states
+
+    def column(values: Float) -> Float:
+        return np.asarray(values[number][:, None])
+
+    return View(
+        frequency_hz=frequency,
+        strain=column(states.strain) if strain is None else strain,
+        largest_strain=column(states.largest_strain),
+        strain_before=column(states.strain_before),
+        cycle=column(states.cycle),
+        elapsed=np.maximum(column(states.cycle) - 0.5, 0.0),
+        recording_s=column(states.recording_s),
+        session_s=column(states.session_s),
+        voltage_kv=column(states.voltage_kv),
+        exposure_kv2_s=column(states.exposure_kv2_s),
+        exposure_start_kv2_s=column(states.exposure_start_kv2_s),
+        temperature_k=column(states.temperature_k),
+        rest_force_n=column(states.rest_force_n),
+        scale=session.scale,
+        test=test,
+    )
+
+
+def rig_of(physical: Physical, number: int, effect: Effect) -> Rig:
+    """Constants of a rig with the effects on them."""
+    rig = physical.rigs[number]
+    for change in effect.rig:
+        rig = change(rig)
+    return rig
+
+
+def dynamic(rig: Rig, view: View, effect: Effect, k: Complex) -> Complex:
+    """1 + (−Mω² + jωcL)/kL at the view's frequencies, with a film of stiffness k (1 or S, J) N/mm on the clamp."""
+    omega = 2 * np.pi * view.frequency_hz
+    own: Complex = np.asarray(1 + rig.compliance * (-rig.mass * omega**2 + 1j * omega * rig.damping), dtype=complex)
+    for change in effect.clamp:
+        own = change(own, rig, view, k)
+    return own
+
+
+def channel(functions: Sequence[Factor], view: View) -> Complex | Float | float:
+    """Product of what effects do to a channel."""
+    total: Any = 1.0
+    for function in functions:
+        total = total * function(view)
+    product: Complex | Float | float = total
+    return product
+
+
+def film_at(physical: Physical, effect: Effect, view: View) -> Film:
+    """The film at the frequencies of a view, (1 or S, J)."""
+    film = Film(physical.film.stiffness(view.frequency_hz))
+    if effect.film:
+        view = replace(view, k0=physical.film.k0)
+    for change in effect.film:
+        film = change(film, view)
+    return film

@@ -1,0 +1,173 @@
+"""What of a recording the diagnosis keeps: linear functionals of its samples, with the noise measured within the record.
+
+A block is a set of numbers of one kind (a sweep's response, a group of cycles, the windows after the edges of a step): their
+values, their noise covariance, what they depend on, and the operator by which the same numbers follow from a frequency
+response. No estimator stands between measurement and simulation: both go through the same functional. Belongs here: the
+types and their meaning. How a protocol is reduced is in `features_<protocol>`, what a simulation predicts in `predict`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.metadata import RigConstants
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+CHIRP_RESPONSE = "chirp.response"
+"""F/x0 of one sweep in bands, N/mm, complex."""
+CHIRP_HARMONIC = "chirp.harmonic"
+"""Second or third harmonic of the force of a sweep, N, complex, phase relative to that multiple of the input's phase."""
+CHIRP_LEVEL = "chirp.level"
+"""Mean force of a sweep against the rest before it, N, and the rest levels after the first against the first."""
+SPHS_RESPONSE = "sphs.response"
+"""−F/V² at the excited lines of the early and of the late periods, N/kV², complex."""
+SPHS_DETECTION = "sphs.detection"
+"""−F at lines that were not excited, less the linear answer to what little the input has there, N, complex."""
+SPHS_VOLTAGE = "sphs.voltage"
+"""Voltage over command at the lines of the command, kV/V, complex."""
+SPHS_CAPACITANCE = "sphs.capacitance"
+"""C/V² at the excited lines, pF/kV², complex."""
+CYCLIC_RESPONSE = "cyclic.response"
+"""Fundamental of the force of a group of cycles over that of the displacement, N/mm, complex."""
+CYCLIC_HARMONIC = "cyclic.harmonic"
+"""Second and third harmonic of the force of a group of cycles, N, complex, phase as for chirps."""
+CYCLIC_LEVEL = "cyclic.level"
+"""Mean force of a group of cycles against the rest before them, N."""
+CYCLIC_CAPACITANCE = "cyclic.capacitance"
+"""First and second harmonic of the capacitance of a group of cycles over the fundamental of the displacement, pF/mm."""
+STEP_FORCE = "step.force"
+"""Drop of the force in windows after the edges of a group of cycles, against the rest before the first edge, N."""
+STEP_CAPACITANCE = "step.capacitance"
+"""Change of the capacitance in the same windows, pF."""
+STEP_VOLTAGE = "step.voltage"
+"""Voltage over the command's plateau in windows after the command's edges, kV/V."""
+RELAXATION_FORCE = "relaxation.force"
+"""Force in windows after a step of displacement, against the rest before it, N."""
+CYCLE_FORCE = "cycle.force"
+"""Force in windows of a large load-unload cycle, against the rest before it, N."""
+REST_HUM = "rest.hum"
+"""Mains in the rest at 50 and 100 Hz (see `features_rest`), standard normal without mains."""
+TAP_RING = "tap.ring"
+"""Logarithm of the clamp-alone frequency in Hz, and its damping ratio."""
+WEIGHT_GAIN = "weight.gain"
+"""Recorded force over the weight that was hung."""
+
+KINDS = (
+    CHIRP_RESPONSE,
+    CHIRP_HARMONIC,
+    CHIRP_LEVEL,
+    SPHS_RESPONSE,
+    SPHS_DETECTION,
+    SPHS_VOLTAGE,
+    SPHS_CAPACITANCE,
+    CYCLIC_RESPONSE,
+    CYCLIC_HARMONIC,
+    CYCLIC_LEVEL,
+    CYCLIC_CAPACITANCE,
+    STEP_FORCE,
+    STEP_CAPACITANCE,
+    STEP_VOLTAGE,
+    RELAXATION_FORCE,
+    CYCLE_FORCE,
+    REST_HUM,
+    TAP_RING,
+    WEIGHT_GAIN,
+)
+
+
+@dataclass(frozen=True)
+class FeatureBlock:
+    """Numbers of one kind that belong together, real: of complex ones first all real, then all imaginary parts.
+
+    Parameters
+    ----------
+    kind : one of the kinds above
+    label : place within the recording, for people: "sweep 2", "cycles 4 to 6", "edges at 5.0 kV"
+    value : (n,) in the unit of the kind
+    components : parts of the noise, "<quantity>/<exponent of 1/f>"
+    basis : (len(components), n, n) covariance of each part with coefficient 1: variance of a sample for exponent 0, density
+        per Hz at 1 Hz for others. A session puts the coefficients in, which it reads off its stretches without signal
+    is_complex : n is twice the number of complex values
+    frequency_hz, amplitude, voltage_kv, cycle, time_s : (n,) what each number depends on, NaN where not defined: frequency;
+        strain amplitude of the driven end at that frequency or time; voltage (largest, or of the plateau); cycle, sweep or
+        period number (mean of the group, from 1); seconds since the start of the recording
+    support : arrays by name that the prediction needs (operator, waveform, harmonic weights; see `predict`)
+    """
+
+    kind: str
+    label: str
+    value: Float
+    components: tuple[str, ...]
+    basis: Float
+    is_complex: bool
+    frequency_hz: Float
+    amplitude: Float
+    voltage_kv: Float
+    cycle: Float
+    time_s: Float
+    support: Mapping[str, Float] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        return self.value.size
+
+
+@dataclass(frozen=True)
+class NoiseSample:
+    """Periodogram of a channel where it holds no signal: rest, residuals between lines.
+
+    `frequency_hz` (m,), `power` (m,) with the density per sample as expectation (σ² for white noise), `weight` (m,) number of
+    independent ordinates. `interval_s` is that of the samples; `setting` names rate and resolution of the converter: the white
+    part is the same in recordings of one setting, unless they say otherwise.
+    """
+
+    quantity: str
+    interval_s: float
+    frequency_hz: Float
+    power: Float
+    weight: Float
+    setting: str = ""
+
+
+@dataclass(frozen=True)
+class RecordingFeatures:
+    """A recording reduced to features.
+
+    Parameters
+    ----------
+    recording_id, specimen_id, protocol, loading, started_at, duration_s : of the recording
+    rig : constants of the rig in force
+    blocks : its features
+    noise : where it shows nothing but noise
+    nodes : (J,) Hz, frequencies of the response that the operators of the blocks take
+    values : numbers by name that sessions and predictions need and that are no features: `strain_length_mm`, `rest_force_n`,
+        `largest_strain`, `exposure_kv2_s`, `largest_voltage_kv`, `temperature_degc`, `rest_before_s`, `force_range_n`,
+        `actuation_n_per_kv2` and `actuation_sd` (from geometry, relative), ...; absent where not known
+    settings : texts by name (`command` recorded or not, ...)
+    warnings : what could not be reduced and why
+    """
+
+    recording_id: str
+    specimen_id: str
+    protocol: str
+    loading: str
+    started_at: datetime
+    duration_s: float
+    rig: RigConstants
+    blocks: tuple[FeatureBlock, ...]
+    noise: tuple[NoiseSample, ...]
+    nodes: Float
+    values: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> int:
+        return sum(b.size for b in self.blocks)

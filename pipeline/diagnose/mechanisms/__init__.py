@@ -1,0 +1,62 @@
+"""The listed mechanisms: registry, composition, and what a session cannot show of them.
+
+Adding one is adding one object to the file of its family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from pipeline.diagnose.effects import Effect
+from pipeline.diagnose.mechanisms import actuation, contact, drift, drive, film_amplitude, film_time, rig, sensor
+from pipeline.diagnose.mechanisms.mechanism import SEVERITY, SHAPE, STAGES, Context, Mechanism, Parameter
+
+_FAMILIES = (drive, actuation, film_time, film_amplitude, contact, rig, sensor, drift)
+MECHANISMS: dict[str, Mechanism] = {
+    m.id: m for m in sorted((m for family in _FAMILIES for m in family.MECHANISMS), key=lambda m: STAGES.index(m.stage))
+}
+"""Id → mechanism, in the order of the stages."""
+
+
+def effect_of(id: str, values: Mapping[str, float], variant: str | None = None) -> Effect:
+    """Effect of one mechanism; shapes that are not given are at their start. ValueError for names it does not have."""
+    mechanism = MECHANISMS[id]
+    names = {p.name for p in mechanism.parameters}
+    if unknown := set(values) - names:
+        raise ValueError(f"{id} has no {sorted(unknown)}; it has {sorted(names)}")
+    chosen = mechanism.variants[0] if variant is None else variant
+    if chosen not in mechanism.variants:
+        raise ValueError(f"{id} has no variant {chosen!r}; it has {mechanism.variants}")
+    severities = {p.name: values.get(p.name, 0.0) for p in mechanism.severities}
+    shapes = {p.name: values.get(p.name, p.start) for p in mechanism.shapes}
+    if all(v == 0 for v in severities.values()):
+        return Effect()
+    return mechanism.effect(severities | shapes, chosen)
+
+
+def compose(severities: Mapping[str, Mapping[str, float]], variants: Mapping[str, str] | None = None) -> Effect:
+    """Effect of several mechanisms, in the order of their stages whatever the order given."""
+    total = Effect()
+    for id in MECHANISMS:
+        if id in severities:
+            total = total | effect_of(id, severities[id], (variants or {}).get(id))
+    return total
+
+
+def invisible(kinds: Iterable[str]) -> tuple[str, ...]:
+    """Mechanisms that leave no trace in features of these kinds."""
+    found = frozenset(kinds)
+    return tuple(id for id, m in MECHANISMS.items() if not (m.shows & found))
+
+
+__all__ = [
+    "MECHANISMS",
+    "SEVERITY",
+    "SHAPE",
+    "Context",
+    "Mechanism",
+    "Parameter",
+    "compose",
+    "effect_of",
+    "invisible",
+]

@@ -1,0 +1,217 @@
+"""Mechanisms of the actuation: permittivity that depends on field or frequency, dying electrodes, wrinkles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose import features
+from pipeline.diagnose.effects import Effect, View, Wave
+from pipeline.diagnose.mechanisms.mechanism import (
+    BENT,
+    ELECTRICAL,
+    SHAPE,
+    Context,
+    Mechanism,
+    Parameter,
+    Values,
+)
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_LOWEST_HZ = 1e-4
+_CELLS = 64
+_BALANCE, _PERIODS = 12, 2
+"""Rounds in which the mean level is found, and periods that are followed then."""
+
+
+def _field(values: Values, variant: str) -> Effect:
+    fraction, exponent = values["fraction"], values["exponent"]
+
+    def falls(wave: Wave) -> Wave:
+        field = np.abs(wave.film_kv) / max(wave.scale.voltage_kv, 1e-9)
+        return replace(wave, squared=wave.squared * (1 - fraction * field**exponent))
+
+    return Effect(squared=(falls,))
+
+
+def _frequency(values: Values, variant: str) -> Effect:
+    power = -values["per_decade"] / np.log(10)
+
+    def slopes(view: View) -> Complex:
+        # A power of jω falls with the frequency by that share per decade and has the phase that causality asks for.
+        return np.asarray((1j * np.maximum(view.frequency_hz, _LOWEST_HZ)) ** power)
+
+    return Effect(actuation=(slopes,)) if power else Effect()
+
+
+def _degraded(values: Values, variant: str) -> Effect:
+    loss, cycles, stretch = values["loss"], values["cycles"], values["stretch"]
+
+    def left(view: View) -> Float:
+        exposure = np.maximum(view.exposure_kv2_s, 0.0) / max(view.scale.voltage_kv, 1e-9) ** 2
+        return np.asarray(1 - loss * -np.expm1(-((exposure / cycles) ** stretch)))
+
+    def opened(view: View) -> Float:
+        return np.asarray(values["opening"] * (1 - left(view)))
+
+    return Effect(electrode=(left,), opening=(opened,))
+
+
+def _wrinkled(values: Values, variant: str) -> Effect:
+    overload, growth = values["overload"], values["growth"]
+    rise, recovery = values["rise_s"], values["recovery_s"]
+    if overload <= 0:
+        return Effect()
+
+    def lost(squared: Float, largest: float) -> Float:
+        """What wrinkles take of the squared voltage in the end."""
+        return np.asarray((1 - growth) * np.maximum(squared - (largest / (1 + overload)) ** 2, 0.0))
+
+    def stops(wave: Wave) -> Wave:
+        if wave.interval_s is None:
+            return wave
+        target = lost(wave.film_kv**2, wave.scale.voltage_kv)
+        if not target.any():
+            return wave
+        held = _following(target, wave.interval_s, rise, recovery)
+        return replace(wave, squared=np.maximum(wave.squared - held, 0.0))
+
+    def edge(view: View, side: float) -> Complex | Float:
+        share = lost(view.voltage_kv**2, view.scale.voltage_kv) / np.maximum(view.voltage_kv, 1e-9) ** 2
+        # Without voltage nothing acts, whatever wrinkles are left.
+        return np.asarray(1 - share / (1 + 2j * np.pi * view.frequency_hz * rise) if side > 0 else 1 - share)
+
+    return Effect(squared=(stops,), film_edges=(edge,))
+
+
+def _following(target: Float, interval_s: float, rise_s: float, fall_s: float) -> Float:
+    """One period (S, W) of what follows `target` with one time constant upwards and another downwards, in steady state.
+
+    Constant within each of some tens of cells of the period, in which the target may cross it many times.
+    """
+    states, samples = target.shape
+    size = max(1, samples // _CELLS)
+    count = samples // size
+    cells = target[:, : count * size].reshape(states, count, size)
+    up, down = (-np.expm1(-size * interval_s / t) for t in (rise_s, fall_s))
+
+    def change(held: Float, within: Float) -> Float:
+        away = within - held[:, None]
+        above = np.maximum(away, 0.0)
+        return np.asarray(up * above.mean(axis=1) + down * (away - above).mean(axis=1))
+
+    held = target.mean(axis=1)
+    # The level about which a period balances, then the periods that settle on it.
+    for _ in range(_BALANCE):
+        held = held + change(held, target) / max(up, down)
+    trail = np.empty((states, count))
+    for _ in range(_PERIODS):
+        for i in range(count):
+            held = held + change(held, cells[:, i])
+            trail[:, i] = held
+    middle = (np.arange(count) + 0.5) * size
+    at = np.concatenate([[middle[-1] - samples], middle, [middle[0] + samples]])
+    closed = np.concatenate([trail[:, -1:], trail, trail[:, :1]], axis=1)
+    return np.array([np.interp(np.arange(samples), at, row) for row in closed])
+
+
+def _onset_kv(values: Values, variant: str, context: Context) -> dict[str, float | str]:
+    return {
+        "onset_kv": context.scale.voltage_kv / (1 + values["overload"]),
+        "growth": values["growth"],
+        "rise_s": values["rise_s"],
+        "recovery_s": values["recovery_s"],
+    }
+
+
+FIELD_DEPENDENT_PERMITTIVITY = Mechanism(
+    id="field_dependent_permittivity",
+    stage="actuation",
+    equation="ε (1 − a (E/E_max)^p), E_max the field at the session's largest voltage, p about 2",
+    source="saturation of dipoles at high fields",
+    parameters=(
+        Parameter("fraction", "1", "loss of permittivity at the largest voltage", 0.005, 0.15, signed=True, least=-1.0, most=0.9),
+        Parameter("exponent", "1", "p", 1.0, 4.0, SHAPE, least=0.3, most=8.0),
+    ),
+    shows=BENT,
+    confusable={
+        "drive_offset": "an offset falls as 1/V and depends on the polarity: four or more voltages, both polarities",
+        "leakage": "the measured voltage tells",
+        "wrinkling": "wrinkles begin at an onset and recover slowly",
+    },
+    effect=_field,
+)  # fmt: skip
+
+FREQUENCY_DEPENDENT_PERMITTIVITY = Mechanism(
+    id="frequency_dependent_permittivity",
+    stage="actuation",
+    equation="ε (jf/1 Hz)^{−b/ln 10}: falls by b per decade of frequency",
+    source="Curie-von Schweidler law of dielectrics",
+    parameters=(Parameter("per_decade", "1", "fall per decade", 0.002, 0.06, signed=True, least=-0.5, most=0.5),),
+    shows=ELECTRICAL,
+    confusable={
+        "drive_lag": "the measured voltage against the command",
+        "passive_strip": "the blocked force with the strip in it; the creep of the capacitance",
+    },
+    effect=_frequency,
+)
+
+ELECTRODE_DEGRADATION = Mechanism(
+    id="electrode_degradation",
+    stage="actuation",
+    equation="w (1 − d (1 − e^{−(n/n0)^β})), n = ∫V²dt over the session in seconds at the largest voltage",
+    source="loss of conducting paths in compliant electrodes under voltage",
+    parameters=(
+        Parameter("loss", "1", "share of the electrode lost in the end", 0.02, 0.4, most=0.99),
+        Parameter("cycles", "s at the largest voltage", "n0", 10.0, 1000.0, SHAPE, least=0.1),
+        Parameter("stretch", "1", "β", 0.5, 1.2, SHAPE, log=False, least=0.2, most=2.0),
+        Parameter(
+            "opening",
+            "1",
+            "capacitance that cracks take at the largest strain, over the loss",
+            0.0,
+            3.0,
+            SHAPE,
+            log=False,
+        ),
+    ),
+    shows=ELECTRICAL | {features.CYCLIC_CAPACITANCE},
+    faint=("cyclic",),
+    confusable={
+        "baseline_drift": "there the capacitance stays",
+        "field_dependent_permittivity": "it does not follow the number of cycles",
+    },
+    effect=_degraded,
+)
+
+WRINKLING = Mechanism(
+    id="wrinkling",
+    stage="actuation",
+    equation="V² stops growing above V_c; what is lost comes with a time t_r and goes with a time t_w",
+    source="loss of tension (thesis, section 5.4.6)",
+    parameters=(
+        Parameter("overload", "1", "largest voltage over the onset, less 1", 0.02, 1.0),
+        Parameter("growth", "1", "growth that is left above the onset", 0.0, 0.5, SHAPE, log=False, most=1.0),
+        Parameter("recovery_s", "s", "t_w", 0.1, 3.0, SHAPE, least=1e-3),
+        Parameter("rise_s", "s", "t_r", 0.02, 1.0, SHAPE, least=1e-3),
+    ),
+    shows=BENT,
+    confusable={
+        "leakage": "the measured voltage tells",
+        "sensor_saturation": "slow return only with wrinkles",
+        "field_dependent_permittivity": "no onset there",
+    },
+    effect=_wrinkled,
+    onset=True,
+    report=_onset_kv,
+)
+MECHANISMS = (
+    FIELD_DEPENDENT_PERMITTIVITY,
+    FREQUENCY_DEPENDENT_PERMITTIVITY,
+    ELECTRODE_DEGRADATION,
+    WRINKLING,
+)

@@ -1,0 +1,93 @@
+"""Mechanism of the contact: the film slips in its clamp."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose import features
+from pipeline.diagnose.effects import Course, Effect
+from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SHAPE, SWEEPS, Context, Mechanism, Parameter, Values
+
+Float = NDArray[np.float64]
+
+_TURNS, _MOST_TURNS = 2, 10
+"""Periods of a sweep that are followed, and most of a sinusoid: the slider finds its mean place within them."""
+
+
+def _slip(values: Values, variant: str) -> Effect:
+    overload, hardening, creep = values["overload"], values["hardening"], values["creep_s"]
+    if overload <= 0:
+        return Effect()
+
+    def slides(course: Course) -> Float:
+        held = course.largest_tension_n / (1 + overload)
+        wave = course.tension
+        if np.abs(wave).max() <= held:
+            return wave
+        shape = wave.shape
+        # What never comes near the holding force needs no path.
+        near = np.flatnonzero(np.abs(wave).reshape(-1, shape[-1]).max(axis=1) > held)
+        path = np.ascontiguousarray(wave.reshape(-1, shape[-1])[near].T)
+        spring = np.broadcast_to(course.stiffness, shape).reshape(-1, shape[-1])[near, 0]
+        stiff = spring + hardening * course.static
+        # Slip flows with the excess over the holding force, until the springs about it have taken that up.
+        rate = stiff[:, None] / course.static / creep
+        passing = -np.expm1(-np.broadcast_to(course.interval_s, shape).reshape(-1, shape[-1])[near] * rate).T
+        flow = passing / stiff
+        first, last = np.full((2, near.size), float(_TURNS if course.periodic else 1))
+        if course.periodic and course.cycles is not None:
+            first, last = (np.minimum(np.broadcast_to(c, shape[:-1]).ravel()[near], _MOST_TURNS) for c in course.cycles)
+        total = np.zeros_like(path)
+        slip: Float = np.zeros(near.size)
+        mean: Float = np.zeros(near.size)
+        trail = np.zeros_like(path)
+        for turn in range(1, int(np.ceil(last.max())) + 1):
+            # The film relaxes under the mean of what has slipped.
+            eased = (spring - course.static) * mean if course.periodic else mean
+            driven = path + eased
+            for i in range(path.shape[0]):
+                pull = driven[i] - stiff * slip
+                slip = slip + (pull - np.minimum(np.maximum(pull, -held), held)) * flow[i]
+                trail[i] = slip
+            total += np.where((turn >= first) & (turn <= last), driven - spring * trail, 0.0)
+            mean = trail.mean(axis=0)
+        out = total / (last - first + 1)
+        result = wave.reshape(-1, shape[-1]).copy()
+        result[near] = out.T
+        return np.asarray(result.reshape(shape))
+
+    return Effect(tension=(slides,))
+
+
+def _force(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    return {
+        "slip_force": 1 / (1 + values["overload"]),
+        "slip_force_n": context.loads.tension_n / (1 + values["overload"]),
+        "hardening": values["hardening"],
+    }
+
+
+CLAMP_SLIP = Mechanism(
+    id="clamp_slip",
+    stage="contact",
+    equation="slider of holding force F_s with a holding spring in series with the film; it may creep",
+    source="Iwan (Jenkins) element, Iwan 1966",
+    parameters=(
+        Parameter("overload", "1", "largest tension over the slip force, less 1", 0.05, 10.0),
+        Parameter("hardening", "1", "holding spring over the film's k0", 0.03, 3.0, SHAPE),
+        Parameter("creep_s", "s", "time in which an excess would slip against k0 alone", 1e-3, 0.3, SHAPE, least=1e-6),
+    ),
+    shows=SWEEPS | CYCLES | RAMPS | {features.SPHS_RESPONSE, features.SPHS_DETECTION, features.STEP_FORCE},
+    faint=("sphs", "step"),
+    confusable={
+        "amplitude_softening": "that is smooth and leaves the phase; slip raises it beyond a threshold",
+        "cyclic_softening": "slip comes back with every cycle",
+    },
+    effect=_slip,
+    onset=True,
+    report=_force,
+)  # fmt: skip
+MECHANISMS = (CLAMP_SLIP,)

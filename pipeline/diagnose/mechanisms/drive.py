@@ -1,0 +1,185 @@
+"""Mechanisms of the drive: lag and slew of the amplifier, offset of the voltage, leakage through the film."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.effects import Effect, View, Wave
+from pipeline.diagnose.mechanisms.mechanism import AMPLIFIER, BENT, SHAPE, Context, Mechanism, Parameter, Values
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_ROUNDS = 4
+_FIELD_POWER = 4.0
+"""Exponent of the part of the current that the field drives; which power hardly shows beside an ohmic part."""
+
+
+def _lagged(wave: Float, interval_s: float, rise_s: float, fall_s: float, slew: float) -> Float:
+    """One period (S, W) behind a first-order lag of different time constants for rise and fall, and a slew limit.
+
+    The mean lag is exact in the spectrum; the difference of the two and the limit act on the rate, found in a few rounds.
+    """
+    mean, half = (rise_s + fall_s) / 2, (rise_s - fall_s) / 2
+    spectrum = np.fft.rfft(wave, axis=1)
+    s = 2j * np.pi * np.fft.rfftfreq(wave.shape[1], interval_s)
+    size = np.sign(wave)
+    follow = np.fft.irfft(spectrum / (1 + s * mean), wave.shape[1], axis=1)
+    for _ in range(_ROUNDS):
+        rate = np.fft.irfft(np.fft.rfft(follow, axis=1) * s, wave.shape[1], axis=1)
+        push = half * np.abs(rate) * np.where(size >= 0, 1.0, -1.0)
+        if np.isfinite(slew):
+            # Beyond the limit the rate costs more voltage: a stiffer lag there.
+            push = push + mean * np.sign(rate) * np.maximum(np.abs(rate) - slew, 0.0)
+        new = np.fft.irfft(np.fft.rfft(wave - push, axis=1) / (1 + s * mean), wave.shape[1], axis=1)
+        follow = 0.5 * (follow + new)
+    return np.asarray(follow)
+
+
+def _lag(values: Values, variant: str) -> Effect:
+    rise = values["rise_time_constant_s"]
+    if rise == 0:
+        return Effect()
+    fall, slew = rise * values["fall_ratio"], values["limit_kv"] / rise
+
+    def wave(given: Wave) -> Wave:
+        if given.interval_s is None:
+            return given
+        return replace(given, film_kv=_lagged(given.film_kv, given.interval_s, rise, fall, slew))
+
+    def constant(view: View, side: float) -> Float:
+        # A step that the slew limits takes V/S longer.
+        return np.asarray((rise if side > 0 else fall) + 0.5 * view.voltage_kv / slew)
+
+    def edge(view: View, side: float) -> Complex:
+        return np.asarray(1 / (1 + 2j * np.pi * view.frequency_hz * constant(view, side)))
+
+    def squared_edge(view: View, side: float) -> Complex:
+        # (1 − e^{−t/τ})² after the rise, e^{−2t/τ} after the fall.
+        s = 2j * np.pi * view.frequency_hz * constant(view, side)
+        return np.asarray(2 / ((1 + s) * (2 + s)) if side > 0 else 1 / (1 + s / 2))
+
+    if variant == "hidden from the monitor":
+        return Effect(film_voltage=(wave,), film_edges=(squared_edge,))
+    return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
+
+
+def _lag_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    rise = values["rise_time_constant_s"]
+    return {
+        "rise_time_constant_s": rise,
+        "fall_time_constant_s": rise * values["fall_ratio"],
+        "slew_kv_per_s": values["limit_kv"] / rise if rise else float("inf"),
+    }
+
+
+def _offset(values: Values, variant: str) -> Effect:
+    kv = values["offset_kv"]
+
+    def shift(wave: Wave) -> Wave:
+        return replace(wave, film_kv=wave.film_kv + kv)
+
+    def rectify(wave: Wave) -> Wave:
+        size = np.maximum(np.abs(wave.film_kv) - kv, 0.0) if kv > 0 else np.abs(wave.film_kv) - kv * (wave.film_kv != 0)
+        return replace(wave, film_kv=np.sign(wave.film_kv) * size)
+
+    return Effect(film_voltage=(shift if variant == "offset" else rectify,))
+
+
+def _leak(values: Values, variant: str) -> Effect:
+    droop, build, ohmic, at_once = (values[name] for name in ("droop", "build_up_s", "ohmic", "at_once"))
+
+    def conductance(kv: Float, largest: float) -> Float:
+        return np.asarray(ohmic + (1 - ohmic) * (np.abs(kv) / max(largest, 1e-9)) ** (_FIELD_POWER - 1))
+
+    def edge(view: View, side: float) -> Complex | Float:
+        sag = droop * conductance(view.voltage_kv, view.scale.voltage_kv)
+        if side < 0:
+            # The current ends with the voltage.
+            return np.asarray(1 - sag)
+        return np.asarray(1 - sag * (at_once + (1 - at_once) / (1 + 2j * np.pi * view.frequency_hz * build)))
+
+    def wave(given: Wave) -> Wave:
+        # What builds up follows the voltage slowly: its mean over the period.
+        mean = np.abs(given.film_kv).mean(axis=1, keepdims=True) / max(given.scale.voltage_kv, 1e-9)
+        built = at_once + (1 - at_once) * np.minimum(mean, 1.0)
+        sag = droop * conductance(given.film_kv, given.scale.voltage_kv) * built
+        return replace(given, film_kv=given.film_kv * (1 - sag))
+
+    return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
+
+
+DRIVE_LAG = Mechanism(
+    id="drive_lag",
+    stage="drive",
+    equation="τ_r V̇ = u − V while it rises, τ_d while it falls, |V̇| ≤ S",
+    source="converter that charges and resistor that discharges the film (thesis, section 3.3)",
+    parameters=(
+        Parameter("rise_time_constant_s", "s", "time constant of the rise", 3e-4, 1e-2),
+        Parameter("fall_ratio", "1", "time constant of the fall over that of the rise", 0.5, 10.0, SHAPE),
+        Parameter(
+            "limit_kv",
+            "kV",
+            "lag of the voltage at which the rate is limited: S times τ_r",
+            0.2,
+            50.0,
+            SHAPE,
+            least=0.01,
+        ),
+    ),
+    shows=AMPLIFIER | BENT,
+    confusable={
+        "frequency_dependent_permittivity": "the measured voltage against the command",
+        "sensor_delay": "a lag lowers the magnitude too",
+    },
+    effect=_lag,
+    report=_lag_report,
+    variants=("monitored", "hidden from the monitor"),
+)
+
+DRIVE_OFFSET = Mechanism(
+    id="drive_offset",
+    stage="drive",
+    equation="(V + V0)² acts, or a rectified voltage with a dead zone V0",
+    source="offset of the amplifier or charge trapped in the film; Maxwell stress ε E²",
+    parameters=(Parameter("offset_kv", "kV", "V0", 0.02, 0.5, signed=True, least=-5.0),),
+    shows=BENT,
+    confusable={
+        "field_dependent_permittivity": "the effect of an offset falls as 1/V and changes with the polarity; that one grows as V²"
+    },
+    effect=_offset,
+    variants=("offset", "rectified"),
+)
+
+LEAKAGE = Mechanism(
+    id="leakage",
+    stage="drive",
+    equation="V (1 − d (q + (1 − q) (V/V_max)³)): current V/R + a V⁴, which builds up, through a series resistance",
+    source="current of polymers at high fields",
+    parameters=(
+        Parameter("droop", "1", "sag at the largest voltage", 0.01, 0.2, most=0.9),
+        Parameter("build_up_s", "s", "time in which the sag builds up", 0.1, 10.0, SHAPE),
+        Parameter(
+            "ohmic",
+            "1",
+            "share of the current at the largest voltage that is ohmic",
+            0.0,
+            1.0,
+            SHAPE,
+            log=False,
+            most=1.0,
+        ),
+        Parameter("at_once", "1", "share of the current that needs no time", 0.0, 1.0, SHAPE, log=False, most=1.0),
+    ),
+    shows=AMPLIFIER,
+    confusable={
+        "field_dependent_permittivity": "the measured voltage tells",
+        "wrinkling": "the measured voltage tells",
+    },
+    effect=_leak,
+)
+MECHANISMS = (DRIVE_LAG, DRIVE_OFFSET, LEAKAGE)

@@ -1,0 +1,223 @@
+"""Mechanisms of the film that depend on its strain: softening with and without memory, stiffening, slack."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose import features
+from pipeline.diagnose.effects import Course, Effect, Film, View
+from pipeline.diagnose.mechanisms.mechanism import (
+    CYCLES,
+    ELECTRICAL,
+    MECHANICAL,
+    MULTISINE_FORCE,
+    RAMPS,
+    SHAPE,
+    SWEEPS,
+    Context,
+    Mechanism,
+    Parameter,
+    Values,
+)
+
+Float = NDArray[np.float64]
+
+_BENT = SWEEPS | CYCLES | RAMPS | MULTISINE_FORCE | {features.STEP_FORCE}
+
+
+def _amplitude(course: Course) -> Float:
+    """Strain amplitude: half the swing of a period, half the strain on the way along a course."""
+    if course.periodic:
+        return np.asarray((course.strain.max(axis=-1, keepdims=True) - course.strain.min(axis=-1, keepdims=True)) / 2)
+    return np.maximum.accumulate(np.abs(course.strain), axis=-1) / 2
+
+
+def _soft(values: Values, variant: str) -> Effect:
+    drop, scale, exponent = values["drop"], values["strain_scale"], values["exponent"]
+    at_once = 1.0 if variant == "instant" else values["at_once"]
+
+    def loss(relative: Float) -> Float:
+        power = np.maximum(relative, 0.0) ** exponent
+        half = scale**exponent
+        return np.asarray(drop * power * (1 + half) / (power + half))
+
+    def softer(course: Course) -> Float:
+        largest = max(course.scale.strain, 1e-12)
+        amplitude = _amplitude(course) / largest
+        if course.periodic and at_once > 0:
+            strain = (course.strain - course.strain.mean(axis=-1, keepdims=True)) / largest
+            # The mean square of a cosine is half that of its amplitude: on average nothing is gained.
+            amplitude = np.sqrt((1 - at_once) * amplitude**2 + 2 * at_once * strain**2)
+        return np.asarray(course.tension * (1 - loss(amplitude)))
+
+    return Effect(tension=(softer,)) if drop else Effect()
+
+
+def _soft_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    return {
+        "drop": values["drop"],
+        "strain_scale": values["strain_scale"] * context.scale.strain,
+        "exponent": values["exponent"],
+        "at_once": 1.0 if variant == "instant" else values["at_once"],
+    }
+
+
+def _damage(values: Values, variant: str) -> Effect:
+    loss, cycles, scale = values["loss"], values["cycles"], values["strain_scale"]
+
+    def target(strain: Float, largest: float) -> Float:
+        return np.asarray(loss * np.expm1(-strain / (scale * largest)) / np.expm1(-1 / scale))
+
+    def damaged(film: Film, view: View) -> Film:
+        largest = max(view.scale.strain, 1e-12)
+        before, after = target(view.strain_before, largest), target(view.largest_strain, largest)
+        return Film(film.k * (1 - after - (before - after) * np.exp(-view.elapsed / cycles)), film.share)
+
+    return Effect(film=(damaged,)) if loss else Effect()
+
+
+def _damage_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    return {
+        "loss": values["loss"],
+        "cycles": values["cycles"],
+        "strain_scale": values["strain_scale"] * context.scale.strain,
+    }
+
+
+def _stiff(values: Values, variant: str) -> Effect:
+    rise, uneven = values["stiffening"], values["asymmetry"]
+
+    def stiffer(course: Course) -> Float:
+        largest = max(course.scale.strain, 1e-12) * (1 if course.periodic else 2)
+        relative = course.strain / largest
+        # A strain measure under all springs (quasi-linear viscoelasticity): what it adds relaxes as strain does.
+        added = course.strain * rise * (uneven * relative / 2 + (1 - uneven) * relative**2 / 3)
+        return np.asarray(course.tension + course.carried(added))
+
+    return Effect(tension=(stiffer,)) if rise else Effect()
+
+
+def _slack(values: Values, variant: str) -> Effect:
+    overload, residual, softness = values["overload"], values["residual"], values["softness"]
+    if overload <= 0:
+        return Effect()
+
+    def buckles(course: Course) -> Float:
+        floor = -course.largest_fall_n / (1 + overload)
+        if course.tension.min() >= floor:
+            return course.tension
+        width = softness * course.largest_fall_n / (1 + overload)
+        below = np.minimum((course.tension - floor) / width, 0.0)
+        soft = residual * width * below + (1 - residual) * width * np.expm1(below)
+        return np.asarray(np.where(course.tension < floor, floor + soft, course.tension))
+
+    return Effect(tension=(buckles,))
+
+
+def _slack_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    onset = context.loads.fall_n / (1 + values["overload"])
+    rest = context.rest_force_n
+    return {
+        "onset": onset / rest if rest > 0 else float("nan"),
+        "onset_n": onset,
+        "residual": values["residual"],
+    }
+
+
+AMPLITUDE_SOFTENING = Mechanism(
+    id="amplitude_softening",
+    stage="film",
+    equation="k (1 − d h(A/A_max)), h(x) = x^p (1 + x_c^p)/(x^p + x_c^p); A the running strain amplitude, or the strain itself",
+    source="Payne effect in the form of Kraus 1984",
+    parameters=(
+        Parameter("drop", "1", "loss at the session's largest amplitude", 0.005, 0.3, most=0.95),
+        Parameter("strain_scale", "1", "amplitude of half the effect over the largest", 0.1, 3.0, SHAPE),
+        Parameter("exponent", "1", "p", 0.6, 3.0, SHAPE, least=0.2, most=6.0),
+        Parameter(
+            "at_once",
+            "1",
+            "share of the squared amplitude that is the strain of the moment",
+            0.0,
+            0.2,
+            SHAPE,
+            log=False,
+            most=1.0,
+        ),
+    ),
+    shows=_BENT,
+    faint=("sphs", "step"),
+    confusable={
+        "cyclic_softening": "it recovers: repeat the small strain after the large one",
+        "slack": "slack is one-sided: even harmonics",
+        "strain_stiffening": "the sign",
+        "clamp_slip": "there the phase rises and a threshold shows",
+    },
+    effect=_soft,
+    variants=("running", "instant"),
+    report=_soft_report,
+)
+
+CYCLIC_SOFTENING = Mechanism(
+    id="cyclic_softening",
+    stage="film",
+    equation="k (1 − D), D → d (1 − e^{−A_max/a}) as 1 − e^{−n/n0}, A_max the largest strain so far",
+    source="Mullins effect with a damage variable, Ogden and Roxburgh 1999",
+    parameters=(
+        Parameter("loss", "1", "loss after the session's largest strain", 0.005, 0.25, most=0.95),
+        Parameter("cycles", "1", "n0", 0.5, 30.0, SHAPE),
+        Parameter("strain_scale", "1", "a over the session's largest strain", 0.1, 3.0, SHAPE),
+    ),
+    shows=MECHANICAL | ELECTRICAL,
+    faint=("sphs", "step"),
+    confusable={
+        "amplitude_softening": "that is reversible: the order of the strains",
+        "baseline_drift": "that goes on at rest",
+        "thermal_softening": "that follows time, not strain: repeat the first sweep in the end",
+    },
+    effect=_damage,
+    report=_damage_report,
+)
+
+SLACK = Mechanism(
+    id="slack",
+    stage="film",
+    equation="tension below a floor follows a soft branch: T → floor + residual k e",
+    source="buckling of a film that loses its pre-stretch",
+    parameters=(
+        Parameter("overload", "1", "largest fall of the tension over the fall at which the film is slack, less 1", 0.02, 2.0),
+        Parameter("residual", "1", "stiffness that is left", 0.0, 0.2, SHAPE, log=False, most=0.9),
+        Parameter("softness", "1", "width of the bend over the floor", 0.01, 0.3, SHAPE),
+    ),
+    shows=_BENT,
+    faint=("sphs", "step"),
+    confusable={
+        "strain_stiffening": "slack is one-sided: the sign of the even harmonic",
+        "amplitude_softening": "even harmonics and an onset",
+        "sensor_saturation": "the level against the range",
+    },
+    effect=_slack,
+    onset=True,
+    report=_slack_report,
+)  # fmt: skip
+
+STRAIN_STIFFENING = Mechanism(
+    id="strain_stiffening",
+    stage="film",
+    equation="k acts on e (1 + S (q x/2 + (1 − q) x²/3)), x strain e over the largest: the tangent rises by S there",
+    source="second-order expansion of Gent and Ogden laws about the pre-stretch; quasi-linear viscoelasticity, Fung 1972",
+    parameters=(
+        Parameter("stiffening", "1", "rise of the tangent at the largest strain", 0.005, 0.6, signed=True, least=-0.9),
+        Parameter("asymmetry", "1", "share q that changes with the sign of the strain", 0.0, 1.0, SHAPE, log=False, most=1.0),
+    ),
+    shows=_BENT,
+    faint=("sphs", "step"),
+    confusable={
+        "amplitude_softening": "the sign, and harmonics",
+        "slack": "slack has an onset and one side only",
+    },
+    effect=_stiff,
+)  # fmt: skip
+MECHANISMS = (AMPLITUDE_SOFTENING, CYCLIC_SOFTENING, SLACK, STRAIN_STIFFENING)

@@ -1,0 +1,150 @@
+"""Mechanisms of the film that depend on frequency or time, not on amplitude: arms, power law, warming, a strip in series."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.effects import Effect, Film, View
+from pipeline.diagnose.mechanisms.mechanism import (
+    ELECTRICAL,
+    MECHANICAL,
+    SHAPE,
+    Context,
+    Mechanism,
+    Parameter,
+    Values,
+)
+
+Complex = NDArray[np.complex128]
+
+_LOWEST_HZ = 1e-6
+
+
+def _arm(values: Values, variant: str) -> Effect:
+    ratio, tau, spread = values["stiffness_ratio"], values["time_constant_s"], values["spread"]
+
+    def more(film: Film, view: View) -> Film:
+        z = (2j * np.pi * np.maximum(view.frequency_hz, _LOWEST_HZ) * tau) ** spread
+        return Film(film.k + ratio * view.k0 * z / (1 + z), film.share)
+
+    return Effect(film=(more,)) if ratio else Effect()
+
+
+def _power(values: Values, variant: str) -> Effect:
+    ratio, exponent = values["stiffness_ratio"], values["exponent"]
+
+    def more(film: Film, view: View) -> Film:
+        z = (2j * np.pi * np.maximum(view.frequency_hz, _LOWEST_HZ)) ** exponent
+        return Film(film.k + ratio * view.k0 * z, film.share)
+
+    return Effect(film=(more,)) if ratio else Effect()
+
+
+def _warm(values: Values, variant: str) -> Effect:
+    per_kelvin, rise, tau = values["per_kelvin"], values["rise_k"], values["time_constant_s"]
+
+    def softer(film: Film, view: View) -> Film:
+        supposed = rise * -np.expm1(-view.session_s / tau)
+        warming = np.where(np.isfinite(view.temperature_k), view.temperature_k, supposed)
+        return Film(film.k * np.exp(-per_kelvin * warming), film.share)
+
+    return Effect(film=(softer,)) if per_kelvin else Effect()
+
+
+def _strip(values: Values, variant: str) -> Effect:
+    compliant, tau, relaxing = values["compliance_share"], values["time_constant_s"], values["relaxing"]
+    if compliant == 0:
+        return Effect()
+
+    def in_series(film: Film, view: View) -> Film:
+        s = 2j * np.pi * view.frequency_hz * tau
+        passive = view.k0 * (1 - compliant) / compliant * (1 + relaxing * s / (1 + s))
+        share = passive / (film.k + passive)
+        return Film(film.k * share, film.share * share)
+
+    return Effect(film=(in_series,))
+
+
+def _ratio(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    return {
+        "ratio": 1 - values["compliance_share"],
+        "time_constant_s": values["time_constant_s"],
+        "relaxing": values["relaxing"],
+    }
+
+
+MISSING_RELAXATION = Mechanism(
+    id="missing_relaxation",
+    stage="film",
+    equation="k + k_x (jωτ)^β/(1 + (jωτ)^β): an arm that the model lacks, stretched where β < 1",
+    source="generalised Maxwell model (thesis, eq 4.1); Cole and Cole 1941 for β < 1",
+    parameters=(
+        Parameter("stiffness_ratio", "1", "k_x over k0", 0.01, 0.6),
+        Parameter("time_constant_s", "s", "τ", 1e-3, 30.0, SHAPE),
+        Parameter("spread", "1", "β", 0.4, 1.0, SHAPE, log=False, least=0.2, most=1.0),
+    ),
+    shows=MECHANICAL | ELECTRICAL,
+    faint=("sphs",),
+    confusable={
+        "power_law_relaxation": "its slope goes on over more than two decades: a decade below 0.1 Hz",
+        "passive_strip": "only a strip changes H against its prediction from k",
+        "sensor_delay": "a delay is no relaxation: test of positivity, electrical tests",
+    },
+    effect=_arm,
+)
+
+POWER_LAW_RELAXATION = Mechanism(
+    id="power_law_relaxation",
+    stage="film",
+    equation="k + K (jω · 1 s)^α",
+    source="fractional (spring-pot) element, Nutting 1921",
+    parameters=(
+        Parameter("stiffness_ratio", "1", "K over k0", 0.02, 0.6),
+        Parameter("exponent", "1", "α", 0.1, 0.5, SHAPE, log=False, least=0.02, most=0.95),
+    ),
+    shows=MECHANICAL | ELECTRICAL,
+    faint=("sphs",),
+    confusable={"missing_relaxation": "one slow arm bends within two decades: a decade below 0.1 Hz"},
+    effect=_power,
+)
+
+THERMAL_SOFTENING = Mechanism(
+    id="thermal_softening",
+    stage="film",
+    equation="k e^{−β ΔT}, ΔT measured, or first order in the session's time",
+    source="thermal softening of elastomers, first order in the temperature",
+    parameters=(
+        Parameter("per_kelvin", "1/K", "β", 0.001, 0.03, signed=True, least=-0.2, most=0.2),
+        Parameter("rise_k", "K", "warming in the end where no temperature was recorded; only β × rise is known then", 5.0, 5.0, SHAPE, least=5.0, most=5.0),
+        Parameter("time_constant_s", "s", "time constant of the warming", 100.0, 3000.0, SHAPE),
+    ),
+    shows=MECHANICAL | ELECTRICAL,
+    faint=("sphs", "step"),
+    confusable={
+        "cyclic_softening": "rest recovers it, strain does not matter: repeat the first sweep in the end, or record temperature",
+        "gain_error": "a gain is constant in time",
+        "baseline_drift": "a drift shifts the level and leaves the response",
+    },
+    effect=_warm,
+)  # fmt: skip
+
+PASSIVE_STRIP = Mechanism(
+    id="passive_strip",
+    stage="film",
+    equation="k k_P/(k + k_P), F_A k_P/(k + k_P), k_P = k_P0 (1 + r jωτ/(1 + jωτ))",
+    source="two films in series (thesis, section 5.2)",
+    parameters=(
+        Parameter("compliance_share", "1", "1 − k_P/(k0 + k_P): share of the compliance that is the strip's", 0.02, 0.8, most=0.98),
+        Parameter("time_constant_s", "s", "relaxation time of the strip", 0.01, 10.0, SHAPE),
+        Parameter("relaxing", "1", "spring of its arm over its k_P0", 0.3, 4.0, SHAPE),
+    ),
+    shows=MECHANICAL | ELECTRICAL,
+    confusable={"missing_relaxation": "only a strip changes H against its prediction from k"},
+    effect=_strip,
+    softening=lambda values: 1 - values["compliance_share"],
+    report=_ratio,
+)  # fmt: skip
+MECHANISMS = (MISSING_RELAXATION, POWER_LAW_RELAXATION, THERMAL_SOFTENING, PASSIVE_STRIP)

@@ -1,0 +1,122 @@
+"""What a mechanism is: its equation, its parameters, where it acts, and the effect that a simulation composes.
+
+    command → [drive] → V → [actuation] → F_A → [film] → T → [contact] → [rig] → F, x → [sensor] → [drift] → recorded
+
+Belongs here: the types. One object per mechanism stands in the file of its family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from pipeline.diagnose import features
+from pipeline.diagnose.describing import Loads
+from pipeline.diagnose.effects import Effect, Scale
+
+STAGES = ("drive", "actuation", "film", "contact", "rig", "sensor", "drift")
+SEVERITY, SHAPE = "severity", "shape"
+Values = Mapping[str, float]
+
+SWEEPS = frozenset({features.CHIRP_RESPONSE, features.CHIRP_HARMONIC, features.CHIRP_LEVEL})
+CYCLES = frozenset({features.CYCLIC_RESPONSE, features.CYCLIC_HARMONIC, features.CYCLIC_LEVEL})
+RAMPS = frozenset({features.RELAXATION_FORCE, features.CYCLE_FORCE})
+MECHANICAL = SWEEPS | CYCLES | RAMPS | {features.CYCLIC_CAPACITANCE}
+MULTISINE_FORCE = frozenset({features.SPHS_RESPONSE, features.SPHS_DETECTION})
+STEP_SENSED = frozenset({features.STEP_FORCE, features.STEP_CAPACITANCE})
+ELECTRICAL = STEP_SENSED | {features.SPHS_RESPONSE, features.SPHS_CAPACITANCE}
+"""Kinds that follow H; with the lines that a linear film leaves empty: `BENT`."""
+BENT = ELECTRICAL | MULTISINE_FORCE
+AMPLIFIER = frozenset({features.SPHS_VOLTAGE, features.STEP_VOLTAGE})
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a mechanism.
+
+    `low` to `high` is the plausible range of its size (no limit), `least` and `most` are hard limits. The effect vanishes
+    where all severities are 0; a shape has no effect by itself. `log`: searched and believed uniform in the logarithm of its
+    size. `signed`: both signs are possible. `start` is where a search begins.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    role: str = SEVERITY
+    log: bool = True
+    signed: bool = False
+    least: float = 0.0
+    most: float = float("inf")
+
+    @property
+    def start(self) -> float:
+        return (self.low * self.high) ** 0.5 if self.log else (self.low + self.high) / 2
+
+
+@dataclass(frozen=True)
+class Context:
+    """What severities are relative to: the session's scale, its loads without mechanisms, rest force N (NaN unknown)."""
+
+    scale: Scale
+    loads: Loads
+    rest_force_n: float
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """A way in which the simulation can be wrong.
+
+    Parameters
+    ----------
+    id : name in the contract
+    stage : one of STAGES
+    equation : what it does, as a formula in words that a report can show
+    source : where the equation comes from
+    parameters : severities first, then shapes
+    shows : kinds of features that can show it; in all others the effect is exactly absent
+    faint : protocols of those in which it is too small to count on (the resonance is far above, the strain is tiny)
+    confusable : other mechanism → what separates the two
+    effect : parameters by name, variant → what it changes in the simulation
+    variants : forms of the mechanism that are tried one by one; the first is the usual one
+    onset : its severity is (largest load)/(onset) − 1, and its first derivative vanishes there: a score at 0 does not see it
+    softening : parameters → share of the film's static stiffness that stays; a fit starts with a film stiffer by its inverse
+    report : parameters, context → the keys of the contract; None: the parameters are those keys
+    """
+
+    id: str
+    stage: str
+    equation: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    shows: frozenset[str]
+    confusable: Mapping[str, str]
+    effect: Callable[[Values, str], Effect]
+    faint: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ("",)
+    onset: bool = False
+    softening: Callable[[Values], float] | None = field(default=None)
+    report: Callable[[Values, str, Context], Mapping[str, float | str]] | None = field(default=None)
+
+    @property
+    def severities(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.role == SEVERITY)
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.role == SHAPE)
+
+    def parameter(self, name: str) -> Parameter:
+        return next(p for p in self.parameters if p.name == name)
+
+    def starting(self, **given: float) -> dict[str, float]:
+        """All parameters: those given, shapes and further severities at their start."""
+        return {p.name: given.get(p.name, p.start) for p in self.parameters}
+
+    def reported(self, values: Values, variant: str, context: Context) -> dict[str, float | str]:
+        """Severity as the contract names it, with the variant where there are several."""
+        found: dict[str, float | str] = (
+            dict(values) if self.report is None else dict(self.report(values, variant, context))
+        )
+        return found

@@ -1,0 +1,115 @@
+"""Mechanisms of the rig: constants of clamp and load cell, and damping beyond them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose import features
+from pipeline.diagnose.effects import Effect, Rig, View
+from pipeline.diagnose.mechanisms.mechanism import (
+    ELECTRICAL,
+    MECHANICAL,
+    SHAPE,
+    Mechanism,
+    Parameter,
+    Values,
+)
+
+Complex = NDArray[np.complex128]
+
+_ROUNDS = 12
+
+
+def _constants(values: Values, variant: str) -> Effect:
+    def change(rig: Rig) -> Rig:
+        return replace(
+            rig,
+            mass=rig.mass * (1 + values["mass_error"]),
+            compliance=rig.compliance / (1 + values["stiffness_error"]),
+        )
+
+    return Effect(rig=(change,))
+
+
+def _damping(values: Values, variant: str) -> Effect:
+    ratio = values["damping_ratio"]
+
+    def more(rig: Rig) -> Rig:
+        critical = 2 * np.sqrt(rig.mass / np.maximum(rig.compliance, 1e-300))
+        return replace(rig, damping=rig.damping + ratio * critical)
+
+    def dragged(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
+        # Linear damping that takes as much work from a sinusoid; the motion that it brakes is found with it.
+        omega = 2 * np.pi * view.frequency_hz
+        critical = 2 * np.sqrt(rig.mass * rig.compliance)
+        with np.errstate(divide="ignore"):
+            alone = np.where(rig.mass > 0, 1 / np.sqrt(np.maximum(rig.mass * rig.compliance, 1e-300)), np.inf)
+        reference = max(view.scale.strain, 1e-12) * alone
+        # The film's strain moves the clamp by k/kL of the whole: x′ = x0 (k/kL)/(own + k/kL).
+        total = own
+        pulled = view.strain * omega * np.abs(k * rig.compliance)
+        for _ in range(_ROUNDS):
+            speed = pulled / np.maximum(np.abs(total + k * rig.compliance), 1e-9) / reference
+            braked = own + 1j * omega * ratio * critical * speed ** values["growth"]
+            total = 0.5 * (total + braked)
+        return np.asarray(braked)
+
+    def second(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
+        # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp.
+        with np.errstate(divide="ignore"):
+            alone = np.where(rig.mass > 0, 1 / np.sqrt(np.maximum(rig.mass * rig.compliance, 1e-300)), np.inf)
+        omega = 2 * np.pi * view.frequency_hz
+        r = omega / (values["tuning"] * alone)
+        spring = 1 + 2j * ratio * r
+        return np.asarray(own - rig.compliance * rig.mass * 4 * ratio**2 * omega**2 * spring / (spring - r**2))
+
+    if variant == "damper":
+        return Effect(rig=(more,))
+    return Effect(clamp=(dragged if variant == "drag" else second,))
+
+
+RIG_CONSTANTS = Mechanism(
+    id="rig_constants",
+    stage="rig",
+    equation="M (1 + δM), kL (1 + δL) in G and H",
+    source="M ẍ′ = T − kL x′ − cL ẋ′, F = kL x′ (thesis, eq 4.16, sign of the inertia corrected)",
+    parameters=(
+        Parameter("mass_error", "1", "true mass over that of the rig file, less 1", 0.01, 0.2, signed=True, least=-0.8),
+        Parameter(
+            "stiffness_error", "1", "true load-cell stiffness over that of the file, less 1", 0.01, 0.2,
+            signed=True, least=-0.8,
+        ),
+    ),
+    shows=MECHANICAL | ELECTRICAL | {features.TAP_RING},
+    faint=("step", "cyclic", "relaxation", "cycle"),
+    confusable={
+        "missing_relaxation": "the error of the rig changes its sign at the clamp's frequency, an arm's does not",
+        "load_cell_damping": "magnitude beside the resonance against phase within it",
+    },
+    effect=_constants,
+)  # fmt: skip
+
+LOAD_CELL_DAMPING = Mechanism(
+    id="load_cell_damping",
+    stage="rig",
+    equation="cL + 2ζ√(kL M), or 2ζ√(kL M) (v/v0)^p with the clamp's speed v, or a small damped mass on the clamp",
+    source="the same equation of motion; equivalent linear damping and second mass: Den Hartog, Mechanical Vibrations, "
+    "sections 8.7 and 3.3",
+    parameters=(
+        Parameter("damping_ratio", "1", "damping ratio that is missing", 0.002, 0.03, most=0.5),
+        Parameter("tuning", "1", "frequency of the second mass over that of the clamp", 0.85, 1.2, SHAPE, least=0.3),
+        Parameter(
+            "growth", "1", "exponent p of the damping over the speed; v0: the driven end at the largest strain and the "
+            "clamp's own frequency", 0.1, 1.5, SHAPE, least=0.0, most=3.0,
+        ),
+    ),
+    shows=MECHANICAL | ELECTRICAL | {features.TAP_RING},
+    faint=("step", "cyclic", "relaxation", "cycle"),
+    confusable={"rig_constants": "phase within the resonance against magnitude beside it"},
+    effect=_damping,
+    variants=("damper", "drag", "second_mode"),
+)  # fmt: skip
+MECHANISMS = (RIG_CONSTANTS, LOAD_CELL_DAMPING)

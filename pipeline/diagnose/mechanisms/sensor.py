@@ -1,0 +1,150 @@
+"""Mechanisms of the sensors: delay, gain, mains and clipping of a channel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose import features
+from pipeline.diagnose.effects import Effect, Factor, Reading, View
+from pipeline.diagnose.mechanisms.mechanism import (
+    AMPLIFIER,
+    CYCLES,
+    ELECTRICAL,
+    MECHANICAL,
+    RAMPS,
+    SHAPE,
+    STEP_SENSED,
+    SWEEPS,
+    Context,
+    Mechanism,
+    Parameter,
+    Values,
+)
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_CHANNELS = ("force", "displacement", "voltage", "capacitance")
+
+
+def _on(channel: str, factor: Factor) -> Effect:
+    if channel == "force":
+        return Effect(force=(factor,))
+    if channel == "displacement":
+        return Effect(displacement=(factor,))
+    if channel == "voltage":
+        return Effect(voltage=(factor,))
+    return Effect(capacitance=(factor,))
+
+
+def _delay(values: Values, variant: str) -> Effect:
+    channel, form = variant.split(", ")
+    delay = values["delay_s"]
+
+    def factor(view: View) -> Complex:
+        s = 2j * np.pi * view.frequency_hz * delay
+        return np.asarray(np.exp(-s) if form == "shift" else 1 / (1 + s / 2) ** 2)
+
+    return _on(channel, factor)
+
+
+def _channel_of(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    return {**values, "channel": variant.split(", ")[0]}
+
+
+def _gain(values: Values, variant: str) -> Effect:
+    return _on(variant, lambda view: 1 + values["gain"])
+
+
+def _hum(values: Values, variant: str) -> Effect:
+    return Effect(hum_n=((values["amplitude_n"], values["second"] * values["amplitude_n"]),))
+
+
+def _saturation(values: Values, variant: str) -> Effect:
+    overload, softness = values["overload"], max(values["softness"], 1e-3)
+
+    def clip(reading: Reading) -> Float:
+        limit = reading.largest_n / (1 + overload)
+        width = softness * limit
+        beyond = np.maximum(np.abs(reading.force) - limit, 0.0)
+        bent = np.sign(reading.force) * (limit + width * np.tanh(beyond / width))
+        return np.asarray(np.where(beyond > 0, bent, reading.force))
+
+    return Effect(reading=(clip,)) if overload > 0 else Effect()
+
+
+def _limit(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    return {"limit_n": context.loads.reading_n / (1 + values["overload"]), "softness": values["softness"]}
+
+
+SENSOR_DELAY = Mechanism(
+    id="sensor_delay",
+    stage="sensor",
+    equation="e^{−jωΔ} on one channel, or two equal poles of that total delay",
+    source="linear phase of a delay; anti-alias filters",
+    parameters=(Parameter("delay_s", "s", "how much later the channel shows what happened", 1e-5, 2e-3),),
+    shows=MECHANICAL | ELECTRICAL,
+    faint=("cyclic", "relaxation", "cycle"),
+    confusable={
+        "drive_lag": "a lag lowers the magnitude, a delay does not",
+        "missing_relaxation": "a delayed force is no relaxation of any order; a delayed displacement shows in no electrical test",
+    },
+    effect=_delay,
+    variants=("force, two_pole", "force, shift", "displacement, two_pole", "displacement, shift"),
+    report=_channel_of,
+)
+
+GAIN_ERROR = Mechanism(
+    id="gain_error",
+    stage="sensor",
+    equation="one channel × (1 + g)",
+    source="calibration",
+    parameters=(Parameter("gain", "1", "recorded over true, less 1", 1e-3, 0.2, signed=True, least=-0.95),),
+    shows=MECHANICAL | ELECTRICAL | AMPLIFIER | {features.WEIGHT_GAIN},
+    confusable={
+        "thermal_softening": "a gain is constant in time",
+        "rig_constants": "a gain has no resonance; force against displacement is never decided by one rig's data",
+    },
+    effect=_gain,
+    variants=_CHANNELS,
+    report=_channel_of,
+)
+
+MAINS_HUM = Mechanism(
+    id="mains_hum",
+    stage="sensor",
+    equation="F + a sin(2π 50 Hz t + φ) + a₂ sin(2π 100 Hz t + φ₂), not locked to the drive",
+    source="mains pick-up",
+    parameters=(
+        Parameter("amplitude_n", "N", "amplitude at 50 Hz", 5e-4, 2e-2),
+        Parameter("second", "1", "amplitude at 100 Hz over that at 50 Hz", 0.05, 1.0, SHAPE),
+    ),
+    shows=frozenset({features.REST_HUM}),
+    confusable={"rig_constants": "mains are there with the drive off"},
+    effect=_hum,
+)
+
+SENSOR_SATURATION = Mechanism(
+    id="sensor_saturation",
+    stage="sensor",
+    equation="|F| bends to a ceiling beyond a limit",
+    source="range of the load cell and its amplifier",
+    parameters=(
+        Parameter("overload", "1", "largest force over the limit, less 1", 0.02, 1.0),
+        Parameter("softness", "1", "ceiling over the limit, less 1", 0.003, 0.1, SHAPE),
+    ),
+    shows=(SWEEPS | CYCLES | RAMPS | STEP_SENSED | {features.SPHS_RESPONSE, features.SPHS_DETECTION})
+    - {features.STEP_CAPACITANCE},
+    faint=("sphs", "step"),
+    confusable={
+        "slack": "the level of the clipping is that of the range, and both signs are cut",
+        "wrinkling": "no slow return",
+    },
+    effect=_saturation,
+    onset=True,
+    report=_limit,
+)
+MECHANISMS = (SENSOR_DELAY, GAIN_ERROR, MAINS_HUM, SENSOR_SATURATION)

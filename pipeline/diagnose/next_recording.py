@@ -1,0 +1,69 @@
+"""What to measure next: the recording in which two causes that fit alike would differ most.
+
+Were one cause true and the other fitted to all recordings, the new one included, Dᵀ (I + J C Jᵀ)⁻¹ D is what χ² would say against
+the fitted one; D is the difference of the two predictions in standard deviations, J the fitted cause's derivatives there, C its
+covariance from the recordings at hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.designs import Proposal, catalogue, imagined
+from pipeline.diagnose.extend import ExtendedFit
+from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.results import NextRecording
+from pipeline.diagnose.session import Session, make_session
+from pipeline.diagnose.solve import central
+from schemas.errors import NotIdentifiableError
+
+Float = NDArray[np.float64]
+
+_MODEL_ERROR = 0.15
+"""Share of a predicted difference that counts as noise: neither cause has exactly its form."""
+_ENOUGH = 9.2
+
+
+def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
+    """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
+    if not alternatives:
+        return None
+    session = final.of.session
+    physical = final.of.model.physical(final.theta)
+    best: tuple[float, Proposal] | None = None
+    for proposal in catalogue(session):
+        try:
+            new = imagined(session, physical, proposal)
+            later = make_session([*session.recordings, new])
+        except NotIdentifiableError:
+            continue
+        number = len(session.recordings)
+        part = later.part([p.recording == number for p in later.places])
+        separation = min(_separation(part, final, rival) for rival in alternatives)
+        if best is None or separation > best[0]:
+            best = separation, proposal
+    if best is None or best[0] < _ENOUGH:
+        return None
+    separation, proposal = best
+    rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
+    return NextRecording(proposal.design, f"{proposal.text}: tells {rivals} apart", separation)
+
+
+def _separation(part: Session, one: ExtendedFit, other: ExtendedFit) -> float:
+    simulation = Simulation(part, one.of.simulation)
+    weight = np.ones(part.size)
+    first, second = (replace(f.of, session=part, simulation=simulation, weight=weight) for f in (one, other))
+    difference = part.whiten(first.predict(one.x) - second.predict(other.x))
+    if not np.isfinite(difference).all():
+        return 0.0
+    difference = difference / np.sqrt(1 + _MODEL_ERROR**2 * difference**2)
+    found = []
+    for of, fit in ((first, one), (second, other)):
+        rows = central(of.data_residual, fit.x, *of.limits)
+        inside = np.eye(part.size) + rows @ fit.covariance @ rows.T
+        found.append(float(difference @ np.linalg.solve(inside, difference)))
+    return min(found)

@@ -1,0 +1,144 @@
+"""The simulation of a session: all its features from θ and what mechanisms add, in milliseconds.
+
+    command → drive → V → actuation → F_A → film → T → contact → rig → F, x → sensor → drift → recorded
+
+`Simulation` sorts the blocks of a session into families once; `predict` is then a few array operations per family. The
+responses of a family and what is not linear in it are in `predict_mechanical` and `predict_electrical`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.base import BaseModel, Physical
+from pipeline.diagnose.describing import Loads
+from pipeline.diagnose.effects import NONE, Effect
+from pipeline.diagnose.families import channel, rig_of, state_view
+from pipeline.diagnose.features import (
+    CYCLE_FORCE,
+    CYCLIC_CAPACITANCE,
+    RELAXATION_FORCE,
+    REST_HUM,
+    SPHS_CAPACITANCE,
+    SPHS_DETECTION,
+    SPHS_RESPONSE,
+    SPHS_VOLTAGE,
+    STEP_CAPACITANCE,
+    STEP_FORCE,
+    STEP_VOLTAGE,
+    TAP_RING,
+    WEIGHT_GAIN,
+)
+from pipeline.diagnose.features_rest import hum_score
+from pipeline.diagnose.mains import HUM_HZ
+from pipeline.diagnose.nodes import response_nodes
+from pipeline.diagnose.predict_capacitance import CapacitanceFamily
+from pipeline.diagnose.predict_electrical import CAPACITANCE, FORCE, VOLTAGE, MultisineFamily, StepFamily
+from pipeline.diagnose.predict_mechanical import CYCLIC, RAMP, SWEEP, MechanicalFamily
+from pipeline.diagnose.session import Place, Session
+from schemas.metadata import RigConstants
+
+Float = NDArray[np.float64]
+
+_STEPS = {STEP_FORCE: FORCE, STEP_CAPACITANCE: CAPACITANCE, STEP_VOLTAGE: VOLTAGE}
+_MULTISINES = (SPHS_RESPONSE, SPHS_DETECTION, SPHS_VOLTAGE, SPHS_CAPACITANCE)
+_DRIFT_SIGN = {STEP_FORCE: -1.0, STEP_CAPACITANCE: 0.0, STEP_VOLTAGE: 0.0}
+
+
+class Simulation:
+    """Predicts the features of a session. Built once per session (tens of milliseconds); `predict` does not change it."""
+
+    def __init__(self, session: Session, whole: Simulation | None = None) -> None:
+        """`whole`: the simulation of the session that this one is a part of; its loads are what onsets are measured against."""
+        self.session = session
+        self._whole = whole
+        groups: dict[tuple[object, ...], list[Place]] = {}
+        for p in session.places:
+            groups.setdefault((int(session.rig[p.recording]), *_family_key(p)), []).append(p)
+        self._families: list[MechanicalFamily | StepFamily | MultisineFamily | CapacitanceFamily] = []
+        for key, places in groups.items():
+            nodes = session.recordings[places[0].recording].nodes
+            if key[1:] == ("step", VOLTAGE):
+                nodes = response_nodes(RigConstants())
+            if key[1] in (SWEEP, CYCLIC, RAMP):
+                self._families.append(MechanicalFamily(session, places, nodes, str(key[1])))
+            elif key[1] == "step":
+                self._families.append(StepFamily(session, places, nodes, str(key[2])))
+            elif key[1] == "multisine":
+                self._families.append(MultisineFamily(session, places))
+            elif key[1] == CYCLIC_CAPACITANCE:
+                self._families.append(CapacitanceFamily(session, places, nodes, CYCLIC))
+        self._single = [p for p in session.places if p.block.kind in (REST_HUM, TAP_RING, WEIGHT_GAIN)]
+        self._known: tuple[Physical, Loads] | None = None
+        self._drifting = [(p, _drift(session, p)) for p in session.places if "drift_s" in p.block.support]
+
+    def predict(self, model: BaseModel, theta: Float, effect: Effect = NONE) -> Float:
+        """(N,) features of the session at θ with the effects of mechanisms."""
+        physical = model.physical(theta)
+        values = np.zeros(self.session.size)
+        loads = self.loads(physical) if effect.tension or effect.reading else None
+        for family in self._families:
+            values[family.rows] = family.predict(physical, effect, loads)
+        for place in self._single:
+            values[place.first : place.stop] = self._one(place, physical, effect)
+        for drift in effect.drift:
+            for place, (recording_s, session_s, weight, rest) in self._drifting:
+                values[place.first : place.stop] += weight @ drift(recording_s, session_s, rest)
+        return values
+
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the session as the plain film has them: what onsets are measured against."""
+        if self._whole is not None:
+            return self._whole.loads(physical)
+        if self._known is None or self._known[0] != physical:
+            found = [f.loads(physical) for f in self._families if isinstance(f, MechanicalFamily | StepFamily)]
+            total = Loads(
+                max((x.tension_n for x in found), default=0.0),
+                max((x.fall_n for x in found), default=0.0),
+                max((x.reading_n for x in found), default=0.0),
+            )
+            self._known = physical, total
+        return self._known[1]
+
+    def _one(self, place: Place, physical: Physical, effect: Effect) -> Float:
+        """Rest and calibrations."""
+        if place.block.kind == REST_HUM:
+            total = np.zeros(place.block.size)
+            for first, second in effect.hum_n:
+                amplitude = np.where(place.block.frequency_hz == HUM_HZ[0], first, second)
+                total = total + hum_score(amplitude, place.block.support["variance"])
+            return total
+        rig = rig_of(physical, int(self.session.rig[place.recording]), effect)
+        mass, compliance, damping, gain = (float(v[0, 0]) for v in (rig.mass, rig.compliance, rig.damping, rig.gain))
+        if place.block.kind == WEIGHT_GAIN:
+            still = state_view(self.session, np.array([place.state]), np.zeros((1, 1)), "weight")
+            return np.array([gain * float(np.real(np.ravel(channel(effect.force, still))[0]))])
+        if mass <= 0 or compliance <= 0:
+            return np.asarray(place.block.value)
+        omega = 1 / np.sqrt(mass * compliance)
+        return np.array([np.log(omega / (2 * np.pi)), damping * omega * compliance / 2])
+
+
+def _family_key(p: Place) -> tuple[object, ...]:
+    kind = p.block.kind
+    if kind in _STEPS:
+        return "step", _STEPS[kind]
+    if kind in _MULTISINES:
+        wave = p.block.support["wave"].size
+        return "multisine", kind, p.block.support["lines"].tobytes(), float(p.block.support["period_s"][0]), wave
+    if kind in (RELAXATION_FORCE, CYCLE_FORCE):
+        return (RAMP,)
+    if kind.startswith("chirp."):
+        return (SWEEP,)
+    if kind == CYCLIC_CAPACITANCE:
+        return (kind,)
+    return (CYCLIC,) if kind.startswith("cyclic.") else ("single", kind)
+
+
+def _drift(session: Session, p: Place) -> tuple[Float, Float, Float, float]:
+    """Times since the start of the recording and of the session, weights (n, q) with the feature's sign, rest force."""
+    time = p.block.support["drift_s"]
+    weight = p.block.support["drift_weight"].reshape(p.block.size, time.size) * _DRIFT_SIGN.get(p.block.kind, 1.0)
+    rest = float(np.nan_to_num(session.states.rest_force_n[p.state]))
+    return time, time + session.start_s[p.recording], weight, rest

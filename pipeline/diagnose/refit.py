@@ -1,0 +1,116 @@
+"""Nonlinear fits of mechanisms that a screen proposes, alone or on top of others, from several starts.
+
+Belongs here: how starts are made and which optimum is kept. What the optima mean is in `decide`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.extend import Chosen, ExtendedFit
+from pipeline.diagnose.screen import Score, Signatures
+
+Float = NDArray[np.float64]
+
+_ABSORBED = frozenset(
+    {
+        "passive_strip",
+        "missing_relaxation",
+        "power_law_relaxation",
+        "sensor_delay",
+        "rig_constants",
+        "load_cell_damping",
+        "gain_error",
+    }
+)
+"""Material and rig can take the place of these: they are restarted at several fixed severities."""
+_ROUGHLY, _THOROUGHLY = 6, 25
+_LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
+_FORMS = 2
+_CLOSE_FORM = 0.5
+_SMALL = 1e-3
+
+
+def proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
+    """Best mechanisms of a screen, each with its best forms."""
+    by_id: dict[str, list[Score]] = {}
+    for score in found:
+        forms = by_id.setdefault(score.chosen.id, [])
+        if len(forms) < _FORMS and (not forms or score.statistic > _CLOSE_FORM * forms[0].statistic):
+            forms.append(score)
+    return list(by_id.values())[:mechanisms]
+
+
+def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFit:
+    """The optimum with one mechanism more, from the screen's point and from others where the material can take its place.
+
+    Never worse than `base` but for the mechanism's priors: a start at a vanishing severity is among them.
+    """
+    of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
+    starts = [_scaled(score.chosen, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))]
+    if score.chosen.id in _ABSORBED:
+        starts += _levels(score, signatures)
+    best: ExtendedFit | None = None
+    for values in starts:
+        x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
+        far = score.chosen.id in _ABSORBED
+        if far:
+            # The material first: it must make room before the severity may move.
+            x = of.room(x, _ROUGHLY)
+        found = of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False)
+        if best is None or found.chi2 < best.chi2:
+            best = found
+    if best is None or not best.chi2 <= base.chi2:
+        faint = of.entries(base.theta, (*base.values, _scaled(score.chosen, score.values, _SMALL)))
+        again = of.fit(faint, most=_ROUGHLY, near=base, thorough=False)
+        best = again if best is None or not best.chi2 < again.chi2 else best
+    return best
+
+
+def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -> Float:
+    """θ with a film, and an actuation, that are stronger by what the mechanism takes at rest."""
+    softening = chosen.mechanism.softening
+    if softening is None:
+        return base.theta
+    model, theta = base.of.model, base.theta.copy()
+    more = -float(np.log(max(softening(values), 1e-3)))
+    theta[: 1 + model.arms] += more
+    actuation = model.index("log actuation")
+    if actuation is not None:
+        theta[actuation] += more
+    return theta
+
+
+def finished(fit: ExtendedFit) -> ExtendedFit:
+    """The same optimum, confirmed."""
+    return fit.of.fit(fit.x, most=_THOROUGHLY)
+
+
+def without(fit: ExtendedFit, number: int) -> ExtendedFit:
+    """The optimum without mechanism `number` of a fit."""
+    chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
+    values = tuple(v for i, v in enumerate(fit.values) if i != number)
+    of = replace(fit.of, chosen=chosen)
+    return of.fit(of.entries(fit.theta, values), most=_THOROUGHLY)
+
+
+def _scaled(chosen: Chosen, values: Mapping[str, float], share: float) -> dict[str, float]:
+    names = {p.name for p in chosen.mechanism.severities}
+    return {name: value * share if name in names else value for name, value in values.items()}
+
+
+def _levels(score: Score, signatures: Signatures) -> list[dict[str, float]]:
+    """Other points of the same mechanism and form: the best of each severity."""
+    best: dict[tuple[float, ...], tuple[float, Mapping[str, float]]] = {}
+    names = [p.name for p in score.chosen.mechanism.severities]
+    for c, values, along in zip(signatures.chosen, signatures.values, signatures.score, strict=True):
+        if c != score.chosen:
+            continue
+        key = tuple(values[n] for n in names)
+        if key not in best or along > best[key][0]:
+            best[key] = float(along), values
+    return [dict(values) for _, values in best.values() if dict(values) != dict(score.values)]

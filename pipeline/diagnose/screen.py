@@ -1,0 +1,193 @@
+"""Which mechanism could explain what a fitted simulation leaves: signatures over grids, and their null distribution.
+
+A signature is the change of all features when a mechanism is switched on at a severity, whitened, with everything taken off that
+the material, the rig and their priors can absorb. Secants at several severities stand for derivatives: onset effects have none.
+Under the null the scores along signatures are jointly normal, so that the distribution of the best of all of them, looked at
+everywhere, follows from the signatures alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit, effect_of_all
+from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
+
+Float = NDArray[np.float64]
+
+_LEVELS = 3
+"""Severities of a grid, over the plausible range."""
+_SHAPES = ((0.1, 0.5, 0.9), (0.2, 0.8), (0.5,))
+"""Places within the ranges of the first, second and third shape parameter."""
+_LEAST_VISIBLE = 0.05
+"""Length of a signature, in standard deviations of the noise, below which a mechanism leaves no trace."""
+_DRAWS = 20_000
+_SEED = 20_260
+_RANK = 1e-7
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Signatures at the points of all grids.
+
+    chosen (G,), values (G,) : mechanism, its form and its parameters at each point; invisible ones are left out
+    correlation : (G, G) of the signatures with everything taken off that can be absorbed
+    length : (G,) in standard deviations of the noise
+    score : (G,) of the fitted model's residual along them, standard normal each under the null
+    """
+
+    chosen: tuple[Chosen, ...]
+    values: tuple[Mapping[str, float], ...]
+    correlation: Float
+    length: Float
+    score: Float
+
+    @cached_property
+    def ids(self) -> NDArray[np.str_]:
+        return np.array([c.id for c in self.chosen])
+
+    @cached_property
+    def _factor(self) -> Float:
+        """(G, K): scores under the null are this times independent standard normal numbers."""
+        values, vectors = np.linalg.eigh(self.correlation)
+        kept = values > _RANK * values[-1]
+        return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+    @cached_property
+    def null(self) -> Float:
+        """(draws,) sorted: Λ of the best point under the null."""
+        rng = np.random.default_rng(_SEED)
+        best = np.zeros(_DRAWS)
+        for part in np.array_split(np.arange(_DRAWS), 20):
+            scores = self._factor @ rng.normal(size=(self._factor.shape[1], part.size))
+            best[part] = np.maximum(scores.max(axis=0), 0.0)
+        return np.sort(best**2)
+
+    def p_value(self, statistic: float) -> float:
+        """Probability that the best of all points reaches Λ by chance; beyond the draws the tail falls as that of a χ²."""
+        tail = float(np.mean(self.null >= statistic))
+        known = self.null[int(0.998 * _DRAWS)]
+        if statistic <= known:
+            return max(tail, 1 / _DRAWS)
+        return float(0.002 * np.exp(-(statistic - known) / 2))
+
+    def threshold(self, level: float) -> float:
+        """Λ that the best reaches by chance with probability `level`."""
+        return float(np.quantile(self.null, 1 - level))
+
+
+@dataclass(frozen=True)
+class Score:
+    """The best point of a mechanism in one form.
+
+    `statistic` is Λ, the fall of χ² along its signature; `share` how much of the signature that takes.
+    """
+
+    chosen: Chosen
+    values: Mapping[str, float]
+    statistic: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Secants:
+    """What mechanisms would change: points of all grids, and whitened changes of all features (N, G)."""
+
+    chosen: tuple[Chosen, ...]
+    values: tuple[Mapping[str, float], ...]
+    change: Float
+
+
+def secants(fit: ExtendedFit) -> Secants:
+    """Changes about a fitted model, of every visible mechanism that is not in it. The one costly step of a screen."""
+    of = fit.of
+    base = of.predict(fit.x)
+    rows, chosen, values = [], [], []
+    for c, own in grid(of, {c.id for c in of.chosen}):
+        moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, own)))
+        if np.isfinite(moved).all():
+            rows.append(moved - base)
+            chosen.append(c)
+            values.append(own)
+    change = of.session.whiten(np.array(rows).T) if rows else np.zeros((of.session.size, 0))
+    return Secants(tuple(chosen), tuple(values), change)
+
+
+def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
+    """Secants seen from a fitted model: weighted as it is, without what its entries absorb and without its mechanisms."""
+    held = {c.id for c in fit.of.chosen}
+    open_ = np.array([i for i, c in enumerate(found.chosen) if c.id not in held], dtype=np.int64)
+    seen = fit.of.weight[:, None] * found.change[:, open_]
+    absorbed = absorbed_by(fit)
+    # The priors' rows see nothing of a signature, but they hold back what absorbs it.
+    coefficients = absorbed[: fit.of.session.size].T @ seen
+    gram = seen.T @ seen - coefficients.T @ coefficients
+    along = seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
+    length = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    places = np.flatnonzero(length > np.maximum(_LEAST_VISIBLE, 1e-6 * np.sqrt(np.sum(seen**2, axis=0))))
+    length = length[places]
+    return Signatures(
+        tuple(found.chosen[open_[i]] for i in places),
+        tuple(found.values[open_[i]] for i in places),
+        np.asarray(gram[np.ix_(places, places)] / np.outer(length, length)),
+        length,
+        np.asarray(along[places] / length),
+    )
+
+
+def scores(found: Signatures) -> tuple[Score, ...]:
+    """Best point of each mechanism and form, best first."""
+    along = np.maximum(found.score, 0.0)
+    best: dict[Chosen, int] = {}
+    for i, c in enumerate(found.chosen):
+        if c not in best or along[i] > along[best[c]]:
+            best[c] = i
+    result = [
+        Score(c, found.values[i], float(along[i] ** 2), float(along[i] / found.length[i])) for c, i in best.items()
+    ]
+    return tuple(sorted(result, key=lambda s: -s.statistic))
+
+
+def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float]]]:
+    """Points at which signatures are taken: of every visible mechanism, its forms, severities and shapes."""
+    for id, mechanism in MECHANISMS.items():
+        if id in held or not (mechanism.shows & of.session.kinds):
+            continue
+        shapes = [_places(p, _SHAPES[min(i, len(_SHAPES) - 1)]) for i, p in enumerate(mechanism.shapes)]
+        for variant in mechanism.variants:
+            for severity in _severities(mechanism):
+                for combination in itertools.product(*shapes):
+                    own = dict(zip((p.name for p in mechanism.shapes), combination, strict=True))
+                    yield Chosen(id, variant), severity | own
+
+
+def _places(p: Parameter, shares: tuple[float, ...]) -> list[float]:
+    if p.low == p.high:
+        return [p.low]
+    if p.log:
+        return [float(p.low * (p.high / p.low) ** s) for s in shares]
+    return [p.low + (p.high - p.low) * s for s in shares]
+
+
+def _severities(mechanism: Mechanism) -> list[dict[str, float]]:
+    """Levels of each severity alone, the others 0; both signs where both are possible."""
+    found = []
+    for p in mechanism.severities:
+        for level in np.geomspace(p.low, p.high, _LEVELS):
+            for sign in (1.0, -1.0) if p.signed else (1.0,):
+                if p.least <= sign * level <= p.most or not p.signed:
+                    found.append({q.name: 0.0 for q in mechanism.severities} | {p.name: sign * float(level)})
+    return found
+
+
+def absorbed_by(fit: ExtendedFit) -> Float:
+    """(M, P) orthonormal: what changes of the fitted entries can absorb, priors in the last rows."""
+    jacobian = fit.solution.jacobian
+    length = np.sqrt(np.sum(jacobian**2, axis=0))
+    return np.asarray(np.linalg.qr(jacobian[:, length > 0] / length[length > 0])[0])

@@ -1,0 +1,149 @@
+"""Nonlinear least squares within bounds: Levenberg's and Marquardt's method, made for cheap, smooth, redundant simulations.
+
+The residual's Jacobian is taken by forward differences and reused while steps go well. Belongs here: the search alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+_DIFFERENCE, _CENTRAL = 1e-4, 3e-4
+_ENOUGH = 0.02
+"""Fall of χ² that ends a search: far below what statistics can tell."""
+_RIDGE = 1e-10
+_STILL, _HOPELESS = 1e-7, 1e7
+_KEPT = (0.4, 1.6)
+"""Fall over promised fall within which old columns are good enough."""
+_MOST_STEP = 1.5
+"""Longest step of one entry: entries are logarithms or scaled to their range."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a search ended.
+
+    x : (P,) entries; residual (M,); jacobian (M, P) of the residual there
+    chi2 : sum of squares; converged: whether the last fall was below the tolerance
+    """
+
+    x: Float
+    residual: Float
+    jacobian: Float
+    chi2: float
+    converged: bool
+
+    @property
+    def covariance(self) -> Float:
+        """(P, P), by a scaled pseudo-inverse: directions without information have huge variances, not infinite ones."""
+        normal = self.jacobian.T @ self.jacobian
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-12))
+        inner = normal / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)
+        return np.asarray(np.linalg.inv(inner) / np.outer(scale, scale))
+
+
+def minimise(
+    residual: Callable[[Float], Float],
+    start: Float,
+    low: Float,
+    high: Float,
+    *,
+    most: int = 25,
+    jacobian: Float | None = None,
+    moving: int = 0,
+    thorough: bool = True,
+) -> Solution:
+    """Least sum of squares of `residual` (M,) from `start` (P,) within `low` … `high`; entries with equal bounds stay.
+
+    jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed at every step, the others when steps
+        fall short of what they promise. `thorough`: the end is confirmed with a Jacobian of its own.
+    Never fails: a search that does not converge says so.
+    """
+    x = np.clip(start, low, high)
+    r = residual(x)
+    chi2 = float(r @ r)
+    if not np.isfinite(chi2):
+        return Solution(x, r, np.zeros((r.size, x.size)), np.inf, False)
+    everything, recent = np.flatnonzero(low < high), np.flatnonzero((low < high) & (np.arange(x.size) >= moving))
+    if jacobian is None:
+        own, fresh = _renewed(residual, np.zeros((r.size, x.size)), x, r, high, everything), True
+    else:
+        own, fresh = _renewed(residual, jacobian.copy(), x, r, high, recent), False
+    damping, converged = 1e-3, False
+    for _ in range(most):
+        gradient = own.T @ r
+        free = everything[~_held(x, gradient, low, high)[everything]]
+        if free.size == 0:
+            converged = True
+            break
+        move = _step(own, gradient, free, damping)
+        promised = -float(move @ gradient)
+        trial = np.clip(x + move, low, high)
+        new = residual(trial)
+        value = float(new @ new)
+        if np.isfinite(value) and value < chi2:
+            fall = chi2 - value
+            x, r, chi2 = trial, new, value
+            damping = max(damping / 5, 1e-9)
+            if fall < _ENOUGH and (fresh or not thorough):
+                converged = True
+                break
+            fresh = jacobian is None or fall < _ENOUGH or not _KEPT[0] * promised < fall < _KEPT[1] * promised
+            own = _renewed(residual, own, x, r, high, everything if fresh else recent)
+        elif not fresh:
+            if promised < _ENOUGH and not thorough:
+                converged = True
+                break
+            own, fresh = _renewed(residual, own, x, r, high, everything), True
+        elif promised < _ENOUGH or float(np.abs(move).max()) < _STILL:
+            # What is promised that little and does not come is the end as well.
+            converged = True
+            break
+        else:
+            damping *= 10
+            if damping > _HOPELESS:
+                break
+    return Solution(x, r, own, chi2, converged)
+
+
+def _held(x: Float, gradient: Float, low: Float, high: Float) -> NDArray[np.bool_]:
+    return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
+
+
+def _step(jacobian: Float, gradient: Float, free: NDArray[np.int64], damping: float) -> Float:
+    part = jacobian[:, free]
+    normal = part.T @ part
+    diagonal = np.maximum(np.diag(normal), 1e-9)
+    move = np.zeros(gradient.size)
+    move[free] = -np.linalg.solve(normal + damping * np.diag(diagonal), gradient[free])
+    longest = float(np.abs(move).max())
+    return move * (_MOST_STEP / longest) if longest > _MOST_STEP else move
+
+
+def _renewed(
+    residual: Callable[[Float], Float], jacobian: Float, x: Float, at: Float, high: Float, columns: NDArray[np.int64]
+) -> Float:
+    """The Jacobian (M, P) with some columns taken anew, in place: forward differences, backward at an upper bound."""
+    for i in columns:
+        step = _DIFFERENCE if x[i] + _DIFFERENCE <= high[i] else -_DIFFERENCE
+        moved = x.copy()
+        moved[i] += step
+        jacobian[:, i] = (residual(moved) - at) / step
+    return jacobian
+
+
+def central(residual: Callable[[Float], Float], x: Float, low: Float, high: Float) -> Float:
+    """(M, P) Jacobian by central differences: what is projected off must not leave its own error behind."""
+    columns = []
+    for i in range(x.size):
+        up, down = x.copy(), x.copy()
+        if low[i] < high[i]:
+            up[i] = min(x[i] + _CENTRAL, high[i])
+            down[i] = max(x[i] - _CENTRAL, low[i])
+        columns.append((residual(up) - residual(down)) / max(up[i] - down[i], 1e-300))
+    return np.column_stack(columns)

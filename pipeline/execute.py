@@ -1,0 +1,180 @@
+"""Running items elsewhere: one seam, `concurrent.futures.Executor`, and what to do when a worker does not come back.
+
+An item that kills its worker, exceeds its memory or its deadline is tried once more, alone; when that fails too it is
+a casualty with a reason. Everything else that can go wrong with an item is data and comes back as its result.
+Does not belong here: what the items are.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from schemas.errors import LabError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+_RESTARTS = 20
+"""How often a pool that broke as a whole is opened again before the night gives up."""
+
+
+@dataclass(frozen=True)
+class Casualty:
+    """An item whose worker did not come back, twice; `reason` says what happened to it."""
+
+    reason: str
+
+
+class SerialExecutor(Executor):
+    """Runs everything at once in this process: for debugging, and for tests."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class LocalPool(Executor):
+    """Worker processes of this machine. One that dies or is overdue costs its item only and is replaced.
+
+    Parameters
+    ----------
+    jobs : number of processes
+    deadline_s : longest time an item may take; then its worker is killed
+    memory_mb : most memory of one worker, 0 for no limit
+    preload : modules that workers are started with, so that each starts in milliseconds
+    """
+
+    def __init__(self, jobs: int, *, deadline_s: float, memory_mb: int = 0, preload: Sequence[str] = ()) -> None:
+        from pebble import ProcessPool
+
+        method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+        context = multiprocessing.get_context(method)
+        context.set_forkserver_preload(list(preload))
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(name, "1")
+        self._deadline_s = deadline_s
+        self._pool = ProcessPool(max_workers=jobs, initializer=_start_worker, initargs=(memory_mb,), context=context)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        try:
+            future: Future[Any] = self._pool.schedule(fn, args=args, kwargs=kwargs, timeout=self._deadline_s)
+        except RuntimeError as error:
+            raise BrokenExecutor(str(error)) from error
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        if cancel_futures or not wait:
+            self._pool.stop()
+        else:
+            self._pool.close()
+        self._pool.join()
+
+
+def run_all(
+    tasks: Iterable[Task],
+    function: Callable[[Task], Result],
+    open_executor: Callable[[int], Executor],
+    *,
+    jobs: int,
+) -> Iterator[tuple[Task, Result | Casualty]]:
+    """Results as they are ready, in any order. Few tasks are held at a time, so `tasks` may be long and lazy.
+
+    Raises `LabError` that a task raises (a full disk is not the item's fault) or when no worker can be kept alive.
+    """
+    unlucky: list[Task] = []
+    for task, result in _round(tasks, function, open_executor, jobs):
+        if isinstance(result, Casualty):
+            unlucky.append(task)
+        else:
+            yield task, result
+    for task in unlucky:
+        yield from _round([task], function, open_executor, 1)
+
+
+def _round(
+    tasks: Iterable[Task], function: Callable[[Task], Result], open_executor: Callable[[int], Executor], jobs: int
+) -> Iterator[tuple[Task, Result | Casualty]]:
+    waiting = iter(tasks)
+    first = next(waiting, None)
+    if first is None:
+        return
+    restarts = 0
+    executor = open_executor(jobs)
+    running: dict[Future[Any], Task] = {}
+    ready: list[Task] = [first]
+    finished = False
+    try:
+        while True:
+            while len(running) < 2 * max(jobs, 1):
+                if not ready:
+                    following = next(waiting, None)
+                    if following is None:
+                        break
+                    ready.append(following)
+                try:
+                    running[executor.submit(function, ready[-1])] = ready[-1]
+                except BrokenExecutor as error:
+                    restarts += 1
+                    if restarts > _RESTARTS:
+                        raise LabError(
+                            f"worker processes die as soon as they start: {error}",
+                            remedy="Look at the memory and process limits of this account",
+                        ) from None
+                    executor.shutdown(cancel_futures=True)
+                    executor = open_executor(jobs)
+                    continue
+                ready.pop()
+            if not running:
+                break
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield running.pop(future), _result(future)
+        finished = True
+    finally:
+        executor.shutdown(wait=finished, cancel_futures=not finished)
+
+
+def _result(future: Future[Any]) -> Any:
+    error = future.exception()
+    if error is None:
+        return future.result()
+    if isinstance(error, LabError):
+        raise error
+    return Casualty(_reason(error))
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, TimeoutError):
+        return "it took longer than deadline_s allows"
+    if isinstance(error, MemoryError):
+        return "it needs more memory than a worker may have"
+    code = getattr(error, "exitcode", None)
+    if isinstance(code, int) and code < 0:
+        with contextlib.suppress(ValueError):
+            return f"its worker was killed ({signal.Signals(-code).name})"
+    return f"its worker did not come back ({type(error).__name__}: {error})"
+
+
+def _start_worker(memory_mb: int) -> None:
+    """A worker leaves interrupts to its parent, dies with it, and keeps to its memory."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)
+    if memory_mb:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (memory_mb << 20, memory_mb << 20))

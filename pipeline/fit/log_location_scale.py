@@ -1,0 +1,301 @@
+"""Maximum likelihood for lifetimes whose logarithm is x·c + σ w, with w of a known distribution.
+
+w is the smallest extreme value (Weibull life) or normal (log-normal life). Rows may be exact, right-censored,
+left-censored or known to an interval. In the parameters α = 1/σ and γ = c/σ the log-likelihood is concave, so Newton's
+method with backtracking finds the one maximum from any start, for many data sets at once.
+
+Belongs here: the solver and the two distributions. Does not belong here: which model to fit, intervals and refusals
+(`lifetime_distributions`, `voltage_life`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from schemas.errors import NotIdentifiableError
+
+Float = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+_ITERATIONS = 200
+_HALVINGS = 60
+_GRADIENT = 1e-10
+_LARGEST = 700.0
+"""Largest exponent that still is a float."""
+
+
+@dataclass(frozen=True)
+class ErrorDistribution:
+    """Distribution of w. `exact`, `right`, `left` give, elementwise over z, the log-likelihood of a life known exactly
+    (log density), right-censored (log survival) and left-censored (log distribution), with two derivatives.
+    """
+
+    name: str
+    exact: Callable[[Float], tuple[Float, Float, Float]]
+    right: Callable[[Float], tuple[Float, Float, Float]]
+    left: Callable[[Float], tuple[Float, Float, Float]]
+    survival: Callable[[Float], Float]
+    quantile_of_survival: Callable[[Float], Float]
+    """w at a survival probability."""
+
+
+def _exp(z: Float) -> Float:
+    return np.asarray(np.exp(np.minimum(z, _LARGEST)))
+
+
+def _sev_exact(z: Float) -> tuple[Float, Float, Float]:
+    u = _exp(z)
+    return z - u, 1 - u, -u
+
+
+def _sev_right(z: Float) -> tuple[Float, Float, Float]:
+    u = _exp(z)
+    return -u, -u, -u
+
+
+def _sev_left(z: Float) -> tuple[Float, Float, Float]:
+    u = np.maximum(np.exp(np.minimum(z, 30.0)), 1e-300)
+    slope = u / np.expm1(u)
+    return np.log(-np.expm1(-u)), slope, slope * (1 - u - slope)
+
+
+def _hazard(z: Float) -> Float:
+    """φ(z)/Q(z) of the normal distribution."""
+    return np.asarray(np.exp(-(z**2) / 2 - special.log_ndtr(-z)) / np.sqrt(2 * np.pi))
+
+
+def _normal_exact(z: Float) -> tuple[Float, Float, Float]:
+    return -(z**2) / 2 - np.log(2 * np.pi) / 2, -z, -np.ones_like(z)
+
+
+def _normal_right(z: Float) -> tuple[Float, Float, Float]:
+    hazard = _hazard(z)
+    return special.log_ndtr(-z), -hazard, -hazard * (hazard - z)
+
+
+def _normal_left(z: Float) -> tuple[Float, Float, Float]:
+    value, slope, curvature = _normal_right(-z)
+    return value, -slope, curvature
+
+
+SMALLEST_EXTREME_VALUE = ErrorDistribution(
+    "smallest extreme value",
+    _sev_exact,
+    _sev_right,
+    _sev_left,
+    lambda z: np.exp(-_exp(z)),
+    lambda s: np.log(-np.log(s)),
+)
+NORMAL = ErrorDistribution(
+    "normal",
+    _normal_exact,
+    _normal_right,
+    _normal_left,
+    lambda z: np.asarray(special.ndtr(-z)),
+    lambda s: np.asarray(-special.ndtri(s)),
+)
+
+
+@dataclass(frozen=True)
+class LogLives:
+    """Logarithms of lifetimes, (batch, n): the life lies between exp(`lower`) and exp(`upper`).
+
+    Equal limits: exact. `upper` infinite: right-censored. `lower` minus infinite: left-censored.
+    """
+
+    lower: Float
+    upper: Float
+
+    @property
+    def exact(self) -> Bool:
+        return np.asarray(self.lower == self.upper)
+
+    def shifted(self, offset: float | Float) -> LogLives:
+        return LogLives(self.lower - offset, self.upper - offset)
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """Solution for each data set of the batch.
+
+    `alpha` (batch,) = 1/σ, `gamma` (batch, p) = c/σ, `log_likelihood` (batch,) of ln t (of t: less Σ ln t of the exact
+    lives), `converged` (batch,).
+    """
+
+    alpha: Float
+    gamma: Float
+    log_likelihood: Float
+    converged: Bool
+
+    @property
+    def sigma(self) -> Float:
+        return 1 / self.alpha
+
+    @property
+    def coefficients(self) -> Float:
+        """(batch, p) c = γ/α."""
+        return self.gamma / self.alpha[:, None]
+
+
+def maximise(
+    lives: LogLives, design: Float, distribution: ErrorDistribution, *, sigma: float | Float | None = None
+) -> Maximum:
+    """Maximum of the likelihood of ln t = design·c + σ w.
+
+    Parameters
+    ----------
+    lives : (batch, n)
+    design : (n, p), p may be 0; its columns should be of order one
+    sigma : held at this value, or at these (batch,), instead of fitted
+
+    Data sets that do not converge (no maximum exists: all lives equal, for instance) have `converged` false.
+    """
+    batch = lives.lower.shape[0]
+    p = design.shape[1]
+    finite = np.where(np.isfinite(lives.upper), lives.upper, lives.lower)
+    finite = np.where(np.isfinite(finite), finite, lives.upper)
+    has_intercept = p > 0 and bool(np.all(design[:, 0] == 1.0))
+    centre = finite.mean(axis=1) if has_intercept else np.zeros(batch)
+    spread = (
+        np.maximum(finite.std(axis=1), 1e-3)
+        if sigma is None
+        else np.array(np.broadcast_to(sigma, batch), dtype=np.float64)
+    )
+    scaled = LogLives(
+        (lives.lower - centre[:, None]) / spread[:, None], (lives.upper - centre[:, None]) / spread[:, None]
+    )
+    parameters = np.zeros((batch, 1 + p))
+    parameters[:, 0] = 1.0
+    free = slice(0 if sigma is None else 1, None)
+    parameters, value, converged = _newton(scaled, design, distribution, parameters, free)
+    alpha = parameters[:, 0] / spread
+    gamma = parameters[:, 1:].copy()
+    if has_intercept:
+        gamma[:, 0] += alpha * centre
+    return Maximum(alpha, gamma, value - lives.exact.sum(axis=1) * np.log(spread), converged)
+
+
+def _newton(
+    lives: LogLives, design: Float, distribution: ErrorDistribution, start: Float, free: slice
+) -> tuple[Float, Float, Bool]:
+    parameters = start
+    value, gradient, hessian = _derivatives(lives, design, distribution, parameters)
+    size = parameters[:, free].shape[1]
+    converged = np.zeros(parameters.shape[0], dtype=np.bool_)
+    if size == 0:
+        return parameters, value, ~converged
+    tolerance = _GRADIENT * lives.lower.shape[1]
+    for _ in range(_ITERATIONS):
+        g, h = gradient[:, free], hessian[:, free, free]
+        damping = 1e-12 * np.maximum(np.abs(np.trace(h, axis1=1, axis2=2)), 1e-12)[:, None, None] * np.eye(size)
+        step = np.linalg.solve(damping - h, g[:, :, None])[:, :, 0]
+        gain = np.einsum("bi,bi->b", g, step)
+        converged = (np.abs(g).max(axis=1) <= tolerance) | (gain <= 1e-14 * (1 + np.abs(value)))
+        if converged.all():
+            break
+        length = np.where(converged, 0.0, 1.0)
+        if free.start == 0:  # α stays positive
+            shrinking = step[:, 0] < 0
+            limit = np.divide(-0.9 * parameters[:, 0], step[:, 0], out=np.full(length.size, np.inf), where=shrinking)
+            length = np.minimum(length, limit)
+        for _ in range(_HALVINGS):
+            trial = parameters.copy()
+            trial[:, free] += length[:, None] * step
+            new_value, new_gradient, new_hessian = _derivatives(lives, design, distribution, trial)
+            bad = ~(new_value >= value + 1e-4 * length * gain) & (length > 0)
+            bad &= length > 1e-15
+            if not bad.any():
+                break
+            length = np.where(bad, length / 2, length)
+        improved = (new_value >= value)[:, None]
+        parameters = np.where(improved, trial, parameters)
+        value = np.where(improved[:, 0], new_value, value)
+        gradient = np.where(improved, new_gradient, gradient)
+        hessian = np.where(improved[:, :, None], new_hessian, hessian)
+    return parameters, value, converged
+
+
+def _derivatives(
+    lives: LogLives, design: Float, distribution: ErrorDistribution, parameters: Float
+) -> tuple[Float, Float, Float]:
+    """Log-likelihood of ln t and its gradient and Hessian in (α, γ): shapes (batch,), (batch, q), (batch, q, q)."""
+    alpha = parameters[:, :1]
+    predictor = parameters[:, 1:] @ design.T
+    exact = lives.exact
+    right = np.isposinf(lives.upper)
+    left = np.isneginf(lives.lower)
+    inside = ~(exact | right | left)
+    value = np.zeros_like(lives.lower)
+    ends = []
+    for y, kinds in (
+        (lives.lower, ((exact, distribution.exact), (right, distribution.right))),
+        (lives.upper, ((left, distribution.left),)),
+    ):
+        slope, curvature = np.zeros_like(value), np.zeros_like(value)
+        z = alpha * np.where(np.isfinite(y), y, 0.0) - predictor
+        for mask, terms in kinds:
+            if mask.any():
+                value[mask], slope[mask], curvature[mask] = terms(z[mask])
+        ends.append((y, z, slope, curvature))
+    (low, z_low, slope_low, curve_low), (high, z_high, slope_high, curve_high) = ends
+    cross = np.zeros_like(value)
+    if inside.any():
+        value[inside], slopes, curves, cross[inside] = _interval(distribution, z_low[inside], z_high[inside])
+        slope_low[inside], slope_high[inside] = slopes
+        curve_low[inside], curve_high[inside] = curves
+    total = value.sum(axis=1) + exact.sum(axis=1) * np.log(parameters[:, 0])
+    size = 1 + design.shape[1]
+    gradient = np.zeros((parameters.shape[0], size))
+    hessian = np.zeros((parameters.shape[0], size, size))
+    directions = [_directions(y, design) for y in (low, high)]
+    for direction, slope, curvature in zip(directions, (slope_low, slope_high), (curve_low, curve_high), strict=True):
+        gradient += np.einsum("bn,bnq->bq", slope, direction)
+        hessian += np.einsum("bn,bnq,bnr->bqr", curvature, direction, direction)
+    if inside.any():
+        mixed = np.einsum("bn,bnq,bnr->bqr", cross, directions[0], directions[1])
+        hessian += mixed + np.swapaxes(mixed, 1, 2)
+    gradient[:, 0] += exact.sum(axis=1) / parameters[:, 0]
+    hessian[:, 0, 0] -= exact.sum(axis=1) / parameters[:, 0] ** 2
+    return total, gradient, hessian
+
+
+def _directions(y: Float, design: Float) -> Float:
+    """∂z/∂(α, γ) = (y, −x), (batch, n, q)."""
+    rows = np.broadcast_to(-design, (y.shape[0], *design.shape))
+    return np.concatenate((np.where(np.isfinite(y), y, 0.0)[:, :, None], rows), axis=2)
+
+
+def _interval(
+    distribution: ErrorDistribution, low: Float, high: Float
+) -> tuple[Float, tuple[Float, Float], tuple[Float, Float], Float]:
+    """ln[S(low) − S(high)] with slopes, curvatures and the cross derivative, stable in both tails."""
+    log_survival_low = distribution.right(low)[0]
+    log_survival_high = distribution.right(high)[0]
+    value = log_survival_low + np.log(-np.expm1(np.minimum(log_survival_high - log_survival_low, -1e-300)))
+    slopes, curves = [], []
+    for z, sign in ((low, -1.0), (high, 1.0)):
+        log_density, slope, _ = distribution.exact(z)
+        share = sign * np.exp(np.minimum(log_density - value, _LARGEST))
+        slopes.append(share)
+        curves.append(share * slope - share**2)
+    return value, (slopes[0], slopes[1]), (curves[0], curves[1]), -slopes[0] * slopes[1]
+
+
+def coefficient_covariance(lives: LogLives, design: Float, distribution: ErrorDistribution, maximum: Maximum) -> Float:
+    """(p, p) covariance of the coefficients c from the observed information, σ being estimated as well. Batch of one."""
+    parameters = np.concatenate((maximum.alpha[:, None], maximum.gamma), axis=1)
+    _, _, hessian = _derivatives(lives, design, distribution, parameters)
+    jacobian = np.column_stack((-maximum.coefficients[0], np.eye(design.shape[1]))) / maximum.alpha[0]
+    return np.asarray(jacobian @ np.linalg.inv(-hessian[0]) @ jacobian.T)
+
+
+def converged_single(maximum: Maximum, what: str) -> Maximum:
+    """The same maximum of a batch of one. Raises `NotIdentifiableError` when there is none."""
+    if not (maximum.converged[0] and np.isfinite(maximum.log_likelihood[0]) and 1e-6 < maximum.alpha[0] < 1e6):
+        raise NotIdentifiableError(f"{what}: the likelihood has no maximum at finite parameters")
+    return maximum

@@ -1,0 +1,215 @@
+"""The nightly: what is new, what has to be made again, made, checked, published, reported.
+
+The order of work: look at the raw files, read new contents in workers, decide who owns which recording id, analyse the
+specimens and groups whose recordings changed, publish samples and database, write the reports. Whatever is finished
+lies in the journal until it is published, so that a night that was killed is taken up where it ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+
+from pipeline.annotations import excluded, read_annotations
+from pipeline.deriving import derive
+from pipeline.execute import LocalPool, SerialExecutor
+from pipeline.lab import Lab
+from pipeline.lock import exclusive
+from pipeline.looking import look
+from pipeline.night import Context, Track
+from pipeline.plan import rows
+from pipeline.publishing import Counts, Night, count, discard_work, failures, publish_night
+from pipeline.reading import adopt_journal, included, read
+from pipeline.settings import Settings
+from pipeline.settings import load as load_settings
+from pipeline.stages.tasks import MODULES
+from pipeline.store.journal import DAMAGED, QUARANTINED
+from pipeline.store.manifest import load as load_manifest
+from schemas.errors import DealabError
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How a night went, for the terminal, an e-mail and the exit status.
+
+    `attention` names every file that was refused or is damaged and every analysis that failed, with its reason;
+    `report_problem` says why the pages could not be written.
+    """
+
+    run_id: str
+    seconds: float
+    counts: Counts
+    analysed: int
+    missing: int
+    attention: tuple[str, ...]
+    notes: tuple[str, ...]
+    report_problem: str | None = None
+
+    @property
+    def exit_status(self) -> int:
+        """0 all done, 1 the report could not be written, 3 some recordings were refused, are damaged or failed."""
+        if self.report_problem is not None:
+            return 1
+        return 3 if self.attention else 0
+
+    def paragraph(self) -> str:
+        """The night in a few sentences."""
+        c = self.counts
+        parts = [
+            f"Run {self.run_id}: {_files(c.found)} found, {c.ingested} taken in, {c.reused} unchanged since an earlier run",
+            f"{c.quarantined} refused, {c.damaged} damaged, {c.failed} analyses failed",
+        ]
+        also = [
+            f"{number} {what}"
+            for number, what in (
+                (c.duplicates, "duplicates"),
+                (c.pending, "still being written"),
+                (c.unmapped, "without a mapping"),
+                (self.missing, "known recordings whose file has gone"),
+            )
+            if number
+        ]
+        if also:
+            parts.append(", ".join(also))
+        done = f"{self.analysed} results made again" if self.analysed else "nothing had to be done again"
+        return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {self.seconds:.1f} s."
+
+
+def nightly(
+    raw: Sequence[str | os.PathLike[str]],
+    lab: Lab,
+    *,
+    jobs: int,
+    rigs: Path | None = None,
+    cluster: str | None = None,
+    track: Track = lambda items, _count, _what: items,
+) -> Summary:
+    """The whole job over raw files and folders; see the module's docstring.
+
+    Parameters
+    ----------
+    raw : files and folders with recordings, and URLs of such (the extra `remote`)
+    jobs : number of worker processes; 0 does everything in this process
+    rigs : folder with rig files, None to look beside the recordings
+    cluster : address of a dask scheduler whose workers are used instead; they have to see the same folders
+    track : shows progress
+
+    Raises
+    ------
+    LabError : another nightly is at work, nothing was found, the lab cannot be written, the result failed its checks.
+        The published database is then as it was, and what was finished is kept for the next run.
+    UsageError : a path that does not exist
+    """
+    lab.create()
+    with exclusive(lab), _terminable():
+        started, clock = datetime.now(UTC), time.monotonic()
+        settings = load_settings(lab)
+        open_executor, workers = _executors(settings, jobs, cluster)
+        context = Context(lab, settings, load_manifest(lab), rigs, workers, open_executor, track)
+        annotations = read_annotations(lab)
+        found = look(raw, lab, context.manifest.files)
+        adopt_journal(context)
+        read_now = read(context, found)
+        out = excluded(annotations)
+        derived = derive(context, included(context, read_now, out))
+        night = Night(
+            run_id=f"{context.manifest.last_run + 1:06d}",
+            started_at=started,
+            read=read_now,
+            rows=rows(
+                read_now.found.looks,
+                read_now.places,
+                read_now.verdicts,
+                context.manifest.recordings,
+                roots=found.roots,
+                excluded=out,
+            ),
+            derived=derived,
+            annotations=annotations,
+        )
+        publish_night(context, night)
+        problem = _report(lab)
+        discard_work(context)
+        return _summary(context, night, time.monotonic() - clock, problem)
+
+
+def _summary(context: Context, night: Night, seconds: float, problem: str | None) -> Summary:
+    looked = {look.path for look in night.read.found.looks}
+    attention = [
+        f"{row.status}: {row.source_path}: {row.problem}"
+        for row in night.rows
+        if row.status in (QUARANTINED, DAMAGED) and row.source_present and row.source_path in looked
+    ]
+    attention += [f"failed: {item}: {reason}" for item, reason in failures(context, night).items()]
+    return Summary(
+        night.run_id,
+        seconds,
+        count(context, night),
+        len(context.done),
+        sum(not row.source_present for row in night.rows),
+        tuple(attention),
+        (*night.read.found.notes, *(f"{path}: no mapping, passed over" for path in night.read.found.unmapped)),
+        problem,
+    )
+
+
+def _report(lab: Lab) -> str | None:
+    """Writes the pages; a page that fails is told, but the database is published all the same."""
+    from reports.build import build_reports
+
+    try:
+        build_reports(lab.folder)
+    except DealabError as error:
+        return str(error)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
+    return None
+
+
+def _executors(settings: Settings, jobs: int, cluster: str | None) -> tuple[Callable[[int], Executor], int]:
+    """How to get an executor, and how many workers there are."""
+    if cluster is not None:
+        from pipeline.cluster import executors
+
+        return executors(cluster)
+
+    def local(count: int) -> Executor:
+        if count == 0 or jobs == 0:
+            return SerialExecutor()
+        return LocalPool(
+            count, deadline_s=settings.deadline_s, memory_mb=settings.memory_mb, preload=tuple(MODULES.values())
+        )
+
+    return local, jobs
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Being told to end (SIGTERM) is an interrupt: workers are stopped and the lock is given back."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not in the main thread: whoever runs us handles signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _files(number: int) -> str:
+    return "1 file" if number == 1 else f"{number} files"

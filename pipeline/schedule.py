@@ -1,0 +1,87 @@
+"""The nightly every night: unit and timer for systemd, or a line for cron, with this installation's own paths.
+
+Does not belong here: installing them, which is the administrator's.
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from schemas.errors import UsageError
+
+NAME = "dealab-nightly"
+
+
+def executable() -> Path:
+    """The `dealab` beside the Python that runs this."""
+    beside = Path(sys.executable).with_name("dealab")
+    found = beside if beside.exists() else shutil.which("dealab")
+    return Path(found or "dealab").absolute()
+
+
+def command(raw: Sequence[Path], lab: Path) -> list[str]:
+    """The nightly's words, every path absolute: neither cron nor systemd starts in the folder that was meant."""
+    return [str(executable()), "nightly", *(str(r.absolute()) for r in raw), "--lab", str(lab.absolute())]
+
+
+def clock(text: str) -> tuple[int, int]:
+    """Hour and minute of `02:30`. Raises `UsageError`."""
+    hour, _, minute = text.partition(":")
+    if not (hour.isdecimal() and minute.isdecimal() and int(hour) < 24 and int(minute) < 60):
+        raise UsageError(f'"{text}" is no time of day', expected="hours and minutes, as in 02:30")
+    return int(hour), int(minute)
+
+
+def units(raw: Sequence[Path], lab: Path, at: str) -> dict[str, str]:
+    """The unit and its timer by file name."""
+    hour, minute = clock(at)
+    start = " ".join(_systemd_word(word) for word in command(raw, lab))
+    service = f"""# Status 3 is a night that is done, but in which recordings were refused or are damaged: no failure of the unit.
+[Unit]
+Description=dealab: the night over the laboratory's recordings
+
+[Service]
+Type=oneshot
+ExecStart={start}
+SuccessExitStatus=3
+Nice=10
+IOSchedulingClass=idle
+NoNewPrivileges=yes
+TimeoutStartSec=infinity
+"""
+    timer = f"""[Unit]
+Description=dealab: every night at {hour:02d}:{minute:02d}
+
+[Timer]
+OnCalendar=*-*-* {hour:02d}:{minute:02d}:00
+Persistent=true
+
+[Install]
+WantedBy=timers.target
+"""
+    return {f"{NAME}.service": service, f"{NAME}.timer": timer}
+
+
+def _systemd_word(word: str) -> str:
+    """A word of ExecStart: specifiers and variables doubled, quoted where it has more than plain characters."""
+    doubled = word.replace("%", "%%").replace("$", "$$")
+    if all(c.isalnum() or c in "/._-+=@%$" for c in doubled):
+        return doubled
+    escaped = doubled.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
+
+
+def crontab(raw: Sequence[Path], lab: Path, at: str) -> str:
+    """Lines for `crontab -e`: the summary goes out as mail, progress and complaints to a file in the lab."""
+    hour, minute = clock(at)
+    words = shlex.join(command(raw, lab))
+    log = shlex.quote(str(lab.absolute() / "nightly.log"))
+    line = f"{words} 2>> {log}".replace("%", "\\%")
+    return (
+        f"# What the night printed, a paragraph, cron mails to you; refused and damaged recordings are named in {log}\n"
+        f"{minute} {hour} * * * {line}\n"
+    )

@@ -1,0 +1,169 @@
+"""One test on the virtual rig: the stages from command to recorded signal, and where an effect plugs in.
+
+    command → drive → V → actuation → F_A → film, contact, rig → F, x → sensor → drift → recorded
+
+Film, contact and rig are one stage of the composition: the clamp moves and the film feels it. An effect changes the
+constants of the bench (another film, another amplifier) or appends a function to a stage; several effects are several
+such changes, in any number. What the individual effects are belongs to `effects`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from pipeline.fit.model import RelaxationModel
+from pipeline.simulate.drive import Amplifier
+from pipeline.simulate.mechanics import Rig, StateSpace, assemble, integrate
+
+Float = NDArray[np.float64]
+
+STAGES = ("drive", "actuation", "mechanics", "sensor", "drift")
+"""In the order of composition."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What moves during a test, each (n,) on one clock of `interval_s`, canonical units, by quantity.
+
+    Besides the quantities of recordings: `film_voltage` (kV, what reaches the film; `voltage` is what the monitor shows),
+    `actuation` (N, Maxwell force of the active part) and `permittivity_change` (share by which a field has changed it).
+    """
+
+    interval_s: float
+    values: Mapping[str, Float]
+
+    @property
+    def time_s(self) -> Float:
+        return np.arange(next(iter(self.values.values())).size, dtype=np.float64) * self.interval_s
+
+    def __getitem__(self, quantity: str) -> Float:
+        return self.values[quantity]
+
+    def __contains__(self, quantity: object) -> bool:
+        return quantity in self.values
+
+    def with_values(self, **changed: Float) -> Signals:
+        return replace(self, values={**self.values, **changed})
+
+
+Stage = Callable[[Signals], Signals]
+
+
+@dataclass(frozen=True)
+class Film:
+    """A film as the rig feels it.
+
+    Parameters
+    ----------
+    parts : relaxation models in series; a film of one relaxation everywhere is one part, no film is none
+    active : index of the part under the active electrode; None without electrode
+    force_per_voltage_squared : N/kV², Maxwell force of that part over V²
+    pretension_n : N, tension at the pre-stretch before the test
+    sensing : index of the part under the sensing electrode; None without
+    sensing_length_mm : mm, its stretched length
+    rest_capacitance_pf : pF, its capacitance at rest
+    shared : the sensing part is the active one
+    permittivity_per_kv2, permittivity_time_s : change of the permittivity under a field, as a share per kV², and its
+        time constant in s
+    """
+
+    parts: tuple[RelaxationModel, ...] = ()
+    active: int | None = None
+    force_per_voltage_squared: float = 0.0
+    pretension_n: float = 0.0
+    sensing: int | None = None
+    sensing_length_mm: float = 0.0
+    rest_capacitance_pf: float = 0.0
+    shared: bool = False
+    permittivity_per_kv2: float = 0.0
+    permittivity_time_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Everything that is true in one test. `added` holds functions that run after the stage they are listed under."""
+
+    film: Film
+    rig: Rig
+    amplifier: Amplifier
+    added: Mapping[str, tuple[Stage, ...]] = field(default_factory=dict)
+
+    def with_stage(self, name: str, function: Stage) -> Bench:
+        """The same bench with one more function after the stage `name`."""
+        if name not in STAGES:
+            raise ValueError(f"no stage {name!r}, only {', '.join(STAGES)}")
+        return replace(self, added={**self.added, name: (*self.added.get(name, ()), function)})
+
+    def equations(self) -> StateSpace:
+        """Equations of motion of film, clamp and load cell."""
+        return assemble(self.film.parts, self.rig, active=self.film.active, watched=self.film.sensing)
+
+    def stages(self) -> tuple[tuple[str, Stage], ...]:
+        """The composition as (stage name, function) in order."""
+        own: dict[str, Stage] = {
+            "drive": self.amplifier.apply,
+            "actuation": self._actuate,
+            "mechanics": self._move,
+            "sensor": _unchanged,
+            "drift": _unchanged,
+        }
+        return tuple((name, function) for name in STAGES for function in (own[name], *self.added.get(name, ())))
+
+    def run(self, inputs: Signals) -> Signals:
+        """All stages on the inputs: `displacement` (mm) or `command` (V), or `actuation` (N) itself."""
+        signals = inputs
+        for _, function in self.stages():
+            signals = function(signals)
+        return signals
+
+    def run_stage(self, name: str, signals: Signals) -> Signals:
+        """Only the functions of one stage."""
+        for stage, function in self.stages():
+            if stage == name:
+                signals = function(signals)
+        return signals
+
+    def _actuate(self, signals: Signals) -> Signals:
+        if "film_voltage" not in signals:
+            return signals
+        square = signals["film_voltage"] ** 2
+        actuation = self.film.force_per_voltage_squared * square
+        if not self.film.permittivity_per_kv2:
+            return signals.with_values(actuation=actuation)
+        keep = math.exp(-signals.interval_s / self.film.permittivity_time_s)
+        # The film has had no field before the first sample.
+        change = lfilter([0.0, 1 - keep], [1.0, -keep], self.film.permittivity_per_kv2 * square)
+        return signals.with_values(actuation=actuation * (1 + change), permittivity_change=change)
+
+    def _move(self, signals: Signals) -> Signals:
+        inputs = [signals.values.get("displacement"), signals.values.get("actuation")]
+        outputs = integrate(self.equations(), inputs, signals.interval_s)
+        moved = signals.with_values(force=self.film.pretension_n + outputs[0])
+        if self.film.sensing is None:
+            return moved
+        return moved.with_values(
+            capacitance=capacitance(self.film, outputs[1], signals.values.get("permittivity_change"))
+        )
+
+
+def _unchanged(signals: Signals) -> Signals:
+    return signals
+
+
+def capacitance(film: Film, extension_mm: Float, permittivity_change: Float | float | None = None) -> Float:
+    """Capacitance in pF of a sensing part that is longer than at rest by `extension_mm`.
+
+    A part of its own is free to contract sideways: C/C0 = λ_SR (thesis, eq 5.1 to 5.4). One that is active as well is
+    held to its width: C/C0 = λ², and the field changes its permittivity (thesis, eq 5.12 and section 5.4.2).
+    """
+    stretch = 1 + extension_mm / film.sensing_length_mm
+    if not film.shared:
+        return film.rest_capacitance_pf * stretch
+    change = 0.0 if permittivity_change is None else permittivity_change
+    return np.asarray(film.rest_capacitance_pf * stretch**2 * (1 + change))

@@ -1,0 +1,76 @@
+"""What every test has: the interface, the fine clock, and how finely it has to tick. No test of its own is here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.simulate.bench import Bench, Film, Signals
+from pipeline.simulate.specimen import Specimen
+from schemas.errors import UsageError
+
+Float = NDArray[np.float64]
+
+INTERVALS_PER_CYCLE = 200
+"""Samples of the fine clock per cycle of the highest frequency: straight lines then lose (2π/200)²/12 = 8e-5."""
+INTERVALS_PER_TIME_CONSTANT = 20
+
+
+class Procedure(Protocol):
+    """What every test has."""
+
+    protocol: ClassVar[str]
+    loading: ClassVar[str]
+    quantities: ClassVar[tuple[str, ...]]
+
+    @property
+    def duration_s(self) -> float: ...
+
+    def finest_interval_s(self, bench: Bench) -> float:
+        """Longest interval of the fine clock that keeps the signals true."""
+        ...
+
+    def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
+        """Keys of the recording's metadata that the test fixes."""
+        ...
+
+    def check(self, specimen: Specimen | None, where: str) -> None:
+        """Raises `UsageError` where the test does not suit the specimen."""
+        ...
+
+    def film(self, specimen: Specimen | None) -> Film:
+        """The film that this test mounts on the rig."""
+        ...
+
+    def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
+        """The signals on the fine clock, all stages passed."""
+        ...
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A fine clock of `samples` intervals of `interval_s`."""
+
+    interval_s: float
+    samples: int
+
+    @property
+    def time_s(self) -> Float:
+        return np.arange(self.samples, dtype=np.float64) * self.interval_s
+
+
+def amplifier_interval_s(bench: Bench) -> float:
+    """Interval that resolves the amplifier's own time constants; infinite for an ideal one."""
+    times = [t for t in (bench.amplifier.rise_time_constant_s, bench.amplifier.fall_time_constant_s) if t > 0]
+    return min(times, default=math.inf) / INTERVALS_PER_TIME_CONSTANT
+
+
+def film_length_mm(specimen: Specimen | None, where: str) -> float:
+    """Stretched length of the specimen that strains refer to."""
+    if specimen is None:
+        raise UsageError("this test needs a specimen", where=where)
+    return specimen.sizes.total_length_mm

@@ -1,0 +1,51 @@
+"""What the specimen and the group stage share: an analysis of recordings' results, run, timed and kept."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.inputs import Measured, measured
+from pipeline.stages.tasks import DerivedTask
+from pipeline.store.journal import FAILED, OK, Outcome, write_entry
+from schemas.errors import DealabError
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """The task's recordings for an analysis."""
+
+    recordings: tuple[Measured, ...]
+    calibrations: tuple[Measured, ...]
+
+
+def run(task: DerivedTask, analyse: Callable[[DerivedTask, Decoded], Analysis]) -> Outcome:
+    """Runs an analysis and keeps what it gives. Raises `LabError` when the lab cannot be written."""
+    started = time.monotonic()
+    try:
+        decoded = Decoded(tuple(measured(r) for r in task.recordings), tuple(measured(r) for r in task.calibrations))
+        analysis = analyse(task, decoded)
+    except MemoryError:
+        raise
+    except DealabError as error:
+        analysis = Analysis(failures=[str(error)])
+    except Exception as error:
+        analysis = Analysis(failures=[f"{type(error).__name__}: {error}\n{traceback.format_exc()}"])
+    return _kept(task, analysis, time.monotonic() - started)
+
+
+def _kept(task: DerivedTask, analysis: Analysis, seconds: float) -> Outcome:
+    outcome = Outcome(
+        task.item_id,
+        task.stage,
+        task.freshness,
+        FAILED if analysis.failures else OK,
+        round(seconds, 3),
+        "\n".join(analysis.failures) or None,
+        {"notes": analysis.notes},
+    )
+    write_entry(task.journal, outcome, analysis.joined())
+    return outcome

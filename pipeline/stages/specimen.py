@@ -1,0 +1,19 @@
+"""The specimen stage: corrections, averages, models and predictions of one specimen, from its recordings' results."""
+
+from __future__ import annotations
+
+from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.specimen import analyse_specimen
+from pipeline.stages.derived import Decoded
+from pipeline.stages.derived import run as run_derived
+from pipeline.stages.tasks import DerivedTask
+from pipeline.store.journal import Outcome
+
+
+def run(task: DerivedTask) -> Outcome:
+    """Analyses a specimen and keeps the results."""
+    return run_derived(task, _analysis)
+
+
+def _analysis(task: DerivedTask, given: Decoded) -> Analysis:
+    return analyse_specimen(task.name, given.recordings, given.calibrations, orders=tuple(task.settings["orders"]))

@@ -1,0 +1,1 @@
+"""The published database: build, check, publish, query."""

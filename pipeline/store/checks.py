@@ -1,0 +1,88 @@
+"""What must hold in a database before it is published, as SQL; `dealab doctor` asks the same of a published one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from schemas.tables import TABLES
+
+STATUSES = ("ok", "damaged", "quarantined", "duplicate", "pending", "excluded")
+ANALYSED = ("ok", "damaged", "excluded")
+"""Statuses of recordings that have results of their own."""
+
+_ANALYSED_SQL = "('" + "', '".join(ANALYSED) + "')"
+_REFERENCES = {
+    "recording_id": (
+        "previews",
+        "frequency_responses",
+        "distortions",
+        "step_responses",
+        "lifetimes",
+        "slow_changes",
+        "loop_responses",
+        "electrode_coats",
+        "electrode_cycles",
+        "electrode_migrations",
+        "calibrations",
+        "cycle_fits",
+        "cycle_curves",
+        "carried",
+    ),
+    "specimen_id": (
+        "model_fits",
+        "predictions",
+        "order_ladders",
+        "sensing_fits",
+        "controller_gains",
+        "coverage_fits",
+        "diagnoses",
+        "diagnosis_candidates",
+    ),
+}
+
+CHECKS: Mapping[str, str] = {
+    "every status is one of the contract": (
+        f"SELECT status FROM recordings WHERE status IS NULL OR status NOT IN {STATUSES!r}"
+    ),
+    "a recording id belongs to one analysed recording": (
+        f"SELECT recording_id FROM recordings WHERE status IN {_ANALYSED_SQL} GROUP BY recording_id HAVING count(*) > 1"
+    ),
+    "an analysed recording has an id": (
+        f"SELECT source_path FROM recordings WHERE status IN {_ANALYSED_SQL} AND recording_id IS NULL"
+    ),
+    "a refused recording has a reason": (
+        "SELECT source_path FROM recordings WHERE status IN ('quarantined', 'damaged', 'pending') AND problem IS NULL"
+    ),
+    "one chosen order per specimen, loading, method and extension": (
+        "SELECT specimen_id FROM model_fits WHERE selected "
+        "GROUP BY specimen_id, loading, method, extension HAVING count(*) > 1"
+    ),
+    "items are booked once": "SELECT item_id FROM items GROUP BY item_id HAVING count(*) > 1",
+    **{
+        f"{table}: every {key} is an analysed recording's": (
+            f"SELECT DISTINCT {key} FROM {table} WHERE {key} IS NOT NULL AND {key} NOT IN "
+            f"(SELECT {key} FROM recordings WHERE status IN {_ANALYSED_SQL} AND {key} IS NOT NULL)"
+        )
+        for key, tables in _REFERENCES.items()
+        for table in tables
+    },
+}
+"""What must hold, and the query whose rows break it."""
+
+
+def violations(connection: Any, rows: Mapping[str, int] | None = None) -> Iterator[str]:
+    """What does not hold, in words. `rows` are the numbers of rows that the tables must have."""
+    present = {name for (name,) in connection.execute("SELECT table_name FROM duckdb_tables()").fetchall()}
+    missing = [name for name in TABLES if name not in present]
+    if missing:
+        yield "tables are missing: " + ", ".join(missing)
+        return
+    for table, expected in (rows or {}).items():
+        (found,) = connection.execute(f"SELECT count(*) FROM {table}").fetchone()
+        if found != expected:
+            yield f"{table} has {found} rows, {expected} were written"
+    for statement, query in CHECKS.items():
+        broken = connection.execute(f"SELECT * FROM ({query}) LIMIT 3").fetchall()
+        if broken:
+            yield f"not so: {statement} ({', '.join(str(row[0]) for row in broken)})"

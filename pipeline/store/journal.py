@@ -1,0 +1,147 @@
+"""Results that are finished and not yet published, one file per item, so that a killed night loses none of them.
+
+A file holds a header (what was done and how it ended, JSON) and the item's rows of each table (Arrow streams). It is
+written under a temporary name and renamed; its checksum tells a file that the machine lost half of.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from ingest.atomic import written_whole
+from schemas.errors import LabError
+
+OK, DAMAGED, QUARANTINED, PENDING, FAILED = "ok", "damaged", "quarantined", "pending", "failed"
+USABLE = (OK, DAMAGED)
+_MAGIC = b"dealab-journal-1\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Freshness:
+    """What a result was made from. Two of them are equal where the result needs not be made again."""
+
+    input_hash: str
+    code_version: str
+    settings_hash: str
+
+    def differences(self, now: Freshness) -> tuple[str, ...]:
+        """Which of the three differ, in words."""
+        pairs = (
+            ("input", self.input_hash, now.input_hash),
+            ("code", self.code_version, now.code_version),
+            ("settings", self.settings_hash, now.settings_hash),
+        )
+        return tuple(name for name, old, new in pairs if old != new)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How an item ended.
+
+    Parameters
+    ----------
+    item_id, stage : which item, and its stage
+    freshness : what it was made from
+    outcome : ok, damaged, quarantined, pending or failed
+    seconds : time it took
+    error : why it failed or was refused, None when it did not
+    facts : what the plan has to know about it, plain JSON values
+    """
+
+    item_id: str
+    stage: str
+    freshness: Freshness
+    outcome: str
+    seconds: float = 0.0
+    error: str | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def entry_path(folder: Path, item_id: str) -> Path:
+    """The file of an item: named by a hash, since item ids hold whatever people called their specimens."""
+    return folder / f"{hashlib.sha256(item_id.encode()).hexdigest()[:40]}.entry"
+
+
+def write_entry(folder: Path, outcome: Outcome, tables: Mapping[str, pa.Table]) -> Path:
+    """Keeps an item's outcome and rows; a complete file when this returns. Raises `LabError` for an unwritable lab."""
+    body = io.BytesIO()
+    header = json.dumps(asdict(outcome), ensure_ascii=True).encode("ascii")
+    body.write(len(header).to_bytes(8, "little"))
+    body.write(header)
+    for name, table in sorted(tables.items()):
+        if table.num_rows:
+            schema = table.schema.with_metadata({"table": name})
+            with pa.ipc.new_stream(body, schema) as stream:
+                stream.write_table(table)
+    content = body.getbuffer()
+    path = entry_path(folder, outcome.item_id)
+    try:
+        with written_whole(path, durable=False) as temporary, temporary.open("wb") as file:
+            file.write(_MAGIC)
+            file.write(zlib.crc32(content).to_bytes(4, "little"))
+            file.write(content)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    return path
+
+
+def unwritable(folder: Path, error: OSError) -> LabError:
+    """The error of a lab that cannot be written: it stops the night, since no item is to blame."""
+    return LabError(
+        f"the lab cannot be written: {error.strerror or error}",
+        where=str(folder),
+        remedy="Free disk space or permissions and run the nightly again; what is finished is kept",
+    )
+
+
+def read_outcome(path: Path) -> Outcome | None:
+    """The outcome in an entry; None for a file that is not whole."""
+    content = _content(path)
+    return None if content is None else _outcome(content)
+
+
+def read_tables(path: Path) -> dict[str, pa.Table]:
+    """The rows in an entry that `read_outcome` found whole."""
+    content = _content(path)
+    if content is None:
+        raise ValueError(f"{path.name} is not a whole journal entry")
+    stream = io.BytesIO(content[8 + int.from_bytes(content[:8], "little") :])
+    tables = {}
+    while stream.tell() < stream.getbuffer().nbytes:
+        table = pa.ipc.open_stream(stream).read_all()
+        tables[table.schema.metadata[b"table"].decode()] = table.replace_schema_metadata()
+    return tables
+
+
+def entries(folder: Path) -> Iterator[tuple[Path, Outcome]]:
+    """All whole entries of a journal."""
+    if folder.is_dir():
+        for path in sorted(folder.glob("*.entry")):
+            outcome = read_outcome(path)
+            if outcome is not None:
+                yield path, outcome
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    start = len(_MAGIC) + 4
+    if not data.startswith(_MAGIC) or zlib.crc32(data[start:]) != int.from_bytes(data[len(_MAGIC) : start], "little"):
+        return None
+    return data[start:]
+
+
+def _outcome(content: bytes) -> Outcome:
+    values = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    return Outcome(**{**values, "freshness": Freshness(**values["freshness"])})

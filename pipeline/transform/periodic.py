@@ -1,0 +1,93 @@
+"""Periods of a periodic signal: where they are, and the spectrum of each at the exact lines of the period.
+
+The period need not be a whole number of samples: lines are then solved for together instead of leaking into each other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+from scipy.signal import czt
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Int = NDArray[np.int64]
+
+_WHOLE = 1e-3
+"""Samples by which a period may miss a whole number and be transformed as if it did not."""
+
+
+def period_starts(onset: float, period: float, count: int, samples: int) -> Int:
+    """First sample of each period (count,), the sample nearest to its true start; all lie within `samples`."""
+    starts: Int = np.rint(onset + np.arange(count) * period).astype(np.int64)
+    return starts[starts + round(period) <= samples]
+
+
+def line_spectra(values: Float, starts: Int, onset: float, period: float, lines: int) -> Complex:
+    """Amplitudes of the lines 0 … lines − 1 of each period, (periods, lines) complex.
+
+    Phasors e^{+jωt} with the time counted from the exact start of each period, `onset` + p `period` samples. A line l of
+    amplitude A is A cos(2π l t/period + φ) → A e^{jφ}; line 0 is the mean.
+    """
+    length = round(period)
+    pieces = values[starts[:, None] + np.arange(length)]
+    if abs(period - length) <= _WHOLE:
+        spectra = scipy.fft.rfft(pieces, axis=1)[:, :lines] / length
+    else:
+        spectra = _exact(pieces, period, lines)
+    spectra[:, 1:] *= 2
+    late = starts - (onset + np.rint((starts - onset) / period) * period)
+    return np.asarray(spectra * np.exp(-2j * np.pi * np.outer(late, np.arange(lines)) / period))
+
+
+def _exact(pieces: Float, period: float, lines: int) -> Complex:
+    """Least squares of pieces of a whole number of samples on e^{j2πln/period}, |l| < lines: a Toeplitz system."""
+    length = pieces.shape[1]
+    k = np.arange(2 * lines - 1)
+    turn = np.exp(-2j * np.pi / period)
+    right = np.array([czt(p, m=2 * lines - 1, w=turn, a=turn ** (lines - 1)) for p in pieces])
+    # Sum over the samples of e^{−j2πkn/period}, a geometric series.
+    step = np.expm1(-2j * np.pi * k[1:] / period)
+    column = np.concatenate([[length], np.expm1(-2j * np.pi * k[1:] * length / period) / step])
+    solution = solve_toeplitz((column, column.conj()), right.T)
+    return np.asarray(solution[lines - 1 :].T)
+
+
+def without_drift(values: Float, starts: Int, period: float) -> tuple[Float, float]:
+    """The signal without the straight lines through the means of its periods, and the drift from first to last mean.
+
+    A mean over a period holds nothing of the lines, so that only what is slower than the period is taken out.
+    """
+    if starts.size < 2:
+        return values, 0.0
+    length = round(period)
+    means = values[starts[:, None] + np.arange(length)].mean(axis=1)
+    centres = starts + (length - 1) / 2
+    index = np.arange(values.size)
+    line = np.interp(index, centres, means)
+    before, after = index < centres[0], index > centres[-1]
+    line[before] += (index[before] - centres[0]) * (means[1] - means[0]) / (centres[1] - centres[0])
+    line[after] += (index[after] - centres[-1]) * (means[-1] - means[-2]) / (centres[-1] - centres[-2])
+    return values - line, float(means[-1] - means[0])
+
+
+def excited_lines(amplitude: Float, first: int, last: int, *, kind: str | None, least: float) -> Int:
+    """Lines first … last that the input excites.
+
+    A line is excited when it reaches a third of the largest within ten lines and the share `least` of the largest of all,
+    among those that `kind` (`full`, `odd`, `random_odd`) allows; without `kind` even lines are left out when hardly any is
+    excited.
+    """
+    lines: Int = np.arange(first, min(last, amplitude.size - 1) + 1)
+    if kind in ("odd", "random_odd"):
+        lines = lines[lines % 2 == 1]
+    size = amplitude[lines]
+    if size.size == 0 or size.max() == 0:
+        return lines[:0]
+    near = np.array([size[np.abs(lines - k) <= 10].max() for k in lines])
+    found: Int = lines[(size >= near / 3) & (size >= least * size.max())]
+    if kind is None and (found % 2 == 0).mean() < 0.1:
+        found = found[found % 2 == 1]
+    return found

@@ -1,0 +1,156 @@
+"""What makes lines of a response unusable, and recordings unfit for one: clipping, noise, missing excitation."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.transform.channels import Drive
+from pipeline.transform.response import FrequencyResponse
+from pipeline.transform.sampling import Sampled
+from pipeline.transform.sweeps import Slices
+from schemas.errors import NotIdentifiableError
+from schemas.recording import Channel, Recording
+
+Float = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+WORST_RELATIVE_ERROR = 0.3
+"""Standard error over magnitude beyond which a line is noise."""
+LEAST_COHERENCE = 0.5
+_FEWEST_LINES = 5
+_AT_RANGE = 0.999
+_FLAT = 8.0
+"""So many times more samples at the extreme than one converter step below are a flat top; a sine has 2.4 times."""
+_FEWEST_FLAT = 20
+_LONGEST_RUN = 3
+
+
+def flat_tops(values: Float, resolution: float | None = None) -> Bool:
+    """Samples (n,) that sit on a flat top: at one extreme value far more often than just below it, several in a row.
+
+    A flat bottom near zero is a slack film, not a converter at its end, and is not reported.
+    """
+    found = np.zeros(values.shape, dtype=bool)
+    high, low = float(np.fmax.reduce(values)), float(np.fmin.reduce(values))
+    largest = max(abs(high), abs(low))
+    for sign, top in ((1.0, high), (-1.0, -low)):
+        if not top > 0.01 * largest:
+            continue
+        near = np.flatnonzero(values > top - 0.01 * largest if sign > 0 else values < 0.01 * largest - top)
+        if near.size < _FEWEST_FLAT:
+            continue
+        signed = sign * values[near]
+        step = resolution or _step(signed, 1e-6 * largest)
+        at = near[signed > top - step / 2]
+        below = int(np.count_nonzero(signed > top - 1.5 * step)) - at.size
+        if at.size < _FEWEST_FLAT or at.size <= _FLAT * below:
+            continue
+        breaks = np.flatnonzero(np.diff(at) > 1)
+        if np.diff(np.concatenate([[-1], breaks, [at.size - 1]])).max() >= _LONGEST_RUN:
+            found[at] = True
+    return found
+
+
+def _step(values: Float, least: float) -> float:
+    """Step of the converter as values near the top show it."""
+    levels = np.unique(values)
+    return float(np.diff(levels[-50:]).min()) if levels.size > 1 else least
+
+
+def overloaded(force: Channel, limit: float | None) -> Bool:
+    """Samples (n,) beyond the load cell's range `limit` (N, None unknown) or on a flat top."""
+    return _at_limit(force.values, force.resolution, limit)
+
+
+def _at_limit(values: Float, resolution: float | None, limit: float | None) -> Bool:
+    found = flat_tops(values, resolution)
+    if limit is not None:
+        found |= (values >= _AT_RANGE * limit) | (values <= -_AT_RANGE * limit)
+    return found
+
+
+def refuse_overload(recording: Recording, source: Drive, *, most: float = 0.001) -> tuple[str, ...]:
+    """Warning for a few overloaded samples; raises `NotIdentifiableError` when more than the share `most` are."""
+    bad = overloaded(source.output, _limit(recording, source))
+    share = float(bad.mean())
+    if share == 0:
+        return ()
+    level = float(np.nanmax(np.abs(source.output.values[bad])))
+    text = f"{100 * share:.2g} % of the samples of {source.output.quantity} are at the limit of {level:.4g}"
+    if share > most:
+        raise NotIdentifiableError(
+            f"the load cell is saturated: {text}" if source.output.quantity == "force" else f"saturated: {text}",
+            where=recording.metadata.recording_id,
+            expected="a signal within the range of its sensor",
+            remedy="Repeat the test with a smaller amplitude or a larger load cell",
+        )
+    return (text,)
+
+
+def mark_clipped_sweep(
+    response: FrequencyResponse,
+    recording: Recording,
+    source: Drive,
+    sampled: Sampled,
+    pieces: Slices,
+    low: float,
+    high: float,
+) -> FrequencyResponse:
+    """Marks the lines that the sweep passes while the output is clipped.
+
+    Raises `NotIdentifiableError` when that is more than half of them.
+    """
+    bad = _at_limit(sampled.values[source.output.quantity], source.output.resolution, _limit(recording, source))
+    if not bad.any():
+        return response
+    clipped = np.zeros(response.frequency_hz.shape, dtype=bool)
+    start, stop = recording.metadata.frequency_start_hz, recording.metadata.frequency_stop_hz
+    down = start is not None and stop is not None and start > stop
+    kinds = (recording.metadata.sweep,) if recording.metadata.sweep else ("linear", "log")
+    active = max(pieces.length - pieces.rest_before - pieces.rest_after, 1)
+    for first in pieces.first:
+        where = np.flatnonzero(bad[first : first + pieces.length])
+        progress = np.clip((where - pieces.rest_before) / active, 0.0, 1.0)
+        progress = np.unique(np.rint((1 - progress if down else progress) * 1000)) / 1000
+        for kind in kinds:
+            passed = low * (high / low) ** progress if kind == "log" else low + (high - low) * progress
+            near = np.abs(response.frequency_hz[:, None] / passed[None, :] - 1).min(axis=1, initial=np.inf)
+            clipped |= near < 0.03
+    if clipped.mean() > 0.5:
+        raise NotIdentifiableError(
+            f"the load cell is saturated during {100 * clipped.mean():.0f} % of the sweep",
+            where=recording.metadata.recording_id,
+            expected="a force within the range of the load cell",
+            remedy="Repeat the test with a smaller amplitude or a larger load cell",
+        )
+    return response.mark(clipped, "clipped: the output was at its limit while the sweep passed here")
+
+
+def judged(response: FrequencyResponse, band_hz: float) -> FrequencyResponse:
+    """Marks what lies beyond the clock's band, in the noise or without coherence.
+
+    Raises `NotIdentifiableError` when fewer than five lines (all of them, where there are fewer) remain.
+    """
+    response = response.mark(response.frequency_hz > band_hz, f"above {band_hz:.4g} Hz, which the sampling carries")
+    relative = response.standard_error / np.maximum(np.abs(response.value), np.finfo(float).tiny)
+    response = response.mark(relative > WORST_RELATIVE_ERROR, "noise: standard error above 30 % of the response")
+    if response.coherence is not None:
+        response = response.mark(response.coherence < LEAST_COHERENCE, f"coherence below {LEAST_COHERENCE:g}")
+    lines, left = response.frequency_hz.size, int(response.usable.sum())
+    if left < min(_FEWEST_LINES, lines):
+        reasons = Counter(r for text in response.unusable_because for r in text.split("; ") if r)
+        worst, count = reasons.most_common(1)[0]
+        raise NotIdentifiableError(
+            f"{left} of {lines} lines are usable; {count} are not because of: {worst}",
+            where=response.recording_id or "",
+            expected=f"at least {min(_FEWEST_LINES, lines)} usable lines",
+            remedy="Check that the input was driven in the stated band and that the output was connected",
+        )
+    return response
+
+
+def _limit(recording: Recording, source: Drive) -> float | None:
+    return recording.rig.load_cell_range_n if source.output.quantity == "force" else None

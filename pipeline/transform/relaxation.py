@@ -1,0 +1,239 @@
+"""A step of displacement and the force while it is held: stress relaxation in log time.
+
+The ramp is a ramp: its start, end and height are part of the result, so that a fit can use the exact response to it (a
+pure dashpot has no response to a jump). Steps of voltage belong to another module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.transform.channels import drive
+from pipeline.transform.noise import mean_variances
+from pipeline.transform.sampling import seconds
+from schemas.errors import NotIdentifiableError
+from schemas.recording import Recording
+
+Float = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+_PER_DECADE = 12
+_FEWEST_WINDOWS = 8
+_FEWEST_REST = 8
+_RINGING = 3.0
+"""A window whose samples scatter so many times more than the noise still holds the ringing of the clamp."""
+
+
+@final
+@dataclass(frozen=True)
+class RelaxationCurve:
+    """Force over step height while the step is held, as means over windows equally wide in log time.
+
+    Parameters
+    ----------
+    time_s : (n,) s since the start of the ramp, mean of the samples' times in the window
+    window_s : (n, 2) s since the start of the ramp, first and last sample of the window: the value is the mean over it
+    stiffness : (n,) N/mm, change of force over `step`; compliance of the load cell included
+    variance : (n,) of `stiffness`: noise of the window and, where the ramp is faster than the clock, what the
+        uncertain instant of the ramp does to it
+    usable : (n,)
+    ramp_s : duration of the ramp, which starts at 0 and is a straight line
+    step : height of the ramp, mm
+    rest_variance : variance of the rest level before the ramp over `step`²: the same error in every window
+    step_sd : standard deviation of `step`, mm
+    unusable_because : (n,) reason, "" where usable
+    recording_id, specimen_id : what it belongs to
+    quantity : `stiffness_n_per_mm`, or `output_per_input` for a system of another kind
+    details : rest force, step strain, held time and the like; plain values only
+    """
+
+    time_s: Float
+    window_s: Float
+    stiffness: Float
+    variance: Float
+    usable: Bool
+    ramp_s: float
+    step: float
+    rest_variance: float
+    step_sd: float
+    unusable_because: tuple[str, ...]
+    quantity: str
+    recording_id: str | None = None
+    specimen_id: str | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A ramp from `before` to `after` between `start_s` and `end_s`, held until `until_s`."""
+
+    start_s: float
+    end_s: float
+    until_s: float
+    before: float
+    after: float
+
+
+def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, ...]]:
+    """Relaxation curve of a mechanical `step` (or one of loading `other`), and warnings.
+
+    The first step is taken, from its ramp to the end of its hold. Raises `NotIdentifiableError` without a step, without
+    rest before it, or with a hold that is too short.
+    """
+    source, origin = drive(recording), recording.start_ns
+    where = recording.metadata.recording_id
+    t_x, x = seconds(source.input, origin)
+    t_f, force = seconds(source.output, origin)
+    step = _find_step(t_x, x, where)
+    height = step.after - step.before
+    held = (t_f > step.end_s) & (t_f <= step.until_s)
+    rest = force[t_f < step.start_s]
+    if rest.size < _FEWEST_REST:
+        raise NotIdentifiableError(
+            f"{rest.size} samples of {source.output.quantity} before the step",
+            where=where,
+            expected=f"at least {_FEWEST_REST}, for the level from which it relaxes",
+        )
+    time, values = t_f[held] - step.start_s, force[held]
+    starts = _window_starts(time, step.end_s - step.start_s)
+    if starts.size < _FEWEST_WINDOWS:
+        raise NotIdentifiableError(
+            f"the step is held for {step.until_s - step.end_s:.3g} s: {starts.size} windows in log time",
+            where=where,
+            expected=f"at least {_FEWEST_WINDOWS} windows ({_PER_DECADE} per decade)",
+        )
+    counts = np.diff(np.append(starts, time.size))
+    means = np.add.reduceat(values, starts) / counts
+    times = np.add.reduceat(time, starts) / counts
+    window = np.column_stack([time[starts], time[np.append(starts[1:], time.size) - 1]])
+    quiet, ramp_noise = _noise(rest, values)
+    variance = mean_variances(quiet, np.append(counts, rest.size))
+    coarse = _rounding_variance(source.output.resolution, ramp_noise)
+    variance = np.maximum(variance, coarse)
+    interval = (t_x[-1] - t_x[0]) / (t_x.size - 1)
+    if step.end_s - step.start_s < 3 * interval:
+        variance[:-1] += (np.gradient(means, times) * interval) ** 2 / 12
+    scatter = _scatter(time, values, starts, counts)
+    ringing = scatter > _RINGING * max(ramp_noise, np.sqrt(coarse))
+    x_before = x[t_x < step.start_s]
+    x_after = x[(t_x > step.end_s) & (t_x <= step.until_s)]
+    step_sd = float(np.sqrt(x_before.var() / x_before.size + x_after.var() / x_after.size))
+    curve = RelaxationCurve(
+        time_s=times,
+        window_s=window,
+        stiffness=(means - rest.mean()) / height,
+        variance=variance[:-1] / height**2,
+        usable=~ringing,
+        ramp_s=step.end_s - step.start_s,
+        step=height,
+        rest_variance=float(variance[-1]) / height**2,
+        step_sd=step_sd,
+        unusable_because=tuple("ringing of the clamp" if r else "" for r in ringing),
+        quantity=source.quantity,
+        recording_id=where,
+        specimen_id=recording.metadata.specimen_id,
+        details={
+            "rest_level": float(rest.mean()),
+            "ramp_start_s": step.start_s,
+            "held_s": step.until_s - step.end_s,
+            "samples": counts.tolist(),
+            "input_unit": source.input_unit,
+            "output_unit": source.output_unit,
+        },
+    )
+    warnings = []
+    if ringing.any():
+        until = float(window[np.flatnonzero(ringing)[-1], 1])
+        warnings.append(f"{int(ringing.sum())} windows up to {until:.3g} s after the step ring and are not usable")
+    if int(curve.usable.sum()) < _FEWEST_WINDOWS:
+        raise NotIdentifiableError(
+            f"{int(curve.usable.sum())} windows of the hold are usable, the others ring with the clamp",
+            where=where,
+            expected=f"at least {_FEWEST_WINDOWS}",
+        )
+    return curve, tuple(warnings)
+
+
+def _find_step(time: Float, x: Float, where: str) -> _Step:
+    """Ramp and hold in the input: a line through its 10 and 90 % crossings, held until it leaves the level."""
+    edge = int(np.clip(x.size // 200, _FEWEST_REST, 256))
+    before = float(np.median(x[:edge]))
+    noise = float(x[:edge].std())
+    away = np.abs(x - before)
+    reach = float(away.max(initial=0.0))
+    if x.size < 4 * edge or reach <= 6 * noise:
+        raise NotIdentifiableError(
+            "the input holds no step above its noise", where=where, expected="a step and its hold"
+        )
+    after = float(np.median(x[away > reach / 2]))
+    progress = (x - before) / (after - before)
+    t10, t90 = _crossing(time, progress, 0.1), _crossing(time, progress, 0.9)
+    duration = (t90 - t10) / 0.8
+    start = t10 - 0.1 * duration
+    end = start + duration
+    tolerance = max(0.02, 6 * noise / abs(after - before))
+    left = (time > end + duration) & (np.abs(progress - 1) > tolerance)
+    # One sample may be a spike: three in a row have left the level.
+    run = left[:-2] & left[1:-1] & left[2:]
+    until = float(time[int(run.argmax())]) if run.any() else float(time[-1]) + 1e-9
+    rest = x[time < start]
+    held = x[(time > end) & (time < until)]
+    if rest.size < _FEWEST_REST or held.size < _FEWEST_WINDOWS:
+        raise NotIdentifiableError(
+            f"{rest.size} samples before the step and {held.size} while it is held",
+            where=where,
+            expected=f"at least {_FEWEST_REST} and {_FEWEST_WINDOWS}",
+        )
+    return _Step(start, end, until, float(rest.mean()), float(held.mean()))
+
+
+def _crossing(time: Float, progress: Float, level: float) -> float:
+    """First time at which `progress` reaches the level, between samples."""
+    i = int((progress >= level).argmax())
+    if i == 0:
+        return float(time[0])
+    low, high = progress[i - 1], progress[i]
+    return float(time[i - 1] + (level - low) / (high - low) * (time[i] - time[i - 1]))
+
+
+def _window_starts(time: Float, ramp_s: float) -> NDArray[np.int64]:
+    """First sample of each window; windows are equally wide in log time and hold at least one sample."""
+    first = max(float(time[0]), ramp_s, np.finfo(float).tiny) if time.size else 1.0
+    if time.size < 2 or time[-1] <= first:
+        return np.zeros(min(time.size, 1), dtype=np.int64)
+    decades = np.log10(time[-1] / first)
+    edges = first * 10 ** np.linspace(0, decades, max(2, int(np.ceil(decades * _PER_DECADE)) + 1))
+    starts = np.searchsorted(time, edges[:-1] * (1 - 1e-12))
+    return np.unique(starts[starts < time.size])
+
+
+def _noise(rest: Float, held: Float) -> tuple[Float, float]:
+    """A stretch of noise alone and its standard deviation: the rest, or the end of the hold without its trend."""
+    quiet = rest if rest.size >= 64 else held[held.size // 2 :]
+    index = np.linspace(-1, 1, quiet.size)
+    degree = 1 if rest.size >= 64 else 3
+    quiet = quiet - np.polyval(np.polyfit(index, quiet, min(degree, quiet.size - 1)), index)
+    return quiet, float(quiet.std())
+
+
+def _rounding_variance(resolution: float | None, noise: float) -> float:
+    """Rounding of the converter does not average out where the noise is below a third of its step."""
+    return resolution**2 / 12 if resolution is not None and noise < 0.3 * resolution else 0.0
+
+
+def _scatter(time: Float, values: Float, starts: NDArray[np.int64], counts: NDArray[np.int64]) -> Float:
+    """Standard deviation within each window about a parabola; 0 where there are too few samples to tell."""
+    result = np.zeros(starts.size)
+    for i, (first, count) in enumerate(zip(starts, counts, strict=True)):
+        if count < 8:
+            continue
+        t, v = time[first : first + count], values[first : first + count]
+        s = (t - t.mean()) / (np.ptp(t) or 1.0)
+        residual = v - np.polyval(np.polyfit(s, v, 2), s)
+        result[i] = np.sqrt((residual**2).sum() / (count - 3))
+    return result

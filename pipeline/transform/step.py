@@ -1,0 +1,298 @@
+"""Electrical steps: per cycle the steps of force and capacitance and how they come about.
+
+The source names instant fractions, rise, overshoot and recovery without defining them (thesis, section 5.4); the
+definitions here are the project's own and stand in `measure_steps`. Edges are found in `step_edges`, levels and the slow
+change in `step_levels`; fits over the steps of a specimen are in `pipeline.fit.sensing` and `pipeline.fit.wrinkling`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.transform.step_edges import EDGE_S, Edges, on_phases, seconds_and_values, without_spikes
+from pipeline.transform.step_levels import (
+    FEWEST_RESTS,
+    Course,
+    SlowChange,
+    course,
+    final_level,
+    noise_memory,
+    on_span,
+    slow_change,
+)
+from schemas.errors import NotIdentifiableError
+from schemas.recording import Recording
+
+Float = NDArray[np.float64]
+
+_STILL_FADING = 0.01
+"""Share of a step that goes in the second half of the rest after it, from which on a rest counts as too short."""
+INSTANT_S = 0.1
+"""Delay after the voltage has reached 90 % at which the instant fraction is read."""
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """One step: on-edge to off-edge and the rest after it. None where it cannot be computed, see `warnings`.
+
+    Force steps are positive for a drop of tension, capacitance steps as measured, both from the level that the film would
+    recover to; fractions are of the change from the level that it had, at its end. `start_s` and `end_s` are seconds since the recording's first sample. Standard deviations are those of the levels and
+    of the slow change between them.
+    """
+
+    cycle: int
+    start_s: float
+    end_s: float
+    voltage_kv: float
+    force_rest_n: float
+    force_step_n: float
+    force_step_sd_n: float
+    force_instant_fraction: float | None
+    rise_time_s: float | None
+    overshoot_percent: float | None
+    settling_time_s: float | None
+    recovery_time_s: float | None
+    capacitance_rest_pf: float | None = None
+    capacitance_step_pf: float | None = None
+    capacitance_step_sd_pf: float | None = None
+    capacitance_instant_fraction: float | None = None
+    capacitance_mean_fraction: float | None = None
+    spikes: int = 0
+    wrinkled: bool | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def capacitive_strain(self) -> float | None:
+        """|change| over rest capacitance: 1 − λ_cap."""
+        if self.capacitance_step_pf is None or not self.capacitance_rest_pf:
+            return None
+        return abs(self.capacitance_step_pf) / self.capacitance_rest_pf
+
+    @property
+    def capacitive_strain_sd(self) -> float | None:
+        if self.capacitance_step_sd_pf is None or not self.capacitance_rest_pf:
+            return None
+        return self.capacitance_step_sd_pf / self.capacitance_rest_pf
+
+
+@dataclass(frozen=True)
+class StepAnalysis:
+    """All steps of a recording, the slow change of its rest levels, and what could not be done."""
+
+    steps: tuple[StepResponse, ...]
+    force_change: SlowChange | None
+    capacitance_change: SlowChange | None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def common_sd(self) -> float:
+        """Relative standard deviation that all ratios of force to capacitance steps share: of what was not recovered."""
+        return math.hypot(*(_left(c)[1] for c in (self.force_change, self.capacitance_change)))
+
+
+def measure_steps(recording: Recording) -> StepAnalysis:
+    """Steps of an electrical step recording, open or closed loop.
+
+    Edges are 50 % crossings of the measured voltage. A level is the mean of the last 0.5 s (or of the last 20 % of the
+    phase, if that is shorter) before an edge. With five rest levels or more the slow change beside the steps is estimated
+    and taken out first, and to each step is added what the film had not recovered of the one before, which is gone by its
+    end. y is the change over the step, from the level before it. Instant fraction: y 0.1 s after the voltage has reached 90 %. Rise
+    time: first crossings of 0.1 and 0.9. Overshoot: 100 (max y − 1), 0 where noise explains it. Settling: last exit from
+    ±5 %, or from what noise alone reaches in the phase where that is wider. Recovery: from the fall until 90 % of the
+    step is gone.
+
+    Raises `NotIdentifiableError` without a voltage step, and without force.
+    """
+    voltage, force = recording.channels["voltage"], recording.channels["force"]
+    capacitance = recording.channels.get("capacitance")
+    start = recording.start_ns
+    warnings: list[str] = []
+    if capacitance is None:
+        warnings.append("no capacitance channel: force only")
+    if recording.metadata.controller == "closed" and "demand" not in recording.channels:
+        warnings.append("closed loop without a demand channel: the loop's error cannot be computed")
+    volts = seconds_and_values(voltage, start)
+    phases = on_phases(*volts)
+    if not phases:
+        raise NotIdentifiableError(
+            "the voltage makes no step",
+            where=f"{recording.metadata.recording_id} /voltage",
+            expected="at least one change from off to on",
+        )
+    tension = seconds_and_values(force, start)
+    force_memory, capacitance_memory = noise_memory(*tension, phases), 0.0
+    force_change = slow_change(*tension, phases, force_memory)
+    capacitance_change = None
+    clean: tuple[Float, Float] | None = None
+    spikes_by_phase = [0] * len(phases)
+    if capacitance is not None:
+        clean, spikes_by_phase = without_spikes(*seconds_and_values(capacitance, start), phases)
+        capacitance_memory = noise_memory(*clean, phases)
+        capacitance_change = slow_change(*clean, phases, capacitance_memory)
+    steps = []
+    for number, phase in enumerate(phases, start=1):
+        if not phase.has_rest:
+            warnings.append(f"step {number} begins with the record: no rest level before it")
+            continue
+        pulled = course(*tension, phase, force_change, force_memory)
+        step = _force_step(number, phase, final_level(*volts, phase).value, pulled)
+        if clean is not None:
+            found = course(*clean, phase, capacitance_change, capacitance_memory)
+            step = _with_capacitance(step, phase, found, spikes_by_phase[number - 1])
+        steps.append(step)
+    if any(spikes_by_phase):
+        warnings.append(
+            f"{sum(spikes_by_phase)} samples of the capacitance within {EDGE_S * 1e3:.0f} ms of an edge left out as"
+            " interference"
+        )
+    if force_change is None:
+        warnings.append(
+            f"fewer than {FEWEST_RESTS} rest levels: slow relaxation and drift cannot be told from the step"
+        )
+    whole = _recovered(steps, force_change, capacitance_change)
+    return StepAnalysis(tuple(whole), force_change, capacitance_change, tuple(warnings))
+
+
+def _left(change: SlowChange | None) -> tuple[float, float]:
+    """Share of a step that is still there before the next, with its standard deviation; 0 where the rests are long enough.
+
+    They are where hardly anything goes in their second half, and what is left cannot be more than what still went there.
+    """
+    if change is None or change.fading < _STILL_FADING:
+        return 0.0, 0.0
+    return min(max(change.unrecovered, 0.0), change.fading), min(change.unrecovered_sd, change.fading)
+
+
+def _recovered(
+    steps: Sequence[StepResponse], force: SlowChange | None, capacitance: SlowChange | None
+) -> list[StepResponse]:
+    """Steps with what was left of the one before them added. The error of that share is one for all: `common_sd`."""
+    whole = list(steps)
+    pulled, sensed = _left(force)[0], _left(capacitance)[0]
+    for i in range(1, len(steps)):
+        before, step = steps[i - 1], steps[i]
+        if math.isfinite(before.force_step_n):
+            whole[i] = replace(whole[i], force_step_n=step.force_step_n + pulled * before.force_step_n)
+        change, last = step.capacitance_step_pf, before.capacitance_step_pf
+        if change is not None and last is not None:
+            whole[i] = replace(whole[i], capacitance_step_pf=change + sensed * last)
+    return whole
+
+
+def _instant(course: Course, phase: Edges) -> float | None:
+    at = phase.reached - phase.on + INSTANT_S
+    if at > phase.off - phase.on:
+        return None
+    return float(np.interp(at, course.t, course.y))
+
+
+def _force_step(number: int, phase: Edges, volts: float, course: Course | None) -> StepResponse:
+    empty = StepResponse(
+        number,
+        phase.on,
+        phase.off,
+        volts,
+        math.nan,
+        math.nan,
+        math.nan,
+        None,
+        None,
+        None,
+        None,
+        None,
+        warnings=("too few force samples around the step",),
+    )
+    if course is None:
+        return empty
+    step = replace(
+        empty, force_rest_n=course.rest, force_step_n=-course.step, force_step_sd_n=course.step_sd, warnings=()
+    )
+    return _with_dynamics(step, course, phase)
+
+
+def _with_dynamics(step: StepResponse, course: Course, phase: Edges) -> StepResponse:
+    """Adds rise, overshoot, settling and recovery of the force."""
+    if abs(course.step) < 5 * course.step_sd or not math.isfinite(course.noise):
+        return replace(step, warnings=(*step.warnings, "the force step is within the noise: no times, no fractions"))
+    warnings = list(step.warnings)
+    on = (course.t >= -EDGE_S) & (course.t < phase.off - phase.on - EDGE_S)  # the smoothing reaches over the edge
+    t, y = course.t[on], course.y[on]
+    # The largest of many noise values, not three standard deviations: else the last exit is always noise.
+    highest_noise = 1.2 * course.noise * math.sqrt(2 * math.log(max(y.size, 2)))
+    band = max(0.05, highest_noise)
+    outside = np.flatnonzero(np.abs(y - 1) > band)
+    settling = float(t[min(outside[-1] + 1, t.size - 1)]) if outside.size else 0.0
+    tail = 0.2 * (phase.off - phase.on)
+    if settling > phase.off - phase.on - tail:
+        warnings.append("the step is shorter than its settling time")
+    before_the_end = y[t < phase.off - phase.on - on_span(phase)]
+    peak = float(before_the_end.max() - 1) if before_the_end.size else 0.0
+    if not phase.has_fall:
+        warnings.append("the record ends before the voltage falls: no recovery time")
+    recovery = _recovery(course, phase)
+    if phase.has_fall and recovery is None:
+        warnings.append("recovery takes longer than the rest after the step")
+    return replace(
+        step,
+        force_instant_fraction=_instant(course, phase),
+        rise_time_s=_between(t, y, 0.1, 0.9),
+        overshoot_percent=100 * peak if peak > highest_noise else 0.0,
+        settling_time_s=max(settling, 0.0),
+        recovery_time_s=recovery,
+        warnings=tuple(warnings),
+    )
+
+
+def _recovery(course: Course, phase: Edges) -> float | None:
+    """Time from the fall until 90 % of the step is gone; None where that is not seen."""
+    if not phase.has_fall:
+        return None
+    after = course.t >= phase.off - phase.on
+    gone = np.flatnonzero(course.y[after] <= 0.1)
+    return float(course.t[after][gone[0]] - (phase.off - phase.on)) if gone.size else None
+
+
+def _between(t: Float, y: Float, low: float, high: float) -> float | None:
+    """Time from the first crossing of `low` to the first crossing of `high`, interpolated."""
+    times = []
+    for limit in (low, high):
+        above = np.flatnonzero(y >= limit)
+        if not above.size:
+            return None
+        i = int(above[0])
+        if i == 0:
+            times.append(float(t[0]))
+            continue
+        times.append(float(np.interp(limit, [y[i - 1], y[i]], [t[i - 1], t[i]])))
+    return times[1] - times[0]
+
+
+def _with_capacitance(step: StepResponse, phase: Edges, course: Course | None, spikes: int) -> StepResponse:
+    if course is None:
+        return replace(step, warnings=(*step.warnings, "too few capacitance samples around the step"), spikes=spikes)
+    step = replace(
+        step,
+        capacitance_rest_pf=course.rest,
+        capacitance_step_pf=course.step,
+        capacitance_step_sd_pf=course.step_sd,
+        spikes=spikes,
+    )
+    if abs(course.step) < 5 * course.step_sd:
+        return replace(step, warnings=(*step.warnings, "the capacitance step is within the noise"))
+    warnings = tuple(w for w in step.warnings if not w.startswith("recovery takes longer"))
+    recovery = _recovery(course, phase)
+    if phase.has_fall and recovery is None:
+        warnings += ("recovery takes longer than the rest after the step",)
+    on = (course.t >= 0) & (course.t < phase.off - phase.on)
+    return replace(
+        step,
+        capacitance_instant_fraction=_instant(course, phase),
+        capacitance_mean_fraction=float(np.mean(course.y[on])) if on.any() else None,
+        recovery_time_s=recovery,
+        warnings=warnings,
+    )

@@ -1,0 +1,141 @@
+"""Where the sweeps of a record are: rest, first movement, repeats. Found in the driven displacement itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from schemas.errors import NotIdentifiableError
+
+Float = NDArray[np.float64]
+
+_MOVING = 0.02
+"""Share of the amplitude that counts as movement."""
+_AUTOCORRELATED = 0.9
+_COARSE = 16384
+"""Points in which repeats are looked for; sweeps contain low frequencies, which is enough to find their period."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """First sample that moves, first sample that rests again (n when it never does), amplitude (half peak to peak)."""
+
+    first: int
+    stop: int
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class Slices:
+    """Equal pieces of a record, one per repeat: they start at `first` (samples) and are `length` samples long.
+
+    `rest_before`, `rest_after`: samples of rest at both ends of each piece; `continuous`: the repeats follow each other
+    without rest, so that a piece is one period of a periodic signal. `leftover`: the last samples of the record
+    that fill no whole piece hold another, incomplete sweep.
+    """
+
+    first: tuple[int, ...]
+    length: int
+    rest_before: int
+    rest_after: int
+    period: float
+    leftover: bool = False
+    continuous: bool = False
+
+
+def motion(values: Float) -> Motion:
+    """Where a finite signal moves. Raises `NotIdentifiableError` for one that never does."""
+    amplitude = float(values.max() - values.min()) / 2
+    if amplitude == 0:
+        raise NotIdentifiableError("the input does not move at all", expected="a sweep")
+    edge = int(np.clip(values.size // 200, 8, 256))
+    first, stop = _first_move(values, edge, amplitude), _first_move(values[::-1], edge, amplitude)
+    return Motion(first, values.size - stop, amplitude)
+
+
+def _first_move(values: Float, edge: int, amplitude: float) -> int:
+    start = values[:edge]
+    threshold = min(max(_MOVING * amplitude, 6 * float(start.std())), amplitude / 4)
+    level = float(start.mean())
+    # In pieces: most records move after a small part of them.
+    for first in range(0, values.size, 65536):
+        moving = np.abs(values[first : first + 65536] - level) > threshold
+        hit = int(moving.argmax())
+        if moving[hit]:
+            return first + hit
+    return 0
+
+
+def slices(
+    values: Float, moving: Motion, *, period: float | None, repeats: int | None, least_rest: float = 8.0
+) -> Slices:
+    """Pieces of one sweep each.
+
+    Parameters
+    ----------
+    values : (n,) finite displacement
+    period : samples from the start of one repeat to the start of the next, rest included; None: looked for
+    repeats : number that the metadata give, None where they do not
+    least_rest : samples of rest between repeats, below which they count as continuous
+    """
+    n = values.size
+    told = period is not None
+    if period is None and repeats != 1:
+        period = find_period(values)
+    if period is None or period >= n - moving.first or (not told and (n - moving.first) / period < 1.5):
+        return Slices((0,), n, moving.first, n - moving.stop, float(n))
+    # Length of one sweep: to the last movement within the first period.
+    piece = values[moving.first : moving.first + int(period)]
+    active = motion(piece).stop if piece.size else 0
+    gap = period - active
+    rests = gap >= max(0.05 * period, min(least_rest, 0.2 * period))
+    if not rests:
+        return periods(n, moving.first, period, repeats)
+    before = int(min(moving.first, gap / 2))
+    count = int(np.floor((n - moving.first - active) / period + 1e-6)) + 1
+    count = count if repeats is None else min(count, repeats)
+    first = tuple(round(moving.first - before + p * period) for p in range(count))
+    length = min(round(period), n - first[-1])
+    leftover = n - (moving.first + count * period) > 0.05 * active
+    return Slices(first, length, before, max(0, length - before - active), period, leftover)
+
+
+def periods(samples: int, onset: int, period: float, repeats: int | None) -> Slices:
+    """Pieces of a periodic signal without rest: whole periods from about `onset` on; where they begin does not matter."""
+    count = max(1, int((samples - onset) / period + 0.05))
+    count = count if repeats is None else min(count, repeats)
+    start = max(0.0, min(float(onset), samples - count * period))
+    length = round(period)
+    first = tuple(int(start + p * period) for p in range(count))
+    first = tuple(f for f in first if f + length <= samples)
+    return Slices(first, length, 0, 0, period, samples - onset - count * period > 0.05 * period, continuous=True)
+
+
+def find_period(values: Float) -> float | None:
+    """Samples after which the signal repeats, None where it does not; coarse, to about one part in 16000 of the record."""
+    step = max(1, values.size // _COARSE)
+    coarse = values[: values.size // step * step].reshape(-1, step).mean(axis=1)
+    coarse = coarse - np.median(coarse)
+    n = coarse.size
+    size = scipy.fft.next_fast_len(2 * n, real=True)
+    spectrum = scipy.fft.rfft(coarse, size)
+    products = scipy.fft.irfft(np.abs(spectrum) ** 2, size)[:n]
+    energy = np.concatenate([[0.0], np.cumsum(coarse**2)])
+    lags = np.arange(n)
+    # Correlation coefficient of the two overlapping parts.
+    together = np.sqrt(np.maximum(energy[n - lags] * (energy[n] - energy[lags]), np.finfo(float).tiny))
+    coefficient = products / together
+    enough = (lags > n // 400) & (lags < 0.75 * n) & (energy[n - lags] > 0.2 * energy[n])
+    # The first lag after the main peak has been left.
+    left = int(np.argmax(coefficient < 0.5))
+    enough &= lags > left
+    if not enough.any() or coefficient[enough].max() < _AUTOCORRELATED:
+        return None
+    high = coefficient >= 0.95 * coefficient[enough].max()
+    lag = int(np.flatnonzero(enough & high)[0])
+    while lag + 1 < n and coefficient[lag + 1] > coefficient[lag]:
+        lag += 1
+    return float(lag * step)

@@ -1,0 +1,137 @@
+"""Where do measurement and simulation part? One block of a diagnosis: measured, plain, extended, and both residuals in SD."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from reports.palette import BETTER, INK, MODEL, SECOND, WRONG
+from reports.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
+from reports.svg import TICKS, Drawing
+
+Float = NDArray[np.float64]
+
+_REACH = 8.0
+"""Half height of the residual panel, SD: what lies beyond is drawn at its edge."""
+_FLAT = 3.0
+"""A magnitude that spans less than this factor has a linear axis."""
+_LEAST = 1e-30
+_SHRINKS = 0.5
+"""A spacing below this share of the one before begins a new row of windows."""
+_MOST_EDGES = 4
+"""More would be no edges but a scatter of places."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Values of one kind at n places (complex where the quantity is): measured, simulated by both models, and the noise.
+
+    x (n,) along the axis `x_title`, logarithmic if `x_log`; `sd` (n,) of one component, in the unit of the values after
+    `factor`. `groups`: places and names on an axis that is only an order. `lines`: the values lie on a curve, so that the models are drawn as lines; else as marks. `extended` is None where
+    there is no extended model.
+    """
+
+    x: Float
+    measured: NDArray[np.complex128] | Float
+    plain: NDArray[np.complex128] | Float
+    extended: NDArray[np.complex128] | Float | None
+    sd: Float
+    title: str
+    x_title: str
+    x_log: bool
+    lines: bool
+    groups: tuple[tuple[float, str], ...] = ()
+
+    def residual(self, simulated: NDArray[np.complex128] | Float) -> Float:
+        """(n,) or, of complex values, (2n,): real parts, then imaginary parts, in SD."""
+        off = (self.measured - simulated) / np.maximum(self.sd, _LEAST)
+        return np.concatenate([off.real, off.imag]) if np.iscomplexobj(off) else np.asarray(off)
+
+    @property
+    def residual_x(self) -> Float:
+        return np.tile(self.x, 2) if np.iscomplexobj(self.measured) else self.x
+
+    def rms(self, simulated: NDArray[np.complex128] | Float) -> float:
+        """Root mean square residual, SD of the noise."""
+        return float(np.sqrt(np.mean(self.residual(simulated) ** 2)))
+
+
+def comparison(data: Compared, *, alt: str) -> Markup:
+    """Measured dots ± 2 SD with the plain (blue) and the extended model (green); below, what each leaves."""
+    drawing = Drawing(WIDE, 344)
+    x = logarithmic(data.x, margin=0.02) if data.x_log else linear(data.x, margin=0.04)
+    ticks = [place for place, _ in data.groups] if data.groups else None
+    shown = {"measured": _shown(data.measured), "plain": _shown(data.plain)}
+    if data.extended is not None:
+        shown["extended"] = _shown(data.extended)
+    upper = Panel(drawing, 52, 24, 352, 176, x, _scale(list(shown.values()), positive=np.iscomplexobj(data.measured)))
+    lower = Panel(drawing, 52, 232, 352, 66, x, symmetric(_reach(data)))
+    upper.axes(data.title, x_labels=False, y_most=5, x_ticks=ticks)
+    upper.bars(data.x, shown["measured"] - 2 * data.sd, shown["measured"] + 2 * data.sd, INK)
+    upper.held(data.x, shown["measured"], INK, 4.2)
+    names = [("plain", MODEL, "square")] + ([("extended", BETTER, "triangle")] if data.extended is not None else [])
+    for name, colour, marker in names:
+        if data.lines:
+            order = np.argsort(data.x, kind="stable")
+            course = data.x[order], shown[name][order]
+            upper.curve(*(course if data.x_log else broken(*course)), colour, 1.9)
+        else:
+            upper.dots(data.x, shown[name], colour, 5.4, marker=marker, open_=True)
+    last = int(np.argmax(data.x))
+    upper.names([(float(shown[name][last]), name, colour, True) for name, colour, _ in names])
+    _residuals(lower, data)
+    reach = nice(lower.y.high)
+    lower.axes("", data.x_title, y_ticks=(-reach, 0, reach), signed=True, x_ticks=ticks, x_labels=not data.groups)
+    for place, name in data.groups:
+        drawing.text(float(lower.px(place)), lower.bottom + 17, name, size=TICKS, colour=SECOND, anchor="middle")
+    return drawing.image(alt)
+
+
+def broken(x: Float, y: Float) -> tuple[Float, Float]:
+    """A course over ascending times x with a gap where windows that grew begin small again: an edge lies between them."""
+    gaps = np.diff(x)
+    shrinks = np.append(gaps[1:] < _SHRINKS * gaps[:-1], [False, False])[: gaps.size]
+    last = shrinks & ~np.append(shrinks[1:], False)
+    if np.count_nonzero(last) > _MOST_EDGES:
+        return x, y
+    places = np.flatnonzero(last) + 1
+    return np.insert(x, places, np.nan), np.insert(y, places, np.nan)
+
+
+def _residuals(panel: Panel, data: Compared) -> None:
+    panel.across(-2, 2)
+    panel.level(0)
+    drawing = panel.drawing
+    panel.held(data.residual_x, data.residual(data.plain), WRONG, 3.8, open_=True)
+    drawing.text(panel.left, panel.top - 9, "Residual, SD of the noise")
+    words = f"○ plain: {data.rms(data.plain):.1f}"
+    x = panel.right
+    if data.extended is not None:
+        panel.held(data.residual_x, data.residual(data.extended), BETTER, 3.4)
+        text = f"● extended: {data.rms(data.extended):.1f}"
+        drawing.text(x, panel.top - 9, text, colour=BETTER, anchor="end", bold=True)
+        x -= 7.2 * len(text)
+    drawing.text(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
+
+
+def _shown(values: NDArray[np.complex128] | Float) -> Float:
+    return np.abs(values) if np.iscomplexobj(values) else np.asarray(values, dtype=float)
+
+
+def _scale(values: Sequence[Float], *, positive: bool) -> Scale:
+    together = np.concatenate(values)
+    together = together[np.isfinite(together)]
+    if positive and together.size and together.min() > 0 and together.max() > _FLAT * together.min():
+        return logarithmic(together, margin=0.06)
+    return linear(together, margin=0.08)
+
+
+def _reach(data: Compared) -> float:
+    """High enough for most of both residuals, and for the ±2 band."""
+    parts = [data.residual(data.plain)] + ([data.residual(data.extended)] if data.extended is not None else [])
+    largest = max(float(np.quantile(np.abs(p), 0.97)) for p in parts)
+    return max(4.0, min(1.15 * largest, max(_REACH, 1.15 * float(np.quantile(np.abs(parts[0]), 0.9)))))

@@ -1,0 +1,103 @@
+"""Where is the film thin, and did it fail there? The simulated thickness with the electrode and the failures by region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from reports.palette import MODEL, SECOND
+from reports.plot import tick_text
+from reports.svg import Drawing
+
+Float = NDArray[np.float64]
+REGIONS = ("left", "centre", "right")
+_WIDTH = 302.0
+_SIDE = 232.0
+_THICK, _THIN = (241, 243, 245), (60, 78, 96)
+
+
+@dataclass(frozen=True)
+class Film:
+    """Thickness over its median on a regular grid: `relative` and `active` are (rows, columns), rows along y (mm)."""
+
+    x: Float
+    y: Float
+    relative: Float
+    active: NDArray[np.bool_]
+
+
+def grid(x: Float, y: Float, relative: Float, active: NDArray[np.bool_]) -> Film:
+    """A film from points (n,) of a regular grid, in any order; places without a point are NaN and not active."""
+    across, along = np.unique(np.round(x, 6)), np.unique(np.round(y, 6))
+    rows, columns = np.searchsorted(along, np.round(y, 6)), np.searchsorted(across, np.round(x, 6))
+    thickness = np.full((along.size, across.size), np.nan)
+    under = np.zeros(thickness.shape, dtype=bool)
+    thickness[rows, columns] = relative
+    under[rows, columns] = active
+    return Film(across, along, thickness, under)
+
+
+def palette() -> NDArray[np.uint8]:
+    """256 greys from thick (light) to thin (dark)."""
+    share = np.linspace(0, 1, 256)[:, None]
+    return np.asarray(np.round((1 - share) * np.array(_THICK) + share * np.array(_THIN)), dtype=np.uint8)
+
+
+def thickness_map(
+    film: Film, span: tuple[float, float], failures: Mapping[str, int], title: str, *, alt: str
+) -> Markup:
+    """The film in plan: shade is thickness from `span` (thin, thick), dashes the electrode, numbers the failures found."""
+    width, height = float(np.ptp(film.x)), float(np.ptp(film.y))
+    scale = _SIDE / max(width, height)
+    shown_width, shown_height = max(40.0, width * scale), max(40.0, height * scale)
+    left, top = 40.0, 30.0
+    drawing = Drawing(_WIDTH, top + shown_height + 46)
+    thin, thick = span
+    share = np.clip((thick - film.relative) / max(thick - thin, 1e-9), 0, 1)
+    cells = np.nan_to_num(np.round(255 * share)).astype(np.uint8)[::-1]
+    drawing.picture(left, top, shown_width, shown_height, cells, palette())
+    cell = (shown_width / film.x.size, shown_height / film.y.size)
+    edges = [
+        (left + cell[0] * a, top + cell[1] * b, left + cell[0] * c, top + cell[1] * d)
+        for a, b, c, d in _outline(film.active[::-1])
+    ]
+    drawing.segments(edges, MODEL, 1.6)
+    drawing.text(0, 14, title)
+    for value, place in (
+        (film.y.max(), top + 9),
+        (0.0, top + shown_height / 2 + 4),
+        (film.y.min(), top + shown_height),
+    ):
+        drawing.text(left - 6, place, tick_text(round(float(value), 1)), size=10.7, colour=SECOND, anchor="end")
+    for i, region in enumerate(REGIONS):
+        x = left + shown_width * (i + 0.5) / 3
+        drawing.text(x, top + shown_height + 17, f"{region} {failures.get(region, 0)}", size=11.3, anchor="middle")
+    drawing.text(
+        left + shown_width / 2,
+        top + shown_height + 36,
+        "failures by third along the rods",
+        size=10.7,
+        colour=SECOND,
+        anchor="middle",
+    )
+    return drawing.image(alt)
+
+
+def _outline(mask: NDArray[np.bool_]) -> list[tuple[float, float, float, float]]:
+    """Borders between active and other cells as merged straight lines (x1, y1, x2, y2) in cells."""
+    padded = np.pad(mask, 1)
+    lines: list[tuple[float, float, float, float]] = []
+    for row, change in enumerate(np.diff(padded.astype(np.int8), axis=0)[:, 1:-1] != 0):
+        lines += [(a, row, b, row) for a, b in _runs(change)]
+    for column, change in enumerate(np.diff(padded.astype(np.int8), axis=1)[1:-1].T != 0):
+        lines += [(column, a, column, b) for a, b in _runs(change)]
+    return lines
+
+
+def _runs(change: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], change.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

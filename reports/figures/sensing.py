@@ -1,0 +1,185 @@
+"""Self-sensing: open against closed loop, gains of a controller, sensitivity against geometry, coats and cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from reports.palette import BAND, BETTER, INK, MODEL, RAW, SECOND, WRONG, group
+from reports.plot import WIDE, Panel, Scale, linear, logarithmic, note
+from reports.svg import Drawing
+from schemas.numbers import compact
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One quantity of a run over the time since its start, s."""
+
+    time: Float
+    value: Float
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run to be compared: its name and its channels (voltage kV, capacitance pF, drop of tension mN) where known."""
+
+    name: str
+    closed: bool
+    channels: dict[str, Channel]
+
+
+_TITLES = {"voltage": "Voltage, kV", "capacitance": "Capacitance, pF", "force": "Drop of tension, mN"}
+
+
+def open_closed(runs: Sequence[Run], demand_pf: float | None, until_s: float, *, alt: str) -> Markup:
+    """Voltage, capacitance and force of an open and a closed loop over the same time, one above the other."""
+    height, gap = 112.0, 44.0
+    drawing = Drawing(WIDE, 30 + 3 * (height + gap) + 14)
+    start = min(float(c.time.min()) for r in runs for c in r.channels.values())
+    x = Scale(start, until_s)
+    for i, (quantity, title) in enumerate(_TITLES.items()):
+        drawn = [(r, r.channels[quantity]) for r in runs if quantity in r.channels]
+        within = [c.value[c.time <= until_s] for _, c in drawn]
+        extra = [] if quantity != "capacitance" or demand_pf is None else [demand_pf]
+        y = linear(*(_trimmed(v) for v in within), extra, zero=quantity != "capacitance", margin=0.1)
+        panel = Panel(drawing, 52, 24 + i * (height + gap), 336, height, x, y)
+        if quantity == "capacitance" and demand_pf is not None:
+            panel.level(demand_pf, BETTER, 1.2, dash="5 3")
+        names = []
+        for run, channel in drawn:
+            colour = MODEL if run.closed else RAW
+            shown = channel.time <= until_s
+            panel.curve(channel.time[shown], channel.value[shown], colour, 1.6)
+            late = shown & (channel.time > 0.7 * until_s)
+            if late.any():
+                names.append(
+                    (float(np.median(channel.value[late])), run.name, colour if run.closed else SECOND, run.closed)
+                )
+        if quantity == "capacitance" and demand_pf is not None:
+            names.append((demand_pf, "demand", BETTER, False))
+        panel.names(names)
+        panel.axes(title, "Time since the change, s" if i == 2 else "", x_labels=i == 2, y_most=4)
+    return drawing.image(alt)
+
+
+def _trimmed(values: Float) -> Float:
+    """Values without the few that stand out: interference at an edge must not set the scale."""
+    return values if values.size < 50 else np.clip(values, *np.quantile(values, [0.004, 0.996]))
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Loops of one proportional gain: integral gains (n,), rise s, overshoot %, overshoot of the force %, settled (n,)."""
+
+    proportional: float
+    integral: Float
+    rise: Float
+    overshoot: Float
+    force_overshoot: Float
+    settled: NDArray[np.bool_]
+
+
+def gains(rows: Sequence[Gains], best: tuple[float, float] | None, *, alt: str) -> Markup:
+    """Rise, overshoot and overshoot of the force against the integral gain, a line per proportional gain."""
+    height, gap = 96.0, 42.0
+    drawing = Drawing(WIDE, 30 + 3 * (height + gap) + 18)
+    x = logarithmic(*(r.integral for r in rows), margin=0.06)
+    panels = (("Rise time, s", "rise", 0.5), ("Overshoot of the capacitance, %", "overshoot", 10.0), ("Overshoot of the force, %", "force_overshoot", 10.0))  # fmt: skip
+    for i, (title, quantity, limit) in enumerate(panels):
+        values = [getattr(r, quantity) for r in rows]
+        y = linear(*values, [0.0, 1.2 * limit], zero=True, margin=0.08)
+        panel = Panel(drawing, 52, 24 + i * (height + gap), 326, height, x, y)
+        panel.across(0.0, limit, BAND)
+        names = []
+        for j, (row, value) in enumerate(zip(rows, values, strict=True)):
+            drawn = group(j)
+            panel.curve(row.integral, value, drawn.colour, 1.3)
+            panel.dots(row.integral[row.settled], value[row.settled], drawn.colour, 5.0, marker=drawn.marker)
+            panel.dots(
+                row.integral[~row.settled], value[~row.settled], drawn.colour, 5.0, marker=drawn.marker, open_=True
+            )
+            known = value[np.isfinite(value)]
+            if known.size:
+                names.append((float(known[-1]), f"{compact(row.proportional, 3)} V/pF", drawn.colour, False))
+            if best is not None and row.proportional == best[0]:
+                here = row.integral == best[1]
+                panel.dots(row.integral[here], value[here], INK, 11.0, open_=True)
+        panel.names(names)
+        panel.axes(title, "Integral gain, V/pF/s" if i == 2 else "", x_labels=i == 2, y_most=4)
+        if i == 0:
+            note(drawing, panel.left + 6, float(panel.py([limit])[0]) - 4, "goal")
+    return drawing.image(alt)
+
+
+def agreement(
+    names: Sequence[str], predicted: Float, measured: Float, low: Float, high: Float, shown: int | None, *, alt: str
+) -> Markup:
+    """Measured against predicted sensitivity (n,), with 95 % limits; the specimen at hand is filled, the others open."""
+    drawing = Drawing(WIDE, 290)
+    scale = linear(predicted, low, high, [0.0], margin=0.08)
+    panel = Panel(drawing, 52, 24, 300, 218, scale, scale)
+    panel.curve([scale.low, scale.high], [scale.low, scale.high], MODEL, 1.6)
+    panel.label(scale.high, scale.high, "as predicted", MODEL, anchor="end", dx=-6, dy=-6)
+    panel.bars(predicted, low, high, SECOND)
+    entries = []
+    for i, name in enumerate(names):
+        panel.dots([predicted[i]], [measured[i]], INK if i == shown else SECOND, 5.4, open_=i != shown)
+        entries.append((float(measured[i]), name, INK if i == shown else SECOND, i == shown))
+    panel.names(entries)
+    panel.axes("Sensitivity measured", "Sensitivity predicted from the geometry")
+    return drawing.image(alt)
+
+
+def coats(
+    number: Float, capacitance: Float, full: tuple[float, float, float] | None, cover: float | None, *, alt: str
+) -> Markup:
+    """Capacitance (n,) over the number of coats; the covered region's with its limits, and the coats that it takes."""
+    drawing = Drawing(WIDE, 270)
+    extra = [] if full is None else list(full)
+    panel = Panel(drawing, 52, 24, 340, 198, Scale(0.0, 1.05 * float(number.max())), linear(capacitance, extra))
+    if full is not None:
+        panel.across(full[1], full[2], BAND)
+        panel.level(full[0], MODEL, 1.2)
+        panel.names([(full[0], "covered", MODEL, True)])
+    if cover is not None and cover <= panel.x.high:
+        top = float(panel.px([cover])[0])
+        drawing.line([(top, panel.top), (top, panel.bottom)], SECOND, 0.9, dash="4 3")
+        note(drawing, top + 4, panel.bottom - 6, "99 %")
+    panel.dots(number, capacitance, INK, 5.0)
+    panel.axes("Capacitance at rest, pF", "Coats")
+    return drawing.image(alt)
+
+
+def migration(
+    cycle: Float, lines: Sequence[tuple[str, Float]], onset: tuple[float, float, float] | None, *, alt: str
+) -> Markup:
+    """Harmonics over the fundamental, percent, by cycle; the onset with its limits."""
+    drawing = Drawing(WIDE, 270)
+    panel = Panel(
+        drawing,
+        52,
+        24,
+        330,
+        198,
+        Scale(0.0, float(cycle.max()) * 1.02),
+        logarithmic(*(v for _, v in lines), margin=0.08),
+    )
+    if onset is not None:
+        panel.column(onset[1], onset[2], BAND)
+        at = float(panel.px([onset[0]])[0])
+        drawing.line([(at, panel.top), (at, panel.bottom)], WRONG, 1.2)
+        note(drawing, at - 5, panel.top + 12, "migration begins", WRONG, anchor="end")
+    entries = []
+    for i, (name, value) in enumerate(lines):
+        drawn = INK if i == 0 else group(i).colour
+        panel.curve(cycle, value, drawn, 1.6 if i == 0 else 1.1)
+        entries.append((float(np.median(value[-10:])), name, drawn, i == 0))
+    panel.names(entries)
+    panel.axes("Harmonics over the fundamental, %", "Cycle")
+    return drawing.image(alt)

@@ -1,0 +1,258 @@
+"""How long do they live, in which group, and does one law describe it?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from reports.names import short
+from reports.palette import BAND, INK, RULE, SECOND, Group
+from reports.plot import WIDE, Panel, Scale, logarithmic, note, symmetric, tick_text
+from reports.svg import Drawing
+from schemas.numbers import pm
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+
+_FEW = 3
+"""Up to so many groups have room for a second line beside their name."""
+
+
+@dataclass(frozen=True)
+class GroupCurve:
+    """Kaplan–Meier curve of a group at m times, and its Weibull law where one was fitted."""
+
+    name: str
+    drawn: Group
+    time: Float
+    survival: Float
+    lower: Float
+    upper: Float
+    at_risk: Int
+    censored: Int
+    failures: Int
+    shape: float | None = None
+    shape_sd: float | None = None
+    scale: float | None = None
+
+    @property
+    def total(self) -> int:
+        return int(self.at_risk[0]) if self.at_risk.size else 0
+
+    @property
+    def failed(self) -> int:
+        return int(self.failures.sum())
+
+    def still_at_risk(self, time: float) -> int:
+        """At risk just before `time`: those whose time is not below it."""
+        later = np.flatnonzero(self.time >= time * (1 - 1e-12))
+        return int(self.at_risk[later[0]]) if later.size else 0
+
+
+def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> Markup:
+    """Step curves with 95 % bands, open marks where specimens were still alive, numbers at risk under the ticks."""
+    name_height = 17.0
+    drawing = Drawing(WIDE, 286 + name_height * (len(groups) + 1))
+    times = np.concatenate([g.time for g in groups])
+    positive = times[times > 0]
+    spread = positive.max() / positive.min() if positive.size else 1.0
+    log = bool(spread > 300)
+    end = float(positive.max()) if positive.size else 1.0
+    x = logarithmic(positive, margin=0.03) if log else Scale(0.0, end * 1.0001)
+    panel = Panel(drawing, 142, 26, 306, 206, x, Scale(0.0, 110.0))
+    start = x.low
+    ticks = x.ticks(7)[0]
+    if not log and end - ticks[-1] > 0.35 * (ticks[1] - ticks[0]):
+        ticks.append(end)
+    for g in groups:
+        time, survival = np.append(start, np.maximum(g.time, start)), np.append(1.0, g.survival)
+        lower, upper = np.append(1.0, g.lower), np.append(1.0, g.upper)
+        panel.band(time, 100 * lower, 100 * upper, g.drawn.colour, ".14", steps=True)
+        panel.steps(time, 100 * survival, g.drawn.colour, 2.2)
+        kept = g.censored > 0
+        panel.dots(g.time[kept], 100 * g.survival[kept], g.drawn.colour, 7.2, marker=g.drawn.marker, open_=True)
+    panel.axes("Surviving, %", time_title, x_ticks=ticks, y_ticks=(0, 25, 50, 75, 100))
+    _names(panel, groups)
+    _at_risk(panel, groups, ticks, name_height)
+    return drawing.image(alt)
+
+
+def _names(panel: Panel, groups: Sequence[GroupCurve]) -> None:
+    """The group's name where its curve leaves room: above a flat one, right of one that falls at once, else left of it."""
+    taken: list[tuple[float, float, float, float]] = []
+    for g in sorted(groups, key=lambda g: float(g.time[g.failures > 0][0]) if g.failed else np.inf):
+        lines = [*wrap(short(g.name, 44), 22), f"{g.failed} of {g.total} failed"]
+        lines = lines if len(groups) <= _FEW else [short(g.name, 22)]
+        wide, high = 6.6 * max(len(line) for line in lines), 14.0 * len(lines)
+        if not g.failed:
+            text = f"{short(g.name, 40)}: {g.failed} of {g.total} failed"
+            y = float(panel.py([100.0])[0]) - 7
+            panel.drawing.text(panel.right, y, text, size=11.3, colour=g.drawn.colour, anchor="end", bold=True)
+            continue
+        start = float(panel.px(g.time[g.failures > 0])[0]) - 10
+        right = start - wide < panel.left + 6
+        y = float(panel.py([72.0])[0])
+        while True:
+            x = _beyond(panel, g, y + high) + 12 if right else start
+            left = x if right else x - wide
+            if y + high > panel.bottom or not any(
+                left < b and a < left + wide and y < d and c < y + high for a, b, c, d in taken
+            ):
+                break
+            y += 12
+        x = min(x, panel.right + 24 - wide) if right else x
+        taken.append((left, left + wide, y, y + high))
+        for i, line in enumerate(lines):
+            anchor = None if right else "end"
+            panel.drawing.text(x, y + 14 * i, line, size=11.3, colour=g.drawn.colour, anchor=anchor, bold=True)
+
+
+def _beyond(panel: Panel, g: GroupCurve, y: float) -> float:
+    """Where the curve has fallen below the height y, in px."""
+    below = np.flatnonzero(panel.py(100 * g.survival) >= y)
+    return float(panel.px(g.time[[below[0] if below.size else -1]])[0])
+
+
+def _at_risk(panel: Panel, groups: Sequence[GroupCurve], ticks: Sequence[float], height: float) -> None:
+    top = panel.bottom + 50
+    panel.drawing.line([(4, top - 8), (panel.right + 14, top - 8)], RULE, 0.9)
+    panel.drawing.text(panel.left - 12, top + 6, "At risk", size=11, colour=SECOND, anchor="end")
+    for i, g in enumerate(groups):
+        y = top + 6 + height * (i + 1)
+        panel.drawing.text(
+            panel.left - 12, y, short(g.name, 23), size=10.7, colour=g.drawn.colour, anchor="end", bold=True
+        )
+        for p, t in zip(panel.px(list(ticks)).tolist(), ticks, strict=True):
+            panel.drawing.text(p, y, str(g.still_at_risk(t)), size=11.3, anchor="middle")
+
+
+def weibull(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> Markup:
+    """Share failed on Weibull scales: on a line where the law holds; the residual is read from the line itself."""
+    drawing = Drawing(WIDE, 286 + 17.0 * (len(groups) + 1))
+    points = [(g, *_plotted(g)) for g in groups]
+    times = [t for _, t, _ in points]
+    panel = Panel(
+        drawing, 46, 26, 380, drawing.height - 26 - 54, logarithmic(*times, margin=0.08), Scale(_w(0.015), _w(0.985))
+    )
+    ticks = (0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98)
+    panel.axes("Failed, % (Weibull scale)", time_title, y_ticks=[])
+    for share in ticks:
+        y = float(panel.py([_w(share)])[0])
+        drawing.segments([(panel.left - 4.5, y, panel.left, y)], SECOND)
+        drawing.text(panel.left - 7, y + 4, tick_text(100 * share), size=11.3, colour=SECOND, anchor="end")
+    entries: list[tuple[GroupCurve, float, float]] = []
+    for g, time, failed in points:
+        panel.dots(time, [_w(s) for s in failed.tolist()], g.drawn.colour, 5.2, marker=g.drawn.marker)
+        if g.shape and g.scale:
+            height = np.linspace(panel.y.low, panel.y.high, 3)
+            panel.curve(g.scale * np.exp(height / g.shape), height, g.drawn.colour, 1.5)
+            entries.append((g, g.shape, g.scale))
+    for i, (g, shape, scale) in enumerate(sorted(entries, key=lambda e: e[2])):
+        words = f"shape {pm(shape, g.shape_sd)}" if g.shape_sd else f"shape {shape:.2g}"
+        lines = [*wrap(short(g.name, 44), 24), words][: None if len(entries) <= _FEW else 1]
+        wide = 6.6 * max(len(line) for line in lines)
+        level, side = (0.93, "end") if i == 0 else (0.035 if i % 2 else 0.12, None)
+        x = float(panel.px([scale * math.exp(_w(level) / shape)])[0])
+        if side and x - wide - 14 < panel.left:
+            level, side = 0.05, None
+            x = float(panel.px([scale * math.exp(_w(level) / shape)])[0])
+        if not side and x + wide + 14 > panel.right + 44:
+            side = "end"
+        y = float(panel.py([_w(level)])[0])
+        for k, line in enumerate(lines):
+            drawing.text(
+                x + (-14 if side else 14), y + 14 * k, line, size=11.3, colour=g.drawn.colour, anchor=side, bold=True
+            )
+    return drawing.image(alt)
+
+
+def _w(share: float) -> float:
+    """ln(−ln(1 − F)): Weibull laws are straight lines in it against ln t."""
+    return math.log(-math.log1p(-share))
+
+
+def _plotted(g: GroupCurve) -> tuple[Float, Float]:
+    """Failure times and the share failed there: middle of the curve's jump, so that neither end is at 0 or 1."""
+    before = np.append(1.0, g.survival[:-1])
+    hit = (g.failures > 0) & (g.time > 0)
+    share = 1 - (before + g.survival) / 2
+    return g.time[hit], share[hit]
+
+
+@dataclass(frozen=True)
+class Share:
+    """One row of the chart of regions: where, how many of how many, observed share with limits, predicted share."""
+
+    label: str
+    drawn: Group
+    count: int
+    total: int
+    observed: float
+    low: float
+    high: float
+    predicted: float | None
+
+
+def regions(rows: Sequence[Share], *, alt: str) -> Markup:
+    """Share of the failures by region: found with its 95 % interval, expected as an open diamond."""
+    height = 24.0
+    drawing = Drawing(WIDE, 64 + height * len(rows))
+    panel = Panel(drawing, 150, 26, 250, height * len(rows), Scale(0.0, 100.0), Scale(len(rows) - 0.5, -0.5))
+    for x in (25, 50, 75):
+        p = float(panel.px([x])[0])
+        drawing.line([(p, panel.top), (p, panel.bottom)], BAND, 1.0)
+    panel.axes("Share of the failures, %", x_ticks=(0, 25, 50, 75, 100), y_ticks=[], title_left=4)
+    for i, row in enumerate(rows):
+        y = float(panel.py([i])[0])
+        low, high = (float(v) for v in panel.px([100 * row.low, 100 * row.high]))
+        drawing.text(panel.left - 10, y + 4, row.label, size=11.3, anchor="end")
+        drawing.line([(low, y), (high, y)], row.drawn.colour, 1.6)
+        panel.dots([100 * row.observed], [i], row.drawn.colour, 7.0, marker=row.drawn.marker)
+        if row.predicted is not None:
+            panel.dots([100 * row.predicted], [i], INK, 8.0, marker="diamond", open_=True)
+        drawing.text(panel.right + 12, y + 4, f"{row.count} of {row.total}", size=11.3, colour=SECOND)
+    if any(r.predicted is not None for r in rows):
+        note(drawing, panel.right + 12, panel.bottom + 17, "◇ expected", INK)
+    return drawing.image(alt)
+
+
+@dataclass(frozen=True)
+class VoltageLife:
+    """Life against voltage of a configuration: Weibull scales at n voltages in kV, by the law and free."""
+
+    name: str
+    drawn: Group
+    voltage: Float
+    scale: Float
+    law: Float
+    standardised: Float
+
+
+def against_voltage(items: Sequence[VoltageLife], unit: str, *, alt: str) -> Markup:
+    """Life against voltage on logarithmic axes with the inverse power law, and what is left of it below."""
+    drawing = Drawing(WIDE, 344)
+    x = logarithmic(*(i.voltage for i in items), margin=0.08)
+    upper = Panel(
+        drawing, 60, 24, 322, 176, x, logarithmic(*(i.scale for i in items), *(i.law for i in items), margin=0.08)
+    )
+    lower = Panel(drawing, 60, 226, 322, 72, x, symmetric(7))
+    lower.across(-2, 2)
+    lower.level(0)
+    entries = []
+    for i in items:
+        order = np.argsort(i.voltage)
+        upper.curve(i.voltage[order], i.law[order], i.drawn.colour, 1.6)
+        upper.dots(i.voltage, i.scale, i.drawn.colour, 5.6, marker=i.drawn.marker)
+        lower.held(i.voltage, i.standardised, i.drawn.colour, 5.0)
+        entries.append((float(i.law[order][-1]), short(i.name, 16), i.drawn.colour, True))
+    upper.names(entries)
+    upper.axes(f"Weibull scale, {unit}; line: inverse power law", x_labels=False, y_most=5)
+    lower.axes("Off the law, SD", "Voltage, kV", y_ticks=(-5, 0, 5))
+    return drawing.image(alt)

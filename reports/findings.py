@@ -1,0 +1,210 @@
+"""Findings in words: who, what, by how much, what mending it gains. No hedging, no exclamation, no colour without a word.
+
+From diagnoses where they were made; else from what the fits and the lifetimes show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from reports.blocks import Next, Piece, code, flow, listed, name, sub, tag
+from reports.evidence import Standing, beyond_noise, no_relaxation
+from reports.names import short
+from reports.results import Row
+from schemas import numbers
+from schemas.mechanisms import MECHANISMS, cause, model_name, plain_name
+from schemas.numbers import NBSP, capital, compact, p_equals, percent, pm, significant, whole, word
+
+LISTED_CAUSES = len(MECHANISMS)
+
+
+def gain(diagnosis: Row) -> str:
+    """What the extension removes of the removable held-out error, with its 95 % limits where they are known."""
+    if diagnosis["gain"] is None:
+        return ""
+    text = percent(diagnosis["gain"])
+    lower, upper = diagnosis["gain_lower"], diagnosis["gain_upper"]
+    if lower is not None and upper is not None:
+        text += f" (95{NBSP}% interval {percent(lower)} to {percent(upper)})"
+    return text
+
+
+def headline(standing: Standing) -> Markup:
+    """The finding of a specimen, its `h1`."""
+    who = flow("Specimen ", name(standing.specimen_id))
+    d, fit = standing.diagnosis, standing.fit
+    if d and d["verdict"] == "named":
+        removes = "" if d["gain"] is None else f" Correcting it removes {percent(d['gain'])} of the held-out error."
+        return flow(who, f": {cause(d)}.{removes}")
+    if d and d["verdict"] == "ambiguous":
+        return flow(who, f": {cause(d)}. The recordings cannot tell which.")
+    if d and d["verdict"] == "unknown":
+        return flow(who, f": the simulation is wrong, and none of the {LISTED_CAUSES} listed causes explains it")
+    if fit is None:
+        return flow(who, "")
+    if no_relaxation(fit) and not d:
+        return flow(who, ": no relaxation of any order describes the response")
+    film = f"{model_name(fit['model_order'])} {short(standing.material or 'film', 30)}"
+    stiffness = numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm")
+    if d:
+        return flow(who, f": the simulation is right within the noise; a {film}")
+    ending = _residual_words(fit)
+    if not ending:
+        return flow(who, f": a {film}, ", sub("k", 0), f"{NBSP}={NBSP}{stiffness}")
+    return flow(who, f": a {film}, ", sub("k", 0), f"{NBSP}={NBSP}{stiffness}; {ending}")
+
+
+def _residual_words(fit: Row) -> str:
+    if fit["reduced_chi2"] is None:
+        return ""
+    if beyond_noise(fit):
+        return f"the model leaves {significant(fit['reduced_chi2'] ** 0.5, 2)} times the noise"
+    return "what the model leaves is noise"
+
+
+def lede(standing: Standing) -> Piece:
+    """What the specimen's material is, below a finding about something else."""
+    fit, d = standing.fit, standing.diagnosis
+    if fit is None:
+        return ""
+    k0 = numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm")
+    if d:
+        return Markup("{} {} model, {} = {}; reduced χ² {}.").format(
+            "The film itself: a" if d["verdict"] == "named" else "A", model_name(fit["model_order"]), sub("k", 0), k0,
+            significant(fit["reduced_chi2"]),
+        )  # fmt: skip
+    if no_relaxation(fit):
+        return (
+            f"Even the best relaxation of any order leaves {significant(fit['positivity_chi2'])} times the variance of the"
+            " noise. Look at rig, sensor and nonlinearity before adding arms."
+        )
+    if fit["reduced_chi2"] is None:
+        samples = f"{whole(fit['frequency_lines'])} samples" if fit["method"] == "time_domain" else "its recordings"
+        return f"Fitted to {samples}; the noise is not known, so neither is whether the misfit is noise."
+    return Markup("Reduced χ² {} over {} lines from {} to {}{}Hz.").format(
+        significant(fit["reduced_chi2"]), fit["frequency_lines"] or "–", compact(fit["frequency_low_hz"]),
+        compact(fit["frequency_high_hz"]), NBSP,
+    )  # fmt: skip
+
+
+def evidence(standing: Standing) -> tuple[Piece, ...]:
+    """What supports the finding, in one or two sentences."""
+    d, fit = standing.diagnosis, standing.fit
+    if d is None:
+        return (lede(standing), *remarks(standing)) if fit else ()
+    sentences: list[Piece] = []
+    if d["verdict"] == "named":
+        ids = listed([code(m) for m in d["mechanisms"] or [d["mechanism"]] if m])
+        shown = f" Shown by {', '.join(d['supported_by'])}." if d["supported_by"] else ""
+        sentences.append(flow(tag("named"), " · ", ids, ".", shown))
+        if d["held_out_error_before"] is not None and d["held_out_error_after"] is not None:
+            sentences.append(
+                f"The error on recordings that the fit has not seen falls from {significant(d['held_out_error_before'], 2)}"
+                f" to {significant(d['held_out_error_after'], 2)} times the noise."
+                + (f" Gain: {gain(d)} of what can be removed." if d["gain"] is not None else "")
+            )
+    elif d["verdict"] == "ambiguous":
+        options = [m for m in dict.fromkeys([d["mechanism"], *(d["also_possible"] or [])]) if m]
+        text = listed([code(m) for m in options], " or ")
+        sentences.append(flow(tag("ambiguous"), " · ", text, ": too close to tell apart with these recordings."))
+    elif d["verdict"] == "unknown":
+        sentences.append(
+            flow(tag("unknown"), f". The discrepancy is real ({p_equals(d['p_value'])}); no listed cause leaves noise.")
+        )
+    else:
+        sentences.append(flow(tag("none"), f". No discrepancy beyond the noise ({p_equals(d['p_value'])})."))
+    return tuple(sentences)
+
+
+def what_next(diagnosis: Row | None) -> Next | None:
+    """The recording that would decide."""
+    if not diagnosis or not diagnosis["next_recording"]:
+        return None
+    return Next("Next recording to make", diagnosis["next_recording"])
+
+
+_CONSTANTS = {
+    "clamp_mass_kg": ("the clamp", "kg"),
+    "load_cell_stiffness_n_per_mm": ("the load cell", "N/mm"),
+    "load_cell_damping_n_s_per_mm": ("the damping of the load cell", "N s/mm"),
+}
+
+
+def remarks(standing: Standing) -> tuple[str, ...]:
+    """Constants of the rig that the fit moved away from their file by more than two SD, and what the fit warns of."""
+    fit = standing.fit
+    if fit is None:
+        return ()
+    texts = []
+    for column, (what, unit) in _CONSTANTS.items():
+        value, sd = fit[column], fit[f"{column}_sd"]
+        filed, filed_sd = (_number(standing.stated.get(key)) for key in (column, f"{column}_sd"))
+        if None in (value, sd, filed) or not filed_sd:
+            continue
+        z = abs(value - filed) / float((sd**2 + filed_sd**2) ** 0.5)
+        if z > 2:
+            texts.append(
+                f"The fit finds {what} at {pm(value, sd, unit)} where its file says {pm(filed, filed_sd, unit)}:"
+                f" {significant(z, 2)} SD apart."
+            )
+    known = no_relaxation(fit)
+    said = [w for w in (fit["warnings"] or "").split("; ") if w and not (known and w.startswith(_SAID))]
+    if any(w.startswith("the fit puts") for w in said):
+        texts = []
+    if said:
+        texts.append(sentences("; ".join(said)))
+    return tuple(texts)
+
+
+_SAID = ("no relaxation of any order", "more arms cannot help")
+"""Beginnings of warnings that the headline of a specimen with the positivity alarm has said already."""
+
+
+def sentences(warnings: str) -> str:
+    """Warnings of a fit, stored with semicolons between, as sentences."""
+    parts = [part.strip().rstrip(".") for part in short(warnings, 600).split("; ")]
+    return " ".join(f"{capital(part)}." for part in parts if part)
+
+
+def _number(value: object) -> float | None:
+    try:
+        return float(str(value))
+    except ValueError:
+        return None
+
+
+def kind(standing: Standing) -> str:
+    """Class of the finding: its colour, always with the sign and word in the text."""
+    if standing.verdict == "named":
+        return "named"
+    return "open" if standing.alarm else "fine"
+
+
+def survival_title(comparison: Row, summaries: Sequence[Row]) -> str:
+    """Which of two groups lives longer, by their restricted means or by who failed at all."""
+    voltage = comparison["voltage_kv"]
+
+    def of(configuration: str) -> Row | None:
+        return next((s for s in summaries if s["configuration"] == configuration and s["voltage_kv"] == voltage), None)
+
+    a, b = of(comparison["configuration_a"]), of(comparison["configuration_b"])
+    if a is None or b is None:
+        first, second = (f"“{short(comparison[f'configuration_{x}'] or '', 40)}”" for x in "ab")
+        return f"{first} and {second} live differently"
+    longer, other = (a, b) if (a["restricted_mean_s"] or 0) >= (b["restricted_mean_s"] or 0) else (b, a)
+    who, than = (f"“{short(s['configuration'] or '', 40)}”" for s in (longer, other))
+    if longer["failures"] == 0:
+        return f"{who}: none of {word(longer['specimens'])} failed; {than}: {word(other['failures'])} of {word(other['specimens'])}"
+    if longer["restricted_mean_s"] and other["restricted_mean_s"]:
+        ratio = longer["restricted_mean_s"] / other["restricted_mean_s"]
+        if ratio >= 1.2:
+            return f"{who}: {significant(ratio, 2)} times the life of {than}"
+    return f"{who}: longer lives than {than}"
+
+
+def causes_named(standings: Sequence[Standing]) -> str:
+    """`constants of the rig`, for the list of specimens."""
+    names = {plain_name(m) for s in standings if s.diagnosis for m in s.diagnosis["mechanisms"] or []}
+    return ", ".join(sorted(names))

@@ -1,0 +1,183 @@
+"""The part of a specimen's page about large load–unload cycles: equilibrium stress and branches, fitted in time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from reports.blocks import Block, Figure, Fold, Head, Pair, Piece, Row, Section, Table, bold, flow, name
+from reports.figures.cycle import CycleCurve, loop, rest
+from reports.names import short, visible
+from reports.pages.draft import Draft
+from reports.results import Query
+from reports.results import Row as Record
+from schemas.numbers import ABSENT, NBSP, capital, ordinal, percent, pm, significant, with_unit, word
+
+_FITS_SQL = """SELECT f.*
+FROM cycle_fits AS f JOIN recordings AS r USING (recording_id)
+WHERE f.specimen_id = $specimen AND r.status IN ('ok', 'damaged')
+ORDER BY f.recording_id, f.law_given DESC, f.model_order"""
+_CURVES_SQL = """SELECT model_order, time_s, stretch, measured_kpa, modelled_kpa
+FROM cycle_curves
+WHERE recording_id = $recording AND law_given = $given
+ORDER BY model_order, time_s"""
+_LONG = 0.9
+"""Correlation of neighbouring residuals from which what is left is called no noise."""
+_SHOWN = 4
+"""Cycles that are drawn; of more, those that are best determined."""
+
+
+def of_specimen(draft: Draft) -> Section | None:
+    """All cycles of a specimen; the first ones drawn."""
+    query = Query(_FITS_SQL, {"specimen": draft.item})
+    found = draft.results.rows(query)
+    if not found:
+        return None
+    groups: dict[tuple[str, bool], list[Record]] = {}
+    for row in found:
+        groups.setdefault((row["recording_id"], row["law_given"]), []).append(row)
+    recordings = sorted(dict.fromkeys(r for r, _ in groups), key=lambda r: _missed(groups, r))[:_SHOWN]
+    blocks: list[Block | Fold] = []
+    for recording in recordings:
+        for given in (True, False):
+            if (recording, given) in groups:
+                blocks += _cycle(draft, groups[recording, given], alone=len(recordings) == 1)
+    best = groups[next(k for k in groups if k[0] == recordings[0])]
+    return Section(
+        "cycles", _heading(best), "Large cycle", (*blocks, _table(draft, query, found), _branches(draft, query, found))
+    )
+
+
+def _missed(groups: dict[tuple[str, bool], list[Record]], recording: str) -> float:
+    """Relative error of a recording's chosen order on the part left out."""
+    return min(
+        float(r["held_out_rmse_kpa"]) / max(float(r["rmse_kpa"]) / max(float(r["relative_rmse"]), 1e-12), 1e-12)
+        for (name_, _), rows in groups.items()
+        if name_ == recording
+        for r in rows
+        if r["selected"]
+    )
+
+
+def _chosen(rows: Sequence[Record]) -> Record:
+    return next((r for r in rows if r["selected"]), rows[0])
+
+
+def _heading(rows: Sequence[Record]) -> str:
+    chosen = _chosen(rows)
+    count = len(json.loads(chosen["branches"] or "[]"))
+    branches = {0: "No branch", 1: "One branch"}.get(count, f"{capital(word(count))} branches")
+    error = f"{branches} on {'the given' if chosen['law_given'] else 'a fitted'} equilibrium stress leave"
+    error += f"{'s' if count < 2 else ''} {percent(chosen['relative_rmse'])} of the peak"
+    if chosen["residual_correlation"] is not None and chosen["residual_correlation"] > _LONG:
+        error += ", and that is no noise"
+    return error
+
+
+def _cycle(draft: Draft, rows: Sequence[Record], *, alone: bool) -> list[Block | Fold]:
+    chosen = _chosen(rows)
+    recording, given = chosen["recording_id"], bool(chosen["law_given"])
+    data = draft.results.columns(Query(_CURVES_SQL, {"recording": recording, "given": given}))
+    order = data["model_order"].astype(int)
+    if not order.size:
+        return []
+    curves = []
+    for n in sorted(set(order.tolist())):
+        own = order == n
+        values = (data[c][own].astype(float) for c in ("time_s", "stretch", "measured_kpa", "modelled_kpa"))
+        curves.append(CycleCurve(n, n == chosen["model_order"], *values))
+    peak = float(np.max(np.abs(curves[0].measured)))
+    low, high = float(curves[0].stretch.min()), float(curves[0].stretch.max())
+    errors = "; ".join(f"{ordinal(r['model_order'])} order {significant(r['rmse_kpa'], 4)} kPa" for r in rows)
+    law = "given with the recording" if given else "fitted with the branches"
+    who: Piece = "" if alone else flow(" ", name(recording, 60), ".")
+    suffix = f"cycle_{recording}_{'given' if given else 'fitted'}"
+    href = draft.data(suffix, data)
+    left = Figure(
+        loop(
+            curves,
+            alt=(
+                f"Nominal stress of {short(recording, 60)} between stretch {low:.3g} and {high:.3g}, up to"
+                f" {significant(peak)} kPa; equilibrium stress {law}; root mean square error: {errors}."
+            ),
+        ),
+        flow(bold(f"Equilibrium stress {law}."), who, f" Root mean square error: {errors}."),
+        href,
+    )
+    parts = "; ".join(f"{ordinal(r['model_order'])} order {_stress(r['held_out_rmse_kpa'])}" for r in rows)
+    right = Figure(
+        rest(
+            curves, float(chosen["held_out_from_s"]), alt=f"Measured less modelled stress over time; {errors}."
+        ),
+        flow(bold("What is left."), f" On the last part, after a fit to the rest: {parts}."),
+        href,
+    )  # fmt: skip
+    return [Pair((left, right))]
+
+
+def _stress(value: float | None) -> str:
+    """A stress in kPa; one beyond all measure is not written out."""
+    if value is None or not np.isfinite(value) or value > 1e6:
+        return "not predicted"
+    return with_unit(significant(value), "kPa")
+
+
+def _table(draft: Draft, query: Query, found: Sequence[Record]) -> Table:
+    rows = []
+    for r in found:
+        correlation = r["residual_correlation"]
+        rows.append(
+            Row(
+                (
+                    draft.site.recording(r["recording_id"]),
+                    "given" if r["law_given"] else "fitted",
+                    f"{r['model_order']} ✓" if r["selected"] else str(r["model_order"]),
+                    significant(r["rmse_kpa"], 4),
+                    percent(r["relative_rmse"]),
+                    _stress(r["held_out_rmse_kpa"]).removesuffix(f"{NBSP}kPa"),
+                    ABSENT if correlation is None else f"{correlation:.3f}",
+                ),
+                "sel" if r["selected"] else "",
+            )
+        )
+    heads = (
+        Head("Recording"), Head("Equilibrium stress"), Head("Order", "n"), Head("RMS error, kPa", "n"), Head("of the peak", "n"),
+        Head("On the part left out, kPa", "n"), Head("Correlation of residuals", "n"),
+    )  # fmt: skip
+    warnings = dict.fromkeys(w for r in found if r["selected"] for w in (r["warnings"] or "").split("; ") if w)
+    below = "The order is chosen by the error on the last 30 % of the cycle, which the fit has not seen."
+    if warnings:
+        below += f" The fits warn: {visible('; '.join(warnings))}."
+    return Table("Orders of the large cycles", heads, tuple(rows), query.shown(), below=below, kind="narrow")
+
+
+def _branches(draft: Draft, query: Query, found: Sequence[Record]) -> Table:
+    """Branches of the chosen orders, a row each."""
+    rows, laws = [], []
+    for r in (r for r in found if r["selected"]):
+        which = "given" if r["law_given"] else "fitted"
+        for i, b in enumerate(json.loads(r["branches"] or "[]"), 1):
+            values = (pm(b[k], b[f"{k}_sd"]) for k in ("gamma_kpa", "tau_s", "eta_kpa_s"))
+            rows.append(Row((draft.site.recording(r["recording_id"]), which, str(i), *values)))
+        laws.append(_law(r, which))
+    heads = (
+        Head("Recording"), Head("Equilibrium stress"), Head("Branch", "n"), Head("γ, kPa", "n"), Head("τ, s", "n"),
+        Head("η = γτ, kPa s", "n"),
+    )  # fmt: skip
+    below = (
+        f"{capital('; '.join(dict.fromkeys(laws)))}. A branch: dQ/dt + Q/τ = γ dλ/dt. ± is one standard deviation, widened"
+        " for the correlation of the residuals."
+    )
+    return Table("Branches of the chosen orders", heads, tuple(rows), query.shown(), below=below, kind="narrow")
+
+
+def _law(row: Record, which: str) -> str:
+    values: dict[str, Any] = json.loads(row["equilibrium"] or "{}")
+    parts = [
+        f"{n.replace('_', ' ')} {significant(v, 4)}{f'{NBSP}kPa' if n.endswith('modulus') else ''}"
+        for n, v in values.items()
+    ]
+    return f"{which} law ({visible(row['law'] or '')}): {', '.join(parts)}"

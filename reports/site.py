@@ -1,0 +1,196 @@
+"""Which pages there are, how they link to each other, and what every page shares.
+
+A page exists for every recording that was used at least in part or taken out by somebody, for every specimen that has
+one, and for every campaign. Refused files have no page of their own: they stand in the lists with their reason.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from reports.blocks import Fold, Link, Piece, Pre, Text, code, link, name, separated
+from reports.names import FileNames, Verbatim
+from reports.results import Results, Row, day, moment
+
+USED = ("ok", "damaged", "excluded")
+USED_SQL = "status IN ('ok', 'damaged', 'excluded')"
+INDEX = "index.html"
+RECORDINGS = "recordings.html"
+SPECIMENS = "specimens.html"
+REFUSED = "refused.html"
+CONTROL = "control.html"
+
+
+class Site:
+    """All pages of a lab's report, by what they are about."""
+
+    def __init__(self, results: Results) -> None:
+        self.results = results
+        rows = results.rows(
+            "SELECT recording_id, min(specimen_id) AS specimen_id, min(campaign) AS campaign, min(kind) AS kind"
+            f" FROM recordings WHERE {USED_SQL} AND recording_id IS NOT NULL GROUP BY ALL ORDER BY recording_id"
+        )
+        self.recordings = {r["recording_id"]: r for r in rows}
+        self.specimens = sorted({r["specimen_id"] for r in rows if r["specimen_id"] and r["kind"] != "lifetimes"})
+        campaigns = results.rows(
+            f"SELECT DISTINCT campaign FROM (SELECT campaign FROM recordings WHERE {USED_SQL}"
+            " UNION ALL SELECT campaign FROM lifetimes) WHERE campaign <> '' ORDER BY campaign"
+        )
+        self.campaigns = [r["campaign"] for r in campaigns]
+        self._specimen_set = set(self.specimens)
+        self._recording_file = FileNames(self.recordings)
+        self._specimen_file = FileNames(self.specimens)
+        self._campaign_file = FileNames(self.campaigns)
+        self.runs = results.rows("SELECT * FROM runs ORDER BY run_id")
+        self._runs_by_id = {r["run_id"]: r for r in self.runs}
+
+    @functools.cached_property
+    def controlled(self) -> bool:
+        """Some control chart has enough points for limits."""
+        found = self.results.rows("SELECT 1 AS one FROM control_points WHERE upper IS NOT NULL LIMIT 1")
+        return bool(found)
+
+    def has_specimen(self, specimen_id: str | None) -> bool:
+        """There is a page about that specimen."""
+        return specimen_id in self._specimen_set
+
+    @property
+    def last_run(self) -> Row | None:
+        return self.runs[-1] if self.runs else None
+
+    def run(self, run_id: str | None) -> Row | None:
+        """The run of that id, where it is still known."""
+        return self._runs_by_id.get(run_id) if run_id else None
+
+    def recording_path(self, recording_id: str) -> str:
+        return f"recordings/{self._recording_file(recording_id)}.html"
+
+    def specimen_path(self, specimen_id: str) -> str:
+        return f"specimens/{self._specimen_file(specimen_id)}.html"
+
+    def campaign_path(self, campaign: str) -> str:
+        return f"campaigns/{self._campaign_file(campaign)}.html"
+
+    def data_path(self, kind: str, item: str, figure: str) -> str:
+        """Address of the CSV file of a figure."""
+        if kind == "lab":
+            return f"data/{figure}.csv"
+        files = {"specimen": self._specimen_file, "campaign": self._campaign_file, "recording": self._recording_file}
+        return f"data/{kind}s/{files[kind](item)}_{figure}.csv"
+
+    def recording(self, recording_id: str | None, root: str = "../", text: Piece | None = None) -> Piece:
+        """A recording's name, linked where it has a page."""
+        if not recording_id:
+            return name(None)
+        target = root + self.recording_path(recording_id) if recording_id in self.recordings else ""
+        return link(text or name(recording_id, 60), target)
+
+    def specimen(self, specimen_id: str | None, root: str = "../") -> Piece:
+        """A specimen's name, linked where it has a page."""
+        if not specimen_id:
+            return name(None)
+        return link(
+            name(specimen_id), root + self.specimen_path(specimen_id) if specimen_id in self._specimen_set else ""
+        )
+
+    def campaign(self, campaign: str | None, root: str = "../") -> Piece:
+        """A campaign's name, linked."""
+        if not campaign:
+            return name(None)
+        return link(name(campaign), root + self.campaign_path(campaign))
+
+    def bar(self, root: str, current: str = "") -> tuple[Link, ...]:
+        """The bar of every page; `current` is the address of a list or the name of the page itself."""
+        entries = [("Last night", INDEX)]
+        if self.specimens:
+            entries.append(("Specimens", SPECIMENS))
+        if self.recordings:
+            entries.append(("Recordings", RECORDINGS))
+        if self.controlled:
+            entries.append(("Control charts", CONTROL))
+        links = [Link(text, root + address, current=address == current) for text, address in entries]
+        if current and current not in {address for _, address in entries}:
+            links.append(Link(current))
+        return tuple(links)
+
+    def provenance(self, run_id: str | None) -> tuple[Text | Fold, ...]:
+        """Version, code, run and settings that made what a page shows."""
+        run = self.run(run_id) or self.last_run
+        if run is None:
+            return (Text("No run is recorded in the database."),)
+        parts: list[Piece] = [Markup("dealab {}").format(run["software_version"] or "of unknown version")]
+        if run["code_version"]:
+            parts.append(Markup("code {}").format(_code_version(run["code_version"])))
+        parts.append(Markup("run {} of {}").format(code(run["run_id"]), moment(run["started_at"])))
+        settings = pretty(run["settings"])
+        blocks: list[Text | Fold] = [Text(separated(parts))]
+        if settings:
+            blocks.append(Fold("Settings in use", (Pre(Verbatim(settings)),)))
+        return tuple(blocks)
+
+    def when(self, run_id: str | None) -> str:
+        """Day of the results of a page."""
+        run = self.run(run_id)
+        return f"Results of {day(run['started_at'])}" if run and run["started_at"] else ""
+
+    @functools.cached_property
+    def shape(self) -> str:
+        """What links and file names depend on beyond a page's own rows."""
+        crowded = [self._recording_file, self._specimen_file, self._campaign_file]
+        return json.dumps(
+            [sorted(f.crowded) for f in crowded] + [bool(self.specimens), bool(self.recordings), self.controlled]
+        )
+
+
+def _code_version(text: str) -> Piece:
+    """A hash, or one for each stage, shortened."""
+    try:
+        stages = json.loads(text)
+    except ValueError:
+        stages = text
+    if not isinstance(stages, dict):
+        return code(text[:12])
+    return Markup(", ").join(
+        Markup("{} {}").format(stage, code(str(value)[:8])) for stage, value in sorted(stages.items())
+    )
+
+
+def pretty(text: str | None) -> str:
+    """JSON with one key a line; other text as it is; nothing for an empty object."""
+    if not text:
+        return ""
+    try:
+        found = json.loads(text)
+    except ValueError:
+        return text
+    return json.dumps(found, indent=2, ensure_ascii=False) if found else ""
+
+
+def flat_metadata(text: str | None) -> dict[str, Any]:
+    """The metadata of a recording as one dictionary; keys of the rig begin with `rig.` where they were nested."""
+    try:
+        found = json.loads(text) if text else {}
+    except ValueError:
+        return {}
+    flat: dict[str, Any] = {}
+    for key, value in (found if isinstance(found, Mapping) else {}).items():
+        if isinstance(value, Mapping):
+            prefix = "" if key == "recording" else f"{key}."
+            flat.update({prefix + str(k): v for k, v in value.items()})
+        else:
+            flat[str(key)] = value
+    return flat
+
+
+def stated_rig(recordings: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Constants of the rig that a specimen's recordings state: of the last mechanical one, else of the last."""
+    if not recordings:
+        return {}
+    mechanical = [r for r in recordings if r["loading"] == "mechanical"]
+    metadata = flat_metadata((mechanical or list(recordings))[-1]["metadata"])
+    return {k.removeprefix("rig."): v for k, v in metadata.items()}

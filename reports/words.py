@@ -1,0 +1,68 @@
+"""Everyday words for names of the tables: quantities, protocols, tests. An unknown name is shown with spaces for underscores."""
+
+from __future__ import annotations
+
+from reports.names import visible
+
+FOLLOWED = {
+    "k0_n_per_mm": "main spring k₀",
+    "modulus_mpa": "modulus",
+    "model_order": "order of the model",
+    "load_cell_stiffness_n_per_mm": "load-cell stiffness",
+    "load_cell_damping_n_s_per_mm": "load-cell damping",
+    "clamp_mass_kg": "clamp mass",
+    "force_per_voltage_squared_n_per_kv2": "force over V²",
+    "force_per_capacitive_strain_n": "force over capacitive strain",
+    "verdict": "verdict",
+    "restricted_mean_s": "restricted mean life",
+    "median_s": "median life",
+    "clamp_frequency_hz": "frequency of the clamp alone",
+    "damping_ratio": "damping ratio of the clamp alone",
+    "force_gain": "gain of the force channel",
+    "force_offset_n": "offset of the force channel",
+    "modulus_over_batch": "modulus over the median of its batch",
+    "refused_share": "share of the files refused",
+}
+"""Quantities that are followed from night to night or stand in a control chart."""
+
+_PROTOCOLS = {
+    ("chirp", "mechanical"): "frequency sweep",
+    ("sphs", "electrical"): "harmonic sequence of the voltage",
+    ("sphs", "mechanical"): "harmonic sequence",
+    ("cyclic", "mechanical"): "cyclic test",
+    ("step", "electrical"): "voltage steps",
+    ("step", "mechanical"): "stress relaxation",
+    ("lifetime", "electrical"): "life under voltage",
+    ("force_map", "electrical"): "static force",
+    ("cycle", "mechanical"): "large load–unload cycle",
+    ("tap", "calibration"): "tap of the clamp",
+    ("weight", "calibration"): "known weights on the load cell",
+}
+_TESTS = {
+    "fisher exact": "Fisher’s exact test",
+    "hazard ratio (cox)": "Hazard ratio (Cox)",
+    "gehan": "Gehan–Wilcoxon",
+    "peto": "Peto–Peto",
+    "tarone-ware": "Tarone–Ware",
+}
+
+
+def followed(quantity: str) -> str:
+    """`load-cell stiffness`."""
+    return FOLLOWED.get(quantity, plain(quantity))
+
+
+def protocol(name: str | None, loading: str | None) -> str:
+    """What kind of test it is: `stress relaxation`."""
+    return _PROTOCOLS.get((name or "", loading or ""), f"{plain(name or 'unknown')}, {loading or 'unknown'} loading")
+
+
+def test(name: str | None) -> str:
+    """A statistical test by its proper name."""
+    text = visible(name or "test")
+    return _TESTS.get(text, text[:1].upper() + text[1:])
+
+
+def plain(name: str) -> str:
+    """`leakage current` for `leakage_current`."""
+    return visible(name).replace("_", " ")

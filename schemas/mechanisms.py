@@ -1,0 +1,291 @@
+"""The causes that a diagnosis can name, in plain words: everyday name, finding, and how a severity is written.
+
+Equations and fits of the causes are the analysis' own (`pipeline.diagnose.mechanisms`); here is only what a reader of the
+terminal and of the pages sees. A cause that is not listed is shown by its id, a parameter by its key.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from schemas.numbers import ABSENT, NBSP, ordinal, pm, significant, with_unit
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """How a parameter of a severity is shown: words, factor to the shown unit, that unit."""
+
+    words: str
+    factor: float = 1.0
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """A cause in words. `finding` has one `{}` for the severity of its first parameter, `reverse` says it for a negative one."""
+
+    name: str
+    finding: str
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    reverse: str = ""
+
+
+def _share(words: str) -> Parameter:
+    return Parameter(words, 100.0, "%")
+
+
+_BEYOND = _share("largest load beyond the onset")
+
+MECHANISMS: dict[str, Mechanism] = {
+    "rig_constants": Mechanism(
+        "Constants of the rig",
+        "the rig differs from its file, by {}",
+        {"stiffness_error": _share("load-cell stiffness"), "mass_error": _share("clamp mass")},
+    ),
+    "load_cell_damping": Mechanism(
+        "Damping of the load cell",
+        "the load cell is damped otherwise than its file says, by {} of critical",
+        {"damping_ratio": _share("damping ratio")},
+    ),
+    "drive_lag": Mechanism(
+        "Lag of the drive",
+        "the voltage lags its command, by {}",
+        {
+            "rise_time_constant_s": Parameter("rise time constant", 1e3, "ms"),
+            "fall_time_constant_s": Parameter("fall time constant", 1e3, "ms"),
+            "slew_kv_per_s": Parameter("slew rate", 1.0, "kV/s"),
+        },
+    ),
+    "amplitude_softening": Mechanism(
+        "Softening with amplitude",
+        "the film softens with amplitude, by {} at the largest",
+        {"drop": _share("drop at the largest strain"), "strain_scale": _share("strain of half the drop")},
+    ),
+    "cyclic_softening": Mechanism(
+        "Softening over cycles",
+        "the film softens from cycle to cycle, by {}",
+        {"loss": _share("loss"), "cycles": Parameter("cycles"), "strain_scale": _share("strain scale")},
+    ),
+    "missing_relaxation": Mechanism(
+        "A relaxation the model lacks",
+        "the model lacks a relaxation, of {} of k₀",
+        {"stiffness_ratio": _share("stiffness over k₀"), "time_constant_s": Parameter("time constant", 1.0, "s")},
+    ),
+    "power_law_relaxation": Mechanism(
+        "Power-law relaxation",
+        "the film relaxes by a power law, of {} of k₀",
+        {"stiffness_ratio": _share("stiffness at 1 s over k₀"), "exponent": Parameter("exponent")},
+    ),
+    "baseline_drift": Mechanism(
+        "Drift of the baseline",
+        "the force drifts down, by {} of the rest force per decade of time",
+        {"per_decade": _share("of the rest force, per decade"), "onset_s": Parameter("from", 1.0, "s")},
+        "the force drifts up, by {} of the rest force per decade of time",
+    ),
+    "thermal_softening": Mechanism(
+        "Softening with temperature",
+        "the film softens as it warms, by {} per kelvin",
+        {"per_kelvin": _share("per kelvin"), "rise_k": Parameter("rise", 1.0, "K")},
+        "the film stiffens as it warms, by {} per kelvin",
+    ),
+    "field_dependent_permittivity": Mechanism(
+        "Permittivity falls with the field",
+        "the permittivity falls with the field, by {} at the largest voltage",
+        {"fraction": _share("at the largest voltage")},
+        "the permittivity rises with the field, by {} at the largest voltage",
+    ),
+    "frequency_dependent_permittivity": Mechanism(
+        "Permittivity changes with frequency",
+        "the permittivity falls with frequency, by {} per decade",
+        {"per_decade": _share("per decade")},
+        "the permittivity rises with frequency, by {} per decade",
+    ),
+    "electrode_degradation": Mechanism(
+        "Degrading electrode",
+        "the electrode degrades, losing {}",
+        {"loss": _share("loss"), "cycles": Parameter("time at the largest voltage", 1.0, "s")},
+    ),
+    "slack": Mechanism(
+        "Slack film",
+        "the film goes slack, when {} of its preload are gone",
+        {"onset": _share("of the preload"), "onset_n": Parameter("fall of the tension", 1.0, "N"), "overload": _BEYOND},
+    ),
+    "strain_stiffening": Mechanism(
+        "Stiffening with strain",
+        "the film stiffens with strain, by {} at the largest",
+        {"stiffening": _share("at the largest strain")},
+        "the film softens with strain without a loss, by {} at the largest",
+    ),
+    "sensor_delay": Mechanism("Delayed sensor", "a sensor is late, by {}", {"delay_s": Parameter("delay", 1e6, "µs")}),
+    "gain_error": Mechanism(
+        "Wrong gain",
+        "a channel reads too much, by {}",
+        {"gain": _share("gain error")},
+        "a channel reads too little, by {}",
+    ),
+    "drive_offset": Mechanism(
+        "Offset of the drive",
+        "the voltage has an offset, of {}",
+        {"offset_kv": Parameter("offset", 1.0, "kV")},
+        "the voltage has an offset, of minus {}",
+    ),
+    "leakage": Mechanism("Leakage", "the film leaks, and the voltage sags by {}", {"droop": _share("droop")}),
+    "wrinkling": Mechanism(
+        "Wrinkling",
+        "the film wrinkles, from {} on",
+        {
+            "onset_kv": Parameter("onset", 1.0, "kV"),
+            "recovery_s": Parameter("recovery", 1.0, "s"),
+            "overload": _BEYOND,
+        },
+    ),
+    "clamp_slip": Mechanism(
+        "Slipping clamp",
+        "the clamp slips, from {} of the peak force on",
+        {
+            "slip_force": _share("of the peak force"),
+            "slip_force_n": Parameter("slip force", 1.0, "N"),
+            "overload": _BEYOND,
+        },
+    ),
+    "mains_hum": Mechanism(
+        "Mains hum", "mains hum adds {} to the force", {"amplitude_n": Parameter("amplitude", 1e3, "mN")}
+    ),
+    "sensor_saturation": Mechanism(
+        "Saturated sensor",
+        "the force sensor saturates, at {}",
+        {"limit_n": Parameter("limit", 1.0, "N"), "overload": _BEYOND},
+    ),
+    "passive_strip": Mechanism(
+        "Passive strip",
+        "a passive strip with a relaxation of its own lies in series, leaving {} of the force",
+        {"ratio": _share("of the force left"), "time_constant_s": Parameter("time constant", 1.0, "s")},
+    ),
+}
+
+
+def plain_name(mechanism: str) -> str:
+    """Everyday name of a cause; its id where it has none here."""
+    known = MECHANISMS.get(mechanism)
+    return known.name if known else mechanism.replace("_", " ")
+
+
+def nested(text: str | None) -> dict[str, dict[str, Any]]:
+    """JSON of the form {mechanism: {parameter: anything}}; what is not of that form is left out."""
+    try:
+        found = json.loads(text) if text else {}
+    except ValueError:
+        return {}
+    if not isinstance(found, dict):
+        return {}
+    return {str(m): dict(p) for m, p in found.items() if isinstance(p, dict)}
+
+
+def amount(mechanism: str, parameter: str, value: Any) -> str:
+    """A severity as read: {value, sd} gives value ± SD in the parameter's unit, a bare number the number, text itself."""
+    known = MECHANISMS.get(mechanism)
+    shown = known.parameters.get(parameter, Parameter("")) if known else Parameter("")
+    if isinstance(value, dict):
+        number, sd = value.get("value"), value.get("sd")
+        if not isinstance(number, int | float):
+            return str(number)
+        return pm(number * shown.factor, None if sd is None else sd * shown.factor, shown.unit)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return with_unit(significant(value * shown.factor, 2), shown.unit)
+    return str(value)
+
+
+def parameter_words(mechanism: str, parameter: str) -> str:
+    """What a parameter of a severity means, in words."""
+    known = MECHANISMS.get(mechanism)
+    found = known.parameters.get(parameter) if known else None
+    return found.words if found else parameter.replace("_", " ")
+
+
+def severity(mechanism: str, parameters: Mapping[str, Any]) -> str:
+    """All parameters of a severity in one line."""
+    parts = [(parameter_words(mechanism, key), amount(mechanism, key, value)) for key, value in parameters.items()]
+    if len(parts) == 1:
+        return parts[0][1]
+    return ", ".join(f"{words} {text}" for words, text in parts)
+
+
+def main(mechanism: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The main parameter of a severity, without shapes and other ways to say it; of the rig both constants."""
+    known = MECHANISMS.get(mechanism)
+    found = [key for key in known.parameters if key in parameters] if known else list(parameters)
+    return {key: parameters[key] for key in found[: 2 if mechanism == "rig_constants" else 1]}
+
+
+def candidate(mechanism: str, value: float | None, sd: float | None) -> str:
+    """The main severity of a cause that was tried, as read."""
+    if value is None:
+        return ABSENT
+    known = MECHANISMS.get(mechanism)
+    main = next(iter(known.parameters), "") if known else ""
+    return amount(mechanism, main, {"value": value, "sd": sd})
+
+
+def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
+    """The cause as a sentence without its subject, by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`."""
+    known = MECHANISMS.get(mechanism)
+    if known is None:
+        return f"the cause is {plain_name(mechanism)}"
+    main = next((key for key in known.parameters if key in parameters), None)
+    if main is None:
+        return known.finding.partition(",")[0].replace(" {}", "")
+    if mechanism == "rig_constants":
+        main = max((k for k in known.parameters if k in parameters), key=lambda k: _z(parameters[k]))
+        return _rig_finding(main, parameters[main])
+    text, size = known.finding, parameters[main]
+    if known.reverse and _value(size) < 0:
+        text, size = known.reverse, _positive(size)
+    channel = parameters.get("channel")
+    if isinstance(channel, str):
+        text = text.replace("a sensor is", f"the {channel} channel is").replace("a channel reads", f"{channel} reads")
+    return text.format(amount(mechanism, main, size))
+
+
+def cause(diagnosis: Mapping[str, Any]) -> str:
+    """What is wrong, from a row of `diagnoses`: `the load cell is stiffer than its file says, by 6.3 ± 0.3 %`.
+
+    Causes that cannot be told apart are said without their sizes, with "or" between them; several that act together with "and".
+    """
+    found = nested(diagnosis["severity"])
+    named = [m for m in (diagnosis["mechanisms"] or [diagnosis["mechanism"]]) if m]
+    if diagnosis["verdict"] == "ambiguous":
+        options = [m for m in (diagnosis["mechanism"], *(diagnosis["also_possible"] or ())) if m]
+        others = [finding(m, found.get(m, {})) for m in named if m not in options]
+        return " and ".join([" or ".join(finding(m, {}) for m in dict.fromkeys(options)), *others])
+    return " and ".join(finding(m, found.get(m, {})) for m in named)
+
+
+def _positive(value: Any) -> Any:
+    """The size of a severity without its sign."""
+    return {**value, "value": abs(_value(value))} if isinstance(value, dict) else abs(_value(value))
+
+
+def _value(value: Any) -> float:
+    number = value.get("value") if isinstance(value, dict) else value
+    return float(number) if isinstance(number, int | float) else 0.0
+
+
+def _z(value: Any) -> float:
+    sd = value.get("sd") if isinstance(value, dict) else None
+    return abs(_value(value)) / sd if sd else abs(_value(value))
+
+
+def _rig_finding(parameter: str, value: Any) -> str:
+    part, more, less = (
+        ("clamp", "heavier", "lighter") if parameter == "mass_error" else ("load cell", "stiffer", "softer")
+    )
+    what = more if _value(value) >= 0 else less
+    return f"the {part} is {what} than its file says, by {amount('rig_constants', parameter, _positive(value))}"
+
+
+def model_name(order: int) -> str:
+    """`third-order`, `first-order (Zener)`."""
+    return f"{ordinal(order)}-order" + (f"{NBSP}(Zener)" if order == 1 else "")

@@ -1,0 +1,343 @@
+"""Metadata of a recording and constants of a rig: typed, checked, unknown keys kept.
+
+All values arrive as text (MCAP metadata) or as TOML values; `RecordingMetadata.parse` and `RigConstants.parse` turn
+them into numbers, times and choices once. A key that is missing or malformed raises `RefusedError` that names the key,
+the value and what was expected. A key that is not in the contract goes to `extra` unchanged.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Self, cast
+
+from schemas.errors import RefusedError
+from schemas.protocols import LOADINGS, PROTOCOL_NAMES, Protocol, protocol
+from schemas.quantities import QUANTITIES
+
+RECORDING_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+_LIMIT = 10_000
+"""Longest text that a key may hold, in characters."""
+
+
+def _text(value: Any) -> str:
+    text = str(value)
+    if len(text) > _LIMIT:
+        raise ValueError(f"at most {_LIMIT} characters, it has {len(text)}")
+    if "\x00" in text or (not text.isascii() and any("\ud800" <= c <= "\udfff" for c in text)):
+        raise ValueError("text without NUL characters and half characters")
+    return text
+
+
+def _identifier(value: Any) -> str:
+    text = _text(value)
+    if not RECORDING_ID.fullmatch(text):
+        raise ValueError("1 to 80 of A-Z a-z 0-9 . _ -, the first a letter or digit")
+    return text
+
+
+def _name(value: Any) -> str:
+    text = _text(value).strip()
+    if not text:
+        raise ValueError("a name that is not empty")
+    return text
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool):
+        raise ValueError("a number")
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError("a number with a decimal point") from None
+    if not math.isfinite(number):
+        raise ValueError("a finite number")
+    return number
+
+
+def _positive(value: Any) -> float:
+    number = _number(value)
+    if number <= 0:
+        raise ValueError("a number above 0")
+    return number
+
+
+def _not_negative(value: Any) -> float:
+    number = _number(value)
+    if number < 0:
+        raise ValueError("a number not below 0")
+    return number
+
+
+def _count(value: Any) -> int:
+    number = _number(value)
+    if number < 1 or number != int(number):
+        raise ValueError("a whole number of at least 1")
+    return int(number)
+
+
+def _positive_list(value: Any) -> tuple[float, ...]:
+    parts = value if isinstance(value, list | tuple) else str(value).split(",")
+    return tuple(_positive(part) for part in parts if str(part).strip())
+
+
+def instant(value: Any) -> datetime:
+    """A UTC time from ISO 8601 text (or a TOML time) with zone; `ValueError` without one."""
+    time = value if isinstance(value, datetime) else _parsed_time(str(value))
+    if time.tzinfo is None:
+        raise ValueError("an ISO 8601 time with zone, such as 2026-03-01T14:05:00+01:00")
+    return time.astimezone(UTC)
+
+
+def _parsed_time(text: str) -> datetime:
+    try:
+        return datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise ValueError("an ISO 8601 time with zone, such as 2026-03-01T14:05:00+01:00") from None
+
+
+def _choice(*allowed: str) -> Callable[[Any], str]:
+    def check(value: Any) -> str:
+        text = _text(value).strip()
+        if text not in allowed:
+            raise ValueError("one of " + ", ".join(allowed))
+        return text
+
+    return check
+
+
+def _key(parser: Callable[[Any], Any], *, required: bool = False) -> Any:
+    if required:
+        return field(metadata={"parser": parser})
+    return field(default=None, metadata={"parser": parser})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingMetadata:
+    """Keys of a recording, contract section 2. Lengths in mm, times in s, frequencies in Hz, voltages in kV."""
+
+    recording_id: str = _key(_identifier, required=True)
+    protocol: str = _key(_text, required=True)
+    loading: str = _key(_choice(*LOADINGS), required=True)
+    specimen_id: str = _key(_name, required=True)
+    started_at: datetime = _key(instant, required=True)
+    campaign: str | None = _key(_text)
+    material: str | None = _key(_text)
+    configuration: str | None = _key(_text)
+    rig_id: str | None = _key(_text)
+    operator: str | None = _key(_text)
+    notes: str | None = _key(_text)
+    film_length_mm: float | None = _key(_positive)
+    film_width_mm: float | None = _key(_positive)
+    film_thickness_mm: float | None = _key(_positive)
+    stretch_1: float | None = _key(_positive)
+    stretch_2: float | None = _key(_positive)
+    layers: int | None = _key(_count)
+    active_length_mm: float | None = _key(_positive)
+    active_width_mm: float | None = _key(_positive)
+    active_drawn: str | None = _key(_choice("undeformed", "stretched"))
+    sensing_length_mm: float | None = _key(_positive)
+    sensing_width_mm: float | None = _key(_positive)
+    sensing_region: str | None = _key(_choice("separate", "active"))
+    total_length_mm: float | None = _key(_positive)
+    constrained_length_mm: float | None = _key(_not_negative)
+    relative_permittivity: float | None = _key(_positive)
+    relative_permittivity_sd: float | None = _key(_not_negative)
+    crosslink_modulus_kpa: float | None = _key(_not_negative)
+    entanglement_modulus_kpa: float | None = _key(_not_negative)
+    largest_stretch: float | None = _key(_positive)
+    frequency_start_hz: float | None = _key(_positive)
+    frequency_stop_hz: float | None = _key(_positive)
+    sweep: str | None = _key(_choice("linear", "log"))
+    repeats: int | None = _key(_count)
+    period_s: float | None = _key(_positive)
+    periods: int | None = _key(_count)
+    lines: str | None = _key(_choice("full", "odd", "random_odd"))
+    frequency_hz: float | None = _key(_positive)
+    cycles: int | None = _key(_count)
+    strain_pp: float | None = _key(_positive)
+    drive_kv: float | None = _key(_not_negative)
+    on_s: float | None = _key(_positive)
+    off_s: float | None = _key(_not_negative)
+    controller: str | None = _key(_choice("open", "closed"))
+    proportional_gain: float | None = _key(_number)
+    integral_gain: float | None = _key(_number)
+    masses_kg: tuple[float, ...] | None = _key(_positive_list)
+    voltage_setpoint_kv: float | None = _key(_positive)
+    test_duration_s: float | None = _key(_positive)
+    failure_site: str | None = _key(_choice("rod", "lead", "active", "edge", "none", "unknown"))
+    failure_region: str | None = _key(_choice("left", "centre", "right"))
+    rest_before_s: float | None = _key(_not_negative)
+    rods: int | None = _key(_count)
+    rod_spacing_mm: float | None = _key(_positive)
+    rod_diameter_mm: float | None = _key(_positive)
+    electrode_gap_mm: float | None = _key(_not_negative)
+    coats: int | None = _key(_count)
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, raw: Mapping[str, Any], *, where: str = "") -> Self:
+        """Metadata from text or TOML values. Raises `RefusedError` for what is missing or malformed."""
+        metadata = cls(**_parsed(cls, raw, where))
+        metadata.definition(where=where)
+        return metadata
+
+    def definition(self, *, where: str = "") -> Protocol:
+        """The protocol of this recording."""
+        return protocol(self.protocol, self.loading, where=where)
+
+    def to_text(self) -> dict[str, str]:
+        """The keys as MCAP metadata has them: text, absent keys left out; `parse` reads it back."""
+        return _as_text(self)
+
+    @property
+    def lateral_stretch(self) -> float | None:
+        """`stretch_2`; where absent the film is uniaxial: 1/√stretch_1."""
+        if self.stretch_2 is not None:
+            return self.stretch_2
+        return None if self.stretch_1 is None else 1 / math.sqrt(self.stretch_1)
+
+    @property
+    def undeformed_section_mm2(self) -> float | None:
+        """Cross-section of the whole film in mm²: `film_thickness_mm` is that of all layers together."""
+        if self.film_width_mm is None or self.film_thickness_mm is None:
+            return None
+        return self.film_width_mm * self.film_thickness_mm
+
+    @property
+    def layer_thickness_mm(self) -> float | None:
+        """Undeformed thickness of one layer in mm: what the voltage lies across where a stack has electrodes in between."""
+        return None if self.film_thickness_mm is None else self.film_thickness_mm / (self.layers or 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableMetadata:
+    """Keys of a table that stands instead of recordings (lifetimes, frequency response): those that fit a table.
+
+    The same names, units and checks as `RecordingMetadata`; only `recording_id`, the table's own name, is required.
+    """
+
+    recording_id: str = _key(_identifier, required=True)
+    protocol: str | None = _key(_choice(*PROTOCOL_NAMES))
+    loading: str | None = _key(_choice(*LOADINGS))
+    specimen_id: str | None = _key(_name)
+    started_at: datetime | None = _key(instant)
+    campaign: str | None = _key(_text)
+    material: str | None = _key(_text)
+    configuration: str | None = _key(_text)
+    rig_id: str | None = _key(_text)
+    operator: str | None = _key(_text)
+    notes: str | None = _key(_text)
+    film_length_mm: float | None = _key(_positive)
+    film_width_mm: float | None = _key(_positive)
+    film_thickness_mm: float | None = _key(_positive)
+    stretch_1: float | None = _key(_positive)
+    stretch_2: float | None = _key(_positive)
+    layers: int | None = _key(_count)
+    strain_pp: float | None = _key(_positive)
+    voltage_setpoint_kv: float | None = _key(_positive)
+    test_duration_s: float | None = _key(_positive)
+    failure_site: str | None = _key(_choice("rod", "lead", "active", "edge", "none", "unknown"))
+    failure_region: str | None = _key(_choice("left", "centre", "right"))
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, raw: Mapping[str, Any], *, where: str = "") -> Self:
+        """Metadata from TOML values. Raises `RefusedError` for what is missing or malformed."""
+        return cls(**_parsed(cls, raw, where))
+
+    def to_text(self) -> dict[str, str]:
+        """The keys as text, absent keys left out; `parse` reads it back."""
+        return _as_text(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigConstants:
+    """Constants of a rig with their standard deviations; None where the file does not say.
+
+    Units: kg, N/mm, N s/mm, N, kV/V, Hz. `clamp_frequency_hz` is the measured frequency of the clamp without film: it ties
+    mass and stiffness together far closer than each is known. `force_gain` is recorded force over true force, 1 where it
+    was never calibrated. `noise_sd` is the standard deviation of one raw sample by quantity, canonical units.
+    """
+
+    rig_id: str | None = _key(_text)
+    clamp_mass_kg: float | None = _key(_not_negative)
+    clamp_mass_kg_sd: float | None = _key(_not_negative)
+    load_cell_stiffness_n_per_mm: float | None = _key(_positive)
+    load_cell_stiffness_n_per_mm_sd: float | None = _key(_not_negative)
+    load_cell_damping_n_s_per_mm: float | None = _key(_not_negative)
+    load_cell_damping_n_s_per_mm_sd: float | None = _key(_not_negative)
+    load_cell_range_n: float | None = _key(_positive)
+    load_cell_range_n_sd: float | None = _key(_not_negative)
+    amplifier_gain_kv_per_v: float | None = _key(_positive)
+    amplifier_gain_kv_per_v_sd: float | None = _key(_not_negative)
+    clamp_frequency_hz: float | None = _key(_positive)
+    clamp_frequency_hz_sd: float | None = _key(_not_negative)
+    force_gain: float | None = _key(_positive)
+    force_gain_sd: float | None = _key(_not_negative)
+    noise_sd: Mapping[str, float] = field(default_factory=dict)
+    extra: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, raw: Mapping[str, Any], *, where: str = "") -> Self:
+        """Constants from text or TOML values. Raises `RefusedError` for what is malformed."""
+        noise, rest = {}, {}
+        for key, value in raw.items():
+            name = key.removesuffix("_noise_sd")
+            if name != key and name in QUANTITIES:
+                noise[name] = cast(float, _checked(_not_negative, f"rig.{key}", value, where))
+            else:
+                rest[key] = value
+        return cls(**_parsed(cls, rest, where, prefix="rig."), noise_sd=noise)
+
+    def to_text(self) -> dict[str, str]:
+        """The keys as MCAP metadata has them; `parse` reads it back."""
+        return _as_text(self) | {f"{name}_noise_sd": repr(value) for name, value in self.noise_sd.items()}
+
+
+def _checked(parser: Callable[[Any], Any], key: str, value: Any, where: str) -> Any:
+    try:
+        return parser(value)
+    except ValueError as error:
+        shown = str(value)
+        shown = shown if len(shown) <= 80 else shown[:77] + "..."
+        raise RefusedError(f'{key} is "{shown}"', where=where, expected=str(error)) from None
+
+
+def _parsed(cls: type, raw: Mapping[str, Any], where: str, prefix: str = "") -> dict[str, Any]:
+    parsers = {f.name: f.metadata["parser"] for f in dataclasses.fields(cls) if "parser" in f.metadata}
+    values: dict[str, Any] = {}
+    extra: dict[str, str] = {}
+    for key, value in raw.items():
+        if key not in parsers:
+            extra[str(key)] = _checked(_text, prefix + str(key), value, where)
+        elif not (isinstance(value, str) and value.strip() == ""):
+            values[key] = _checked(parsers[key], prefix + key, value, where)
+    for f in dataclasses.fields(cls):
+        if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING and f.name not in values:
+            raise RefusedError(
+                f"required key {prefix}{f.name} is missing",
+                where=where,
+                remedy=f"Add {f.name} to the recording's metadata or to its TOML",
+            )
+    values["extra"] = extra
+    return values
+
+
+def _as_text(metadata: Any) -> dict[str, str]:
+    text: dict[str, str] = dict(metadata.extra)
+    for f in dataclasses.fields(metadata):
+        value = getattr(metadata, f.name)
+        if value is None or "parser" not in f.metadata:
+            continue
+        if isinstance(value, datetime):
+            text[f.name] = value.isoformat()
+        elif isinstance(value, tuple):
+            text[f.name] = ",".join(repr(v) for v in value)
+        else:
+            text[f.name] = str(value)
+    return text

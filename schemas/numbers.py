@@ -1,0 +1,236 @@
+"""Numbers as a physicist writes them: rounded by their uncertainty, with units, never broken over two lines.
+
+What a number means, and which sentence it stands in, does not belong here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+NBSP = "\u00a0"
+THIN = "\u202f"
+MINUS = "−"
+ABSENT = "–"
+UNRESOLVED = "unresolved"
+
+_SUPERSCRIPT = str.maketrans("0123456789-.", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻·")
+_WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+_ORDINALS = ("zeroth", "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
+
+
+def fixed(value: float, places: int) -> str:
+    """`value` with that many decimals (negative: rounded to tens, hundreds, …), true minus, groups from 10 000 on."""
+    rounded = round(value, places)
+    text = f"{abs(rounded):.{max(0, places)}f}"
+    whole, _, fraction = text.partition(".")
+    if len(whole) > 4:
+        whole = f"{int(whole):,}".replace(",", THIN)
+    sign = MINUS if rounded < 0 else ""
+    return sign + whole + (f".{fraction}" if fraction else "")
+
+
+def whole(count: int | None) -> str:
+    """A count, grouped in threes from 10 000 on."""
+    return ABSENT if count is None else fixed(count, 0)
+
+
+def _power(exponent: int) -> str:
+    return f"10{power(exponent)}"
+
+
+def power(exponent: float) -> str:
+    """An exponent as superscript: `⁻⁶·⁸⁸` after the V of an inverse power law; whole numbers without a point."""
+    text = str(exponent) if isinstance(exponent, int) else f"{exponent:.2f}"
+    return text.translate(_SUPERSCRIPT)
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """`value` to so many significant digits; very small and very large ones as a power of ten; `–` when absent."""
+    if value is None or not math.isfinite(value):
+        return ABSENT
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if -4 <= exponent < 6:
+        return fixed(value, digits - 1 - exponent)
+    return f"{fixed(value / 10.0**exponent, digits - 1)}{NBSP}×{NBSP}{_power(exponent)}"
+
+
+def span(low: float, high: float) -> str:
+    """`−0.02 to 5.34`: both ends to the place that a hundredth of the range between them has."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return f"{significant(low)} to {significant(high)}"
+    if low == high:
+        return significant(low)
+    width = max(high - low, 1e-3 * max(abs(low), abs(high)))
+    place = 2 - math.floor(math.log10(width))
+    if not -3 <= place <= 6:
+        return f"{significant(low)} to {significant(high)}"
+    return f"{fixed(low, place)} to {fixed(high, place)}"
+
+
+def compact(value: float | None, digits: int = 3) -> str:
+    """As `significant`, without trailing zeros: for settings and limits, which are exact (`7.5`, `100`)."""
+    text = significant(value, digits)
+    mantissa, cross, power = text.partition(f"{NBSP}×")
+    if "." in mantissa:
+        mantissa = mantissa.rstrip("0").rstrip(".")
+    return mantissa + cross + power
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Number and unit joined by a no-break space; degrees stand close."""
+    if not unit or text in (ABSENT, UNRESOLVED):
+        return text
+    return text + unit if unit == "°" else f"{text}{NBSP}{unit}"
+
+
+def _place(sd: float) -> int:
+    """Decimals to which an SD is given: one digit, two if they begin with 1 or 2."""
+    exponent = math.floor(math.log10(sd))
+    lead = round(sd / 10.0**exponent, 6)
+    return -exponent + (1 if lead < 2.95 else 0)
+
+
+def pm(value: float | None, sd: float | None, unit: str = "") -> str:
+    """Value ± SD: the SD to one digit, to two if they begin with 1 or 2; the value to the same place.
+
+    Without a usable SD there is no ±: the value is given to three digits and said to be unresolved.
+    """
+    if value is None or not math.isfinite(value):
+        return ABSENT
+    if sd is None or not math.isfinite(sd) or sd <= 0:
+        return f"{with_unit(significant(value), unit)}, ±{NBSP}{UNRESOLVED}"
+    exponent = math.floor(math.log10(max(abs(value), sd)))
+    if -4 < exponent < 6:
+        place = _place(sd)
+        return with_unit(f"{fixed(value, place)}{NBSP}±{NBSP}{fixed(sd, place)}", unit)
+    scale = 10.0**exponent
+    place = _place(sd / scale)
+    pair = f"({fixed(value / scale, place)}{NBSP}±{NBSP}{fixed(sd / scale, place)}){NBSP}×{NBSP}{_power(exponent)}"
+    return with_unit(pair, unit)
+
+
+def headline(value: float | None, sd: float | None, unit: str = "") -> str:
+    """As `pm`, for a heading: a statistical SD below 10⁻⁴ of the value is left to the table, where its meaning is said."""
+    if value is not None and sd is not None and 0 < sd < 1e-4 * abs(value):
+        return with_unit(significant(value, 4), unit)
+    return pm(value, sd, unit)
+
+
+def bounds(value: float | None, lower: float | None, upper: float | None, scale: float = 1.0) -> str:
+    """`40 (28–52)`: value with its 95 % limits, rounded as an SD of a quarter of the interval would be.
+
+    One limit alone is given as `(≥ 13)`; without limits the value stands alone to three digits.
+    """
+    if value is None:
+        return ABSENT
+    value, known = scale * value, [scale * e for e in (lower, upper) if e is not None]
+    width = max(value, *known) - min(value, *known) if known else 0.0
+    if width <= 0:
+        return significant(value)
+    place = _place(width / (4 if len(known) == 2 else 2))
+    if len(known) == 1:
+        limit = f"{'≥' if upper is None else '≤'}{NBSP}{fixed(known[0], place)}"
+    else:
+        low, high = sorted(known)
+        join = f"{NBSP}to{NBSP}" if low < 0 else ABSENT
+        limit = f"{fixed(low, place)}{join}{fixed(high, place)}"
+    return f"{fixed(value, place)}{NBSP}({limit})"
+
+
+_SUREST = 1e-16
+"""Below it a p-value says nothing about the world any more, only about the tail of a formula."""
+
+
+def p_value(p: float | None) -> str:
+    """Two digits; a power of ten below 0.001; nothing is surer than 10⁻¹⁶, whatever a formula gives."""
+    if p is None or not math.isfinite(p):
+        return ABSENT
+    if p >= 0.995:
+        return "1.0"
+    if p >= 0.001:
+        return significant(p, 2)
+    if p < _SUREST:
+        return f"<{NBSP}{_power(-16)}"
+    exponent = math.floor(math.log10(float(f"{p:.1e}")))
+    return f"{fixed(p / 10.0**exponent, 1)}{NBSP}×{NBSP}{_power(exponent)}"
+
+
+def p_equals(p: float | None) -> str:
+    """`p = 0.012`, or `p < …` where the number is a bound."""
+    text = p_value(p)
+    return f"p{NBSP}{text}" if text.startswith("<") else f"p{NBSP}={NBSP}{text}"
+
+
+_SMALLER = {"N": ((1e3, "mN"), (1e6, "µN")), "mm": ((1e3, "µm"), (1e6, "nm")), "kV": ((1e3, "V"), (1e6, "mV"))}
+
+
+def time_unit(longest_s: float) -> tuple[float, str]:
+    """Factor from seconds and unit in which times up to `longest_s` are read: s, h or d."""
+    if longest_s < 2e4:
+        return 1.0, "s"
+    return (1 / 3600, "h") if longest_s < 1e8 else (1 / 86400, "d")
+
+
+def scaled(unit: str, largest: float) -> tuple[float, str]:
+    """Factor and unit in which `largest` reads as 1 or more, where the unit has smaller ones."""
+    chosen = (1.0, unit)
+    for factor, smaller in _SMALLER.get(unit, ()):
+        if largest * chosen[0] < 1:
+            chosen = (factor, smaller)
+    return chosen
+
+
+def percent(share: float | None, digits: int = 2) -> str:
+    """A share as percent to so many digits, whole percents from 10 on."""
+    if share is None or not math.isfinite(share):
+        return ABSENT
+    value = 100 * share
+    text = fixed(value, 0) if abs(value) >= 10 else significant(value, digits)
+    return f"{text}{NBSP}%"
+
+
+def seconds(value: float | None) -> str:
+    """A duration: seconds below two minutes, then minutes, then hours."""
+    if value is None or not math.isfinite(value):
+        return ABSENT
+    if value < 120:
+        return with_unit(significant(value, 3 if value >= 1 else 2), "s")
+    if value < 7200:
+        minutes, rest = divmod(round(value), 60)
+        return f"{minutes}{NBSP}min" + (f"{NBSP}{rest:02d}{NBSP}s" if rest else "")
+    return with_unit(significant(value / 3600), "h")
+
+
+def word(count: int) -> str:
+    """A count as a word up to twelve."""
+    return _WORDS[count] if 0 <= count < len(_WORDS) else whole(count)
+
+
+def counted(count: int, singular: str, plural: str | None = None) -> str:
+    """`one recording`, `12 recordings`: digits above twelve, words below."""
+    return f"{word(count)}{NBSP}{singular if count == 1 else plural or singular + 's'}"
+
+
+def digits(count: int, singular: str, plural: str | None = None) -> str:
+    """`1 recording`, `12 recordings`."""
+    return f"{whole(count)}{NBSP}{singular if count == 1 else plural or singular + 's'}"
+
+
+def ordinal(number: int) -> str:
+    """`third`."""
+    return _ORDINALS[number] if 0 <= number < len(_ORDINALS) else f"{number}th"
+
+
+def joined(parts: Sequence[str]) -> str:
+    """`a, b and c`."""
+    if len(parts) < 2:
+        return "".join(parts)
+    return ", ".join(parts[:-1]) + " and " + parts[-1]
+
+
+def capital(text: str) -> str:
+    """The text with its first letter large."""
+    return text[:1].upper() + text[1:]

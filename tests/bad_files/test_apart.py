@@ -1,0 +1,92 @@
+"""Parsers in a child process: what kills or holds them up becomes a reason."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ingest.apart import Apart, apart
+from schemas.errors import PendingError, RefusedError
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "x.mat").write_bytes(b"x" * 100)
+    return tmp_path / "x.mat"
+
+
+def test_large_values_and_errors_come_back(path: Path) -> None:
+    values = np.arange(300_000.0)
+    found = apart(path, lambda scale: {"values": scale * values}, 2.0)
+    assert np.array_equal(found["values"], 2 * values)
+
+    def fail(error: Exception) -> Any:
+        raise error
+
+    with pytest.raises(PendingError, match="gone"):
+        apart(path, fail, PendingError("it has gone"))
+    with pytest.raises(KeyError, match="force"):
+        apart(path, fail, KeyError("force"))
+
+    class Local(Exception):
+        """Cannot be imported elsewhere, so it cannot be pickled."""
+
+    with pytest.raises(ValueError, match="Local: here only"):
+        apart(path, fail, Local("here only"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT])
+def test_a_crash_is_a_refusal(path: Path, number: signal.Signals) -> None:
+    with pytest.raises(RefusedError, match=rf"its parser crashed \({number.name}\)"):
+        apart(path, lambda: os.kill(os.getpid(), number))
+    with pytest.raises(RefusedError, match="was ended"):
+        apart(path, lambda: os._exit(3))
+
+
+def test_going_round_for_ever_ends_within_a_second_of_work(path: Path) -> None:
+    def forever() -> None:
+        while True:
+            pass
+
+    before = time.process_time()
+    with pytest.raises(RefusedError, match="does not come to an end"):
+        apart(path, forever)
+    assert time.process_time() - before < 0.5, "the parent only waits"
+
+
+def test_the_calls_for_one_file_share_its_time(path: Path) -> None:
+    def work(seconds: float) -> str:
+        end = time.process_time() + seconds
+        while time.process_time() < end:
+            pass
+        return "done"
+
+    parsed = Apart(path)
+    assert parsed(work, 0.4) == "done"
+    with pytest.raises(RefusedError, match="does not come to an end"):
+        parsed(work, 0.4)
+    many = Apart(path)
+    assert [many(work, 0.0) for _ in range(60)] == ["done"] * 60, "what is quick may come as often as it likes"
+
+
+def test_waiting_is_no_work(path: Path) -> None:
+    """A loaded machine or a slow disk makes no file bad."""
+    assert apart(path, lambda: time.sleep(1.0) or "read") == "read"
+
+
+def test_nothing_of_the_parent_is_lost_or_left(path: Path) -> None:
+    handles = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
+    for _ in range(5):
+        apart(path, os.getpid)
+    if handles:
+        assert len(os.listdir("/proc/self/fd")) == handles
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)

@@ -1,0 +1,27 @@
+"""Fixtures shared by all parts."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+# No deadline: a loaded machine is slow, which is no failure. The same cases every time, so that a change is judged by
+# what it changes; `make fuzz` draws new ones with DEALAB_HYPOTHESIS=new.
+settings.register_profile("same", deadline=None, derandomize=True)
+settings.register_profile("new", deadline=None, derandomize=False, print_blob=True)
+settings.load_profile(os.environ.get("DEALAB_HYPOTHESIS", "same"))
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder of public measured data; the test is skipped where it is absent."""
+    folder = Path(os.environ.get("DEALAB_REAL_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"DEALAB_REAL_DATA: no folder {folder}")
+    return folder

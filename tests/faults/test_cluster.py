@@ -1,0 +1,102 @@
+"""The nightly on a dask.distributed cluster: a real scheduler and two worker processes on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import pipeline.night
+import pipeline.run
+from pipeline import Lab
+from pipeline.run import nightly
+from schemas.errors import LabError
+from tests.conftest import ROOT
+from tests.faults import sabotage
+from tests.faults.lab_state import content, healthy, left_over, samples
+from tests.small_lab import life, small_campaign
+
+pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler and two workers of one thread each, which are replaced when they die."""
+    folder = tmp_path_factory.mktemp("cluster")
+    place = folder / "scheduler.json"
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+    }
+    options = ["--scheduler-file", str(place), "--no-dashboard"]
+    commands = [
+        ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", *options],
+        *(["distributed.cli.dask_worker", "--nthreads", "1", "--local-directory", str(folder), *options],) * 2,
+    ]
+    processes = []
+    try:
+        for command in commands:
+            processes.append(
+                subprocess.Popen(
+                    [sys.executable, "-m", *command],
+                    cwd=ROOT,
+                    env=environment,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+            )
+            while not place.exists():
+                assert processes[0].poll() is None, "the scheduler does not start"
+                time.sleep(0.05)
+        from distributed import Client
+
+        found: str = json.loads(place.read_text())["address"]
+        with Client(found, timeout="60s") as client:
+            client.wait_for_workers(2, timeout=120)
+        yield found
+    finally:
+        for process in processes:
+            os.killpg(process.pid, signal.SIGKILL)  # with the workers that its nanny has started
+            process.wait()
+
+
+def test_a_cluster_gives_the_same_and_outlives_its_workers(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+    raw = small_campaign(tmp_path / "raw", lives=2)
+    life(raw / "killonce-1.mcap", 5)
+    (raw / "killonce-1.seen").touch()
+    local, lab = Lab(tmp_path / "local"), Lab(tmp_path / "lab")
+    assert nightly([raw], local, jobs=0).exit_status == 0
+    (raw / "killonce-1.seen").unlink()
+    monkeypatch.setattr(pipeline.night, "perform", sabotage.perform)
+    summary = nightly([raw], lab, jobs=2, cluster=address)
+    assert (raw / "killonce-1.seen").exists(), "a worker was killed at work"
+    assert summary.attention == ()
+    assert content(lab) == content(local)
+    assert samples(lab) == samples(local)
+    assert left_over(lab) == []
+    assert healthy(lab) == []
+    life(raw / "kill-1.mcap", 6)
+    summary = nightly([raw], lab, jobs=2, cluster=address)
+    assert summary.counts.quarantined == 1
+    assert "failed twice" in summary.attention[0]
+    assert summary.counts.reused == 5
+
+
+def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.cluster._CONNECT_S", "1s")
+    raw = small_campaign(tmp_path / "raw", lives=0)
+    with pytest.raises(LabError, match="cluster does not answer"):
+        nightly([raw], Lab(tmp_path / "lab"), jobs=1, cluster="tcp://127.0.0.1:9")

@@ -1,0 +1,180 @@
+"""Workers that die, clocks that run back, files that cannot be read, labs that move; the harness in short."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pipeline.night
+import pipeline.run
+from pipeline import Lab
+from pipeline.run import nightly
+from tests.conftest import ROOT
+from tests.faults import sabotage
+from tests.faults.harness import Bench, full_disk, kills, readers, two_at_once
+from tests.faults.lab_state import content, healthy, left_over, samples, select
+from tests.small_lab import life, small_campaign
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Lab]:
+    """A raw folder and the lab of a night over it."""
+    folder = tmp_path_factory.mktemp("faults")
+    raw = small_campaign(folder / "raw", lives=2)
+    lab = Lab(folder / "lab")
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    return raw, lab
+
+
+@pytest.fixture
+def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+
+
+def statuses(lab: Lab) -> dict[str, tuple[str, str]]:
+    rows = select(lab, "SELECT source_path, status, problem FROM recordings")
+    return {Path(path).stem: (status, problem or "") for path, status, problem in rows}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
+def test_a_lost_worker_costs_its_recording_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
+) -> None:
+    """Killed, out of memory, stuck: each tried once more, alone, and refused with the reason. Lost once: read after all."""
+    monkeypatch.setattr(pipeline.night, "perform", sabotage.perform)
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    for number, name in enumerate(("kill-1", "memory-1", "stuck-1", "killonce-1", "good-1", "good-2")):
+        life(raw / f"{name}.mcap", number)
+    lab.create()
+    lab.settings.write_text("deadline_s = 6\nmemory_mb = 700\n")
+    summary = nightly([raw], lab, jobs=2)
+    found = statuses(lab)
+    assert summary.exit_status == 3
+    assert {name: status for name, (status, _) in found.items()} == {
+        "kill-1": "quarantined",
+        "memory-1": "quarantined",
+        "stuck-1": "quarantined",
+        "killonce-1": "ok",
+        "good-1": "ok",
+        "good-2": "ok",
+    }
+    assert "SIGKILL" in found["kill-1"][1] or "did not come back" in found["kill-1"][1]
+    assert "more memory than a worker may have" in found["memory-1"][1]
+    assert "longer than deadline_s allows" in found["stuck-1"][1]
+    assert all("twice" in found[name][1] for name in ("kill-1", "memory-1", "stuck-1"))
+    assert len(list(lab.quarantine.iterdir())) == 3
+    assert select(lab, "SELECT count(*) FROM lifetimes") == [(3,)]
+    assert left_over(lab) == []
+    assert healthy(lab) == []
+    again = nightly([raw], lab, jobs=2)
+    assert again.analysed == 0, "what failed twice is not tried every night"
+    monkeypatch.undo()
+    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+    lab.settings.write_text("deadline_s = 60\nmemory_mb = 0\n")
+    assert nightly([raw], lab, jobs=2).exit_status == 0, "with other limits it is tried again"
+    assert list(lab.quarantine.iterdir()) == []
+
+
+def test_a_clock_set_back_changes_nothing(
+    made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
+) -> None:
+    raw, lab = made[0], Lab(tmp_path / "lab")
+    shutil.copytree(made[1].folder, lab.folder)
+    before = content(lab)
+    back = 400 * 86_400
+
+    class Earlier(datetime):
+        @classmethod
+        def now(cls, tz: Any = None) -> datetime:
+            return datetime.fromtimestamp(time.time() - back, tz or UTC)
+
+    clock, clock_ns = time.time, time.time_ns
+    monkeypatch.setattr(pipeline.run, "datetime", Earlier)
+    monkeypatch.setattr(time, "time", lambda: clock() - back)
+    monkeypatch.setattr(time, "time_ns", lambda: clock_ns() - back * 10**9)
+    summary = nightly([raw], lab, jobs=0)
+    assert (summary.exit_status, summary.analysed, summary.counts.pending) == (0, 0, 0)
+    assert content(lab) == before
+    monkeypatch.undo()
+    runs = select(lab, "SELECT run_id, started_at FROM runs ORDER BY run_id")
+    assert [run for run, _ in runs] == ["000001", "000002"], "runs are in order by their number"
+    assert runs[1][1] < runs[0][1]
+
+
+def test_unreadable_files_and_folders(made: tuple[Path, Lab], tmp_path: Path) -> None:
+    """A file without rights is refused, a folder without rights passed over with a note; both are taken up later."""
+    command = [sys.executable, "-m", "pipeline.cli"]
+    if os.geteuid() == 0:  # root may read everything unless that right is taken away
+        if shutil.which("setpriv") is None:
+            pytest.skip("root needs setpriv to do without the rights of root")
+        command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    shutil.copytree(made[0], raw)
+    (raw / "closed").mkdir()
+    life(raw / "closed" / "L-7.mcap", 7)
+    os.chmod(raw / "L-1.mcap", 0)
+    os.chmod(raw / "closed", 0)
+
+    def night() -> subprocess.CompletedProcess[str]:
+        options = ["nightly", str(raw), "--lab", str(lab.folder), "--jobs", "0"]
+        return subprocess.run([*command, *options], cwd=ROOT, capture_output=True, text=True, check=False)
+
+    try:
+        first = night()
+    finally:
+        os.chmod(raw / "L-1.mcap", 0o600)
+        os.chmod(raw / "closed", 0o700)
+    assert first.returncode == 3, first.stderr
+    assert "Traceback" not in first.stderr
+    assert statuses(lab)["L-1"][0] == "quarantined"
+    assert "cannot be read" in statuses(lab)["L-1"][1]
+    (notes,) = select(lab, "SELECT notes FROM runs")[0]
+    assert any("closed" in note and "passed over" in note for note in json.loads(notes))
+    assert night().returncode == 0
+    assert {name for name, (status, _) in statuses(lab).items() if status == "ok"} >= {"L-1", "L-7"}
+    assert healthy(lab) == []
+
+
+def test_a_lab_works_in_another_place(made: tuple[Path, Lab], tmp_path: Path) -> None:
+    moved = Lab(tmp_path / "somewhere else" / "lab ü")
+    moved.folder.parent.mkdir()
+    shutil.copytree(made[1].folder, moved.folder)
+    assert healthy(moved) == []
+    before = content(moved), samples(moved)
+    summary = nightly([made[0]], moved, jobs=0)
+    assert (summary.exit_status, summary.analysed) == (0, 0)
+    assert (content(moved), samples(moved)) == before
+    absolute = str(made[1].folder)
+    assert not [p for p in moved.reports.rglob("*.html") if absolute in p.read_text()]
+    for path in moved.samples_folder.rglob("*.parquet"):
+        assert absolute.encode() not in path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    return Bench(tmp_path_factory.mktemp("bench"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
+def test_the_harness_in_short(bench: Bench) -> None:
+    """`python -m tests.faults.harness` does the same 50 times, with 20 publishes and a dozen sizes of disk."""
+    for result in (
+        kills(bench, 3, seed=11),
+        two_at_once(bench, 1),
+        readers(bench, 3),
+        full_disk(bench, (1 << 12, 1 << 19)),
+    ):
+        assert result.wrong == (), result.done
+        assert result.times

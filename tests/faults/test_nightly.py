@@ -1,0 +1,431 @@
+"""The nightly, whatever happens: again, changed, copied, in conflict, half written, killed, twice at once."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pytest
+
+import pipeline.analyse.recording as analyse
+import pipeline.looking
+import pipeline.night
+import pipeline.run
+import pipeline.stages.recording as stage
+from pipeline import Lab
+from pipeline.annotations import annotate
+from pipeline.lock import exclusive
+from pipeline.run import Summary, nightly
+from pipeline.status import status
+from schemas.errors import LabError, UsageError
+from schemas.tables import TABLES
+from tests import mcap_files
+from tests.conftest import ROOT
+from tests.faults.lab_state import content, healthy, select
+from tests.small_lab import RIG, chirp, life, small_campaign
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+LIVES = {"group:survival", "group:weak_regions"}
+"""What is made from the lives of all specimens."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A raw folder and the lab of a first night over it, pages included."""
+    folder = tmp_path_factory.mktemp("night")
+    raw = small_campaign(folder / "raw")
+    summary = nightly([raw], Lab(folder / "lab"), jobs=0)
+    assert summary.report_problem is None
+    assert summary.attention == ()
+    assert summary.exit_status == 0
+    return raw, folder / "lab"
+
+
+@pytest.fixture
+def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pages have tests of their own."""
+    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+
+
+@pytest.fixture
+def night(made: tuple[Path, Path], tmp_path: Path, without_pages: None) -> Callable[..., Summary]:
+    """Runs the nightly over a copy of that folder, in a copy of that lab; `raw` and `lab` are its attributes."""
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    shutil.copytree(made[0], raw)
+    shutil.copytree(made[1], lab.folder)
+    with duckdb.connect(str(lab.database)) as connection:  # the copied raw folder is another place: look the same
+        connection.execute("UPDATE recordings SET source_path = replace(source_path, ?, ?)", [str(made[0]), str(raw)])
+        connection.execute("DELETE FROM files")
+
+    def run(*paths: Path, jobs: int = 0, **options: Any) -> Summary:
+        return nightly(list(paths) or [raw], lab, jobs=jobs, **options)
+
+    run.raw, run.lab = raw, lab  # type: ignore[attr-defined]
+    return run
+
+
+def statuses(lab: Lab) -> dict[str, str]:
+    rows = select(lab, "SELECT source_path, status FROM recordings")
+    return {Path(path).name: status for path, status in rows}
+
+
+def redone(lab: Lab) -> set[str]:
+    """Stages and recordings that the last run made again."""
+    rows = select(
+        lab,
+        "SELECT coalesce(r.recording_id, i.item_id) FROM items i "
+        "LEFT JOIN recordings r ON i.item_id = 'recording:' || r.source_sha256 AND r.status <> 'duplicate' "
+        "WHERE i.run_id = (SELECT max(run_id) FROM runs)",
+    )
+    return {name for (name,) in rows}
+
+
+def test_a_first_night_fills_the_lab(made: tuple[Path, Path]) -> None:
+    lab = Lab(made[1])
+    assert healthy(lab) == []
+    assert set(statuses(lab).values()) == {"ok"}
+    assert len(statuses(lab)) == 6
+    assert select(lab, "SELECT specimen_id FROM best_models") == [("P-1",)]
+    (k0,) = select(lab, "SELECT k0_n_per_mm FROM best_models")[0]
+    assert k0 == pytest.approx(40 / 39, rel=0.02), "1 N/mm at the cell is 40/39 N/mm of film behind a cell of 40 N/mm"
+    lives = dict(select(lab, "SELECT specimen_id, lifetime_s FROM lifetimes WHERE failed"))
+    assert lives == {"L-1": pytest.approx(1.3, abs=0.02), "L-3": pytest.approx(1.9, abs=0.02)}
+    at_3_s = dict(select(lab, "SELECT configuration, survival FROM survival_at(3)"))
+    assert at_3_s == {"A": pytest.approx(0.5), "B": pytest.approx(0.5)}
+    assert (lab.reports / "index.html").is_file()
+    assert {p.name for p in lab.folder.iterdir()} == {".lock", "results.duckdb", "samples", "reports"}
+    paths = [path for (path,) in select(lab, "SELECT samples_path FROM recordings")]
+    assert all((lab.folder / path).is_file() for path in paths)
+
+
+def test_nothing_new_does_nothing_and_says_so(night: Any) -> None:
+    before = content(night.lab)
+    summary = night()
+    assert (summary.counts.reused, summary.counts.ingested, summary.analysed) == (6, 0, 0)
+    assert "Nothing had to be done again" in summary.paragraph()
+    assert content(night.lab) == before
+    assert select(night.lab, "SELECT reused, ingested FROM runs ORDER BY run_id DESC LIMIT 1") == [(6, 0)]
+    assert redone(night.lab) == set()
+
+
+def test_a_night_with_nothing_new_imports_nothing_heavy(made: tuple[Path, Path], tmp_path: Path) -> None:
+    """Importing takes longer than such a night's work."""
+    lab = shutil.copytree(made[1], tmp_path / "lab")
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom pipeline import Lab\nfrom pipeline.run import nightly\n"
+        f"nightly([{os.fspath(made[0])!r}], Lab(Path({os.fspath(lab)!r})), jobs=1)\n"
+        f"summary = nightly([{os.fspath(made[0])!r}], Lab(Path({os.fspath(lab)!r})), jobs=1)\n"
+        "print(summary.analysed, summary.report_problem)\n"
+        "print([name for name in ('pandas', 'scipy', 'matplotlib', 'pint', 'pyarrow.compute') if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert found.stdout.splitlines() == ["0 None", "[]"]
+
+
+def test_one_new_recording_redoes_what_it_touches(night: Any) -> None:
+    life(night.raw / "L-9.mcap", 9)
+    night()
+    assert redone(night.lab) == {"L-9"} | LIVES
+    chirp(night.raw / "P-1-chirp-9.mcap", 9)
+    night()
+    assert redone(night.lab) == {"P-1-chirp-9", "specimen:P-1", "diagnosis:P-1"}
+
+
+def test_a_changed_rig_file_redoes_what_depends_on_it_and_a_remark_does_not(night: Any) -> None:
+    rig = night.raw / "rigs" / "rig-a.toml"
+    rig.write_text("# weighed on the first of March\n" + RIG)
+    assert night().analysed == 0
+    rig.write_text(RIG.replace("0.05\n", "0.06\n"))
+    night()
+    assert "specimen:P-1" in redone(night.lab)
+    rows = select(night.lab, "SELECT metadata FROM recordings WHERE recording_id = 'P-1-chirp-0'")
+    assert json.loads(rows[0][0])["rig"]["clamp_mass_kg"] == "0.06"
+    other = night.raw / "rigs" / "rig-b.toml"
+    other.write_text(RIG)
+    assert night().analysed == 0
+
+
+def test_changed_settings_redo_the_fits_only(night: Any) -> None:
+    night.lab.settings.write_text("orders = [1, 2]\n")
+    assert "1 specimen result: made with other settings" in status(night.lab)
+    night()
+    assert redone(night.lab) == {"specimen:P-1"}
+    assert select(night.lab, "SELECT max(model_order) FROM model_fits") == [(2,)]
+    night.lab.settings.write_text("ordres = [1]\n")
+    with pytest.raises(LabError, match="ordres"):
+        night()
+
+
+def test_changed_code_redoes_what_it_made(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    original = pipeline.night.code_version
+    monkeypatch.setattr(
+        pipeline.night, "code_version", lambda module: "other" if module.endswith("groups") else original(module)
+    )
+    night()
+    assert redone(night.lab) == LIVES
+
+
+def test_a_copy_is_a_duplicate_and_changes_nothing_else(night: Any) -> None:
+    before = content(night.lab)["frequency_responses"]
+    shutil.copy(night.raw / "P-1-chirp-0.mcap", night.raw / "P-1-chirp-0 (copy).mcap")
+    summary = night()
+    assert summary.exit_status == 0
+    assert statuses(night.lab)["P-1-chirp-0 (copy).mcap"] == "duplicate"
+    assert content(night.lab)["frequency_responses"] == before
+    (night.raw / "P-1-chirp-0.mcap").unlink()
+    night()
+    assert statuses(night.lab) | {"P-1-chirp-0 (copy).mcap": "ok"} == statuses(night.lab), "the copy takes its place"
+    assert healthy(night.lab) == []
+
+
+def test_same_id_with_other_content_is_a_conflict_and_the_first_stays(night: Any) -> None:
+    before = content(night.lab)["carried"]
+    chirp(night.raw / "A-other.mcap", 5, name="P-1-chirp-0")
+    summary = night()
+    assert summary.exit_status == 3
+    assert statuses(night.lab)["A-other.mcap"] == "quarantined"
+    assert any("A-other.mcap" in line and "belongs to other content" in line for line in summary.attention)
+    assert content(night.lab)["carried"] == before
+    entries = list(night.lab.quarantine.iterdir())
+    assert [sorted(p.name for p in entry.iterdir()) for entry in entries] == [["A-other.mcap", "reason.json"]]
+    assert night().analysed == 0, "a known conflict is not read again"
+    assert night().exit_status == 3
+
+
+def test_a_conflict_is_resolved_when_the_first_gets_another_id(night: Any) -> None:
+    """The mapping of a table is changed, so that its id is free for the file that was refused for it."""
+    table = night.raw / "lives.csv"
+    table.write_text("t,f\n1.0,1\n2.0,0\n")
+    mapping = (
+        'kind = "lifetimes"\n[csv]\ndelimiter = ","\n[columns.lifetime]\ncolumn = "t"\nunit = "s"\n'
+        '[columns.failed]\ncolumn = "f"\nfailed_values = [1]\ncensored_values = [0]\n'
+        '[recording]\nrecording_id = "X"\nconfiguration = "C"\nvoltage_setpoint_kv = 5.0\n'
+    )
+    (night.raw / "lives.csv.toml").write_text(mapping)
+    night()
+    life(night.raw / "L-X.mcap", 7, name="X")
+    assert night().exit_status == 3
+    assert statuses(night.lab)["L-X.mcap"] == "quarantined"
+    (night.raw / "lives.csv.toml").write_text(mapping.replace('"X"', '"Y"'))
+    assert night().exit_status == 0
+    assert statuses(night.lab) | {"L-X.mcap": "ok", "lives.csv": "ok"} == statuses(night.lab)
+    assert select(night.lab, "SELECT DISTINCT recording_id FROM lifetimes WHERE configuration = 'C'") == [("Y",)]
+    assert list(night.lab.quarantine.iterdir()) == [], "released"
+    assert healthy(night.lab) == []
+
+
+def test_a_file_that_has_gone_leaves_its_results(night: Any) -> None:
+    (night.raw / "L-0.mcap").unlink()
+    summary = night()
+    assert summary.missing == 1
+    assert summary.exit_status == 0
+    assert select(night.lab, "SELECT count(*) FROM lifetimes") == [(4,)]
+    assert "L-0" in status(night.lab).partition("The file has gone")[2]
+
+
+def test_an_excluded_recording_leaves_the_analysis_and_comes_back(night: Any) -> None:
+    before = content(night.lab)
+    annotate(night.lab, "L-1", "exclude", "'; DROP TABLE lifetimes; --")
+    assert "L-1" in status(night.lab).partition("Out of the analysis")[2]
+    assert "1 excluded" in status(night.lab)
+    assert night().exit_status == 0
+    assert redone(night.lab) == LIVES
+    assert statuses(night.lab)["L-1.mcap"] == "excluded"
+    assert select(night.lab, "SELECT survival FROM survival_at(3) WHERE configuration = 'A'") == [(1.0,)]
+    assert select(night.lab, "SELECT recording_id, why FROM exclusions") == [("L-1", "'; DROP TABLE lifetimes; --")]
+    annotate(night.lab, "L-1", "include", "it was the wrong one")
+    night()
+    after = content(night.lab)
+    assert len(after.pop("annotations")) == 2
+    assert after == {name: rows for name, rows in before.items() if name != "annotations"}
+    with pytest.raises(UsageError, match="recording id"):
+        annotate(night.lab, "../x", "exclude", "because")
+
+
+def test_a_growing_file_waits(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        pipeline.looking, "growing", lambda files: [f for f in files if f.path.name == "P-1-chirp-0.mcap"]
+    )
+    os.utime(night.raw / "P-1-chirp-0.mcap")
+    summary = night()
+    assert summary.counts.pending == 1
+    assert summary.exit_status == 0
+    assert select(night.lab, "SELECT count(*) FROM recordings WHERE status = 'pending'") == [(1,)]
+    assert select(night.lab, "SELECT count(*) FROM recordings WHERE recording_id = 'P-1-chirp-0'") == [(1,)]
+    monkeypatch.undo()
+    assert night().counts.pending == 0
+    assert select(night.lab, "SELECT count(*) FROM recordings WHERE status = 'pending'") == [(0,)]
+
+
+def test_a_file_that_changes_while_it_is_read_waits(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = life(night.raw / "L-8.mcap", 8)
+    original = stage.read_raw
+
+    def touched(file: Path, mapping: Any) -> Any:
+        if file == path:
+            os.utime(path, ns=(1, 1))
+        return original(file, mapping)
+
+    monkeypatch.setattr(stage, "read_raw", touched)
+    assert night().counts.pending == 1
+    monkeypatch.undo()
+    assert night().counts.ingested == 1
+
+
+def test_an_analysis_that_fails_is_told_and_stops_nothing(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_recording: Any) -> None:
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(analyse, "detect_breakdown", fail)
+    life(night.raw / "L-8.mcap", 8)
+    summary = night()
+    assert summary.exit_status == 3
+    assert summary.counts.failed == 1
+    assert "ZeroDivisionError: a defect" in "\n".join(summary.attention)
+    assert statuses(night.lab)["L-8.mcap"] == "ok", "the recording itself is fine"
+    assert "Traceback" in select(night.lab, "SELECT error FROM items WHERE outcome = 'failed'")[0][0]
+    assert "a defect" in status(night.lab)
+
+
+def test_only_folders_without_recordings_are_a_failure(night: Any, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "data.csv").write_text("a;b\n1;2\n")
+    with pytest.raises(LabError, match="1 data files have no mapping"):
+        night(tmp_path / "empty")
+    with pytest.raises(UsageError, match="no such file"):
+        night(tmp_path / "nowhere")
+
+
+def test_the_lab_among_the_raw_files_is_not_read(night: Any) -> None:
+    chirp(night.raw / "A-other.mcap", 5, name="P-1-chirp-0")
+    night()
+    inside = night.raw / "lab"
+    shutil.copytree(night.lab.folder, inside)
+    summary = nightly([night.raw], Lab(inside), jobs=0)
+    assert summary.counts.found == 7
+
+
+HOSTILE = [
+    "../../../../tmp/x",
+    "<script>alert(1)</script>",
+    "'; DROP TABLE recordings; --",
+    "x\x1b[2J",
+    "\u202egnp.exe",
+]
+
+
+def test_hostile_metadata_does_no_harm(night: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number, text in enumerate(HOSTILE):
+        more = {"specimen_id": text, "operator": text, "notes": text, "configuration": text, "campaign": text}
+        life(night.raw / f"hostile-{number}.mcap", 20 + number, **more)
+    bad = mcap_files.METADATA | {"recording_id": "../../evil", "operator": HOSTILE[1]}
+    (night.raw / "bad-id.mcap").write_bytes(mcap_files.whole(mcap_files.metadata(bad), mcap_files.DEFINITIONS))
+    before = {p for p in tmp_path.rglob("*") if night.lab.folder not in p.parents}
+    monkeypatch.undo()
+    summary = night()
+    assert summary.report_problem is None
+    assert summary.counts.ingested == len(HOSTILE)
+    assert statuses(night.lab)["bad-id.mcap"] == "quarantined"
+    assert {p for p in tmp_path.rglob("*") if night.lab.folder not in p.parents} == before
+    found = {
+        text for (text,) in select(night.lab, "SELECT DISTINCT operator FROM recordings WHERE operator IS NOT NULL")
+    }
+    assert found == set(HOSTILE)
+    pages = "".join(p.read_text() for p in night.lab.reports.rglob("*.html"))
+    assert "<script>alert" not in pages
+    assert "\x1b" not in status(night.lab)
+    assert healthy(night.lab) == []
+
+
+def test_the_second_nightly_ends_at_once_and_names_the_first(night: Any) -> None:
+    with exclusive(night.lab):
+        started = time.monotonic()
+        with pytest.raises(LabError, match=f"process {os.getpid()} on ") as caught:
+            night()
+        assert time.monotonic() - started < 1
+        assert "a nightly is at work" in str(caught.value)
+        assert "A nightly is at work" in status(night.lab)
+    assert night().exit_status == 0
+    night.lab.folder.joinpath(".lock-holder.json").write_text('{"pid": 1, "host": "x", "since": "never"}')
+    assert night().exit_status == 0, "a note of a dead process holds nothing"
+
+
+def test_workers_give_the_same_as_this_process(night: Any, tmp_path: Path) -> None:
+    fresh = Lab(tmp_path / "fresh")
+    assert nightly([night.raw], fresh, jobs=2).exit_status == 0
+    parallel, serial = content(fresh), content(night.lab)
+    for name in TABLES:
+        assert parallel.get(name) == serial.get(name), name
+
+
+def run_nightly(raw: Path, lab: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "pipeline.cli", "nightly", str(raw), "--lab", str(lab), "--jobs", "1"]
+    return subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+    )
+
+
+def test_a_killed_night_is_taken_up_where_it_ended(made: tuple[Path, Path], tmp_path: Path) -> None:
+    """Killed at many stages, then left alone: the same lab as undisturbed, and nothing left over."""
+    raw, undisturbed = made
+    lab = Lab(tmp_path / "lab")
+    moments = random.Random(7)
+    stages: list[Callable[[], bool]] = [
+        lambda: lab.journal.is_dir(),
+        lambda: finished(lab) >= 1,
+        lambda: finished(lab) >= 4,
+        lambda: lab.samples_folder.is_dir(),
+        lambda: (lab.work / "building.duckdb").exists(),
+        lambda: lab.database.exists(),
+    ]
+    for reached in stages:
+        process = run_nightly(raw, lab.folder)
+        while process.poll() is None and not reached():
+            time.sleep(0.002)
+        time.sleep(moments.uniform(0, 0.05))
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate()
+        if lab.database.exists():
+            assert [finding for finding in healthy(lab) if "temporary" not in finding] == []
+    process = run_nightly(raw, lab.folder)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors.decode()
+    assert content(lab) == content(Lab(undisturbed))
+    assert healthy(lab) == []
+    assert {p.name for p in lab.folder.iterdir()} == {p.name for p in undisturbed.iterdir()}
+    samples = {p.relative_to(lab.folder): p.read_bytes() for p in lab.samples_folder.rglob("*.parquet")}
+    expected = {p.relative_to(undisturbed): p.read_bytes() for p in (undisturbed / "samples").rglob("*.parquet")}
+    assert samples == expected
+    assert not [p for p in lab.folder.rglob("*") if p.suffix in (".tmp", ".wal") or ".partial" in p.name]
+
+
+def finished(lab: Lab) -> int:
+    """Items that are finished and not published."""
+    return len(list(lab.journal.glob("*.entry"))) if lab.journal.is_dir() else 0
+
+
+def test_an_interrupted_night_keeps_what_is_finished(made: tuple[Path, Path], tmp_path: Path) -> None:
+    lab = Lab(tmp_path / "lab")
+    process = run_nightly(made[0], lab.folder)
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and not finished(lab):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert errors.decode() == "dealab: interrupted; what was finished is kept for the next run\n"
+    assert finished(lab)
+    assert not lab.database.exists()
+    assert nightly([made[0]], lab, jobs=0).exit_status == 0
+    assert content(lab) == content(Lab(made[1]))

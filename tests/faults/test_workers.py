@@ -1,0 +1,75 @@
+"""A worker that dies, is overdue or takes too much costs its own item only, and that one is tried once more alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.execute import Casualty, LocalPool, SerialExecutor, run_all
+from schemas.errors import LabError
+
+
+def work(task: tuple[str, str]) -> str:
+    """Does what it is told, after leaving a mark that it was tried."""
+    what, folder = task
+    with Path(folder, what).open("a") as marks:
+        marks.write("x")
+    if what == "dies":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == "dies once" and Path(folder, what).stat().st_size == 1:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if what == "hangs":
+        time.sleep(60)
+    if what == "eats":
+        return str(len(bytearray(3 << 30)))
+    if what == "full disk":
+        raise LabError("the lab cannot be written: No space left on device")
+    return what
+
+
+def pool(jobs: int) -> LocalPool:
+    return LocalPool(jobs, deadline_s=3, memory_mb=1500)
+
+
+def test_the_unlucky_are_told_and_the_others_are_done(tmp_path: Path) -> None:
+    names = ["a", "dies", "b", "hangs", "c", "eats", "dies once", "d"]
+    results = dict(run_all([(name, str(tmp_path)) for name in names], work, pool, jobs=2))
+    by_name = {what: result for (what, _folder), result in results.items()}
+    reasons = {what: result.reason for what, result in by_name.items() if isinstance(result, Casualty)}
+    assert reasons == {
+        "dies": "its worker was killed (SIGKILL)",
+        "hangs": "it took longer than deadline_s allows",
+        "eats": "it needs more memory than a worker may have",
+    }
+    assert {what: by_name[what] for what in ("a", "b", "c", "d", "dies once")} == {
+        what: what for what in ("a", "b", "c", "d", "dies once")
+    }
+    tried = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    assert tried == dict.fromkeys(names, 1) | dict.fromkeys(("dies", "hangs", "eats", "dies once"), 2)
+
+
+@pytest.mark.parametrize("open_executor", [pool, lambda _jobs: SerialExecutor()])
+def test_a_lab_that_cannot_be_written_stops_everything(tmp_path: Path, open_executor: Any) -> None:
+    with pytest.raises(LabError, match="No space left"):
+        list(run_all([("full disk", str(tmp_path))] * 5, work, open_executor, jobs=1))
+
+
+def test_tasks_are_taken_a_few_at_a_time(tmp_path: Path) -> None:
+    taken = 0
+
+    def tasks() -> Iterator[tuple[str, str]]:
+        nonlocal taken
+        for _ in range(50):
+            taken += 1
+            yield "a", str(tmp_path)
+
+    for number, _ in enumerate(run_all(tasks(), work, lambda _jobs: SerialExecutor(), jobs=2), start=1):
+        assert taken <= number + 4
+    assert taken == 50
+    assert list(run_all([], work, pool, jobs=2)) == []

@@ -1,0 +1,103 @@
+"""Forms of mechanisms: how much of a hidden effect of another form an extension explains, begun at the true material."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit
+from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.session import make_session
+from pipeline.fit.model import RelaxationModel
+from tests.hidden_effects.truth import Effect, Session
+from tests.hidden_effects.truth import make_session as true_session
+
+SWEEPS = tuple({"protocol": "chirp", "strain_pp": s} for s in (0.006, 0.05))
+CYCLES = tuple({"protocol": "cyclic", "strain_pp": s, "frequency_hz": 1.0, "cycles": 10} for s in (0.02, 0.12))
+STEPS = tuple({"protocol": "step", "loading": "electrical", "drive_kv": kv} for kv in (4.0, 8.0))
+MULTISINES = tuple({"protocol": "sphs", "drive_kv": kv} for kv in (5.5, 8.0))
+RELAXATION: tuple[dict[str, Any], ...] = ({"protocol": "step", "loading": "mechanical", "strain_pp": 0.08},)
+
+
+def explained(truth: Session, id: str, variant: str, start: dict[str, float]) -> tuple[float, ExtendedFit]:
+    """Share of the misfit of the plain truth that the mechanism removes, and its fit from `start`."""
+    session = make_session([reduce(r) for r in truth.recordings])
+    film = truth.truth.specimen.film
+    model = session.base_model(len(film.k))
+    theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
+    simulation, weight = Simulation(session), np.ones(session.size)
+    plain = Extended(session, simulation, model, (), weight)
+    unaware = plain.fit(theta, most=8).theta
+    of = Extended(session, simulation, model, (Chosen(id, variant),), weight)
+    best: ExtendedFit | None = None
+    for factor in (0.5, 1.0):
+        severities = {p.name for p in of.chosen[0].mechanism.severities}
+        values = {name: v * factor if name in severities else v for name, v in start.items()}
+        found = of.fit(of.entries(theta, (values,)), most=25)
+        best = found if best is None or found.chi2 < best.chi2 else best
+    assert best is not None
+    before, after = (float(np.sum(r**2)) - session.size for r in (plain.data_residual(unaware), best.misfit))
+    return 1 - after / before, best
+
+
+CASES = [
+    ("slack", "", 0.5, {}, SWEEPS, {"overload": 0.3, "residual": 0.05, "softness": 0.1}, 0.9),
+    ("slack", "", 1.5, {}, SWEEPS, {"overload": 1.0, "residual": 0.05, "softness": 0.1}, 0.8),
+    ("load_cell_damping", "drag", 0.015, {}, SWEEPS, {"damping_ratio": 0.01, "growth": 0.3}, 0.85),
+    ("clamp_slip", "", 0.6, {}, CYCLES, {"overload": 0.6, "hardening": 0.5, "creep_s": 0.2}, 0.9),
+    (
+        "wrinkling",
+        "",
+        0.3,
+        {},
+        STEPS + MULTISINES,
+        {"overload": 0.3, "growth": 0.1, "recovery_s": 1.0, "rise_s": 0.15},
+        0.9,
+    ),
+    ("leakage", "", 0.06, {}, STEPS + MULTISINES, {"droop": 0.05, "build_up_s": 1.0, "ohmic": 0.5}, 0.9),
+    (
+        "strain_stiffening",
+        "",
+        0.2,
+        {},
+        SWEEPS + CYCLES + RELAXATION,
+        {"stiffening": 0.15, "asymmetry": 0.5},
+        0.9,
+    ),
+    ("sensor_saturation", "", 0.25, {}, CYCLES + RELAXATION, {"overload": 0.2, "softness": 0.03}, 0.9),
+]
+
+
+@pytest.mark.parametrize(
+    ("id", "variant", "severity", "shape", "designs", "start", "least"), CASES, ids=[f"{c[0]} {c[2]}" for c in CASES]
+)
+def test_an_extension_explains_what_was_hidden(
+    id: str,
+    variant: str,
+    severity: float,
+    shape: dict[str, float],
+    designs: tuple[dict[str, Any], ...],
+    start: dict[str, float],
+    least: float,
+) -> None:
+    truth = true_session(101, designs, [Effect(id, severity, shape)])
+    share, found = explained(truth, id, variant, start)
+    assert share > least, found.values
+
+
+@pytest.mark.parametrize("variant", ["damper", "drag", "second_mode"])
+def test_damping_beyond_the_cell_takes_energy(variant: str) -> None:
+    """The clamp's dynamic stiffness turns forward at every frequency, and not at all at rest."""
+    truth = true_session(101, SWEEPS[1:], ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    simulation, film = Simulation(session), truth.truth.specimen.film
+    model = session.base_model(len(film.k))
+    theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
+    of = Extended(session, simulation, model, (Chosen("load_cell_damping", variant),), np.ones(session.size))
+    plain = Extended(session, simulation, model, (), np.ones(session.size)).predict(theta)
+    none, some = (of.predict(of.entries(theta, ({"damping_ratio": z},))) for z in (0.0, 0.02))
+    assert none == pytest.approx(plain, rel=1e-12)
+    assert not np.allclose(some, plain)

@@ -1,0 +1,156 @@
+"""Noise of features: its covariance against simulated noise, laws of channels, mains."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features import REST_HUM, NoiseSample
+from pipeline.diagnose.functionals import Component, Functionals
+from pipeline.diagnose.mains import HUM_HZ, mains_components, mains_of
+from pipeline.diagnose.noise_density import NoiseLaw, noise_law, noise_sample
+from pipeline.diagnose.records import thin, thinned_gain
+from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.session import make_session
+from tests.hidden_effects.truth import Effect
+from tests.hidden_effects.truth import make_session as true_session
+
+Float = NDArray[np.float64]
+
+
+def pink(samples: int, interval_s: float, rng: np.random.Generator, runs: int) -> Float:
+    """(runs, samples) noise of density 1 Hz/f per Hz, out of a much longer record: frequencies below 1/T are in it."""
+    size = 8 * samples
+    f = np.fft.rfftfreq(size, interval_s)
+    spectrum = rng.normal(size=(runs, f.size)) + 1j * rng.normal(size=(runs, f.size))
+    spectrum[:, 0] = 0.0
+    spectrum[:, 1:] *= np.sqrt(size / 2 / f[1:] / interval_s)
+    return np.fft.irfft(spectrum, size, axis=1)[:, :samples]
+
+
+def windows(*edges: tuple[int, int], rest: int, samples: int) -> Float:
+    rows = np.zeros((len(edges), samples))
+    for row, (a, b) in zip(rows, edges, strict=True):
+        row[a:b] = 1 / (b - a)
+        row[:rest] -= 1 / rest
+    return rows
+
+
+@pytest.mark.parametrize("stretch", [150, 400, 1000], ids=["start", "part", "whole"])
+def test_pink_noise_moves_means_as_predicted(stretch: int) -> None:
+    """Windows soon after the rest see noise that is slow against the stretch, late ones noise slower than the record."""
+    samples, interval_s, runs = 1000, 0.01, 800
+    kernels = windows((55, 90), (stretch - 60, stretch), rest=50, samples=stretch)
+    predicted = Functionals(kernels, 0, samples, interval_s).covariances([Component("force", 1)])[0]
+    seen = pink(samples, interval_s, np.random.default_rng(3), runs)[:, :stretch] @ kernels.T
+    spread = np.diag(np.cov(seen.T)) / np.diag(predicted)
+    assert np.all(np.abs(spread - 1) < 4 * np.sqrt(2 / runs) + 0.03), spread
+
+
+def test_pink_noise_between_windows_is_correlated_as_predicted() -> None:
+    kernels = windows((60, 200), (200, 500), (500, 1000), rest=50, samples=1000)
+    predicted = Functionals(kernels, 0, 1000, 0.01).covariances([Component("force", 1)])[0]
+    seen = pink(1000, 0.01, np.random.default_rng(4), 1000) @ kernels.T
+    scale = np.sqrt(np.diag(predicted))
+    assert np.cov(seen.T) / np.outer(scale, scale) == pytest.approx(predicted / np.outer(scale, scale), abs=0.12)
+
+
+@pytest.mark.parametrize("line_hz", HUM_HZ)
+def test_a_hum_of_any_phase_adds_its_component(line_hz: float) -> None:
+    rng = np.random.default_rng(5)
+    kernels = rng.normal(size=(3, 400))
+    t = np.arange(400) * 1e-3
+    predicted = Functionals(kernels, 0, 400, 1e-3).covariances([Component("mains", 0, None, line_hz)])[0]
+    phase = rng.uniform(0, 2 * np.pi, 4000)
+    seen = np.cos(2 * np.pi * line_hz * t + phase[:, None]) @ kernels.T
+    assert np.cov(seen.T) == pytest.approx(predicted, abs=0.06 * np.abs(predicted).max())
+
+
+def test_mains_that_thinning_takes_off_are_in_no_block() -> None:
+    assert {c.name for c in mains_of()} == {"mains50/0", "mains100/0"}
+    assert mains_of(lambda f: thinned_gain(f * 1e-3, 100)) == ()
+
+
+@given(factor=st.integers(2, 12), cycles=st.floats(0.001, 0.45))
+def test_thinning_passes_a_sinusoid_as_it_says(factor: int, cycles: float) -> None:
+    t = np.arange(4000)
+    wave = np.array([thin(np.cos(2 * np.pi * cycles * t + p), factor) for p in (0.0, np.pi / 2)])
+    size = np.hypot(*wave)[30:-30]
+    assert np.sqrt(np.mean(size**2)) == pytest.approx(float(thinned_gain(np.array(cycles), factor)), abs=2e-3)
+
+
+def test_coefficients_of_mains_are_squares_of_amplitudes() -> None:
+    assert mains_components({50.0: 0.004, 100.0: 0.001}) == pytest.approx({"mains50": 1.6e-5, "mains100": 1e-6})
+    with pytest.raises(KeyError):
+        mains_components({60.0: 0.004})
+
+
+def test_named_mains_leave_nothing_but_noise() -> None:
+    """Until the hum is named its blocks are far above the noise; with its coefficients they are noise, and clean ones stay."""
+    designs = (
+        {"protocol": "chirp"},
+        {"protocol": "step", "loading": "electrical", "drive_kv": 5.0},
+        {"protocol": "sphs", "drive_kv": 5.5},
+    )
+    hum = Effect("mains_hum", 5e-3)
+    loud = make_session([reduce(r) for r in true_session(104, designs, (hum,)).recordings])
+    calm = make_session([reduce(r) for r in true_session(104, designs, ()).recordings])
+    named = mains_components({50.0: 5e-3, 100.0: 5e-3 * hum.number("second")})
+    laws = {(0, q): NoiseLaw(np.full(len(designs), c), 0.0, 0.0) for q, c in named.items()}
+    quiet, told = replace(loud, laws=calm.laws), replace(loud, laws=calm.laws | laws)
+    change = loud.value - calm.value
+    change[loud.kind == REST_HUM] = 0.0
+    before, after = quiet.whiten(change), told.whiten(change)
+    assert before @ before > 3 * loud.size
+    assert after @ after < 0.1 * loud.size
+    # Mains and the noise of the line beside it: a rest tells how strong they are.
+    found = loud.value[loud.kind == REST_HUM]
+    assert found.min() > 20
+    # The noise beside them is read as without them.
+    for law in ("white", "pink"):
+        assert getattr(loud.laws[(0, "force")], law) == pytest.approx(getattr(calm.laws[(0, "force")], law), rel=0.25)
+
+
+def samples_of(values: list[Float], interval_s: float = 1e-2) -> list[tuple[int, NoiseSample]]:
+    found = [noise_sample("force", v, interval_s) for v in values]
+    return [(i, s) for i, s in enumerate(found) if s is not None]
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-160, 1e-12, 1.0, 1e12])
+def test_a_channel_of_any_level_has_a_law(level: float) -> None:
+    """Channels that stand still (a command at zero) and such in odd units: finite laws, no overflow on the way."""
+    rng = np.random.default_rng(1)
+    values = [level * rng.normal(size=400) for _ in range(3)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        law = noise_law(samples_of(values), 3)
+    assert np.all(np.isfinite(law.white))
+    assert np.isfinite([law.pink, law.red]).all()
+    if level > 1e-100:
+        assert law.white == pytest.approx(np.full(3, level**2), rel=0.3)
+
+
+def test_one_still_recording_among_others_keeps_its_silence() -> None:
+    rng = np.random.default_rng(2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        law = noise_law(samples_of([rng.normal(size=800), np.zeros(800), rng.normal(size=800)]), 3)
+    assert law.white[0] == pytest.approx(1.0, rel=0.2)
+    assert law.white[1] < 1e-6
+
+
+def test_residuals_of_slow_noise_have_variance_one_on_average() -> None:
+    """A law from short rests is wrong by a factor of two either way: 1/s must be right on average."""
+    rng = np.random.default_rng(7)
+    count, runs = 120, 60
+    ratio = []
+    for _ in range(runs):
+        law = noise_law(samples_of(list(pink(count, 0.01, rng, 2)), 0.01), 2)
+        ratio.append(1 / law.pink)
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.25)

@@ -1,0 +1,106 @@
+"""Step and hold: against the closed-form response of the film to a ramp."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.transform.relaxation import relaxation_curve
+from pipeline.transform.respond import respond
+from schemas.errors import NotIdentifiableError
+from tests.physics.rig_truth import recording
+
+SPRINGS, TIMES, K0 = (0.4, 1.0), (2.5, 0.1), 0.4
+RATE = 1000.0
+
+
+def relaxed(time: np.ndarray, start: float, ramp: float, height: float) -> np.ndarray:
+    """Force of the film for a ramp: integral of its relaxation function over the ramp."""
+
+    def integral(t: np.ndarray) -> np.ndarray:
+        t = np.maximum(t, 0.0)
+        return K0 * t + sum(k * tau * -np.expm1(-t / tau) for k, tau in zip(SPRINGS, TIMES, strict=True))
+
+    return height / ramp * (integral(time - start) - integral(time - start - ramp))
+
+
+def run(ramp: float, *, seed: int = 0, until: float = 120.0, back: float | None = None, **noise: float):
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(until * RATE)) / RATE
+    x = 2 * np.clip((time - 4.0) / ramp, 0, 1)
+    force = relaxed(time, 4.0, ramp, 2.0)
+    if back is not None:
+        x = x - 2 * np.clip((time - back) / ramp, 0, 1)
+        force = force - relaxed(time, back, ramp, 2.0)
+    x, force = x + rng.normal(0, 5e-4, x.size), force + rng.normal(0, noise.get("force", 1e-3), x.size)
+    return time, recording({"displacement": 3 + x, "force": 0.7 + force}, RATE, protocol="step")
+
+
+@pytest.mark.parametrize("ramp", [0.0005, 0.05, 0.4])
+def test_window_means_and_their_variance(ramp: float) -> None:
+    scores = []
+    for seed in range(20):
+        time, made = run(ramp, seed=seed)
+        curve, warnings = relaxation_curve(made)
+        since = time - curve.details["ramp_start_s"]
+        exact = relaxed(time, curve.details["ramp_start_s"], curve.ramp_s, 2.0) / 2.0
+        means = [exact[(since >= a - 1e-9) & (since <= b + 1e-9)].mean() for a, b in curve.window_s]
+        scores.append((curve.stiffness - means) ** 2 / (curve.variance + curve.rest_variance))
+    assert warnings == ()
+    assert curve.ramp_s == pytest.approx(max(ramp, 0.8 / RATE), rel=0.4 if ramp < 0.01 else 0.01)
+    assert curve.step == pytest.approx(2.0, abs=1e-4)
+    assert curve.usable.all()
+    assert 25 <= curve.time_s.size <= 70
+    assert np.all(np.diff(curve.time_s) > 0)
+    slow = curve.time_s > 0.5
+    assert 0.7 < np.mean(np.array(scores)[:, slow]) < 1.4
+    assert np.mean(scores) < 1.6
+
+
+def test_only_the_hold_counts_when_the_film_is_released_again() -> None:
+    _, made = run(0.05, back=60.0)
+    curve, _ = relaxation_curve(made)
+    assert curve.details["held_s"] == pytest.approx(60.0 - 4.05, abs=0.02)
+    assert curve.time_s[-1] < 56.0
+
+
+def test_ringing_windows_are_marked() -> None:
+    time, made = run(0.01)
+    since = np.maximum(time - 4.01, 0)
+    ring = np.where(time > 4.01, 0.2 * np.exp(-since / 0.5) * np.cos(2 * np.pi * 52 * since), 0.0)
+    channels = {q: c.values for q, c in made.channels.items()}
+    made = recording({**channels, "force": channels["force"] + ring}, RATE, protocol="step")
+    curve, warnings = relaxation_curve(made)
+    assert 3 < (~curve.usable).sum() < curve.usable.size / 2
+    assert curve.usable[curve.time_s > 4].all()
+    assert any("ring" in w for w in warnings)
+
+
+def test_rounding_of_a_quiet_channel_is_not_averaged_away() -> None:
+    _, made = run(0.05, force=0.0)
+    force = np.rint(made.channels["force"].values / 2e-3) * 2e-3
+    made = recording(
+        {"displacement": made.channels["displacement"].values, "force": force},
+        RATE,
+        protocol="step",
+        details={"force": {"resolution": 2e-3}},
+    )
+    curve, _ = relaxation_curve(made)
+    assert np.all(curve.variance >= (2e-3**2 / 12) / curve.step**2 * 0.999)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda x, f: (x[4030:], f[4030:]), "before the step|no step"),
+        (lambda x, f: (x[:4065], f[:4065]), "held|windows"),
+        (lambda x, f: (0 * x + np.random.default_rng(0).normal(0, 1e-3, x.size), f), "no step"),
+        (lambda x, f: (x, np.minimum(f, 1.2)), "saturated"),
+    ],
+)
+def test_what_cannot_carry_a_curve_is_refused(change, reason) -> None:
+    _, made = run(0.05)
+    x, force = change(made.channels["displacement"].values, made.channels["force"].values)
+    with pytest.raises(NotIdentifiableError, match=reason) as caught:
+        respond(recording({"displacement": x, "force": force}, RATE, protocol="step"))
+    assert caught.value.where == "run-1"

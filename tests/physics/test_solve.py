@@ -1,0 +1,66 @@
+"""The search behind diagnoses: optima, bounds, borrowed Jacobians."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pipeline.diagnose.solve import central, minimise
+
+Float = NDArray[np.float64]
+FAR = np.full(2, 50.0)
+
+
+def valley(x: Float) -> Float:
+    return np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]])
+
+
+def test_the_bottom_of_a_bent_valley_is_found() -> None:
+    found = minimise(valley, np.array([-1.2, 1.0]), -FAR, FAR, most=200)
+    assert found.converged
+    assert found.x == pytest.approx([1.0, 1.0], abs=1e-2)
+    assert found.chi2 < 1e-3
+
+
+def test_a_bound_holds_and_the_rest_is_optimal_on_it() -> None:
+    found = minimise(valley, np.array([-1.2, 1.0]), -FAR, np.array([0.5, 50.0]), most=200)
+    assert found.x[0] == pytest.approx(0.5, abs=1e-6)
+    assert found.x[1] == pytest.approx(0.25, abs=1e-2)
+
+
+def test_entries_with_equal_bounds_stay() -> None:
+    low, high = np.array([-50.0, 2.0]), np.array([50.0, 2.0])
+    found = minimise(valley, np.array([1.0, 2.0]), low, high, most=200)
+    assert found.x[1] == 2.0
+    assert found.x[0] == pytest.approx(np.sqrt(2.0), abs=2e-2)
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 10_000))
+def test_linear_problems_end_at_least_squares_whatever_jacobian_is_lent(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    design, target = rng.normal(size=(20, 4)), 5 * rng.normal(size=20)
+    best, *_ = np.linalg.lstsq(design, target, rcond=None)
+
+    def residual(x: Float) -> Float:
+        return np.asarray(target - design @ x)
+
+    lent = -design * (1 + 0.3 * rng.normal(size=design.shape))
+    wide = np.full(4, 100.0)
+    found = minimise(residual, np.zeros(4), -wide, wide, most=100, jacobian=lent, moving=2)
+    assert found.chi2 <= float(np.sum(residual(best) ** 2)) + 0.05
+
+
+def test_a_simulation_that_is_not_finite_never_wins() -> None:
+    found = minimise(lambda x: np.array([np.nan, x[0]]), np.array([1.0]), np.array([-1.0]), np.array([2.0]))
+    assert not found.converged
+    assert found.chi2 == np.inf
+
+
+def test_central_differences_are_of_third_order() -> None:
+    x = np.array([0.3, -0.2])
+    found = central(lambda v: np.exp(3 * v), x, -FAR, FAR)
+    assert found == pytest.approx(np.diag(3 * np.exp(3 * x)), rel=1e-6)

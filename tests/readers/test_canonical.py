@@ -1,0 +1,307 @@
+"""From raw to canonical: units once, required channels, time, lost samples, ranges, dead sensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ingest.canonical import canonical
+from ingest.timing import uneven
+from pipeline.transform.channels import drive
+from schemas.errors import RefusedError
+from schemas.recording import RawChannel, RawRecording, Recording
+
+START = 1_772_373_600_000_000_000
+METADATA: dict[str, Any] = {
+    "recording_id": "r1",
+    "protocol": "cyclic",
+    "loading": "mechanical",
+    "specimen_id": "s1",
+    "started_at": "2026-03-01T14:00:00+00:00",
+}
+N = 100
+
+
+def channel(
+    quantity: str,
+    unit: str,
+    values: Any = None,
+    *,
+    start: int = START,
+    step: int = 1_000_000,
+    times: Any = None,
+    **metadata: str,
+) -> RawChannel:
+    values = np.sin(np.arange(N) / 5) if values is None else np.asarray(values, dtype=float)
+    times = (
+        start + step * np.arange(values.size, dtype=np.int64) if times is None else np.asarray(times, dtype=np.int64)
+    )
+    return RawChannel(quantity, unit, times, values, metadata)
+
+
+def check(*channels: RawChannel, rig: dict[str, Any] | None = None, **metadata: Any) -> Recording:
+    return canonical(RawRecording(METADATA | metadata, rig or {}, channels), where="r1.csv")
+
+
+GOOD = (channel("displacement", "mm"), channel("force", "N"))
+
+
+@pytest.mark.parametrize(
+    ("quantity", "unit", "value", "expected"),
+    [
+        ("force", "mN", 1500.0, 1.5),
+        ("force", "lbf", 1.0, 4.4482216152605),
+        ("force", "gf", 100.0, 0.980665),
+        ("force", "kgf", 1.0, 9.80665),
+        ("displacement", "m", 0.002, 2.0),
+        ("displacement", "µm", 1500.0, 1.5),
+        ("displacement", "in", 1.0, 25.4),
+    ],
+)
+def test_units_are_converted(quantity: str, unit: str, value: float, expected: float) -> None:
+    values = np.zeros(N)
+    values[3] = value
+    other = GOOD[0] if quantity == "force" else GOOD[1]
+    found = check(channel(quantity, unit, values), other)
+    assert found.channels[quantity].values[3] == pytest.approx(expected, rel=1e-12)
+    assert found.status == "ok"
+
+
+@pytest.mark.parametrize("unit", ["mm", "V", "furlongs", "", "N;DROP TABLE", "9**9**9", "µ", "N" * 500])
+def test_wrong_units_are_refused(unit: str) -> None:
+    with pytest.raises(RefusedError) as refused:
+        check(GOOD[0], channel("force", unit))
+    assert "force" in str(refused.value)
+    assert "converts to N" in refused.value.expected
+
+
+def test_channel_keys_are_converted() -> None:
+    force = channel("force", "mN", resolution="0.5", filter_hz="200", delay_s="0.002", sensor="cell 3")
+    found = check(GOOD[0], force).channels["force"]
+    assert found.resolution == pytest.approx(0.0005)
+    assert (found.filter_hz, found.delay_s, found.sensor) == (200.0, 0.002, "cell 3")
+
+
+@pytest.mark.parametrize(
+    ("key", "text"), [("delay_s", "soon"), ("filter_hz", "0"), ("filter_hz", "inf"), ("resolution", "-1")]
+)
+def test_malformed_channel_keys_are_named(key: str, text: str) -> None:
+    with pytest.raises(RefusedError) as refused:
+        check(GOOD[0], channel("force", "N", **{key: text}))
+    assert f'force: {key} is "{text}"' in refused.value.problem
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"protocol": "dance"}, 'protocol "dance"'),
+        ({"loading": "electrical"}, "loading"),
+        ({"recording_id": "../../etc/passwd"}, "recording_id"),
+        ({"recording_id": "a" * 81}, "recording_id"),
+        ({"recording_id": ""}, "recording_id"),
+        ({"started_at": "2026-03-01T14:00:00"}, "started_at"),
+        ({"specimen_id": "  "}, "specimen_id"),
+        ({"stretch_1": "two"}, "stretch_1"),
+        ({"film_length_mm": -1}, "film_length_mm"),
+        ({"cycles": 2.5}, "cycles"),
+    ],
+)
+def test_metadata_is_checked(changes: dict[str, Any], field: str) -> None:
+    with pytest.raises(RefusedError) as refused:
+        check(*GOOD, **changes)
+    assert field in refused.value.problem
+    assert refused.value.where == "r1.csv"
+
+
+def test_missing_channels_are_named() -> None:
+    with pytest.raises(RefusedError, match="required channel force is missing; found: displacement") as refused:
+        check(GOOD[0])
+    assert "displacement, force or stretch, stress" in refused.value.expected
+
+
+def test_unknown_channel_is_left_out_with_a_note() -> None:
+    found = check(*GOOD, channel("humidity", "%"))
+    assert set(found.channels) == {"displacement", "force"}
+    assert any("humidity" in note for note in found.notes)
+
+
+def test_two_channels_of_one_quantity_are_refused() -> None:
+    with pytest.raises(RefusedError, match="two channels hold force"):
+        check(*GOOD, channel("force", "mN"))
+
+
+def test_lost_samples_become_nan_and_a_problem() -> None:
+    values = np.sin(np.arange(N))
+    values[[5, 6, 50]] = [np.nan, np.inf, -np.inf]
+    found = check(GOOD[0], channel("force", "mN", values))
+    assert np.flatnonzero(np.isnan(found.channels["force"].values)).tolist() == [5, 6, 50]
+    assert found.status == "damaged"
+    assert "3 of 100 samples" in found.problems[0]
+
+
+def test_required_channel_without_a_sample_is_refused_optional_left_out() -> None:
+    lost = np.full(N, np.nan)
+    with pytest.raises(RefusedError, match="force: none of its 100 samples"):
+        check(GOOD[0], channel("force", "N", lost))
+    with pytest.raises(RefusedError, match="force: the channel is empty"):
+        check(GOOD[0], channel("force", "N", []))
+    found = check(*GOOD, channel("capacitance", "pF", lost))
+    assert "capacitance" not in found.channels
+    assert found.status == "damaged"
+
+
+def test_time_running_backwards_is_refused_with_place() -> None:
+    times = START + 1_000_000 * np.arange(N)
+    times[40:] -= 3_600_000_000_000
+    with pytest.raises(RefusedError, match=r"sample 41 is 3600 s before sample 40"):
+        check(GOOD[0], channel("force", "N", times=times))
+
+
+def test_samples_told_twice() -> None:
+    values = np.sin(np.arange(N))
+    twice = np.insert(values, 10, values[10])
+    times = np.insert(START + 1_000_000 * np.arange(N), 10, START + 10_000_000)
+    found = check(GOOD[0], channel("force", "N", twice, times=times))
+    assert found.channels["force"].values.tolist() == values.tolist()
+    assert found.status == "ok"
+    twice[11] += 1
+    contradicted = check(GOOD[0], channel("force", "N", twice, times=times))
+    assert contradicted.channels["force"].values[10] == values[10]
+    assert contradicted.status == "damaged"
+
+
+def test_clock_coarser_than_the_sampling_is_refused() -> None:
+    times = START + 1_000_000 * (np.arange(N) // 4)
+    with pytest.raises(RefusedError, match="75 of 100 samples stand at the same instant"):
+        check(GOOD[0], channel("force", "N", times=times))
+
+
+def test_dead_sensor_is_refused_in_dynamic_tests() -> None:
+    with pytest.raises(RefusedError, match=r"force is 0.25 N in all 100 samples \(load cell not connected\?\)"):
+        check(GOOD[0], channel("force", "N", np.full(N, 0.25)))
+
+
+def test_constant_voltage_is_no_fault_in_a_lifetime_test() -> None:
+    found = check(channel("voltage", "V", np.full(N, 5000.0)), protocol="lifetime", loading="electrical")
+    assert found.channels["voltage"].values[0] == 5.0
+
+
+def test_load_cell_range() -> None:
+    values = np.sin(np.arange(N) / 5)
+    values[7] = 2.5
+    found = check(GOOD[0], channel("force", "N", values), rig={"load_cell_range_n": "2"})
+    assert found.status == "damaged"
+    assert "1 of 100 samples" in found.problems[0]
+    assert "2.5 N" in found.problems[0]
+    with pytest.raises(RefusedError, match="load cell's range") as refused:
+        check(GOOD[0], channel("force", "N", 1000 * values), rig={"load_cell_range_n": "2"})
+    assert "2 N" in refused.value.expected
+
+
+def test_rig_file_wins_key_by_key() -> None:
+    raw = RawRecording(METADATA, {"clamp_mass_kg": "0.05", "load_cell_range_n": "2"}, GOOD)
+    found = canonical(raw, where="r1", rig_file={"clamp_mass_kg": 0.06})
+    assert found.rig.clamp_mass_kg == 0.06
+    assert found.rig.load_cell_range_n == 2.0
+
+
+def test_channels_that_share_no_time_are_refused() -> None:
+    with pytest.raises(RefusedError, match=r"force begins 0\.901 s after displacement has ended"):
+        check(GOOD[0], channel("force", "N", start=START + 1_000_000_000))
+
+
+def test_different_rates_are_fine() -> None:
+    found = check(GOOD[0], channel("force", "N", step=10_000_000))
+    assert found.sample_count == 2 * N
+    assert not found.notes
+
+
+def test_clock_far_from_the_start_is_noted() -> None:
+    found = check(*GOOD, started_at="2026-03-02T14:00:00+00:00")
+    assert any("24 h before started_at" in note for note in found.notes)
+
+
+def test_other_systems_keep_their_unit() -> None:
+    found = check(channel("input", "mV"), channel("output", "furlongs"), protocol="chirp", loading="other")
+    assert [c.unit for c in found.channels.values()] == ["mV", "furlongs"]
+    assert found.channels["input"].values[1] == np.sin(0.2)
+
+
+def test_reader_problems_come_first() -> None:
+    raw = RawRecording(METADATA, {}, GOOD, ("cut",), ("slow",))
+    found = canonical(raw, where="r1")
+    assert found.problems == ("cut",)
+    assert found.notes == ("slow",)
+    assert found.status == "damaged"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["../../x", "'; DROP TABLE recordings; --", "</script><script>alert(1)</script>", "\u202egpj.exe", "x" * 10_000],
+)
+def test_hostile_text_is_kept_as_text(text: str) -> None:
+    found = check(*GOOD, operator=text, notes=text, specimen_id=text, weather=text)
+    assert found.metadata.operator == text
+    assert found.metadata.extra["weather"] == text
+    with pytest.raises(RefusedError):
+        check(*GOOD, recording_id=text)
+
+
+@pytest.mark.parametrize("text", ["a\x00b", "x" * 10_001])
+def test_text_that_no_table_can_hold_is_refused(text: str) -> None:
+    for key in ("operator", "weather"):
+        with pytest.raises(RefusedError) as refused:
+            check(*GOOD, **{key: text})
+        assert len(str(refused.value)) < 400
+
+
+@given(arrays(np.float64, st.integers(2, 40), elements=st.floats(allow_nan=True, allow_infinity=True)))
+def test_whatever_is_measured_ends_finite_or_nan_or_refused(values: np.ndarray) -> None:
+    try:
+        found = check(channel("displacement", "m", values), channel("force", "mN", np.arange(values.size)))
+    except RefusedError:
+        return
+    checked = found.channels["displacement"].values
+    assert not np.isinf(checked).any()
+    assert np.isnan(checked).tolist() == (~np.isfinite(values)).tolist()
+
+
+# --- stretch and stress -------------------------------------------------------------------------------------------
+
+
+def test_stretch_and_stress_with_geometry() -> None:
+    stretch, stress = channel("stretch", "1", 1 + np.arange(N) / N), channel("stress", "MPa", np.arange(N) / N)
+    found = check(stretch, stress, film_length_mm=50, film_width_mm=10, film_thickness_mm=0.5, protocol="cycle")
+    driven = drive(found)
+    assert driven.input.values == pytest.approx(50 * np.arange(N) / N)
+    assert driven.output.values == pytest.approx(5 * np.arange(N) / N)  # 1 MPa × 5 mm² = 5 N
+    assert set(found.channels) == {"stretch", "stress"}
+
+
+def test_stretch_and_stress_as_a_cube() -> None:
+    found = check(channel("stretch", "%", 100 + np.arange(N)), channel("stress", "kPa", np.arange(N), resolution="2"))
+    driven = drive(found)
+    assert driven.input.values == pytest.approx(np.arange(N) / 100)
+    assert driven.output.values == pytest.approx(np.arange(N) / 1000)
+    assert driven.output.resolution == pytest.approx(0.002)
+
+
+# --- words about timing -------------------------------------------------------------------------------------------
+
+
+def test_uneven_sampling_in_words() -> None:
+    even = np.arange(1000, dtype=np.int64) * 10_000_000
+    assert uneven(even) == ""
+    assert uneven(np.rint(np.arange(1000) * 333333.333).astype(np.int64)) == ""
+    gap = even.copy()
+    gap[500:] += 289_000_000
+    assert "median interval 0.01 s" in uneven(gap)
+    assert "1 gaps longer than 3 intervals, the largest 0.299 s at 4.99 s" in uneven(gap)
+    jitter = even + np.random.default_rng(1).integers(-2_000_000, 2_000_000, even.size)
+    assert "gaps" not in uneven(jitter)
+    assert "uneven" in uneven(jitter)

@@ -1,0 +1,271 @@
+"""The walk over raw folders, growing and changing files, the lab's quarantine."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ingest.discover import MAPPED, NATIVE, UNMAPPED, check_unchanged, discover, file_sha256, growing, lacks_end
+from ingest.quarantine import entries, entry_name, quarantine, release, safe_name
+from schemas.errors import PendingError, RefusedError, UsageError
+
+TOML = """[[files]]
+match = "*.csv"
+[files.time]
+sample_rate_hz = 10.0
+[files.columns.force]
+column = "F"
+unit = "N"
+"""
+
+
+def test_walk_is_sorted_and_classified(tmp_path: Path) -> None:
+    (tmp_path / "b" / "c").mkdir(parents=True)
+    for name in (
+        "b/z.mcap",
+        "b/c/y.csv",
+        "a.xlsx",
+        "b/README.txt",
+        "b/.hidden.csv",
+        "b/x.csv.part",
+        "b/~$a.xlsx",
+        "b/p.png",
+    ):
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "b" / "c" / "recordings.toml").write_text(TOML)
+    found = discover([tmp_path])
+    assert [(f.path.relative_to(tmp_path).as_posix(), f.state, f.format) for f in found.files] == [
+        ("a.xlsx", UNMAPPED, "excel"),
+        ("b/c/y.csv", MAPPED, "csv"),
+        ("b/z.mcap", NATIVE, "mcap"),
+    ]
+    assert all(f.size == 1 and f.root == tmp_path for f in found.files)
+    assert len(found.notes) == 1
+    assert "x.csv.part" in found.notes[0]
+
+
+def test_links_pipes_and_circles_are_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "a.mcap").write_bytes(b"x")
+    (tmp_path / "deep" / "up").symlink_to(tmp_path)
+    (tmp_path / "again.mcap").symlink_to(tmp_path / "deep" / "a.mcap")
+    (tmp_path / "nowhere.mcap").symlink_to(tmp_path / "gone")
+    (tmp_path / "self.mcap").symlink_to(tmp_path / "self.mcap")
+    (tmp_path / "folder.mcap").mkdir()
+    os.mkfifo(tmp_path / "pipe.mcap")
+    found = discover([tmp_path, tmp_path / "deep", tmp_path / "deep" / "a.mcap"])
+    assert len(found.files) == 1
+    text = "\n".join(found.notes)
+    for name in ("nowhere.mcap", "self.mcap", "pipe.mcap", "folder.mcap"):
+        assert name in text
+
+
+def test_copies_and_hard_links_are_files_of_their_own(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"x")
+    os.link(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert len(discover([tmp_path]).files) == 2
+
+
+def test_the_lab_inside_the_raw_folder_is_skipped(tmp_path: Path) -> None:
+    (tmp_path / "lab" / "quarantine" / "x").mkdir(parents=True)
+    (tmp_path / "lab" / "quarantine" / "x" / "bad.mcap").write_bytes(b"x")
+    assert discover([tmp_path], skip=[tmp_path / "lab"]).files == ()
+
+
+def test_missing_path_is_wrong_usage(tmp_path: Path) -> None:
+    with pytest.raises(UsageError):
+        discover([tmp_path / "nope"])
+
+
+def test_broken_mapping_comes_with_the_file(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("F\n1\n")
+    (tmp_path / "LICENSE").write_text("x")
+    (tmp_path / "recordings.toml").write_text("[[files]]\nmatch = 3\n")
+    (file,) = discover([tmp_path]).files
+    assert isinstance(file.error, RefusedError)
+    assert file.mapping is None
+
+
+def test_ignored_and_odd_endings(tmp_path: Path) -> None:
+    (tmp_path / "recordings.toml").write_text('[[files]]\nmatch = "cal*"\nkind = "ignore"\n' + TOML)
+    for name in ("cal1.csv", "run.csv", "run.lvm"):
+        (tmp_path / name).write_text("F\n1\n2\n")
+    own = TOML.replace('[[files]]\nmatch = "*.csv"\n', 'format = "csv"\n').replace("files.", "")
+    (tmp_path / "run.lvm.toml").write_text(own)
+    found = discover([tmp_path])
+    assert [(f.path.name, f.format) for f in found.files] == [("run.csv", "csv"), ("run.lvm", "csv")]
+    assert any("cal1.csv" in note for note in found.notes)
+
+
+def test_hostile_names_in_notes_are_escaped(tmp_path: Path) -> None:
+    (tmp_path / "a\n\x1b[2J\u202e.part").write_bytes(b"")
+    os.close(os.open(os.fsencode(tmp_path) + b"/\xff\xfe.part", os.O_CREAT | os.O_WRONLY))
+    notes = discover([tmp_path]).notes
+    assert len(notes) == 2
+    assert all(note.isprintable() for note in notes)
+
+
+# --- files that change -------------------------------------------------------------------------------------------
+
+
+def test_growing_file_is_pending_only_when_it_grows(tmp_path: Path) -> None:
+    names = {"grows.mcap": b"x", "rests.mcap": b"x", "whole.csv": b"1\n", "old.mcap": b"x"}
+    for name, content in names.items():
+        (tmp_path / name).write_bytes(content)
+    os.utime(tmp_path / "old.mcap", (1, 1))
+    slept = []
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        for name in ("grows.mcap", "whole.csv", "old.mcap"):
+            with (tmp_path / name).open("ab") as file:
+                file.write(b"more")
+
+    found = growing(discover([tmp_path]).files, sleep=sleep)
+    assert [f.path.name for f in found] == ["grows.mcap"]
+    assert slept == [1.0]
+
+
+def test_nothing_to_ask_means_no_waiting(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" * 2)
+    (tmp_path / "b.mcap").write_bytes(b"x")
+    os.utime(tmp_path / "b.mcap", (time.time() - 61,) * 2)
+    assert growing(discover([tmp_path]).files, sleep=lambda _: pytest.fail("slept")) == ()
+
+
+def test_ends_of_formats(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    for content, expected in ((b"1\n", False), (b"1\r\n", False), (b"1", True), ("1\n".encode("utf-16-le"), False)):
+        path.write_bytes(content)
+        assert lacks_end(path, "csv") is expected
+
+
+def test_hash_notices_a_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"x" * 4096)
+    whole = file_sha256(path)
+    assert whole == file_sha256(path, chunk=7)
+    info = path.stat()
+    check_unchanged(path, size=info.st_size, mtime_ns=info.st_mtime_ns)
+    real = os.fstat
+    looks = []
+
+    def fstat(handle: int) -> os.stat_result:
+        looks.append(handle)
+        if len(looks) == 2:
+            with path.open("ab") as file:
+                file.write(b"more")
+        return real(handle)
+
+    monkeypatch.setattr(os, "fstat", fstat)
+    with pytest.raises(PendingError, match="4096 to 4100 bytes"):
+        file_sha256(path)
+    with pytest.raises(PendingError):
+        check_unchanged(path, size=info.st_size, mtime_ns=info.st_mtime_ns)
+    with pytest.raises(PendingError):
+        file_sha256(tmp_path / "gone")
+
+
+# --- quarantine --------------------------------------------------------------------------------------------------
+
+WHEN = datetime(2026, 3, 1, 2, tzinfo=UTC)
+ERROR = RefusedError('unit "furlongs" is unknown', where="a.csv", expected="a unit of force", remedy="Correct it")
+
+
+def test_quarantine_copies_and_tells_why(tmp_path: Path) -> None:
+    raw, lab = tmp_path / "a.csv", tmp_path / "lab"
+    raw.write_bytes(b"1,2\n")
+    folder = quarantine(raw, lab, ERROR, sha256="abc", when=WHEN)
+    assert folder.parent == lab / "quarantine"
+    assert (folder / "a.csv").read_bytes() == b"1,2\n"
+    reason = json.loads((folder / "reason.json").read_text())
+    assert reason["problem"] == ERROR.problem
+    assert reason["expected"] == "a unit of force"
+    assert reason["sha256"] == "abc"
+    assert reason["source_path"] == str(raw)
+    assert reason["when"] == "2026-03-01T02:00:00+00:00"
+    assert raw.exists()
+    assert [e.folder for e in entries(lab)] == [folder]
+
+
+def test_quarantine_again_replaces_and_release_removes(tmp_path: Path) -> None:
+    raw, lab = tmp_path / "a.csv", tmp_path / "lab"
+    raw.write_bytes(b"1\n")
+    quarantine(raw, lab, ERROR, sha256="1", when=WHEN)
+    same = quarantine(raw, lab, ERROR, sha256="1", when=datetime(2027, 1, 1, tzinfo=UTC))
+    assert json.loads((same / "reason.json").read_text())["when"].startswith("2026")
+    raw.write_bytes(b"2\n")
+    folder = quarantine(raw, lab, RefusedError("still wrong"), sha256="2")
+    assert (folder / "a.csv").read_bytes() == b"2\n"
+    assert [e.reason["problem"] for e in entries(lab)] == ["still wrong"]
+    assert release(raw, lab)
+    assert not release(raw, lab)
+    assert list((lab / "quarantine").iterdir()) == []
+
+
+def test_files_of_the_same_name_do_not_meet(tmp_path: Path) -> None:
+    folders = set()
+    for day in ("mon", "tue"):
+        (tmp_path / day).mkdir()
+        (tmp_path / day / "a.csv").write_text(day)
+        folders.add(quarantine(tmp_path / day / "a.csv", tmp_path / "lab", ERROR))
+    assert len(folders) == 2
+
+
+def test_large_and_unreadable_files_keep_their_reason(tmp_path: Path) -> None:
+    raw, lab = tmp_path / "a.csv", tmp_path / "lab"
+    raw.write_bytes(b"x" * 100)
+    reason = json.loads((quarantine(raw, lab, ERROR, copy_limit=99) / "reason.json").read_text())
+    assert (reason["copied"], reason["size"]) == (False, 100)
+    gone = json.loads((quarantine(tmp_path / "gone.csv", lab, ERROR) / "reason.json").read_text())
+    assert gone["copied"] is False
+    assert "No such file" in gone["copy_error"]
+
+
+def test_a_file_named_like_the_reason(tmp_path: Path) -> None:
+    raw = tmp_path / "reason.json"
+    raw.write_text("{}")
+    folder = quarantine(raw, tmp_path / "lab", ERROR)
+    assert sorted(p.name for p in folder.iterdir()) == ["file.json", "reason.json"]
+    assert json.loads((folder / "reason.json").read_text())["problem"] == ERROR.problem
+
+
+def test_hostile_names_stay_inside_the_lab(tmp_path: Path) -> None:
+    lab = tmp_path / "lab"
+    for name in (
+        "..%2f..csv",
+        "a'; DROP TABLE x;--.csv",
+        "<script>.csv",
+        "\u202egpj.csv",
+        "-rf.csv",
+        "x" * 250 + ".csv",
+        "..csv",
+        ". .csv",
+    ):
+        raw = tmp_path / name
+        raw.write_bytes(b"1")
+        folder = quarantine(raw, lab, RefusedError(f"bad {name}\x00\x1b"))
+        assert folder.parent == lab / "quarantine"
+        assert len(folder.name) <= 80
+        assert folder.name[0].isalnum()
+        assert json.loads((folder / "reason.json").read_text())["source_path"].endswith(name)
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff\xfe.csv"))
+    odd.write_bytes(b"1")
+    quarantine(odd, lab, ERROR)
+    assert len(entries(lab)) == 9
+
+
+@given(st.text(max_size=300))
+def test_safe_names(name: str) -> None:
+    safe = safe_name(name)
+    assert 1 <= len(safe) <= 60
+    assert safe[0].isalnum()
+    assert set(safe) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
+    assert entry_name(Path("/x") / "a") == entry_name(Path("/x") / "a")

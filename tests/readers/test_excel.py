@@ -1,0 +1,121 @@
+"""Excel sheets: written here part by part, so that each oddity is known."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ingest.mapping import FileMapping
+from ingest.read import read_raw
+from schemas.errors import RefusedError
+from schemas.recording import RawRecording
+from tests.xlsx_files import write_xlsx
+
+
+def mapping(**options: Any) -> FileMapping:
+    content = {
+        "excel": options,
+        "time": {"column": "t", "unit": "s"},
+        "columns": {"force": {"column": "F"}},
+        "recording": {"started_at": "2026-03-01T14:00:00+00:00"},
+    }
+    return FileMapping.parse(content, stem="run", suffix=".xlsx", source="run.xlsx.toml")
+
+
+def read(path: Path, found: FileMapping) -> RawRecording:
+    raw = read_raw(path, found)
+    assert isinstance(raw, RawRecording)
+    return raw
+
+
+ROWS: list[list[Any]] = [["Prüfstand 3"], [None], ["t", "F"], ["s", "mN"], [0.0, 1.5], [0.1, 2], [0.2, -3.25]]
+
+
+def test_preamble_header_units(tmp_path: Path) -> None:
+    path = write_xlsx(tmp_path / "run.xlsx", {"Daten": ROWS})
+    raw = read(path, mapping(skip_rows=2, unit_row=True))
+    assert raw.channels[0].unit == "mN"
+    assert raw.channels[0].values.tolist() == [1.5, 2.0, -3.25]
+    assert np.diff(raw.channels[0].time_ns).tolist() == [100_000_000] * 2
+
+
+def test_empty_first_column_and_rows_keep_their_place(tmp_path: Path) -> None:
+    rows: list[list[Any]] = [
+        [None],
+        [None],
+        [None, "t", "F"],
+        [None, "s", "N"],
+        [None, 0, 1],
+        [None],
+        [None, 1, 2],
+        [None],
+    ]
+    raw = read(write_xlsx(tmp_path / "run.xlsx", {"A": rows}), mapping(skip_rows=2, unit_row=True))
+    assert raw.channels[0].values.tolist() == [1, 2]
+
+
+def test_sheets_by_name_number_or_not_at_all(tmp_path: Path) -> None:
+    other = [["t", "F"], ["s", "N"], [0, 9], [1, 8]]
+    path = write_xlsx(tmp_path / "run.xlsx", {"Info": [["x"]], "Data & more": other})
+    for sheet in ("Data & more", 1):
+        assert read(path, mapping(sheet=sheet, unit_row=True)).channels[0].values.tolist() == [9, 8]
+    with pytest.raises(RefusedError, match="2 sheets") as refused:
+        read(path, mapping(unit_row=True))
+    assert '"Info", "Data & more"' in refused.value.expected
+    for sheet in ("Nope", 2):
+        with pytest.raises(RefusedError, match="there is no sheet"):
+            read(path, mapping(sheet=sheet))
+
+
+def test_text_and_error_cells_are_lost_samples(tmp_path: Path) -> None:
+    rows = [*ROWS[2:5], [0.1, "over"], [0.2, "#N/A"], [0.3, None], [0.4, 4]]
+    raw = read(write_xlsx(tmp_path / "run.xlsx", {"A": rows}), mapping(unit_row=True))
+    assert np.isnan(raw.channels[0].values).tolist() == [False, True, True, True, False]
+    assert '"over"' in raw.problems[0]
+
+
+def test_numbers_kept_as_text_are_refused(tmp_path: Path) -> None:
+    for cells in (("1,5", "2,5"), ("abc", "def")):
+        rows = [*ROWS[2:4], [0.0, cells[0]], [0.1, cells[1]]]
+        with pytest.raises(RefusedError):
+            read(write_xlsx(tmp_path / "run.xlsx", {"A": rows}), mapping(unit_row=True))
+
+
+@pytest.mark.parametrize("cut", [10, 200, 600])
+def test_damaged_workbook_is_refused(tmp_path: Path, cut: int) -> None:
+    path = write_xlsx(tmp_path / "run.xlsx", {"A": ROWS})
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(RefusedError, match="cannot be read"):
+        read(path, mapping())
+
+
+def test_flipped_bytes_never_escape(tmp_path: Path) -> None:
+    path = write_xlsx(tmp_path / "run.xlsx", {"A": ROWS})
+    whole = path.read_bytes()
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(150):
+        changed = bytearray(whole)
+        for place in rng.integers(0, len(whole), 4):
+            changed[place] = rng.integers(256)
+        path.write_bytes(changed)
+        try:
+            read(path, mapping(skip_rows=2, unit_row=True))
+        except RefusedError:
+            refused += 1
+    assert refused > 10
+
+
+def test_bomb_is_refused_before_it_inflates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ingest.excel_reader._INFLATED_LIMIT", 2 << 20)
+    path = write_xlsx(tmp_path / "run.xlsx", {"A": ROWS})
+    assert read(path, mapping(skip_rows=2, unit_row=True)).channels
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as book:
+        book.writestr("xl/media.bin", bytes(3 << 20))
+    assert path.stat().st_size < 1 << 20
+    with pytest.raises(RefusedError, match="inflates to 3 MiB"):
+        read(path, mapping())

@@ -1,0 +1,239 @@
+"""Tables of lifetimes, frequency responses and relaxation: meanings, units, geometry, rows that cannot be used."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ingest.mapping import FileMapping
+from ingest.read import Content, read_raw
+from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
+from schemas.errors import RefusedError
+
+LIFE = {
+    "kind": "lifetimes",
+    "columns": {
+        "lifetime": {"column": "t", "unit": "min"},
+        "failed": {"column": "f", "failed_values": ["yes", 1], "censored_values": ["no", 0]},
+    },
+    "recording": {"recording_id": "{stem}"},
+}
+RESPONSE = {
+    "kind": "frequency_response",
+    "columns": {
+        "frequency": {"column": "f", "unit": "Hz"},
+        "storage": {"column": "s", "unit": "MPa"},
+        "loss": {"column": "l", "unit": "MPa"},
+    },
+    "recording": {"recording_id": "{stem}"},
+}
+
+
+def read(tmp_path: Path, text: str, base: dict[str, Any], **changes: Any) -> Content:
+    content = dict(base)
+    for key, value in changes.items():
+        content[key] = {**content.get(key, {}), **value} if isinstance(value, dict) else value
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    return read_raw(path, FileMapping.parse(content, stem="table", suffix=".csv", source="table.csv.toml"))
+
+
+def lives(tmp_path: Path, text: str, **changes: Any) -> LifetimeTable:
+    found = read(tmp_path, text, LIFE, **changes)
+    assert isinstance(found, LifetimeTable)
+    return found
+
+
+def response(tmp_path: Path, text: str, **changes: Any) -> ResponseTable:
+    found = read(tmp_path, text, RESPONSE, **changes)
+    assert isinstance(found, ResponseTable)
+    return found
+
+
+def test_lives(tmp_path: Path) -> None:
+    table = lives(
+        tmp_path,
+        "t,f,U,kind\n1,yes,5000,a\n2.5,0,5000,b\n4,1.0,7000,b\n",
+        columns={"voltage": {"column": "U", "unit": "V"}, "configuration": {"column": "kind"}},
+    )
+    assert [(r.lifetime_s, r.failed, r.voltage_kv, r.configuration) for r in table.rows] == [
+        (60.0, True, 5.0, "a"),
+        (150.0, False, 5.0, "b"),
+        (240.0, True, 7.0, "b"),
+    ]
+    assert [r.specimen_id for r in table.rows] == ["table-1", "table-2", "table-3"]
+    assert [r.censored_because for r in table.rows] == [None, "censored in the table", None]
+    assert {r.recording_id for r in table.rows} == {"table"}
+
+
+def test_constants_from_metadata_and_value(tmp_path: Path) -> None:
+    table = lives(
+        tmp_path,
+        "t\n1\n2\n",
+        columns={"failed": {"value": True, "failed_values": [True], "censored_values": [False]}},
+        recording={"configuration": "rods", "voltage_setpoint_kv": 3.5, "failure_site": "rod"},
+    )
+    row = table.rows[0]
+    assert (row.failed, row.configuration, row.voltage_kv, row.failure_site) == (True, "rods", 3.5, "rod")
+    constant = lives(tmp_path, "t,f\n1,1\n2,1\n", columns={"voltage": {"value": 4000, "unit": "V"}})
+    assert constant.rows[0].voltage_kv == 4.0
+
+
+def test_rows_without_a_life_are_left_out(tmp_path: Path) -> None:
+    table = lives(tmp_path, "t,f\n1,1\n0,1\n-3,1\n,1\nx,0\n7,0\n")
+    assert [r.specimen_id for r in table.rows] == ["table-1", "table-6"]
+    assert any("4 of 6 rows have no life above 0 (row 2" in p for p in table.problems)
+
+
+@pytest.mark.parametrize(
+    ("text", "changes", "problem"),
+    [
+        ("t,f\n1,1\n2,maybe\n", {}, '"maybe" in row 2 of the data means neither'),
+        ("t,f\n1,1\n2,\n", {}, '"" in row 2 of the data means neither'),
+        (
+            "t,f\n1,1\n2,0\n",
+            {"columns": {"failed": {"column": "f", "failed_values": [1, 0], "censored_values": [0]}}},
+            "failed and censored",
+        ),
+        ("t,f\n1,1\n", {"columns": {"failed": {"column": "f"}}}, "does not say which values"),
+        (
+            "t,f\n1,1\n2,0\n",
+            {"columns": {"failed": {"column": "f", "failed_values": [1], "left_censored_values": [0]}}},
+            "left-censored",
+        ),
+        ("t,f,n\n1,1,a\n2,1,a\n", {"columns": {"specimen_id": {"column": "n"}}}, '"a" stands in two rows'),
+        ("t,f\n-1,1\n0,1\n", {}, "no row has a life above 0"),
+        ("t,f\n1,1\n", {"columns": {"lifetime": {"column": "t", "unit": "kV"}}}, "kV"),
+        ("t,f\n1,1\n", {"recording": {"recording_id": "a b"}}, "recording_id"),
+        ("t,f,w\n1,1,top\n", {"columns": {"failure_site": {"column": "w"}}}, 'failure_site is "top"'),
+    ],
+)
+def test_lives_that_cannot_be_read(tmp_path: Path, text: str, changes: dict[str, Any], problem: str) -> None:
+    with pytest.raises(RefusedError) as refused:
+        lives(tmp_path, text, **changes)
+    assert problem in refused.value.problem
+
+
+def test_hostile_specimen_names_stay_text(tmp_path: Path) -> None:
+    names = ["../../x", "'; DROP TABLE lifetimes; --", "<script>", "\u202eabc"]
+    text = "t,f,n\n" + "".join(f"1,1,{n}\n" for n in names)
+    table = lives(tmp_path, text, columns={"specimen_id": {"column": "n"}})
+    assert [r.specimen_id for r in table.rows] == names
+
+
+def test_frequency_response_in_hertz_and_radians(tmp_path: Path) -> None:
+    text = "f,s,l\n1,2,0.5\n10,3,0.75\n"
+    hertz = response(tmp_path, text)
+    radians = response(tmp_path, text, columns={"frequency": {"column": "f", "unit": "rad/s"}})
+    assert hertz.frequency_hz.tolist() == [1, 10]
+    assert radians.frequency_hz == pytest.approx([1 / (2 * math.pi), 10 / (2 * math.pi)])
+    assert hertz.value.tolist() == [2 + 0.5j, 3 + 0.75j]
+    assert (hertz.measured_as, hertz.scale) == ("modulus", 1.0)
+    with pytest.raises(RefusedError, match="cycles or radians"):
+        response(tmp_path, text, columns={"frequency": {"column": "f", "unit": "1/s"}})
+
+
+def test_magnitude_and_phase(tmp_path: Path) -> None:
+    base: dict[str, Any] = {
+        **RESPONSE,
+        "columns": {
+            "frequency": {"column": "f", "unit": "Hz"},
+            "magnitude": {"column": "m", "unit": "N/m"},
+            "phase": {"column": "p", "unit": "deg"},
+            "standard_error": {"column": "e", "unit": "N/m"},
+        },
+    }
+    table = read(tmp_path, "f,m,p,e\n1,2000,30,10\n2,2000,90,20\n", base)
+    assert isinstance(table, ResponseTable)
+    assert table.measured_as == "stiffness"
+    assert table.value == pytest.approx([2 * complex(math.sqrt(3) / 2, 0.5), 2j])
+    assert table.standard_error == pytest.approx([0.01, 0.02])
+
+
+def test_modulus_with_geometry(tmp_path: Path) -> None:
+    sides = {"film_length_mm": 20, "film_width_mm": 10, "film_thickness_mm": 0.5}
+    table = response(tmp_path, "f,s,l\n1,2,1\n", recording=sides)
+    assert table.value == pytest.approx([0.25 * (2 + 1j)])  # E·w·t/L = 2 MPa × 10 mm × 0.5 mm / 20 mm = 0.5 N/mm
+    stiffness = {"storage": {"column": "s", "unit": "N/mm"}, "loss": {"column": "l", "unit": "N/mm"}}
+    assert response(tmp_path, "f,s,l\n1,2,1\n", recording=sides, columns=stiffness).value == pytest.approx([2 + 1j])
+    del sides["film_width_mm"]
+    with pytest.raises(RefusedError, match="geometry is incomplete"):
+        response(tmp_path, "f,s,l\n1,2,1\n", recording=sides)
+
+
+def test_order_lost_rows_and_repeats(tmp_path: Path) -> None:
+    table = response(tmp_path, "f,s,l\n10,3,1\n1,2,1\n5,,1\n0,1,1\n")
+    assert table.frequency_hz.tolist() == [1, 10]
+    assert table.value.real.tolist() == [2, 3]
+    assert "2 of 4 rows lack a number" in table.problems[0]
+    assert any("order of frequency" in n for n in table.notes)
+    with pytest.raises(RefusedError, match="frequency 1 Hz stands in two rows"):
+        response(tmp_path, "f,s,l\n1,2,1\n1,3,1\n")
+
+
+def test_selection(tmp_path: Path) -> None:
+    text = "f,s,l,set\n1,2,1,0\n2,3,1,0\n1,4,1,1\n2,5,1,1\n"
+    table = response(tmp_path, text, select=[{"column": "set", "equals": 1}])
+    assert table.value.real.tolist() == [4, 5]
+    with pytest.raises(RefusedError, match="no row has"):
+        response(tmp_path, text, select=[{"column": "set", "equals": [7]}])
+
+
+OWN = {
+    "displacement": {"column": "x", "unit": "mrad"},
+    "transducer_displacement": {"column": "y", "unit": "rad"},
+}
+
+
+def test_share_of_the_machine_itself(tmp_path: Path) -> None:
+    table = response(tmp_path, "f,s,l,x,y\n2,2,1,4,0.002\n1,2,1,1,-0.003\n3,2,1,0,0.001\n", columns=OWN)
+    assert table.own_deformation is not None
+    assert table.own_deformation[:2] == pytest.approx([3.0, 0.5])
+    assert math.isnan(table.own_deformation[2])
+    assert response(tmp_path, "f,s,l\n1,2,1\n").own_deformation is None
+    length = {**OWN, "displacement": {"column": "x", "unit": "mm"}}
+    with pytest.raises(RefusedError, match="transducer_displacement is in rad, displacement in mm"):
+        response(tmp_path, "f,s,l,x,y\n1,2,1,1,1\n", columns=length)
+    with pytest.raises(RefusedError, match=r"columns\.displacement is missing"):
+        response(tmp_path, "f,s,l,y\n1,2,1,1\n", columns={"transducer_displacement": OWN["transducer_displacement"]})
+    with pytest.raises(RefusedError, match='displacement has the unit "N"'):
+        response(tmp_path, "f,s,l,x,y\n1,2,1,1,1\n", columns={**OWN, "displacement": {"column": "x", "unit": "N"}})
+
+
+def test_negative_loss_is_kept_and_noted(tmp_path: Path) -> None:
+    table = response(tmp_path, "f,s,l\n1,2,1\n2,2,-1\n")
+    assert table.value.imag.tolist() == [1, -1]
+    assert "negative loss" in table.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("columns", "problem"),
+    [
+        ({"storage": {"column": "s", "unit": "V"}}, 'storage has the unit "V"'),
+        ({"loss": {"column": "l", "unit": "N/mm"}}, "storage is a modulus, loss a stiffness"),
+        ({"standard_error": {"column": "l", "unit": "N/mm"}}, "standard_error is a stiffness"),
+        ({"phase": {"column": "l", "unit": "deg"}, "magnitude": {"column": "s", "unit": "MPa"}}, "2 complete pairs"),
+    ],
+)
+def test_responses_that_cannot_be_read(tmp_path: Path, columns: dict[str, Any], problem: str) -> None:
+    with pytest.raises(RefusedError) as refused:
+        response(tmp_path, "f,s,l\n1,2,1\n", columns=columns)
+    assert problem in refused.value.problem
+
+
+def test_relaxation(tmp_path: Path) -> None:
+    base: dict[str, Any] = {
+        "kind": "relaxation",
+        "columns": {"time": {"column": "t", "unit": "ms"}, "relaxation": {"column": "E", "unit": "kPa"}},
+        "recording": {"recording_id": "{stem}"},
+    }
+    table = read(tmp_path, "t,E\n1,2000\n10,1500\n0,9\n", base)
+    assert isinstance(table, RelaxationTable)
+    assert table.time_s == pytest.approx([0.001, 0.01])
+    assert table.value == pytest.approx([2.0, 1.5])
+    assert np.isnan(table.standard_error).all()
+    assert table.problems

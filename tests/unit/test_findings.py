@@ -1,0 +1,113 @@
+"""What `dealab diagnose` prints of published diagnoses, for people and for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline import Lab
+from pipeline.findings import diagnoses
+from pipeline.store.publish import Changes, publish
+from pipeline.tabulate.diagnoses import diagnosis_tables, undiagnosed_tables
+from schemas.errors import UsageError
+from tests.unit.test_tabulate_diagnoses import FIRST, NAMED, SECOND
+
+
+def renamed(name: str, **more: Any) -> Mapping[str, Any]:
+    return diagnosis_tables(replace(NAMED, specimen_id=name, **more), (FIRST, SECOND))
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """Four specimens, one of each verdict but unknown, and one that could not be asked."""
+    folder = tmp_path_factory.mktemp("told")
+    names = ("S-1", "S-2", "S-3", "S-4", "S-5")
+    recordings = [
+        {"recording_id": f"{n}-r", "specimen_id": n, "status": "ok", "source_path": f"/raw/{n}", "source_sha256": n}
+        for n in names
+    ]
+    close = {"verdict": "ambiguous", "mechanisms": ("slack",), "also_possible": ("strain_stiffening",)}
+    quiet = {"verdict": "none", "mechanisms": (), "extension": None, "held_out": None, "next_recording": None}
+    rows = [
+        {"recordings": recordings},
+        renamed("S-1"),
+        renamed("S-2", **close),
+        renamed("S-3", **quiet, candidates=(), p_value=0.4),
+        undiagnosed_tables("S-4", ["one sweep \x1b[2Jalone"]),
+    ]
+    made = Lab(folder)
+    made.create()
+    publish(made, Changes(insertions=rows))
+    return made
+
+
+def told(lab: Lab, name: str) -> str:
+    return diagnoses(lab, [name], as_json=False)
+
+
+def test_a_named_cause_is_told_with_size_gain_interval_and_what_moved(lab: Lab) -> None:
+    text = told(lab, "S-1")
+    first, second, third = text.splitlines()[:3]
+    assert first == "● S-1: force reads too much, by 10.0 ± 1.0 % and the film softens from cycle to cycle, by 20.0 %, ± unresolved (named)."  # fmt: skip
+    assert "97 % (95 % interval 94 % to 99 %)" in second
+    assert third == "  5.00 → 1.20 times the noise."
+    assert "r-1: The response is missed by 3 %." in text
+    ranked = next(line for line in text.splitlines() if "● gain_error" in line)
+    assert " ".join(ranked.split()) == "● gain_error 880 99 % 98 % 10.0 ± 1.0 %"
+    assert "k0: 1.000 ± 0.020 → 0.900 ± 0.010 N/mm, moved by 10 SD" in text
+    assert "Next recording to make\n    Hang 50 g on the cell" in text
+    assert "leakage: 2.0 % droop" in text
+    assert "Cannot be seen in these recordings\n    wrinkling" in text
+    assert "What could not be asked\n    no temperature" in text
+
+
+def test_causes_that_cannot_be_told_apart_are_both_named_without_sizes(lab: Lab) -> None:
+    first = told(lab, "S-2").splitlines()[0]
+    assert (
+        first
+        == "◐ S-2: the film goes slack or the film stiffens with strain; these recordings cannot tell which (ambiguous)."
+    )
+    assert "Cannot be told from it: strain_stiffening" in told(lab, "S-2")
+
+
+def test_nothing_found_says_what_would_have_been(lab: Lab) -> None:
+    text = told(lab, "S-3")
+    assert text.startswith("○ S-3: the simulation is right within the noise, p = 0.40 (none).")
+    assert "Causes" not in text
+    assert "leakage: 2.0 % droop" in text
+
+
+def test_what_could_not_be_asked_is_told_with_the_reason_and_without_control_characters(lab: Lab) -> None:
+    text = told(lab, "S-4")
+    assert text == "– S-4: could not be asked. One sweep \\x1b[2Jalone."
+    assert told(lab, "S-5") == "No diagnoses are published for S-5."
+    with pytest.raises(UsageError):
+        told(lab, "S-9")
+
+
+def test_all_specimens_without_names(lab: Lab) -> None:
+    text = diagnoses(lab, [], as_json=False)
+    assert [line[0] for line in text.splitlines() if not line.startswith(" ") and line] == ["●", "◐", "○", "–"]
+
+
+def test_programs_get_everything_as_objects(lab: Lab) -> None:
+    first, *others = json.loads(diagnoses(lab, [], as_json=True))
+    assert first["severity"]["gain_error"]["gain"] == {"value": 0.1, "sd": 0.01}
+    assert first["candidates"][0]["mechanism"] == "gain_error"
+    assert first["discrepancies"][0]["recording_id"] == "r-1"
+    assert {p["parameter"] for p in first["parameters"]} >= {"k0", "k1", "tau1"}
+    assert first["next_design"] == {"protocol": "weight"}
+    assert [o["verdict"] for o in others] == ["ambiguous", "none", None]
+
+
+def test_a_lab_of_an_earlier_release_without_diagnoses(tmp_path: Path) -> None:
+    made = Lab(tmp_path)
+    made.create()
+    publish(made, Changes())
+    assert diagnoses(made, [], as_json=False) == "No diagnoses are published for this lab."
+    assert json.loads(diagnoses(made, [], as_json=True)) == []

@@ -1,0 +1,160 @@
+"""Numbers in the pages: rounding by uncertainty, true minus, no-break spaces."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from schemas import numbers
+
+GAP = numbers.NBSP
+
+
+def plain(text: str) -> str:
+    """The text with ordinary spaces and minus signs."""
+    return text.replace(GAP, " ").replace(numbers.THIN, " ").replace("−", "-")
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "expected"),
+    [
+        (21.268, 0.062, "21.27 ± 0.06"),
+        (1.573, 0.281, "1.57 ± 0.28"),
+        (0.99991, 0.00088, "0.9999 ± 0.0009"),
+        (-3.14159, 0.5, "-3.1 ± 0.5"),
+        (12.4, 3.0, "12 ± 3"),
+        (1234.0, 170.0, "1230 ± 170"),
+        (0.0, 0.0021, "0.0000 ± 0.0021"),
+        (87e-6, 5e-6, "(8.7 ± 0.5) × 10⁻⁵"),
+        (9.96, 0.0996, "9.96 ± 0.10"),
+        (25_000.0, 300.0, "25 000 ± 300"),
+        (3.0e7, 2.0e6, "(3.00 ± 0.20) × 10⁷"),
+    ],
+)
+def test_value_and_sd(value: float, sd: float, expected: str) -> None:
+    assert plain(numbers.pm(value, sd)) == expected
+
+
+@pytest.mark.parametrize("sd", [None, 0.0, -1.0, math.nan, math.inf])
+def test_no_false_uncertainty(sd: float | None) -> None:
+    assert plain(numbers.pm(1.5, sd, "N")) == "1.50 N, ± unresolved"
+
+
+def test_absent() -> None:
+    assert numbers.pm(None, 0.1) == numbers.significant(math.nan) == numbers.percent(None) == "–"
+
+
+@settings(deadline=None)
+@given(
+    st.floats(-1e5, 1e5).filter(lambda v: v == 0 or abs(v) > 1e-3),
+    st.floats(1e-4, 1e4),
+)
+def test_rounding_loses_less_than_a_third_of_the_sd(value: float, sd: float) -> None:
+    text = plain(numbers.pm(value, sd)).replace(" ", "")
+    scale = 1.0
+    if "×" in text:
+        text, _, power = text.partition("×10")
+        scale = 10.0 ** int(power.translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")))
+        text = text.strip("()")
+    shown, shown_sd = (float(x) * scale for x in text.split("±"))
+    assert abs(shown - value) <= sd / 3
+    assert abs(shown_sd - sd) <= 0.17 * sd
+    assert len(re.sub(r"[^1-9]", "", text.split("±")[1].lstrip("0."))) <= 2
+
+
+@settings(deadline=None)
+@given(st.floats(1.01e-16, 1.0))
+def test_p_keeps_two_digits(p: float) -> None:
+    text = plain(numbers.p_value(p))
+    mantissa, _, power = text.partition(" × 10")
+    shown = float(mantissa) * 10.0 ** int(power.translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")) or 0)
+    assert shown == pytest.approx(p, rel=0.051)
+    assert ("×" in text) == (p < 0.001)
+
+
+def test_a_heading_leaves_tiny_standard_deviations_to_the_table() -> None:
+    assert plain(numbers.headline(0.4000021, 1.8e-6, "N/mm")) == "0.4000 N/mm"
+    assert plain(numbers.headline(1.0001, 0.0009, "N/mm")) == "1.0001 ± 0.0009 N/mm"
+    assert plain(numbers.headline(1.0, None)) == "1.00, ± unresolved"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (-0.00214, 5.34, "0.00 to 5.34"),
+        (0.44, 0.502, "0.4400 to 0.5020"),
+        (-0.0916, 450.0, "0 to 450"),
+        (7.0, 7.0, "7.00"),
+    ],
+)
+def test_a_span_is_given_to_a_hundredth_of_its_width(low: float, high: float, expected: str) -> None:
+    assert plain(numbers.span(low, high)) == expected
+
+
+@pytest.mark.parametrize("p", [0.0, 1e-300, 9e-17])
+def test_no_p_is_surer_than_the_formula_it_comes_from(p: float) -> None:
+    assert plain(numbers.p_equals(p)) == "p < 10⁻¹⁶"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((40.2, 28.1, 51.9), "40 (28–52)"),
+        ((1.57, 1.1, 2.2), "1.57 (1.10–2.20)"),
+        ((1.0, 0.692, 1.0, 100.0), "100 (69–100)"),
+        ((23.0, 13.0, None), "23 (≥ 13)"),
+        ((-6.88, -7.6, -6.1), "-6.9 (-7.6 to -6.1)"),
+        ((5.0, None, None), "5.00"),
+        ((None, 1.0, 2.0), "–"),
+        ((4_883_219.0, 4_712_332.0, 5_035_325.0), "4 880 000 (4 710 000–5 040 000)"),
+    ],
+)
+def test_bounds(arguments: tuple[float | None, ...], expected: str) -> None:
+    assert plain(numbers.bounds(*arguments)) == expected
+
+
+def test_quantities_do_not_break_over_lines() -> None:
+    for text in (numbers.pm(1.5, 0.1, "N/mm"), numbers.percent(0.5), numbers.seconds(30.0), numbers.p_equals(1e-9)):
+        assert " " not in text
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(30.0, "30.0 s"), (150.0, "2 min 30 s"), (9000.0, "2.50 h"), (0.05, "0.050 s")]
+)
+def test_seconds(value: float, expected: str) -> None:
+    assert plain(numbers.seconds(value)) == expected
+
+
+def test_settings_lose_trailing_zeros_only() -> None:
+    assert [plain(numbers.compact(v)) for v in (7.5, 100.0, 1.0, 1e-7, 20.25)] == [
+        "7.5",
+        "100",
+        "1",
+        "1 × 10⁻⁷",
+        "20.2",
+    ]
+
+
+@pytest.mark.parametrize(("longest", "unit"), [(240.0, "s"), (32_776_000.0, "h"), (3.3e8, "d")])
+def test_lives_are_read_in_a_fitting_unit(longest: float, unit: str) -> None:
+    factor, found = numbers.time_unit(longest)
+    assert found == unit
+    assert 1 <= longest * factor < 1e5
+
+
+@pytest.mark.parametrize(("largest", "expected"), [(2.0, (1.0, "N")), (0.012, (1e3, "mN")), (1.6e-5, (1e6, "µN"))])
+def test_small_levels_get_a_small_unit(largest: float, expected: tuple[float, str]) -> None:
+    assert numbers.scaled("N", largest) == expected
+    assert numbers.scaled("V", largest) == (1.0, "V")
+
+
+def test_words() -> None:
+    assert numbers.joined(["a", "b", "c"]) == "a, b and c"
+    assert plain(numbers.counted(1, "recording")) == "one recording"
+    assert plain(numbers.counted(13, "recording")) == "13 recordings"
+    assert numbers.ordinal(3) == "third"
+    assert numbers.ordinal(12) == "12th"

@@ -1,0 +1,235 @@
+"""Read-only SQL: what may be asked, what may not, and that nothing on the disk is touched or read on the way."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline import Lab
+from pipeline.show import FORMATS, as_csv, as_json, as_table
+from pipeline.store.publish import Changes, publish
+from pipeline.store.query import Query
+from schemas.errors import DealabError, LabError, UsageError
+from schemas.tables import TABLES
+from schemas.views import EXAMPLES
+
+HOSTILE = "\x1b[2J<script>alert(1)</script>'; DROP TABLE recordings; --\u202e"
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    made = Lab(tmp_path_factory.mktemp("query") / "lab [a]*'")
+    made.create()
+    relative = "samples/protocol=chirp/month=2026-03/r-1.parquet"
+    path = made.folder / relative
+    path.parent.mkdir(parents=True)
+    pq.write_table(pa.table({"time_ns": np.arange(5), "force": np.arange(5) / 2}), path)
+    (made.folder / "outside.parquet").write_bytes(path.read_bytes())
+    rows = [
+        {"recording_id": "r-1", "samples_path": relative, "notes": HOSTILE, "duration_s": 1.5},
+        {"recording_id": "r-2", "samples_path": "outside.parquet", "duration_s": float("nan")},
+        {"recording_id": "r-3", "samples_path": "samples/missing.parquet"},
+    ]
+    full = [row | {"status": "ok", "source_path": row["recording_id"]} for row in rows]
+    publish(made, Changes(insertions=[{"recordings": TABLES["recordings"].rows(full)}]))
+    return made
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty working folder that has to stay empty."""
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    assert list(tmp_path.iterdir()) == []
+
+
+def ask(lab: Lab, query: str) -> pa.Table:
+    with Query(lab) as database:
+        return database.run(query)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "SELECT recording_id FROM recordings",
+        "SELECT 1;",
+        "  -- a remark\n SELECT 1",
+        "FROM recordings",
+        "TABLE recordings",
+        "VALUES (1), (2)",
+        "WITH a AS (SELECT 1 AS x) SELECT * FROM a",
+        "WITH a AS MATERIALIZED (SELECT 1 AS x) FROM a",
+        "WITH RECURSIVE t(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM t WHERE i < 3) FROM t",
+        "SELECT 1 UNION ALL SELECT 2 EXCEPT SELECT 3",
+        "SELECT * FROM (PIVOT recordings ON status IN ('ok', 'damaged') USING count(*))",
+        "DESCRIBE recordings",
+        "SUMMARIZE recordings",
+        "SHOW TABLES",
+        "EXPLAIN SELECT 1",
+        "explain /* ( */ analyze SELECT 1",
+        "EXPLAIN (FORMAT JSON) SELECT 1",
+        "EXPLAIN (SELECT 1)",
+        "SELECT 'COPY x TO y; INSERT_QUERY_NODE' AS type",
+        "SELECT * FROM query('SELECT 1')",
+    ],
+)
+def test_reading_is_answered(lab: Lab, here: Path, query: str) -> None:
+    assert ask(lab, query).num_rows > 0
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "",
+        "-- nothing",
+        "SELECT 1; SELECT 2",
+        "SELECT 1; DROP TABLE recordings",
+        "COPY recordings TO 'x.csv'",
+        "COPY (SELECT 1) TO 'x.parquet' (FORMAT parquet)",
+        "EXPLAIN ANALYZE COPY (SELECT 1) TO 'x.csv'",
+        "EXPLAIN COPY recordings TO 'x.csv'",
+        "EXPLAIN (FORMAT JSON) COPY recordings TO 'x.csv'",
+        "EXPLAIN ANALYZE INSERT INTO recordings (recording_id) VALUES ('x')",
+        "WITH a AS (COPY (SELECT 1) TO 'x.csv') SELECT 1",
+        "EXPLAIN ANALYZE WITH a AS (COPY (SELECT 1) TO 'x.csv') SELECT 1",
+        "WITH a AS (INSERT INTO recordings (recording_id) VALUES ('x') RETURNING *) SELECT * FROM a",
+        "WITH b AS (WITH a AS (DELETE FROM recordings RETURNING *) FROM a) SELECT * FROM b",
+        "SELECT (WITH a AS (UPDATE recordings SET status = 'x' RETURNING 1) SELECT count(*) FROM a)",
+        "SELECT * FROM query('COPY (SELECT 1) TO ''x.csv''')",
+        "EXPORT DATABASE 'x'",
+        "IMPORT DATABASE 'x'",
+        "ATTACH 'x.duckdb'",
+        "ATTACH ':memory:' AS m",
+        "INSTALL httpfs",
+        "LOAD httpfs",
+        "SET threads = 1",
+        "RESET threads",
+        "SET enable_external_access = true",
+        "PRAGMA database_list",
+        "PRAGMA enable_profiling",
+        "CALL pragma_version()",
+        "CREATE TABLE x AS SELECT 1",
+        "CREATE TEMP TABLE x AS SELECT 1",
+        "CREATE MACRO f() AS 1",
+        "INSERT INTO recordings (recording_id) VALUES ('x')",
+        "DELETE FROM recordings",
+        "UPDATE recordings SET status = 'x'",
+        "DROP TABLE recordings",
+        "ALTER TABLE recordings RENAME TO r",
+        "MERGE INTO recordings USING runs ON true WHEN MATCHED THEN DELETE",
+        "TRUNCATE recordings",
+        "VACUUM",
+        "CHECKPOINT",
+        "FORCE CHECKPOINT",
+        "BEGIN",
+        "PREPARE p AS SELECT 1",
+        "EXECUTE p",
+        "USE memory",
+        "COMMENT ON TABLE recordings IS 'x'",
+        "PIVOT recordings ON status USING count(*)",
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT * FROM read_text('/etc/passwd')",
+        "SELECT * FROM read_blob('/etc/passwd')",
+        "SELECT * FROM '/etc/passwd'",
+        "SELECT * FROM 'x.csv'",
+        "SELECT * FROM glob('/*')",
+        "SELECT * FROM parquet_metadata('/etc/passwd')",
+        "SELECT * FROM read_parquet('http://localhost/x.parquet')",
+        "SELECT * FROM sqlite_scan('x', 'y')",
+        "SELECT * FROM here",
+        "SELECT getenv('HOME')",
+    ],
+)
+def test_everything_else_is_refused_and_nothing_is_written(lab: Lab, here: Path, query: str) -> None:
+    before = lab.database.read_bytes()
+    with pytest.raises(DealabError):
+        ask(lab, query)
+    assert lab.database.read_bytes() == before
+
+
+def test_no_query_reads_a_parquet_file_that_is_not_offered(lab: Lab, here: Path) -> None:
+    path = lab.folder / "samples/protocol=chirp/month=2026-03/r-1.parquet"
+    for query in (f"SELECT * FROM '{path}'", f"SELECT * FROM read_parquet('{path}')", f"COPY (SELECT 1) TO '{path}'"):
+        with pytest.raises(DealabError):
+            ask(lab, query.replace("lab [a]*'", "lab [a]*''"))
+    assert pq.ParquetFile(path).metadata.num_rows == 5
+
+
+def test_samples_of_a_recording_in_the_same_query(lab: Lab, here: Path) -> None:
+    found = ask(
+        lab, "SELECT r.recording_id, max(s.force) AS f FROM recordings r, samples('r-1') s GROUP BY 1 ORDER BY 1"
+    )
+    assert found.to_pylist()[0] == {"recording_id": "r-1", "f": 2.0}
+    assert ask(lab, "SELECT count(*) AS n FROM samples('r-1') WHERE force > 0.9").to_pylist() == [{"n": 3}]
+
+
+@pytest.mark.parametrize("name", ["r-2", "r-3", "nobody", "../../outside", "samples/*"])
+def test_samples_that_are_not_in_the_lab_are_told(lab: Lab, here: Path, name: str) -> None:
+    with pytest.raises(DealabError, match="no samples of recording"):
+        ask(lab, f"SELECT * FROM samples('{name}')")
+
+
+def test_errors_name_the_right_column(lab: Lab) -> None:
+    with pytest.raises(DealabError, match="recording_id") as caught:
+        ask(lab, "SELECT recrding_id FROM recordings")
+    assert "LINE 1" in str(caught.value)
+
+
+def test_the_examples_are_answered(lab: Lab) -> None:
+    for _question, query in EXAMPLES:
+        ask(lab, query.replace("RECORDING_ID", "r-1"))
+
+
+def test_the_examples_can_be_typed_between_double_quotes() -> None:
+    assert not [query for _, query in EXAMPLES if set(query) & set('"$`\\!')]
+
+
+def test_without_a_database_the_remedy_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LabError, match="dealab nightly"):
+        ask(Lab(tmp_path), "SELECT 1")
+    (tmp_path / "results.duckdb").write_bytes(os.urandom(8192))
+    with pytest.raises(LabError, match="cannot be opened"):
+        ask(Lab(tmp_path), "SELECT 1")
+
+
+def test_a_lab_in_python_gives_frames(lab: Lab) -> None:
+    frame = Lab(lab.folder).sql("SELECT recording_id, duration_s FROM recordings ORDER BY 1")
+    assert list(frame["recording_id"]) == ["r-1", "r-2", "r-3"]
+
+
+ODD = "SELECT 1.5 AS x, 'nan'::DOUBLE AS n, NULL AS z, TIMESTAMPTZ '2026-03-01 08:00:00+00' AS t, [1, 2] AS l, {'a': 'b'} AS s"
+
+
+def test_formats(lab: Lab) -> None:
+    rows = ask(lab, ODD)
+    assert json.loads(as_json(rows)) == [
+        {"x": 1.5, "n": None, "z": None, "t": "2026-03-01T08:00:00+00:00", "l": [1, 2], "s": {"a": "b"}}
+    ]
+    assert as_csv(rows) == 'x,n,z,t,l,s\n1.5,nan,,2026-03-01T08:00:00+00:00,"[1, 2]","{""a"": ""b""}"'
+    content = FORMATS["parquet"](rows)
+    assert isinstance(content, bytes)
+    assert pq.read_table(pa.BufferReader(content)).num_rows == 1
+    assert as_table(rows).splitlines()[-1] == "(1 row)"
+
+
+def test_text_of_others_cannot_control_the_terminal(lab: Lab) -> None:
+    shown = as_table(ask(lab, "SELECT notes, recording_id FROM recordings WHERE recording_id = 'r-1'"))
+    assert "\x1b" not in shown
+    assert "\u202e" not in shown
+    assert "<script>" in shown, "it is shown as text"
+
+
+def test_a_plan_is_shown_as_it_is(lab: Lab) -> None:
+    assert "SEQ_SCAN" in as_table(ask(lab, "EXPLAIN SELECT * FROM recordings")).upper().replace(" ", "_")
+
+
+def test_parquet_is_refused_for_what_is_no_select(lab: Lab) -> None:
+    with pytest.raises(UsageError, match="PIVOT"):
+        ask(lab, "PIVOT recordings ON status USING count(*)")

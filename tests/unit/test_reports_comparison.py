@@ -1,0 +1,111 @@
+"""What a diagnosis compared, as figures: axes, magnitudes, residuals in SD."""
+
+from __future__ import annotations
+
+import base64
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from reports.features import KINDS, compared, kind_of
+from reports.figures.comparison import broken, comparison
+
+
+def row(**more: Any) -> dict[str, Any]:
+    base = {
+        "recording_id": "r-1", "kind": "chirp.response", "block": "sweep 1", "position": 0, "component": "", "frequency_hz": 1.0,
+        "amplitude": 0.01, "voltage_kv": None, "cycle": 1.0, "time_s": 1.0, "measured": 1.0, "plain": 1.0, "extended": None, "sd": 0.1,
+    }  # fmt: skip
+    return base | more
+
+
+def sweep(measured: np.ndarray, plain: np.ndarray, extended: np.ndarray | None) -> list[dict[str, Any]]:
+    """Rows of a complex block over 1, 2, … Hz."""
+    rows = []
+    for component, part in (("real", np.real), ("imaginary", np.imag)):
+        for i in range(measured.size):
+            rows.append(
+                row(
+                    component=component, frequency_hz=i + 1.0, measured=float(part(measured)[i]), plain=float(part(plain)[i]),
+                    extended=None if extended is None else float(part(extended)[i]),
+                )
+            )  # fmt: skip
+    return rows
+
+
+def svg(image: str) -> str:
+    found = re.search(r"base64,([^\"]+)", image)
+    assert found
+    return base64.b64decode(found[1]).decode()
+
+
+numbers = st.complex_numbers(max_magnitude=100, allow_nan=False, allow_infinity=False)
+
+
+@given(st.lists(st.tuples(numbers, numbers), min_size=2, max_size=8))
+def test_residuals_are_those_of_both_components_in_sd(pairs: list[tuple[complex, complex]]) -> None:
+    measured, plain = (np.array(v) for v in zip(*pairs, strict=True))
+    data = compared("chirp.response", sweep(measured, plain, measured), together=False)
+    assert data is not None
+    off = (measured - plain) / 0.1
+    assert data.rms(data.plain) == pytest.approx(np.sqrt(np.mean(np.concatenate([off.real, off.imag]) ** 2)))
+    assert data.extended is not None
+    assert data.rms(data.extended) == 0
+    assert data.residual_x.size == data.residual(data.plain).size
+    assert "extended: 0.0" in svg(comparison(data, alt="a"))
+
+
+def test_a_response_lies_over_frequency_and_a_course_over_time() -> None:
+    data = compared("chirp.response", sweep(np.ones(3) + 1j, np.ones(3) + 0j, None), together=False)
+    assert data is not None
+    assert (data.x_title, data.x_log, data.lines, data.extended) == ("Frequency, Hz", True, True, None)
+    steps = [row(kind="step.force", time_s=float(t), frequency_hz=9.0 - t, measured=0.1) for t in range(4)]
+    course = compared("step.force", steps, together=False)
+    assert course is not None
+    assert course.x.tolist() == [0, 1, 2, 3]
+    assert course.measured.tolist() == pytest.approx([100.0] * 4)
+    assert course.title.endswith("mN")
+
+
+def test_small_blocks_stand_in_their_order_named_by_what_tells_recordings_apart() -> None:
+    rows = [
+        row(kind="cyclic.level", recording_id=f"r-{i}", amplitude=0.01 * (1 + i // 2), cycle=1.0 + i % 2)
+        for i in range(4)
+    ]
+    rows = [r | {"recording_id": f"r-{i // 2}"} for i, r in enumerate(rows)]
+    data = compared("cyclic.level", rows, together=True)
+    assert data is not None
+    assert data.groups == ((0.5, "1"), (2.5, "2"))
+    assert "strain amplitude" in data.x_title
+    assert not data.lines
+    text = svg(comparison(data, alt="a"))
+    assert "extended" not in text
+    same = compared("cyclic.level", [row(kind="cyclic.level")] * 3, together=True)
+    assert same is not None
+    assert same.groups == ()
+    assert comparison(same, alt="a")
+
+
+def test_a_course_is_broken_at_an_edge_only() -> None:
+    after = np.geomspace(0.1, 5.0, 8)
+    x, y = broken(np.concatenate([after, 6.0 + after]), np.ones(16))
+    assert np.flatnonzero(np.isnan(x)).tolist() == [8]
+    assert np.isnan(y[8])
+    assert x.size == 17
+    assert not np.isnan(broken(np.linspace(1, 100, 30), np.ones(30))[0]).any()
+    assert broken(np.array([1.0, 2.0]), np.array([5.0, 4.0]))[1].tolist() == [5.0, 4.0]
+
+
+def test_values_without_a_place_give_no_figure() -> None:
+    assert compared("relaxation.force", [row(kind="relaxation.force", time_s=None)] * 2, together=False) is None
+    halves = sweep(np.ones(2) + 0j, np.ones(2) + 0j, None)[:3]
+    assert compared("chirp.response", halves, together=False) is None
+
+
+def test_an_unknown_kind_is_called_what_it_is() -> None:
+    assert kind_of("loop.phase").words == "loop phase"
+    assert all(kind.title and kind.column for kind in KINDS.values())

@@ -1,0 +1,219 @@
+"""Drawings: scales, ticks, labels, marks, dense data, valid XML."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import re
+import struct
+import zlib
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from reports.figures import film, recording, survival
+from reports.figures.responses import Curve, Lines, beyond, residual, response
+from reports.palette import group, misfit
+from reports.plot import Panel, Scale, apart, linear, logarithmic, nice, tick_text
+from reports.svg import DENSE, Drawing
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def parsed(image: str) -> ElementTree.Element:
+    found = re.search(r'base64,([^"]+)"', image)
+    assert found
+    return ElementTree.fromstring(base64.b64decode(found[1]))
+
+
+def png(data: bytes) -> tuple[np.ndarray, np.ndarray, set[int]]:
+    """Cells, palette and transparent indices of an unfiltered PNG with one byte per cell."""
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    chunks, at = {}, 8
+    while at < len(data):
+        (size,) = struct.unpack(">I", data[at : at + 4])
+        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
+        assert struct.unpack(">I", data[at + 8 + size : at + 12 + size])[0] == zlib.crc32(kind + body)
+        chunks[kind], at = body, at + 12 + size
+    width, height, *rest = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
+    assert rest == [8, 3, 0, 0, 0]
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(height, width + 1)
+    assert not rows[:, 0].any()
+    clear = {i for i, alpha in enumerate(chunks.get(b"tRNS", b"")) if alpha == 0}
+    return rows[:, 1:], np.frombuffer(chunks[b"PLTE"], np.uint8).reshape(-1, 3), clear
+
+
+@settings(deadline=None)
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.booleans())
+def test_ticks_lie_inside_and_are_few(low: float, span: float, log: bool) -> None:
+    scale = Scale(abs(low) + 1e-6, (abs(low) + 1e-6) * (1 + span), log=True) if log else Scale(low, low + span)
+    labelled, minor = scale.ticks(6)
+    slack = 1e-6 * max(abs(scale.low), abs(scale.high))
+    assert len(labelled) <= 8
+    assert all(scale.low - slack <= t <= scale.high + slack for t in [*labelled, *minor])
+    assert len({tick_text(t) for t in labelled}) == len(labelled) or span < 1e-5 * max(abs(low), 1)
+
+
+def test_ticks_of_a_decade_and_of_two() -> None:
+    assert Scale(1, 100, log=True).ticks(8)[0] == pytest.approx([1, 2, 5, 10, 20, 50, 100])
+    assert [tick_text(t) for t in Scale(0.01, 100, log=True).ticks(5)[0]] == ["0.01", "0.1", "1", "10", "100"]
+    assert [tick_text(t) for t in Scale(-0.2, 0.2).ticks(4)[0]] == ["−0.2", "−0.1", "0", "0.1", "0.2"]
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(0, 300), max_size=12).map(sorted))
+def test_names_do_not_touch(wanted: list[float]) -> None:
+    placed = apart(wanted, 14, 0, 300)
+    assert all(b - a >= 14 - 1e-9 for a, b in itertools.pairwise(placed))
+    if placed and 14 * len(placed) < 300:
+        assert placed[-1] <= 300 + 1e-9
+
+
+def test_scales_survive_data_that_have_no_extent() -> None:
+    for scale in (
+        linear([1.0, 1.0]),
+        linear([]),
+        linear([np.nan]),
+        logarithmic([]),
+        logarithmic([-1.0, 0.0]),
+        logarithmic([5.0]),
+    ):
+        assert scale.high > scale.low
+        assert np.isfinite(scale.share([scale.low, scale.high])).all()
+
+
+@pytest.mark.parametrize(("value", "expected"), [(3.7, 2), (0.1, 0.1), (0.0499, 0.02), (900, 500)])
+def test_nice(value: float, expected: float) -> None:
+    assert nice(value) == pytest.approx(expected)
+
+
+def test_many_marks_become_one_image_of_bounded_size() -> None:
+    random = np.random.default_rng(1)
+    sizes = []
+    for count in (DENSE - 1, 50_000, 400_000):
+        drawing = Drawing(480, 300)
+        panel = Panel(drawing, 40, 20, 400, 250, Scale(0, 1), Scale(0, 1))
+        panel.dots(random.random(count), random.random(count), "#0069a8", 3)
+        sizes.append(len(drawing.svg()))
+    assert sizes[2] < 1.5 * sizes[1] < 200_000
+
+
+def test_dense_marks_lie_where_they_should() -> None:
+    drawing = Drawing(100, 100)
+    panel = Panel(drawing, 0, 0, 100, 100, Scale(0, 1), Scale(0, 1))
+    panel.dots(np.full(DENSE + 1, 0.25), np.full(DENSE + 1, 0.25), "#b8420a", 6)
+    uri = next(e for e in ElementTree.fromstring(drawing.svg()) if e.tag == SVG + "image").attrib["href"]
+    cells, palette, transparent = png(base64.b64decode(uri.partition(",")[2]))
+    assert cells.shape == (200, 200)
+    assert palette[cells[150, 50]].tolist() == [0xB8, 0x42, 0x0A]
+    assert transparent == {0}
+    assert cells[50, 150] == 0
+    assert 100 < (cells > 0).sum() < 200
+
+
+def test_values_beyond_the_scale_are_marked_at_the_edge() -> None:
+    drawing = Drawing(100, 100)
+    panel = Panel(drawing, 0, 0, 100, 100, Scale(0, 1), Scale(-7, 7))
+    panel.held([0.5, 0.5, 0.5], [0.0, 99.0, -99.0], "#0069a8")
+    assert len([e for e in ElementTree.fromstring(drawing.svg()) if e.tag == SVG + "path"]) == 3
+
+
+def test_a_gap_interrupts_the_line() -> None:
+    drawing = Drawing(100, 100)
+    panel = Panel(drawing, 0, 0, 100, 100, Scale(0, 4), Scale(0, 4))
+    panel.curve([0, 1, 2, 3, 4], [1, 1, np.nan, 2, 2], "#000000")
+    assert len([e for e in ElementTree.fromstring(drawing.svg()) if e.tag == SVG + "path"]) == 2
+
+
+@settings(deadline=None)
+@given(st.integers(1, 5000))
+def test_merging_an_envelope_keeps_its_extremes(count: int) -> None:
+    random = np.random.default_rng(count)
+    low = random.normal(size=count)
+    thin = recording.Envelope("force", "N", np.arange(count, dtype=float), low, low + 1).merged(440)
+    assert thin.time.size <= max(440, 1)
+    assert thin.low.min() == low.min()
+    assert thin.high.max() == low.max() + 1
+
+
+def test_a_gap_in_the_samples_stays_one() -> None:
+    time = np.concatenate([np.arange(50.0), np.arange(80.0, 130.0)])
+    envelope = recording.Envelope("force", "N", time, np.zeros(100), np.ones(100))
+    assert np.flatnonzero(envelope.gaps()).tolist() == [49]
+
+
+def lines(n: int = 30) -> Lines:
+    f = np.geomspace(1, 100, n)
+    return Lines(f, 1 + 1j * f / 50, np.full(n, 0.02), np.ones(n, dtype=bool), np.where((f > 40) & (f < 60), 9.0, 1.0))
+
+
+def test_alt_text_and_markup_are_escaped() -> None:
+    image = response(lines(), None, [], phase=False, alt='"><script>alert(1)</script>')
+    assert "<script" not in image
+    assert parsed(image).tag == SVG + "svg"
+
+
+def test_response_with_all_orders_is_xml_and_names_them() -> None:
+    data = lines()
+    models = {n: data.value * (1 + 0.02 * (3 - n)) for n in (1, 2, 3)}
+    curves = [Curve(n, n == 3, m, data.frequency, data.value, residual(data, m)) for n, m in models.items()]
+    for phase in (False, True):
+        texts = [
+            e.text
+            for e in parsed(response(data, data, curves, phase=phase, alt="x", alarm=True))
+            if e.tag == SVG + "text"
+        ]
+        assert {"1st order", "2nd order", "3rd order ✓"} <= set(texts)
+
+
+def test_residual_is_in_sd_of_one_component() -> None:
+    data = lines(40)
+    random = np.random.default_rng(3)
+    n = 4000
+    f = np.geomspace(1, 100, n)
+    truth = 1 + 1j * f / 50
+    noise = 0.02 / np.sqrt(2) * (random.normal(size=n) + 1j * random.normal(size=n))
+    measured = Lines(f, truth + noise, np.full(n, 0.02), np.ones(n, dtype=bool), np.ones(n))
+    found = residual(measured, truth)
+    assert np.std(found.magnitude) == pytest.approx(1, rel=0.05)
+    assert np.std(found.phase) == pytest.approx(1, rel=0.05)
+    assert found.rms == pytest.approx(1, rel=0.04)
+    blind = residual(
+        Lines(data.frequency, data.value, np.full(40, np.nan), data.usable, data.amplification), 0.9 * data.value
+    )
+    assert not blind.in_sd
+    assert blind.magnitude == pytest.approx(np.full(40, 10.0))
+
+
+def test_unusable_stretches_reach_half_way_to_the_neighbours() -> None:
+    f = np.array([1.0, 2.0, 4.0, 8.0])
+    assert beyond(f, np.array([1.0, 9.0, 9.0, 1.0])) == [(pytest.approx(np.sqrt(2)), pytest.approx(np.sqrt(32)))]
+    assert beyond(f, np.full(4, np.nan)) == []
+
+
+def test_numbers_at_risk() -> None:
+    curve = survival.GroupCurve(
+        "a", group(0), np.array([5.0, 10.0, 240.0]), np.array([0.9, 0.8, 0.8]), np.full(3, np.nan), np.full(3, np.nan),
+        np.array([10, 9, 8]), np.array([0, 0, 8]), np.array([1, 1, 0]),
+    )  # fmt: skip
+    assert [curve.still_at_risk(t) for t in (0, 5, 6, 10, 240, 241)] == [10, 10, 9, 9, 8, 0]
+    assert (curve.total, curve.failed) == (10, 2)
+
+
+def test_film_is_put_together_from_points_in_any_order() -> None:
+    x, y = np.meshgrid([0.0, 1.0, 2.0], [0.0, 1.0])
+    order = np.random.default_rng(2).permutation(6)
+    found = film.grid(x.ravel()[order], y.ravel()[order], (x + 10 * y).ravel()[order], (x > 0).ravel()[order])
+    np.testing.assert_array_equal(found.relative, [[0, 1, 2], [10, 11, 12]])
+    image = film.thickness_map(found, (0.7, 1.0), {"left": 1}, "film", alt="x")
+    assert parsed(image).find(SVG + "image") is not None
+
+
+def test_misfit_colours_darken() -> None:
+    assert misfit(1.0) == "#ffffff"
+    assert misfit(50.0) == "#571b00"
+    brightness = [sum(int(misfit(v)[i : i + 2], 16) for i in (1, 3, 5)) for v in np.linspace(1.3, 6.8, 12)]
+    assert brightness == sorted(brightness, reverse=True)

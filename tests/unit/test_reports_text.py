@@ -1,0 +1,109 @@
+"""Names that anybody may have typed: file names, visible text, CSV, SQL literals, escaping."""
+
+from __future__ import annotations
+
+import csv as reader
+import io
+import unicodedata
+
+import duckdb
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from markupsafe import Markup
+
+from reports import blocks
+from reports.csvfile import csv
+from reports.names import FileNames, Verbatim, short, visible
+from reports.render import unbroken
+from reports.results import Query
+
+ANY = st.text(st.characters(codec="utf-8"), max_size=120)
+
+
+@settings(deadline=None)
+@given(st.lists(ANY, max_size=8))
+def test_every_name_has_a_file_of_its_own(names: list[str]) -> None:
+    files = FileNames(names)
+    found = {name: files(name) for name in names}
+    assert len({f.casefold() for f in found.values()}) == len(set(names))
+    for file in found.values():
+        assert file.isascii()
+        assert 0 < len(file) <= 60
+        assert not set(file) & set("/\\:*?\"<>| '")
+        assert not file.startswith((".", "-"))
+
+
+@pytest.mark.parametrize("name", ["../x", "..", ".", "", "CON", "nul.txt", "a/b", "x" * 200, "a.", "Straße"])
+def test_dangerous_names_are_changed(name: str) -> None:
+    assert FileNames([name])(name) != name
+
+
+def test_ordinary_names_are_kept() -> None:
+    assert FileNames(["P-07", "chirp_1.2"])("P-07") == "P-07"
+
+
+def test_names_that_differ_in_case_only_are_kept_apart() -> None:
+    files = FileNames(["p-07", "P-07", "S-01"])
+    assert files("p-07").casefold() != files("P-07").casefold()
+    assert files("S-01") == "S-01"
+
+
+@settings(deadline=None)
+@given(ANY)
+def test_nothing_shown_acts_on_the_text_around(text: str) -> None:
+    shown = visible(text).replace("\n", "").replace("\t", "")
+    assert not {unicodedata.category(c) for c in shown} & {"Cc", "Cf", "Cs", "Zl", "Zp"}
+
+
+def test_direction_overrides_are_spelt_out() -> None:
+    assert visible("a\u202eb\u0000") == "a\\u202eb\\u0000"
+
+
+def test_long_text_is_cut() -> None:
+    assert short("x " * 9000, 20) == "x x x x x x x x x x…"
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(ANY, st.floats(allow_nan=False, allow_infinity=False, width=32)), min_size=1, max_size=5))
+def test_csv_reads_back(rows: list[tuple[str, float]]) -> None:
+    text = csv({"name": [r[0] for r in rows], "value": [r[1] for r in rows]})
+    found = list(reader.reader(io.StringIO(text, newline="")))
+    assert found[0] == ["name", "value"]
+    for (name, value), (shown, number) in zip(rows, found[1:], strict=True):
+        assert shown in (name, "'" + name)
+        assert float(number) == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize("cell", ["=cmd|' /C calc'!A0", "+1", "@SUM(A1)", "-2+3"])
+def test_csv_text_is_no_formula(cell: str) -> None:
+    assert csv({"a": [cell]}).splitlines()[1].lstrip('"').startswith("'")
+
+
+@settings(max_examples=60, deadline=None)
+@given(ANY.filter(lambda t: "\x00" not in t))
+def test_shown_sql_selects_the_same(value: str) -> None:
+    query = Query("SELECT $item AS found, $item_2 AS other", {"item": value, "item_2": 2.5})
+    with duckdb.connect() as connection:
+        assert connection.execute(query.shown()).fetchall() == [(value, 2.5)]
+
+
+@settings(deadline=None)
+@given(ANY)
+def test_pieces_escape_what_they_hold(text: str) -> None:
+    hostile = f'<script>{text}</script>"'
+    for piece in (
+        blocks.name(hostile, 400),
+        blocks.code(hostile),
+        blocks.tag("named", hostile),
+        blocks.link(hostile, "x"),
+    ):
+        assert "<script" not in piece
+        assert "&lt;script" in piece
+    assert "<script" not in blocks.flow("a", hostile)
+
+
+def test_quantities_are_kept_together_and_sql_is_not_touched() -> None:
+    assert unbroken("5 % of 3 kV") == "5\u00a0% of 3\u00a0kV"
+    assert unbroken(Markup("<b>5 s</b> <code>run 5 s.csv</code>")) == "<b>5\u00a0s</b> <code>run 5 s.csv</code>"
+    assert unbroken(Verbatim("SELECT 5 % 3")) == "SELECT 5 % 3"

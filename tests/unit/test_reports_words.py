@@ -1,0 +1,169 @@
+"""Findings in words: verdicts, causes, severities, survival."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from reports import findings
+from reports.evidence import Standing
+from reports.pages.lives import decisive
+from reports.pages.trouble import reason
+from schemas import mechanisms
+from schemas.tables import TABLES
+
+CONTRACT = [
+    "rig_constants",
+    "load_cell_damping",
+    "drive_lag",
+    "amplitude_softening",
+    "cyclic_softening",
+    "missing_relaxation",
+    "power_law_relaxation",
+    "baseline_drift",
+    "thermal_softening",
+    "field_dependent_permittivity",
+    "frequency_dependent_permittivity",
+    "electrode_degradation",
+    "slack",
+    "strain_stiffening",
+    "sensor_delay",
+    "gain_error",
+    "drive_offset",
+    "leakage",
+    "wrinkling",
+    "clamp_slip",
+    "mains_hum",
+    "sensor_saturation",
+    "passive_strip",
+]
+
+
+def plain(text: object) -> str:
+    return str(text).replace("\u00a0", " ")
+
+
+def diagnosis(verdict: str, **more: object) -> dict[str, object]:
+    return {**dict.fromkeys(TABLES["diagnoses"].names), "specimen_id": "P-07", "verdict": verdict, **more}
+
+
+def test_every_mechanism_has_words_for_its_parameters() -> None:
+    assert set(mechanisms.MECHANISMS) == set(CONTRACT)
+    assert len(CONTRACT) == findings.LISTED_CAUSES
+    for mechanism in CONTRACT:
+        known = mechanisms.MECHANISMS[mechanism]
+        first = next(iter(known.parameters))
+        text = plain(mechanisms.finding(mechanism, {first: {"value": 0.1, "sd": 0.01}}))
+        assert "±" in text
+        assert "{}" not in text + mechanisms.finding(mechanism, {})
+
+
+@pytest.mark.parametrize("mechanism", CONTRACT)
+def test_signs_are_words(mechanism: str) -> None:
+    """A severity of the other sign is said in words, never as a minus."""
+    known = mechanisms.MECHANISMS[mechanism]
+    first = next(iter(known.parameters))
+    if known.reverse or mechanism == "rig_constants":
+        up, down = (mechanisms.finding(mechanism, {first: {"value": v, "sd": 0.01}}) for v in (0.1, -0.1))
+        assert up != down
+        assert "−" not in up + down
+
+
+@pytest.mark.parametrize(
+    ("severity", "expected"),
+    [
+        (
+            {"stiffness_error": {"value": 0.063, "sd": 0.003}},
+            "the load cell is stiffer than its file says, by 6.3 ± 0.3 %",
+        ),
+        ({"mass_error": {"value": -0.02, "sd": 0.004}}, "the clamp is lighter than its file says, by 2.0 ± 0.4 %"),
+        (
+            {"mass_error": {"value": 0.001, "sd": 0.004}, "stiffness_error": {"value": -0.05, "sd": 0.01}},
+            "the load cell is softer than its file says, by 5.0 ± 1.0 %",
+        ),
+    ],
+)
+def test_rig_constants_say_which_and_in_which_direction(severity: dict[str, object], expected: str) -> None:
+    assert plain(mechanisms.finding("rig_constants", severity)) == expected
+
+
+def test_named() -> None:
+    d = diagnosis(
+        "named", mechanism="sensor_delay", mechanisms=["sensor_delay"], gain=0.97,
+        severity=json.dumps({"sensor_delay": {"delay_s": {"value": 87e-6, "sd": 5e-6}, "channel": "force"}}),
+    )  # fmt: skip
+    text = plain(findings.headline(Standing("P-07", None, None, None, d)).striptags())
+    assert (
+        text
+        == "Specimen P-07: the force channel is late, by 87 ± 5 µs. Correcting it removes 97 % of the held-out error."
+    )
+
+
+def test_ambiguous_names_all_and_unknown_names_none() -> None:
+    d = diagnosis("ambiguous", mechanism="slack", mechanisms=["slack"], also_possible=["strain_stiffening"])
+    text = plain(findings.headline(Standing("P-11", None, None, None, d)))
+    assert "slack" in text
+    assert "stiffens" in text
+    unknown = plain(findings.headline(Standing("G-03", None, None, None, diagnosis("unknown"))))
+    assert "none of the 23 listed causes" in unknown
+
+
+@pytest.mark.parametrize("text", [None, "", "not json", "[1]", '{"a": 1}', '{"a": null}'])
+def test_broken_severity_is_no_error(text: str | None) -> None:
+    d = diagnosis("named", mechanism="slack", mechanisms=["slack"], severity=text)
+    assert "slack" in plain(findings.headline(Standing("P-07", None, None, None, d)))
+
+
+def test_survival_title_says_who_lives_longer() -> None:
+    comparison = {"configuration_a": "single", "configuration_b": "divided", "voltage_kv": 7.5}
+    summary = {"voltage_kv": 7.5, "specimens": 20}
+    groups = [
+        {**summary, "configuration": "single", "failures": 20, "restricted_mean_s": 40.0},
+        {**summary, "configuration": "divided", "failures": 16, "restricted_mean_s": 200.0},
+    ]
+    assert findings.survival_title(comparison, groups) == "“divided”: 5.0 times the life of “single”"
+    groups[1] |= {"failures": 0, "restricted_mean_s": 240.0}
+    assert findings.survival_title(comparison, groups) == "“divided”: none of 20 failed; “single”: 20 of 20"
+
+
+def test_constants_that_left_their_file_are_said() -> None:
+    fit = {
+        **dict.fromkeys(TABLES["model_fits"].names), "model_order": 3, "load_cell_stiffness_n_per_mm": 21.16,
+        "load_cell_stiffness_n_per_mm_sd": 0.02, "clamp_mass_kg": 0.1873, "clamp_mass_kg_sd": 1e-4,
+    }  # fmt: skip
+    stated = {
+        "load_cell_stiffness_n_per_mm": "20.2", "load_cell_stiffness_n_per_mm_sd": "0.3", "clamp_mass_kg": "0.188",
+        "clamp_mass_kg_sd": "0.002",
+    }  # fmt: skip
+    said = findings.remarks(Standing("PA-3", None, None, fit, None, stated))
+    assert [plain(s) for s in said] == [
+        "The fit finds the load cell at 21.160 ± 0.020 N/mm where its file says 20.2 ± 0.3 N/mm: 3.2 SD apart."
+    ]
+    assert findings.remarks(Standing("PA-3", None, None, fit, None)) == ()
+
+
+def test_exact_tests_are_believed_before_asymptotic_ones() -> None:
+    rows = [
+        {"test": "log-rank", "p_value": 1e-6, "configuration_a": "a", "configuration_b": "b"},
+        {"test": "log-rank, exact permutation", "p_value": 1e-5, "configuration_a": "a", "configuration_b": "b"},
+        {"test": "hazard ratio", "p_value": None, "configuration_a": "a", "configuration_b": "b"},
+    ]
+    assert decisive(rows) is rows[1]
+    assert decisive([]) is None
+
+
+@pytest.mark.parametrize(
+    ("stored", "why", "remedy"),
+    [
+        (
+            "force: unit is mA; expected a force. Correct the unit",
+            "force: unit is mA; expected a force.",
+            "Correct the unit.",
+        ),
+        ("value 0.5 is too large", "value 0.5 is too large", ""),
+        (None, "no reason is recorded", ""),
+    ],
+)
+def test_reason_and_remedy(stored: str | None, why: str, remedy: str) -> None:
+    assert reason(stored) == (why, remedy)

@@ -1,0 +1,42 @@
+"""What is installed is pinned, with hashes, for every supported Python."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+import pytest
+
+from tests.conftest import ROOT
+
+SUPPORTED = re.search(r"^SUPPORTED := (.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)[1].split()  # type: ignore[index]
+INPUTS = {"runtime": ("requirements.txt",), "development": ("requirements.txt", "requirements-dev.txt")}
+
+
+def pins(text: str) -> dict[str, str]:
+    """Name to version."""
+    found = re.findall(r"^([A-Za-z0-9._-]+)(?:\[[a-z0-9,]+\])?==([^\s;\\]+)", text, re.M)
+    return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in found}
+
+
+@pytest.mark.parametrize("version", SUPPORTED)
+@pytest.mark.parametrize("kind", list(INPUTS))
+def test_hashed_files_hold_the_pinned_versions(kind: str, version: str) -> None:
+    text = (ROOT / "requirements" / f"{kind}-{version}.txt").read_text(encoding="utf-8")
+    entries = re.split(r"\n(?=\S)", text.strip())
+    assert all("--hash=sha256:" in entry for entry in entries)
+    assert "://" not in text, "no address of an index, no package from elsewhere"
+    hashed = pins(text)
+    for name in INPUTS[kind]:
+        wanted = pins((ROOT / name).read_text(encoding="utf-8"))
+        assert wanted.items() <= hashed.items(), "`make pins` was forgotten"
+    if kind == "runtime":
+        assert hashed == pins((ROOT / "requirements.txt").read_text(encoding="utf-8")), (
+            "all of it is in requirements.txt"
+        )
+
+
+def test_what_the_project_asks_for_is_pinned() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = {re.split(r"[><=]", name)[0].replace("_", "-").lower() for name in project["dependencies"]}
+    assert asked <= pins((ROOT / "requirements.txt").read_text(encoding="utf-8")).keys()

@@ -1,0 +1,101 @@
+"""Units for systemd, lines for cron and completion for shells: taken in by the programs they are for."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli import _COMMANDS, main
+from pipeline.schedule import command, crontab, units
+from schemas.errors import UsageError
+
+AWKWARD = Path('/data/rig a/50 % "damp" $HOME\'s')
+
+
+def test_units_pass_systemds_own_check(tmp_path: Path) -> None:
+    program = shutil.which("systemd-analyze")
+    if program is None:
+        pytest.skip("systemd-analyze is not here")
+    for name, text in units([AWKWARD, Path("/data/b")], tmp_path / "lab", "02:30").items():
+        (tmp_path / name).write_text(text)
+    done = subprocess.run(
+        [program, "verify", "--man=no", str(tmp_path / "dealab-nightly.timer"), str(tmp_path / "dealab-nightly.service")],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert "dealab-nightly" not in done.stderr, done.stderr
+
+
+def test_units_start_the_nightly_with_absolute_paths_and_status_3_is_no_failure() -> None:
+    made = units([Path("raw")], Path("lab"), "2:5")
+    service, timer = made["dealab-nightly.service"], made["dealab-nightly.timer"]
+    start = next(line for line in service.splitlines() if line.startswith("ExecStart="))
+    words = shlex.split(start.removeprefix("ExecStart="))
+    assert words[1:] == ["nightly", str(Path("raw").absolute()), "--lab", str(Path("lab").absolute())]
+    assert Path(words[0]).is_absolute()
+    assert "SuccessExitStatus=3" in service
+    assert "OnCalendar=*-*-* 02:05:00" in timer
+
+
+def test_awkward_paths_survive_cron_and_its_shell() -> None:
+    line = crontab([AWKWARD], Path("/lab"), "02:30").splitlines()[-1]
+    schedule, rest = line.split(" * * * ")
+    assert schedule == "30 2"
+    assert "%" not in rest.replace("\\%", "")
+    words = shlex.split(rest.replace("\\%", "%"))
+    assert words[: len(command([AWKWARD], Path("/lab")))] == command([AWKWARD], Path("/lab"))
+
+
+@pytest.mark.parametrize("text", ["25:00", "2", "02:60", "a:b", "-1:00"])
+def test_no_time_of_day_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="no time of day"):
+        units([Path("raw")], Path("lab"), text)
+
+
+def test_units_are_written_where_they_are_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schedule", "raw", "--out", str(tmp_path)]) == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"dealab-nightly.service", "dealab-nightly.timer"}
+    assert "dealab-nightly.timer" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_the_shells_own_language_and_names_every_command(
+    shell: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["completion", shell]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in _COMMANDS)
+    program = shutil.which(shell)
+    if program is None:
+        pytest.skip(f"{shell} is not here")
+    path = tmp_path / "dealab"
+    path.write_text(text)
+    done = subprocess.run([program, "-n", str(path)], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def completed(text: str, line: str, tmp_path: Path) -> list[str]:
+    """What bash offers after a line."""
+    words = line.split(" ")
+    (tmp_path / "dealab.bash").write_text(text)
+    script = (
+        f"source {tmp_path}/dealab.bash; COMP_WORDS=({' '.join(map(shlex.quote, words))}); COMP_CWORD={len(words) - 1}; "
+        '_dealab; printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, cwd=tmp_path, check=True)
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not here")
+def test_bash_completes_commands_options_words_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["completion", "bash"])
+    text = capsys.readouterr().out
+    (tmp_path / "run7.csv").write_text("")
+    assert completed(text, "dealab ni", tmp_path) == ["nightly"]
+    assert completed(text, "dealab sql --form", tmp_path) == ["--format"]
+    assert completed(text, "dealab sql --format pa", tmp_path) == ["parquet"]
+    assert completed(text, "dealab inspect run", tmp_path) == ["run7.csv"]
+    assert completed(text, "dealab completion fi", tmp_path) == ["fish"]

@@ -1,0 +1,48 @@
+"""The results file of the studies: a run over some renews their parts and leaves the others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.studies import __main__ as studies
+
+FIT, SURVIVAL = (studies.about(studies.HERE / f"study_{name}.py") for name in ("fit", "survival"))
+
+
+def test_parts_keep_their_own_headings() -> None:
+    text = f"# Studies\n\nMade.\n\n## {FIT}\n\n- one\n\n## inside\n\nmore\n\n## {SURVIVAL}\n\n- two\n"
+    found = studies.parts(text)
+    assert list(found) == [FIT, SURVIVAL]
+    assert found[FIT].endswith("## inside\n\nmore\n")
+    assert found[SURVIVAL] == f"## {SURVIVAL}\n\n- two\n"
+
+
+def test_a_run_over_one_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = tmp_path / "results.md"
+    results.write_text(f"{studies.HEAD}\n## {FIT}\n\n- old\n\n## {SURVIVAL}\n\n- kept\n", encoding="utf-8")
+    monkeypatch.setattr(studies, "RESULTS", results)
+    monkeypatch.setattr(
+        studies, "run", lambda path, options: (f"## {studies.about(path)}\n\n- new\n", path.stem != "x")
+    )
+    monkeypatch.setattr("sys.argv", ["studies", "fit"])
+    assert studies.main() == 0
+    written = results.read_text(encoding="utf-8")
+    assert written == f"{studies.HEAD}\n## {FIT}\n\n- new\n\n## {SURVIVAL}\n\n- kept\n"
+    monkeypatch.setattr("sys.argv", ["studies", "nothing"])
+    assert studies.main() == 2
+    assert results.read_text(encoding="utf-8") == written
+
+
+def test_a_missed_target_is_seen_in_the_status(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from tests.studies import study_fit
+
+    monkeypatch.setattr(study_fit, "PARTS", {"a": lambda count, seed: [], "b": lambda count, seed: [f"{count} {seed}"]})
+    monkeypatch.setattr("sys.argv", ["study_fit", "a"])
+    assert study_fit.main() == 0
+    monkeypatch.setattr("sys.argv", ["study_fit", "--truths", "8", "--seed", "3"])
+    assert study_fit.main() == 1
+    assert "- **missed**: 2 3" in capsys.readouterr().out
