@@ -21,7 +21,8 @@ from schemas.errors import DealabError, LabError, PendingError, RefusedError
 
 _YOUNG_NS = 60_000_000_000
 _SETTLED_NS = 2_000_000_000
-"""A file that changed less than this before it was hashed could change again without getting a new time."""
+"""A file that changed less than this before it was hashed could change again without getting a new time. An object's
+mark changes with its content, however soon."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,8 @@ def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, known: Mapping[str, Se
             continue
         looks.append(Look(source, path, content))
         info = now[key]
-        if info is not None and hashed_at - info[1] > _SETTLED_NS:
+        marked = source.remote is not None and source.remote.whole
+        if info is not None and (marked or hashed_at - info[1] > _SETTLED_NS):
             seen[path] = SeenFile(*info, content)
     roots = (*(root_text(given) for given in paths_given), *(found.url for found in mirrors))
     return Found(tuple(looks), roots, seen, unmapped, discovery.notes)

@@ -100,6 +100,17 @@ def test_a_bucket_gives_what_the_folder_gives(bucket: Any, tmp_path: Path, monke
     assert (again.counts.reused, again.analysed) == (4, 0)
 
 
+def test_an_object_put_a_moment_ago_is_known_the_next_time(
+    bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline.looking, "_SETTLED_NS", 3_600_000_000_000)
+    fill(bucket, small_campaign(tmp_path / "raw", lives=1))
+    lab = Lab(tmp_path / "lab")
+    run(bucket, lab)
+    no_fetching(monkeypatch)
+    assert run(bucket, lab).counts.reused == 3
+
+
 def test_only_what_has_changed_is_fetched(bucket: Any, tmp_path: Path) -> None:
     raw = small_campaign(tmp_path / "raw", lives=3)
     fill(bucket, raw)
