@@ -55,7 +55,7 @@ class Outcome:
     plain : the plain model; singles : every single cause tried, best evidence first; final : the model that is believed
     alternatives : fits in which the strongest cause is replaced by one that does as well
     p_value : of the whole search; threshold : Λ at the false-alarm level
-    explained : share of the misfit that the final model explains
+    explained : share of the misfit that the final model explains; looked : signatures that the plain model was searched with
     """
 
     verdict: str
@@ -67,6 +67,7 @@ class Outcome:
     p_value: float
     threshold: float
     explained: float
+    looked: Signatures
     before: Structure
     after: Structure | None
 
@@ -83,22 +84,27 @@ def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcom
     threshold = looked.threshold(LEVEL) if found else float("inf")
     listed, unlisted = p_value < LEVEL, before.p_value < STRUCTURE_LEVEL
     if not (listed or unlisted):
-        return Outcome(NONE, untempered, untempered, (), None, (), p_value, threshold, float("nan"), before, None)
+        return Outcome(
+            NONE, untempered, untempered, (), None, (), p_value, threshold, float("nan"), looked, before, None
+        )
     weighted = of.with_weight(tempered(session, untempered.misfit))
     plain = weighted.refined(weighted.fit(fitted.theta))
-    looked = signatures(changes, plain)
-    singles = _confirmed(_tried(plain, scores(looked), looked, CANDIDATES))
+    weakened = signatures(changes, plain)
+    singles = _confirmed(_tried(plain, scores(weakened), weakened, CANDIDATES))
     final = _forward(plain, singles, changes)
     p_value = min(p_value, before.p_value if unlisted else 1.0)
     if final is None:
-        return Outcome(UNKNOWN, untempered, plain, singles, None, (), p_value, threshold, 0.0, before, structure(plain))
+        left = structure(plain)
+        return Outcome(UNKNOWN, untempered, plain, singles, None, (), p_value, threshold, 0.0, looked, before, left)
     final = _backward(plain, final)
     final = _strongest_first(final)
     alternatives = _alternatives(plain, final, singles)
     share = explained(plain, final)
     after = structure(final)
     verdict = _verdict(plain, final, alternatives, share, after)
-    return Outcome(verdict, untempered, plain, singles, final, alternatives, p_value, threshold, share, before, after)
+    return Outcome(
+        verdict, untempered, plain, singles, final, alternatives, p_value, threshold, share, looked, before, after
+    )
 
 
 def tempered(session: Session, misfit: Float) -> Float:

@@ -56,7 +56,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     outcome = decide(session, simulation, fitted)
     context = context_of(session, simulation, outcome.untempered)
     final = outcome.final
-    smallest = smallest_parameters(outcome.untempered, outcome.threshold)
+    smallest = smallest_parameters(outcome.untempered, outcome.looked, outcome.threshold)
     gain = None if final is None else held_out(outcome.plain, final)
     verdict = _checked(outcome, gain)
     named = () if final is None else tuple(c.id for c in final.of.chosen)
@@ -80,6 +80,8 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         plain_film=fitted.model.physical(fitted.theta).film,
         residuals=_residuals(session, outcome),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
+        explained=outcome.explained,
+        left_p_value=float("nan") if outcome.after is None else outcome.after.p_value,
     )
 
 

@@ -7,15 +7,15 @@ recordings within a protocol (levels, repeats), or blocks of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.results import HeldOut
-from pipeline.diagnose.session import Session
+from pipeline.diagnose.results import HeldOut, Predicted
+from pipeline.diagnose.session import Place, Session
 from schemas.errors import NotIdentifiableError
 
 Float = NDArray[np.float64]
@@ -55,6 +55,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
         return None
     found: list[tuple[int, float, float, int]] = []
     named: dict[str, tuple[float, float]] = {}
+    predicted: list[Predicted] = []
     for part in parts:
         left = set(part.blocks)
         keep = [i not in left for i in range(len(session.places))]
@@ -64,12 +65,13 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
             continue
         simulation = Simulation(rest, extended.of.simulation)
         chosen = np.concatenate([np.arange(p.first, p.stop) for i, p in enumerate(session.places) if keep[i]])
-        errors = []
+        errors, values = [], []
         for fit in (plain, extended):
             of = fit.of.on(rest, simulation, fit.of.weight[chosen])
             rows = np.concatenate([chosen, np.arange(session.size, fit.solution.residual.size)])
             again = of.fit(fit.x, most=_MOST, jacobian=fit.solution.jacobian[rows], thorough=False)
-            errors.append(replace(fit.of, weight=np.ones(session.size)).data_residual(again.x))
+            values.append(fit.of.predict(again.x))
+            errors.append(session.whiten(session.value - values[-1]))
         own = []
         for i in part.blocks:
             place = session.places[i]
@@ -77,6 +79,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
                 continue
             before, after = (float(np.sum(e[place.first : place.stop] ** 2)) for e in errors)
             own.append((i, before, after, place.stop - place.first))
+            predicted.append(_predicted(session, place, values[0], values[1]))
         found += own
         size = sum(n for *_, n in own)
         if size:
@@ -99,7 +102,14 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
         upper=upper,
         size=int(pooled[2]),
         parts=named,
+        predicted=tuple(predicted),
     )
+
+
+def _predicted(session: Session, place: Place, plain: Float, extended: Float) -> Predicted:
+    own = slice(place.first, place.stop)
+    recording = session.recordings[place.recording].recording_id
+    return Predicted(recording, place.block.kind, place.block.label, plain[own], extended[own], session.sd[own])
 
 
 def supported_by(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:

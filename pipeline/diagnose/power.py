@@ -2,43 +2,52 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from pipeline.diagnose.extend import Chosen, ExtendedFit, effect_of_all
-from pipeline.diagnose.mechanisms import MECHANISMS, Context
-from pipeline.diagnose.screen import absorbed_by
+from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
+from pipeline.diagnose.screen import Signatures, absorbed_by
 
 Float = NDArray[np.float64]
 
 POWER = 0.8
-_ROUNDS, _CLOSE = 10, 0.03
+_SHAPES = 0.8
+"""Share of the plausible shapes in which the severity has to be detectable."""
+_BEYOND = 2.0
+"""How far beyond the plausible range a severity may be to be given."""
 _SMALL = 0.01
-_FAR_BELOW, _BEYOND = 1e5, 2.0
-"""The search goes from this far below the plausible range to this far beyond it."""
+_STEEPEST = 6.0
 
 
-def smallest_parameters(fit: ExtendedFit, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
+def smallest_parameters(
+    fit: ExtendedFit, looked: Signatures, threshold: float
+) -> dict[str, tuple[str, dict[str, float]]]:
     """Mechanism → form and parameters at which its signature reaches the threshold Λ with 80 % probability.
 
-    Shapes are at the middle of their ranges; of the forms of a mechanism the first that can be seen counts, which is the usual one.
-    A mechanism that would have to be far beyond its plausible range is left out.
+    `looked` are the signatures about `fit`: their points are the shapes that count, in four of five of which this severity or
+    more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can be seen
+    counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
     """
     wanted = float(np.sqrt(threshold) + norm.ppf(POWER))
-    absorb = absorbed_by(fit)
-    base = fit.of.predict(fit.x)
+    absorb, base = absorbed_by(fit), fit.of.predict(fit.x)
+    by_form: dict[Chosen, list[int]] = {}
+    for i, c in enumerate(looked.chosen):
+        by_form.setdefault(c, []).append(i)
     found: dict[str, tuple[str, dict[str, float]]] = {}
     for id, mechanism in MECHANISMS.items():
-        if not (mechanism.shows & fit.of.session.kinds) or id in {c.id for c in fit.of.chosen}:
-            continue
-        for variant in mechanism.variants:
-            values = _severity(fit, Chosen(id, variant), wanted, base, absorb)
+        for chosen in (Chosen(id, variant) for variant in mechanism.variants):
+            points = by_form.get(chosen, [])
+            if mechanism.onset:
+                needed = _by_grid(mechanism, looked, points, wanted)
+            else:
+                needed = _by_slope(fit, chosen, [looked.values[i] for i in points], base, absorb, wanted)
+            values = _of_most_shapes(mechanism, needed)
             if values is not None:
-                found[id] = variant, values
+                found[id] = chosen.variant, values
                 break
     return found
 
@@ -55,54 +64,44 @@ def reported(found: Mapping[str, tuple[str, Mapping[str, float]]], context: Cont
     return result
 
 
-def _severity(fit: ExtendedFit, chosen: Chosen, wanted: float, base: Float, absorb: Float) -> dict[str, float] | None:
-    """Parameters at which the signature is `wanted` long; None where it never is."""
-    main = chosen.mechanism.severities[0]
-    values = {p.name: 0.0 for p in chosen.mechanism.severities} | {p.name: p.start for p in chosen.mechanism.shapes}
-    low, high = main.low / _FAR_BELOW, min(_BEYOND * main.high, main.most)
-    if not chosen.mechanism.onset:
-        # In proportion: far from zero the model could absorb more than its derivatives say.
-        small = _SMALL * main.low
-        both = [values | {main.name: sign * small} for sign in ((1.0, -1.0) if main.signed else (1.0,))]
-        length = _length(fit, chosen, both, base, absorb)
-        at = wanted * small / length if length > 0 else np.inf
-        return values | {main.name: float(at)} if at < high else None
-    at = main.low
-    lengths: dict[float, float] = {}
-    # Lengths grow with the severity, mostly in proportion, onsets faster: secants of logarithms within a bracket.
-    for _ in range(_ROUNDS):
-        lengths[at] = _length(fit, chosen, [values | {main.name: at}], base, absorb)
-        if abs(lengths[at] / wanted - 1) < _CLOSE:
-            return values | {main.name: at}
-        if lengths[at] < wanted:
-            if at >= high:
-                return None
-            low = at
-        else:
-            if at <= low:
-                return None
-            high = at
-        ratio = np.log(wanted / max(lengths[at], 1e-3 * wanted))
-        slope = _slope(lengths)
-        at = float(np.clip(at * np.exp(ratio / slope), low, high))
-        if at in lengths:
-            at = math.sqrt(low * high)
-    return values | {main.name: at}
+Shape = tuple[float, ...]
 
 
-def _slope(lengths: Mapping[float, float]) -> float:
-    """Logarithmic slope of length over severity between the two severities last looked at; 1 for a start."""
-    if len(lengths) < 2:
-        return 1.0
-    (a, la), (b, lb) = list(lengths.items())[-2:]
-    if min(la, lb) <= 0 or a == b:
-        return 3.0
-    return float(np.clip(np.log(lb / la) / np.log(b / a), 0.5, 6.0))
+def _shape(mechanism: Mechanism, values: Mapping[str, float]) -> Shape:
+    return tuple(values[p.name] for p in mechanism.shapes)
 
 
-def _length(
-    fit: ExtendedFit, chosen: Chosen, values: Sequence[Mapping[str, float]], base: Float, absorb: Float
-) -> float:
+def _of_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict[str, float] | None:
+    """Parameters at the severity that is enough in all but the hardest shapes."""
+    if not needed:
+        return None
+    main = mechanism.severities[0]
+    ordered = sorted((severity, shape) for shape, severity in needed.items())
+    at, shape = ordered[int(np.ceil(_SHAPES * len(ordered))) - 1]
+    if not at <= min(_BEYOND * main.high, main.most):
+        return None
+    others = {p.name: 0.0 for p in mechanism.severities[1:]}
+    return {main.name: at, **others, **dict(zip((p.name for p in mechanism.shapes), shape, strict=True))}
+
+
+def _by_slope(
+    fit: ExtendedFit, chosen: Chosen, points: list[Mapping[str, float]], base: Float, absorb: Float, wanted: float
+) -> dict[Shape, float]:
+    """In proportion to a small severity: far from zero the model could absorb more than its derivatives say."""
+    mechanism = chosen.mechanism
+    main = mechanism.severities[0]
+    small = _SMALL * main.low
+    still = {p.name: 0.0 for p in mechanism.severities}
+    needed: dict[Shape, float] = {}
+    for values in points:
+        shape = _shape(mechanism, values)
+        if shape not in needed:
+            both = [{**values, **still, main.name: sign * small} for sign in ((1.0, -1.0) if main.signed else (1.0,))]
+            needed[shape] = wanted * small / max(_length(fit, chosen, both, base, absorb), 1e-300)
+    return needed
+
+
+def _length(fit: ExtendedFit, chosen: Chosen, values: list[dict[str, float]], base: Float, absorb: Float) -> float:
     """Length of the signature at these parameters; of half the difference, where two opposite ones are given."""
     of = fit.of
     moved = [
@@ -115,3 +114,23 @@ def _length(
         return 0.0
     whole = np.concatenate([seen, np.zeros(absorb.shape[0] - seen.size)])
     return float(np.linalg.norm(whole - absorb @ (absorb.T @ whole)))
+
+
+def _by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
+    """Along a chain of powers through the lengths at the grid's severities: an onset has no slope at zero."""
+    main = mechanism.severities[0]
+    lengths: dict[Shape, list[tuple[float, float]]] = {}
+    for i in points:
+        own = lengths.setdefault(_shape(mechanism, looked.values[i]), [])
+        own.append((looked.values[i][main.name], float(looked.length[i])))
+    return {shape: _along(np.log(np.array(sorted(own))), float(np.log(wanted))) for shape, own in lengths.items()}
+
+
+def _along(logs: Float, wanted: float) -> float:
+    """Severity at a wanted log length, from logarithms (L, 2) of severities and lengths; beyond them as steep as at the end."""
+    if len(logs) == 1:
+        return float(np.exp(logs[0, 0])) if logs[0, 1] >= wanted else float("inf")
+    slopes = np.clip(np.diff(logs[:, 1]) / np.diff(logs[:, 0]), 1.0, _STEEPEST)
+    place = int(np.clip(np.searchsorted(logs[:, 1], wanted) - 1, 0, slopes.size - 1))
+    near = place + int(abs(wanted - logs[place, 1]) > abs(wanted - logs[place + 1, 1]))
+    return float(np.exp(logs[near, 0] + (wanted - logs[near, 1]) / slopes[place]))

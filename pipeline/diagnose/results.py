@@ -64,13 +64,25 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Predicted:
+    """A block of features that both models predicted without having seen it; (n,) each, `sd` of the noise."""
+
+    recording_id: str
+    kind: str
+    label: str
+    plain: Float
+    extended: Float
+    sd: Float
+
+
+@dataclass(frozen=True)
 class HeldOut:
     """Held-out error of the plain and of the extended model, pooled over the parts left out one by one.
 
     before, after : root mean square in units of the noise
     gain : share of the removable error that the extension removes, `lower` to `upper` its 95 % interval; NaN where the plain
         model's held-out error is within the noise
-    size : number of features that were predicted; parts : part left out → (before, after)
+    size : number of features that were predicted; parts : part left out → (before, after); predicted : block by block
     """
 
     before: float
@@ -80,6 +92,7 @@ class HeldOut:
     upper: float
     size: int
     parts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    predicted: tuple[Predicted, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -144,6 +157,8 @@ class Diagnosis:
     invisible : mechanisms that leave no trace in these recordings
     could_not_ask : questions that these recordings cannot answer, in words
     unexplained : what is left where the verdict is unknown, in words
+    explained : share of the plain model's misfit that the mechanisms explain together; NaN for none
+    left_p_value : of smooth patterns that they leave, on the scale that allows their form to be a little wrong; NaN for none
     """
 
     specimen_id: str
@@ -164,6 +179,8 @@ class Diagnosis:
     plain_film: RelaxationModel
     residuals: tuple[Residuals, ...]
     smallest_parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    explained: float = float("nan")
+    left_p_value: float = float("nan")
 
     @property
     def mechanism(self) -> str | None:

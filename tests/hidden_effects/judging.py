@@ -3,20 +3,29 @@
     case = Case(seed=7, size="compact", effects=(("cyclic_softening", 3.0),))   # at 3 × the smallest detectable severity
     judge(case)                                                                 # → Judgement
 
-Severities are multiples of what the specimen's own clean session says is the smallest detectable one.
+Severities are multiples of the smallest detectable one: of what the diagnosis of the specimen's own clean session says for
+causes that it knows, of what its features show of the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.diagnose.diagnosis import diagnose, film_of, main_key
+from pipeline.diagnose.extend import Extended, ExtendedFit
+from pipeline.diagnose.features import FeatureBlock
+from pipeline.diagnose.hum import with_hum
+from pipeline.diagnose.plain import fit_plain
+from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.results import NONE, Diagnosis
+from pipeline.diagnose.results import NONE, Diagnosis, HeldOut, Predicted
+from pipeline.diagnose.screen import absorbed_by
+from pipeline.diagnose.session import make_session as session_of
 from tests.hidden_effects.truth import (
     KINDS,
     Effect,
@@ -27,6 +36,8 @@ from tests.hidden_effects.truth import (
     random_effect,
 )
 
+Float = NDArray[np.float64]
+
 DESIGNS = {"compact": compact_designs, "full": full_designs}
 INSEPARABLE = (
     frozenset({"thermal_softening", "cyclic_softening"}),
@@ -35,6 +46,12 @@ INSEPARABLE = (
 )
 """Groups that cannot be told apart without further recordings (temperature; both polarities and more voltages; a slower decade)."""
 _BAND = np.geomspace(1.0, 100.0, 40)
+_DETECTABLE = 5.1
+"""Length of a trace, in standard deviations of the noise, that is found with 80 % probability at the level of the search."""
+_FIRST_GUESS = 0.05
+_MOST_ROUNDS, _CLOSE = 4, 0.1
+_NOISE, _FEW = 3.0, 10.0
+"""Mean square in units of the noise, and more of it for few values, that noise explains."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +71,8 @@ class Judgement:
     hidden : ids; multiples, severities in the kinds' keys (NaN: not detectable on this specimen, nothing was hidden)
     verdict, named, possible : of the diagnosis
     covered : whether the 90 % interval of the first effect's severity holds the truth; None where not defined
-    before, after, size : held-out mean squares in units of the noise and their number; NaN without
+    before, after, size : held-out mean square error of both models against the noise-free truth in units of the noise, and the
+        number of features; NaN without
     bias : largest deviation of the plain film's parameters from the truth in standard deviations
     curve_before, curve_after : mean relative error of k(jω) over 1–100 Hz of the plain and of the extended film
     seconds : of the diagnosis alone
@@ -74,6 +92,8 @@ class Judgement:
     curve_after: float
     explained: float
     p_value: float
+    left_p_value: float = float("nan")
+    gain: float = float("nan")
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -126,7 +146,7 @@ def judge(case: Case) -> Judgement:
         diagnosis, session = clean(case.seed, case.size, case.material), None
         return _compared(case, diagnosis, session, ())
     smallest = clean(case.seed, case.size, case.material).smallest_parameters
-    effects = [_hidden(id, multiple, smallest, rng) for id, multiple in case.effects]
+    effects = [_hidden(id, multiple, smallest, rng, case) for id, multiple in case.effects]
     if any(e is None for e in effects):
         return _nothing(case)
     chosen = tuple(e for e in effects if e is not None)
@@ -135,12 +155,86 @@ def judge(case: Case) -> Judgement:
 
 
 def _hidden(
-    id: str, multiple: float, smallest: Mapping[str, Mapping[str, float]], rng: np.random.Generator
+    id: str, multiple: float, smallest: Mapping[str, Mapping[str, float]], rng: np.random.Generator, case: Case
 ) -> Effect | None:
-    """Listed effects by what is detectable, unlisted ones by shares of their typical severity."""
     if KINDS[id].listed:
         return effect_at(id, multiple, smallest, rng)
-    return random_effect(id, multiple * KINDS[id].typical, rng)
+    shape = random_effect(id, KINDS[id].typical, rng)
+    return replace(shape, severity=multiple * smallest_of(case, shape))
+
+
+def smallest_of(case: Case, effect: Effect) -> float:
+    """Severity of an effect that no mechanism knows at which its trace could just be found.
+
+    The trace is the noise-free difference that it makes to the features of the clean session, without what material and rig
+    absorb, in units of the noise.
+    """
+    fit, before = _plain(case.seed, case.size, case.material)
+    session, absorb = fit.of.session, absorbed_by(fit)
+    severity = _FIRST_GUESS * effect.severity
+    for _ in range(_MOST_ROUNDS):
+        changed = noise_free(made(case, (replace(effect, severity=severity),)))
+        change = np.zeros(session.size)
+        for p in session.places:
+            key = _key(session.recordings[p.recording].recording_id, p.block)
+            if key in changed and key in before and changed[key].size == before[key].size == p.stop - p.first:
+                change[p.first : p.stop] = changed[key] - before[key]
+        seen = np.concatenate([session.whiten(change), np.zeros(absorb.shape[0] - session.size)])
+        length = float(np.linalg.norm(seen - absorb @ (absorb.T @ seen)))
+        if abs(length / _DETECTABLE - 1) < _CLOSE:
+            break
+        severity *= float(np.clip(_DETECTABLE / max(length, 1e-9), 0.02, 50.0))
+    return severity
+
+
+@lru_cache(maxsize=2)
+def _plain(seed: int, size: str, material: str | None) -> tuple[ExtendedFit, dict[str, Float]]:
+    """Plain fit of the clean session, and its features without noise."""
+    truth = made(Case(seed, size, (), material), ())
+    session = with_hum(session_of([reduce(recording) for recording in truth.recordings]))
+    simulation = Simulation(session)
+    fitted = fit_plain(session, simulation)
+    of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
+    return of.refined(of.fit(fitted.theta, most=3)), noise_free(truth)
+
+
+def noise_free(truth: Session) -> dict[str, Float]:
+    """Features of the recordings without noise, block by block.
+
+    Where rest ends and which samples a block takes is found in the data. A block that came out so different without noise that
+    the noise does not explain it is another one, and left out.
+    """
+    session = session_of([reduce(recording) for recording in truth.recordings])
+    true = {_key(r.metadata.recording_id, b): b.value for r in truth.noise_free for b in reduce(r).blocks}
+    found = {}
+    for p in session.places:
+        key = _key(session.recordings[p.recording].recording_id, p.block)
+        value = true.get(key)
+        if value is None or value.shape != p.block.value.shape:
+            continue
+        apart = float(np.mean(((p.block.value - value) / session.sd[p.first : p.stop]) ** 2))
+        if apart < _NOISE + _FEW / value.size:
+            found[key] = value
+    return found
+
+
+def _key(recording_id: str, block: FeatureBlock | Predicted) -> str:
+    """A block's name without the measured level in it, which noise moves."""
+    return f"{recording_id}: {block.kind}: {block.label.partition(' at ')[0]}"
+
+
+def _held_out(held: HeldOut, truth: Session) -> tuple[float, float, int]:
+    """Mean squares of both models' held-out errors against the truth in units of the noise, and the number of features."""
+    true = noise_free(truth)
+    before = after = 0.0
+    size = 0
+    for p in held.predicted:
+        value = true.get(_key(p.recording_id, p))
+        if value is not None and value.size == p.plain.size:
+            before += float(np.sum(((p.plain - value) / p.sd) ** 2))
+            after += float(np.sum(((p.extended - value) / p.sd) ** 2))
+            size += value.size
+    return before / max(size, 1), after / max(size, 1), size
 
 
 def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[Effect, ...]) -> Judgement:
@@ -157,7 +251,9 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
             plain = np.array([d.plain_film.k0, *d.plain_film.k, *d.plain_film.tau])
             bias = float(np.max(np.abs(plain - true) / np.array(d.extension.plain_film_sd)))
         covered = _covered(d, session, effects)
-    held = d.held_out
+    error, left, size = float("nan"), float("nan"), 0
+    if session is not None and d.held_out is not None:
+        error, left, size = _held_out(d.held_out, session)
     return Judgement(
         case=case,
         severities=tuple(e.severity for e in effects),
@@ -165,14 +261,16 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
         named=d.mechanisms,
         possible=d.also_possible,
         covered=covered,
-        before=float("nan") if held is None else held.before**2,
-        after=float("nan") if held is None else held.after**2,
-        size=0 if held is None else held.size,
+        before=error,
+        after=left,
+        size=size,
         bias=bias,
         curve_before=before,
         curve_after=after,
-        explained=d.candidates[0].explained if d.candidates else float("nan"),
+        explained=d.explained,
         p_value=d.p_value,
+        left_p_value=d.left_p_value,
+        gain=float("nan") if d.held_out is None else d.held_out.gain,
     )
 
 

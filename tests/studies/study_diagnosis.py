@@ -52,7 +52,7 @@ def cases(seed: int, size: str, clean: int, per_mechanism: int, pairs: int, unli
             continue
         both.append(Case(seed * 10_000 + 3000 + len(both), size, ((MECHANISMS[first], 4.0), (MECHANISMS[second], 4.0))))
     sorts.append(both)
-    sorts.append([Case(seed * 10_000 + 5000 + i, size, ((UNLISTED[i % len(UNLISTED)], 0.5),)) for i in range(unlisted)])
+    sorts.append([Case(seed * 10_000 + 5000 + i, size, ((UNLISTED[i % len(UNLISTED)], 4.0),)) for i in range(unlisted)])
     placed = [((k + 0.5) / len(sort), case) for sort in sorts for k, case in enumerate(sort)]
     return [case for _, case in sorted(placed, key=lambda pair: pair[0])]
 
@@ -82,7 +82,7 @@ def report(found: Sequence[Judgement]) -> Iterable[str]:
     fair = [j for j in seen if separable(j)]
     strong = [j for j in seen if j.case.effects[0][1] >= 3 and j.first == j.hidden[0] and j.size]
     biased = [j for j in seen if j.first == j.hidden[0] and j.bias > 2]
-    removable = sum(j.size * (j.before - 1) for j in strong)
+    removable = sum(j.size * j.before for j in strong)
     removed = sum(j.size * (j.before - j.after) for j in strong)
     rows: list[tuple[str, str, str]] = [
         ("false alarms in clean sessions", rate([j.found for j in clean]), "≤ 1 %"),
@@ -96,8 +96,8 @@ def report(found: Sequence[Judgement]) -> Iterable[str]:
         ("material nearer to the truth where it was biased by more than 2 σ", rate([j.curve_after < j.curve_before for j in biased]), "≥ 95 %"),
         ("two effects at 4 ×: both named", rate([set(j.hidden) <= {*j.named} for j in pairs]), "≥ 80 %"),
         ("two effects at 4 ×: both named or possible", rate([set(j.hidden) <= {*j.named, *j.possible} for j in pairs]), ""),
-        ("effects in no list: unknown, ambiguous or nothing found", rate([j.verdict in ("unknown", "ambiguous", "none") for j in unlisted]), "≥ 70 %"),
-        ("effects in no list: a wrong name without doubt", rate([j.verdict == "named" for j in unlisted]), "≤ 10 %"),
+        ("effects in no list at 4 ×: unknown, ambiguous or nothing found", rate([j.verdict in ("unknown", "ambiguous", "none") for j in unlisted]), "≥ 70 %"),
+        ("effects in no list at 4 ×: a wrong name without doubt", rate([j.verdict == "named" for j in unlisted]), "≤ 10 %"),
     ]  # fmt: skip
     for name, value, wanted in rows:
         yield f"- {name}: {value}" + (f", wanted {wanted}" if wanted else "")

@@ -52,8 +52,9 @@ def degraded(exposure_s: Float, loss: float, scale_s: float, stretch: float) -> 
 def wrinkled(squared, step, onset, rise_s, recovery_s, hysteresis, held):
     """Squared voltage that acts once the film wrinkles above the `onset` voltage, and the wrinkling left at the end.
 
-    Wrinkling follows the excess of V² over the onset with delay `rise_s` and goes back with `recovery_s`; it begins at the
-    onset and ends at a voltage lower by `hysteresis`. `held` kV² is what the last recording left.
+    Wrinkles take three quarters of what V² grows by at the onset and nearly all of it well above, with delay `rise_s`, and
+    go back with `recovery_s`; they begin at the onset and end at a voltage lower by `hysteresis`. `held` kV² is what the
+    last recording left.
     """
     out = np.empty(squared.size)
     begin, end = onset**2, (onset * (1 - hysteresis)) ** 2
@@ -63,7 +64,8 @@ def wrinkled(squared, step, onset, rise_s, recovery_s, hysteresis, held):
             inside = True
         elif squared[i] < end:
             inside = False
-        target = 0.95 * max(squared[i] - begin, 0.0) if inside else 0.0
+        excess = max(squared[i] - begin, 0.0) if inside else 0.0
+        target = excess * (1 - 0.25 * math.exp(-excess / (0.3 * begin)))
         held += (target - held) * -math.expm1(-step / (rise_s if target > held else recovery_s))
         out[i] = max(squared[i] - held, 0.0)
     return out, held

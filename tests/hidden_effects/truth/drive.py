@@ -22,7 +22,8 @@ _BLEND_KV = 0.05
 def lagged(wanted, step, rise_s, fall_s, slew):
     """Amplifier that rises and falls with different time constants, its rate bent by tanh towards `slew` kV/s.
 
-    The constants blend over 50 V of the error; a second pole of a tenth of the first follows.
+    The constants blend over 50 V of the error; a second pole of a tenth of the first follows. Poles are exact for a command
+    that is linear within a step, however fast they are.
     """
     out = np.empty(wanted.size)
     first, second = wanted[0], wanted[0]
@@ -31,10 +32,16 @@ def lagged(wanted, step, rise_s, fall_s, slew):
         error = wanted[i] - first
         rising = 0.5 * (1 + math.tanh(error * (1.0 if wanted[i] >= 0 else -1.0) / _BLEND_KV))
         tau = fall_s + (rise_s - fall_s) * rising
-        reach = error * -math.expm1(-step / tau)
+        behind = (wanted[i - 1] - first) * math.exp(-step / tau) - (
+            wanted[i] - wanted[i - 1]
+        ) * tau / step * math.expm1(-step / tau)
+        reach = wanted[i] - behind - first
         limit = slew * step
+        before = first
         first += limit * math.tanh(reach / limit)
-        second += (first - second) * -math.expm1(-step / (0.1 * tau))
+        fast = 0.1 * tau
+        behind = (before - second) * math.exp(-step / fast) - (first - before) * fast / step * math.expm1(-step / fast)
+        second = first - behind
         out[i] = second
     return out
 

@@ -114,7 +114,7 @@ _ALL = (
     ),
     Kind(
         "slack", "overload", 0.5, 2.0, ("chirp",), _ELECTRICAL,
-        "buckling: tension falls into a soft branch with residual stiffness; the preload is lower than in the plain rig",
+        "buckling: tension falls into a soft branch as x/(1 − x) with residual stiffness; the preload is lower than in the plain rig",
         {"residual": 0.04, "softness": 0.08}, {"residual": (0.005, 0.1), "softness": (0.03, 0.15)}, onset=True,
     ),
     Kind(
@@ -151,8 +151,8 @@ _ALL = (
     ),
     Kind(
         "clamp_slip", "overload", 0.6, 4.0, ("chirp", "cyclic"), _ELECTRICAL,
-        "viscous overstress slider with kinematic hardening (creeps with rate), slip kept from recording to recording",
-        {"rate_per_s": 300.0, "hardening": 0.5}, {"rate_per_s": (150.0, 600.0), "hardening": (0.2, 1.0)}, onset=True,
+        "four sliders without rate whose forces spread, each with its spring; slip kept from recording to recording",
+        {"spread": 1.6, "hardening": 0.5}, {"spread": (1.2, 2.5), "hardening": (0.2, 1.0)}, onset=True,
     ),
     Kind(
         "mains_hum", "amplitude_n", 5e-3, 2e-2, ("chirp", "sphs", "step", "relaxation"), (),
@@ -161,7 +161,7 @@ _ALL = (
     ),
     Kind(
         "sensor_saturation", "overload", 0.25, 1.0, ("cyclic",), _ELECTRICAL,
-        "soft clip: slope 1 up to the limit, then to a ceiling a few per cent above it",
+        "soft clip: slope 1 up to the limit, then as x/(1 + x³)^(1/3) to a ceiling a few per cent above it",
         {"softness": 0.05}, {"softness": (0.01, 0.08)}, onset=True,
     ),
     Kind(

@@ -212,8 +212,8 @@ def _clamp_slip(draft: _Draft, effect: Effect) -> dict[str, Shape]:
     force = draft.loads.tension / (1 + s)
     draft.law = draft.law._replace(
         slip_force=force,
-        slip_rate=effect.number("rate_per_s") / (film.k0 + sum(film.k)),
         slip_hardening=effect.number("hardening") * film.k0,
+        slip_spread=effect.number("spread"),
     )
     return {"overload": s, "slip_force": 1 / (1 + s), "slip_force_n": force}
 

@@ -23,8 +23,8 @@ class Law(NamedTuple):
     `drag` N s/mm grows with the clamp's speed, half way at `drag_speed`. `second_…`: small mass on the clamp. `payne_…`:
     drop of stiffness and its amplitude scale mm. `damage_…`: loss, strain scale mm, curvature, cycles. `heat_…`: kelvin
     per N mm, time constant s, loss of stiffness per kelvin. `slack_…`: share of the preload in which the film buckles,
-    residual stiffness share. `limit_mm`, `limit_offset`: Gent-type strain measure. `slip_…`: force N, rate mm/(N s),
-    hardening N/mm. `misaligned` N/mm² and its time s. `wave_…`: transverse mode, stiffness N/mm, rad/s, damping ratio.
+    residual stiffness share. `limit_mm`, `limit_offset`: Gent-type strain measure. `slip_…`: least force N,
+    hardening N/mm and spread of the sliders. `misaligned` N/mm² and its time s. `wave_…`: transverse mode, stiffness N/mm, rad/s, damping ratio.
     """
 
     mass: float
@@ -50,8 +50,8 @@ class Law(NamedTuple):
     limit_mm: float = 0.0
     limit_offset: float = 0.0
     slip_force: float = 0.0
-    slip_rate: float = 0.0
     slip_hardening: float = 0.0
+    slip_spread: float = 1.0
     misaligned: float = 0.0
     misaligned_time: float = 0.0
     wave_stiffness: float = 0.0
@@ -67,8 +67,10 @@ OF_THE_CELL = ("drag", "drag_speed", "second_mass", "second_stiffness", "second_
 """Constants that stay when there is no film."""
 
 # What the film remembers from recording to recording, by index.
-LARGEST, DAMAGE, PATH, HEAT, SLIP = range(5)
-MEMORY = 5
+LARGEST, DAMAGE, PATH, HEAT = range(4)
+SLIDERS = 4
+"""Sliders of the clamp, each a play operator of the tension; their memories follow the rest."""
+MEMORY = 4 + SLIDERS
 
 
 @kernel
@@ -81,6 +83,42 @@ def strain_measure(e, law):
     slope0 = (1 + v0 * v0) / (1 - v0 * v0) ** 2
     slope = (1 + v * v) / (1 - v * v) ** 2
     return law.limit_mm * (v / (1 - v * v) - v0 / (1 - v0 * v0)) / slope0, slope / slope0
+
+
+@kernel
+def slipped(tension, stiffness, law, memory):
+    """How far the film slips at once, mm, when its tension N would be `tension` without, falling by `stiffness` per mm.
+
+    Sliders of forces from `slip_force` to `slip_spread` times that, each as compliant as four hardening springs; none has
+    a rate. Changes their places in `memory`.
+    """
+    each = 1 / (SLIDERS * law.slip_hardening)
+    moving = np.zeros(SLIDERS, dtype=np.bool_)
+    reach = np.zeros(SLIDERS)
+    for i in range(SLIDERS):
+        force = law.slip_force * law.slip_spread ** (i / (SLIDERS - 1))
+        away = tension - memory[4 + i]
+        if abs(away) > force:
+            moving[i] = True
+            reach[i] = memory[4 + i] + math.copysign(force, away)
+    total = 0.0
+    for _ in range(SLIDERS):
+        pull, count = 0.0, 0
+        for i in range(SLIDERS):
+            if moving[i]:
+                pull += each * (tension - reach[i])
+                count += 1
+        total = pull / (1 + stiffness * each * count)
+        settled = True
+        for i in range(SLIDERS):
+            if moving[i] and (tension - stiffness * total - reach[i]) * (tension - reach[i]) <= 0.0:
+                moving[i], settled = False, False
+        if settled:
+            break
+    for i in range(SLIDERS):
+        if moving[i]:
+            memory[4 + i] += tension - stiffness * total - reach[i]
+    return total
 
 
 @kernel
@@ -122,7 +160,7 @@ def _rate(y, d, x0, v0, fa, g, past, spring, u_before, slip, law, k_sum, k, rate
         width = law.slack_softness * law.preload
         below = (tension + law.preload) / width
         kept = law.slack_residual
-        tension = kept * width * below + (1 - kept) * width * (math.exp(below) - 1) - law.preload
+        tension = kept * width * below + (1 - kept) * width * below / (1 - below) - law.preload
     damping = law.cell_damping
     if law.drag > 0.0:
         speed = abs(y[1])
@@ -153,7 +191,7 @@ def integrate(
     gain : (N,) or (1,) stiffness of the film over its nominal one, from the room
     k0, k, tau; strip_k0, …; ladder_k, … : film, strip in series (none: empty), further arms (none: empty)
     tear_path, tear_loss : path mm at which the film tears and the stiffness share lost
-    memory (5,), ladder (arms,) : carried from recording to recording, changed in place
+    memory (8,), ladder (arms,) : carried from recording to recording, changed in place
     kick : (N,) speed mm/s given to the clamp before a step, or empty
     clamp, extension, tension : (N + 1,) filled with clamp position mm, film extension mm, film tension over preload N
     """
@@ -171,7 +209,9 @@ def integrate(
     size = 2 + n + m + (4 if has_more else 0)
     y, trial = np.zeros(size), np.zeros(size)
     d1, d2, d3, d4 = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
-    slip = memory[SLIP]
+    slip = 0.0
+    for i in range(SLIDERS):
+        slip += memory[4 + i] / (SLIDERS * max(law.slip_hardening, 1e-9))
     amplitude, mean = 0.0, 0.0
     e = x0[0] - slip
     u = 0.0
@@ -212,15 +252,13 @@ def integrate(
         t, e, u = _rate(
             y, d1, x0[j], v0[j], fa[j], g, past, stiff, u, slip, law, k_sum, k, rate, strip_sum, strip_k, strip_rate
         )
-        if law.slip_rate > 0.0:
-            held = t - law.slip_hardening * slip
-            over = abs(held) - law.slip_force
-            if over > 0.0:
-                whole = g * k_sum + stiff
-                if m > 0:
-                    whole = whole * strip_sum / (whole + strip_sum)
-                moved = step * law.slip_rate * over / (1 + step * law.slip_rate * (whole + law.slip_hardening))
-                slip += math.copysign(moved, held)
+        if law.slip_force > 0.0:
+            whole = g * k_sum + stiff
+            if m > 0:
+                whole = whole * strip_sum / (whole + strip_sum)
+            moved = slipped(t, whole, law, memory)
+            if moved != 0.0:
+                slip += moved
                 u_before = u
                 t, e, u = _rate(
                     y, d1, x0[j], v0[j], fa[j], g, past, stiff, u_before, slip, law, k_sum, k, rate,
@@ -286,7 +324,6 @@ def integrate(
             for i in range(arms):
                 ladder[i] = decay[i] * ladder[i] + rise[i] * (u_next - u)
             u = u_next
-    memory[SLIP] = slip
 
 
 @kernel

@@ -77,10 +77,10 @@ def drift(time_s: Float, preload: float, per_decade: float, onset_s: float, true
 
 
 def soft_clip(values: Float, limit: float, softness: float) -> Float:
-    """Slope 1 up to ± `limit`, then bent towards `limit` (1 + `softness`)."""
+    """Slope 1 up to ± `limit`, then bent towards `limit` (1 + `softness`) as x/(1 + x³)^(1/3) bends towards 1."""
     width = softness * limit
-    beyond = np.maximum(np.abs(values) - limit, 0.0)
-    return np.asarray(np.where(beyond > 0, np.sign(values) * (limit + width * np.tanh(beyond / width)), values))
+    beyond = np.maximum(np.abs(values) - limit, 0.0) / width
+    return np.asarray(np.where(beyond > 0, np.sign(values) * (limit + width * beyond / np.cbrt(1 + beyond**3)), values))
 
 
 def noise(samples: int, sd: float, pink_share: float, rng: np.random.Generator) -> Float:
