@@ -35,7 +35,10 @@ MOST_CAUSES = 3
 _FURTHER = 2
 """Best single causes on which a second one is tried."""
 SECOND_SHARE, SECOND_OF_LEFT = 0.08, 0.4
-"""Least shares of the misfit explained so far, and of what it leaves, that a further cause must add: less is the first one's form."""
+"""Least shares of the misfit explained so far, and of what it leaves, that a further cause must add in the blocks in which it
+adds anything: less is the form of those before it."""
+_WHERE = 0.9
+"""Share of what a cause adds that counts as the place where it does."""
 SECOND_LEVEL = 1e-3
 CLOSE = 4.6
 """Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
@@ -176,19 +179,31 @@ _HOPELESS = 3.0
 
 def _promising(plain: ExtendedFit, base: ExtendedFit, score: Score) -> bool:
     """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice that."""
-    wanted = max(SECOND_SHARE * (plain.chi2 - base.chi2), SECOND_OF_LEFT * (base.chi2 - noise_chi2(plain)))
-    return score.statistic > 0.5 * wanted
+    return score.statistic > max(
+        2 * CLOSE, 0.5 * SECOND_SHARE * min(plain.chi2 - base.chi2, base.chi2 - noise_chi2(plain))
+    )
 
 
 def _worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit) -> bool:
-    so_far = plain.chi2 - best.chi2
-    added = best.chi2 - more.chi2
-    left = best.chi2 - noise_chi2(plain)
-    return (
-        more.log_evidence - best.log_evidence > CLOSE
-        and added > SECOND_SHARE * so_far
-        and added > SECOND_OF_LEFT * left
+    """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything."""
+    if more.log_evidence - best.log_evidence < CLOSE:
+        return False
+    before, so_far, now = (_by_block(f) for f in (plain, best, more))
+    added = so_far - now
+    order = np.argsort(-added)
+    most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
+    where = order[: int(most.sum()) + 1]
+    noise = _by_block(plain, noise=True)
+    gain = float(added[where].sum())
+    return gain > SECOND_SHARE * float((before - so_far)[where].sum()) and gain > SECOND_OF_LEFT * float(
+        (so_far - noise)[where].sum()
     )
+
+
+def _by_block(fit: ExtendedFit, noise: bool = False) -> Float:
+    """(B,) weighted χ² of each block, or what the noise alone would leave."""
+    squares = fit.of.weight**2 if noise else fit.misfit**2
+    return np.array([float(squares[p.first : p.stop].sum()) for p in fit.of.session.places])
 
 
 def _backward(plain: ExtendedFit, final: ExtendedFit) -> ExtendedFit:

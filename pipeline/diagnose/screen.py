@@ -23,8 +23,12 @@ Float = NDArray[np.float64]
 
 _LEVELS = 3
 """Severities of a grid, over the plausible range."""
+_DERIVATIVE = 0.01
+"""Part of the lowest severity at which a weak effect's signature is taken."""
 _SHAPES = ((0.1, 0.5, 0.9), (0.2, 0.8), (0.5,))
 """Places within the ranges of the first, second and third shape parameter."""
+_LEAST_PART = 0.2
+"""Least part of a strong effect's change that a score may stand for."""
 _LEAST_VISIBLE = 0.05
 """Length of a signature, in standard deviations of the noise, below which a mechanism leaves no trace."""
 _DRAWS = 20_000
@@ -40,6 +44,7 @@ class Signatures:
     correlation : (G, G) of the signatures with everything taken off that can be absorbed
     length : (G,) in standard deviations of the noise
     score : (G,) of the fitted model's residual along them, standard normal each under the null
+    weak : (G,) whether the change was taken at a small part of the severity
     """
 
     chosen: tuple[Chosen, ...]
@@ -47,10 +52,7 @@ class Signatures:
     correlation: Float
     length: Float
     score: Float
-
-    @cached_property
-    def ids(self) -> NDArray[np.str_]:
-        return np.array([c.id for c in self.chosen])
+    weak: NDArray[np.bool_]
 
     @cached_property
     def _factor(self) -> Float:
@@ -97,26 +99,33 @@ class Score:
 
 @dataclass(frozen=True)
 class Secants:
-    """What mechanisms would change: points of all grids, and whitened changes of all features (N, G)."""
+    """What mechanisms would change: points of all grids, and whitened changes of all features (N, G).
+
+    `weak` (G,): taken at a small part of the severity, and scaled.
+    """
 
     chosen: tuple[Chosen, ...]
     values: tuple[Mapping[str, float], ...]
     change: Float
+    weak: NDArray[np.bool_]
 
 
 def secants(fit: ExtendedFit) -> Secants:
     """Changes about a fitted model, of every visible mechanism that is not in it. The one costly step of a screen."""
     of = fit.of
     base = of.predict(fit.x)
-    rows, chosen, values = [], [], []
-    for c, own in grid(of, {c.id for c in of.chosen}):
-        moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, own)))
+    rows, chosen, values, weak = [], [], [], []
+    for c, own, part in grid(of, {c.id for c in of.chosen}):
+        names = {p.name for p in c.mechanism.severities}
+        near = own if part == 1 else {name: part * v if name in names else v for name, v in own.items()}
+        moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, near)))
         if np.isfinite(moved).all():
-            rows.append(moved - base)
+            rows.append((moved - base) / part)
             chosen.append(c)
             values.append(own)
+            weak.append(part < 1)
     change = of.session.whiten(np.array(rows).T) if rows else np.zeros((of.session.size, 0))
-    return Secants(tuple(chosen), tuple(values), change)
+    return Secants(tuple(chosen), tuple(values), change, np.array(weak, dtype=bool))
 
 
 def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
@@ -138,33 +147,39 @@ def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
         np.asarray(gram[np.ix_(places, places)] / np.outer(length, length)),
         length,
         np.asarray(along[places] / length),
+        found.weak[open_][places],
     )
 
 
 def scores(found: Signatures) -> tuple[Score, ...]:
     """Best point of each mechanism and form, best first."""
     along = np.maximum(found.score, 0.0)
+    share = along / found.length
     best: dict[Chosen, int] = {}
     for i, c in enumerate(found.chosen):
-        if c not in best or along[i] > along[best[c]]:
+        # A small part of a strong effect's change is not the change of a weak one: that has a point of its own.
+        curved = not c.mechanism.onset and not found.weak[i] and share[i] < _LEAST_PART
+        if not curved and (c not in best or along[i] > along[best[c]]):
             best[c] = i
-    result = [
-        Score(c, found.values[i], float(along[i] ** 2), float(along[i] / found.length[i])) for c, i in best.items()
-    ]
+    result = [Score(c, found.values[i], float(along[i] ** 2), float(share[i])) for c, i in best.items()]
     return tuple(sorted(result, key=lambda s: -s.statistic))
 
 
-def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float]]]:
-    """Points at which signatures are taken: of every visible mechanism, its forms, severities and shapes."""
+def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float], float]]:
+    """Points at which signatures are taken: of every visible mechanism, its forms, severities and shapes.
+
+    With each the part of the severity at which its change is taken: a small one where a weak effect is asked for, for what the
+    model absorbs of a strong one with its curvature is not what it absorbs of a weak one.
+    """
     for id, mechanism in MECHANISMS.items():
         if id in held or not (mechanism.shows & of.session.kinds):
             continue
         shapes = [_places(p, _SHAPES[min(i, len(_SHAPES) - 1)]) for i, p in enumerate(mechanism.shapes)]
         for variant in mechanism.variants:
-            for severity in _severities(mechanism):
+            for severity, part in _severities(mechanism):
                 for combination in itertools.product(*shapes):
                     own = dict(zip((p.name for p in mechanism.shapes), combination, strict=True))
-                    yield Chosen(id, variant), severity | own
+                    yield Chosen(id, variant), severity | own, part
 
 
 def _places(p: Parameter, shares: tuple[float, ...]) -> list[float]:
@@ -175,14 +190,15 @@ def _places(p: Parameter, shares: tuple[float, ...]) -> list[float]:
     return [p.low + (p.high - p.low) * s for s in shares]
 
 
-def _severities(mechanism: Mechanism) -> list[dict[str, float]]:
-    """Levels of each severity alone, the others 0; both signs where both are possible."""
+def _severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float]]:
+    """Levels of each severity alone, the others 0; both signs where both are possible. With the part at which each is taken."""
     found = []
     for p in mechanism.severities:
-        for level in np.geomspace(p.low, p.high, _LEVELS):
+        for number, level in enumerate(np.geomspace(p.low, p.high, _LEVELS)):
+            part = _DERIVATIVE if number == 0 and not mechanism.onset else 1.0
             for sign in (1.0, -1.0) if p.signed else (1.0,):
                 if p.least <= sign * level <= p.most or not p.signed:
-                    found.append({q.name: 0.0 for q in mechanism.severities} | {p.name: sign * float(level)})
+                    found.append(({q.name: 0.0 for q in mechanism.severities} | {p.name: sign * float(level)}, part))
     return found
 
 

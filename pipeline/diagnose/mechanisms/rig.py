@@ -58,13 +58,13 @@ def _damping(values: Values, variant: str) -> Effect:
         return np.asarray(braked)
 
     def second(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
-        # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp.
+        # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp: μ/(4ζ₂).
         with np.errstate(divide="ignore"):
             alone = np.where(rig.mass > 0, 1 / np.sqrt(np.maximum(rig.mass * rig.compliance, 1e-300)), np.inf)
         omega = 2 * np.pi * view.frequency_hz
         r = omega / (values["tuning"] * alone)
-        spring = 1 + 2j * ratio * r
-        return np.asarray(own - rig.compliance * rig.mass * 4 * ratio**2 * omega**2 * spring / (spring - r**2))
+        spring, share = 1 + 2j * values["width"] * r, 4 * values["width"] * ratio
+        return np.asarray(own - rig.compliance * rig.mass * share * omega**2 * spring / (spring - r**2))
 
     if variant == "damper":
         return Effect(rig=(more,))
@@ -105,11 +105,12 @@ LOAD_CELL_DAMPING = Mechanism(
             "growth", "1", "exponent p of the damping over the speed; v0: the driven end at the largest strain and the "
             "clamp's own frequency", 0.1, 1.5, SHAPE, least=0.0, most=3.0,
         ),
+        Parameter("width", "1", "damping ratio ζ₂ of the second mass", 0.02, 0.2, SHAPE, least=1e-3, most=1.0),
     ),
     shows=MECHANICAL | ELECTRICAL | {features.TAP_RING},
     faint=("step", "cyclic", "relaxation", "cycle"),
     confusable={"rig_constants": "phase within the resonance against magnitude beside it"},
     effect=_damping,
-    variants=("damper", "drag", "second_mode"),
+    variants=("drag", "second_mode", "damper"),
 )  # fmt: skip
 MECHANISMS = (RIG_CONSTANTS, LOAD_CELL_DAMPING)

@@ -127,7 +127,10 @@ def _load_cell_damping(draft: _Draft, effect: Effect) -> dict[str, Shape]:
         mass = 4 * ratio * s * law.mass
         rate = effect.number("tuning") * math.sqrt(law.cell_stiffness / law.mass)
         draft.law = law._replace(
-            second_mass=mass, second_stiffness=mass * rate**2, second_damping=2 * ratio * mass * rate
+            second_mass=mass,
+            second_stiffness=mass * rate**2,
+            second_damping=2 * ratio * mass * rate,
+            second_speed=max(0.5 * draft.loads.clamp_speed, 1e-9),
         )
     return {"damping_ratio": s}
 

@@ -20,7 +20,7 @@ from tests.hidden_effects.truth.jit import kernel
 class Law(NamedTuple):
     """Constants of the mechanics in N, mm, s. All but the first four are 0 in the plain rig.
 
-    `drag` N s/mm grows with the clamp's speed, half way at `drag_speed`. `second_…`: small mass on the clamp. `payne_…`:
+    `drag` N s/mm grows with the clamp's speed, half way at `drag_speed`. `second_…`: small mass on the clamp, whose damping doubles with its speed. `payne_…`:
     drop of stiffness and its amplitude scale mm. `damage_…`: loss, strain scale mm, curvature, cycles. `heat_…`: kelvin
     per N mm, time constant s, loss of stiffness per kelvin. `slack_…`: share of the preload in which the film buckles,
     residual stiffness share. `limit_mm`, `limit_offset`: Gent-type strain measure. `slip_…`: least force N,
@@ -36,6 +36,7 @@ class Law(NamedTuple):
     second_mass: float = 0.0
     second_stiffness: float = 0.0
     second_damping: float = 0.0
+    second_speed: float = 1.0
     payne_drop: float = 0.0
     payne_scale: float = 1.0
     damage_loss: float = 0.0
@@ -63,7 +64,7 @@ class Law(NamedTuple):
         return np.array([tuple(self)], dtype=[(name, np.float64) for name in self._fields])[0]
 
 
-OF_THE_CELL = ("drag", "drag_speed", "second_mass", "second_stiffness", "second_damping")
+OF_THE_CELL = ("drag", "drag_speed", "second_mass", "second_stiffness", "second_damping", "second_speed")
 """Constants that stay when there is no film."""
 
 # What the film remembers from recording to recording, by index.
@@ -167,7 +168,9 @@ def _rate(y, d, x0, v0, fa, g, past, spring, u_before, slip, law, k_sum, k, rate
         damping += law.drag * (0.6 + 0.8 * speed / (speed + law.drag_speed))
     push = tension - law.cell_stiffness * y[0] - damping * y[1]
     if law.second_mass > 0.0:
-        pull = law.second_stiffness * (y[further] - y[0]) + law.second_damping * (y[further + 1] - y[1])
+        slide = y[further + 1] - y[1]
+        rubbing = 0.6 + 0.8 * abs(slide) / (abs(slide) + law.second_speed)
+        pull = law.second_stiffness * (y[further] - y[0]) + law.second_damping * rubbing * slide
         push += pull
         d[further] = y[further + 1]
         d[further + 1] = -pull / law.second_mass
