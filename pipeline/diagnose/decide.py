@@ -34,9 +34,9 @@ CANDIDATES = 8
 MOST_CAUSES = 3
 _FURTHER = 2
 """Best single causes on which a second one is tried."""
-SECOND_SHARE, SECOND_OF_LEFT = 0.08, 0.4
-"""Least shares of the misfit explained so far, and of what it leaves, that a further cause must add in the blocks in which it
-adds anything: less is the form of those before it."""
+SECOND_SHARE, SECOND_OF_LEFT, SECOND_OF_TRACE = 0.08, 0.4, 0.02
+"""Least shares of the misfit explained so far, of what it leaves, and of what the causes so far change, that a further cause must
+add in the blocks in which it adds anything: less is the form of those before it."""
 _WHERE = 0.9
 """Share of what a cause adds that counts as the place where it does."""
 SECOND_LEVEL = 1e-3
@@ -194,10 +194,12 @@ def _worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit) -> boo
     most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
     where = order[: int(most.sum()) + 1]
     noise = _by_block(plain, noise=True)
-    gain = float(added[where].sum())
-    return gain > SECOND_SHARE * float((before - so_far)[where].sum()) and gain > SECOND_OF_LEFT * float(
-        (so_far - noise)[where].sum()
+    least = (
+        SECOND_SHARE * float((before - so_far)[where].sum()),
+        SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
+        SECOND_OF_TRACE * float(best.trace[where].sum()),
     )
+    return float(added[where].sum()) > max(least)
 
 
 def _by_block(fit: ExtendedFit, noise: bool = False) -> Float:

@@ -236,6 +236,14 @@ class ExtendedFit:
     def covariance(self) -> Float:
         return self.solution.covariance
 
+    @cached_property
+    def trace(self) -> Float:
+        """(B,) what the mechanisms change in each block, the rest of the model as it is: weighted χ² in units of the noise."""
+        of = self.of
+        alone = of.simulation.predict(of.model, self.theta)
+        change = of.weight * of.session.whiten(of.predict(self.x) - alone)
+        return np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in of.session.places])
+
     def sd(self) -> tuple[dict[str, float], ...]:
         """Standard deviations of the parameters of each mechanism, by the delta method."""
         found: list[dict[str, float]] = [{} for _ in self.of.chosen]

@@ -49,7 +49,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
     blocks.
     """
     session = extended.of.session
-    touched = _touched(extended)
+    touched = extended.trace / max(float(extended.trace.sum()), 1e-300)
     parts = _parts(extended, touched)
     if len(parts) < 2:
         return None
@@ -136,16 +136,6 @@ def _rms(squares: Sequence[float], size: int) -> float:
 def _gain(before: Float | float, after: Float | float, size: Float | float) -> Float:
     removable = np.maximum(np.asarray(before) - size, 1e-9)
     return np.asarray(np.clip((np.asarray(before) - after) / removable, -1.0, 1.0))
-
-
-def _touched(extended: ExtendedFit) -> Float:
-    """(B,) share of the mechanisms' trace in each block: change of the features when they are switched off."""
-    of = extended.of
-    with_them = of.predict(extended.x)
-    alone = of.simulation.predict(of.model, extended.theta)
-    change = of.weight * of.session.whiten(with_them - alone)
-    power = np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in of.session.places])
-    return np.asarray(power / max(float(power.sum()), 1e-300))
 
 
 def _parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
