@@ -224,7 +224,10 @@ def _size_and_time(path: Path) -> tuple[int, int] | None:
     return info.st_size, info.st_mtime_ns
 
 
+_SPACES = {0x00A0: " ", 0x2009: " ", 0x202F: " "}
+
+
 def shown(value: object) -> str:
-    """A path or text for messages: control and direction marks, and bytes that are no UTF-8, as escapes."""
-    text = str(value).encode("utf-8", "backslashreplace").decode()
+    """A path or text for messages: control and direction marks, and bytes that are no UTF-8, as escapes; spaces are spaces."""
+    text = str(value).encode("utf-8", "backslashreplace").decode().translate(_SPACES)
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -37,6 +37,8 @@ _FURTHER = 2
 SECOND_SHARE, SECOND_OF_LEFT, SECOND_OF_TRACE = 0.08, 0.4, 0.02
 """Least shares of the misfit explained so far, of what it leaves, and of what the causes so far change, that a further cause must
 add in the blocks in which it adds anything: less is the form of those before it."""
+SECOND_OF_ALL = 0.01
+"""The same of the misfit that the causes so far explain anywhere."""
 _WHERE = 0.9
 """Share of what a cause adds that counts as the place where it does."""
 SECOND_LEVEL = 1e-3
@@ -44,11 +46,11 @@ CLOSE = 4.6
 """Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
 CLOSE_MISFIT = 1.3
 """Ratio of what two causes leave, root mean square over the noise, within which the form decides, not the data."""
-EXPLAINED = 0.45
+EXPLAINED = 0.6
 """Share of the misfit that the causes must explain together for their names to be said, where more than noise is left."""
 LEFT_LEVEL = 1e-3
 _CONFIRMED = 0.8
-"""Share of the threshold Λ that the fitted causes must reach on the tempered scale."""
+"""Share of the threshold Λ that a fitted cause must reach, which the screen only promised."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,34 @@ class Outcome:
 def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcome:
     """Verdict for a session whose plain model is fitted."""
     of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
-    untempered = of.refined(of.fit(fitted.theta, most=3))
+    start = fitted.theta
+    for _ in range(_RESTARTS):
+        outcome = _decided(of, start)
+        better = _elsewhere(outcome)
+        if better is None:
+            break
+        start = better
+    return outcome
+
+
+def _elsewhere(outcome: Outcome) -> Float | None:
+    """Entries at which the plain model does better than where it was left: a search that ended early looks like a discrepancy.
+
+    Asked where the causes gain little more than that could be.
+    """
+    if not outcome.singles or outcome.plain.chi2 - outcome.singles[0].chi2 > _MANY * outcome.threshold:
+        return None
+    again = [outcome.plain.of.fit(f.theta) for f in outcome.singles[:2]]
+    best = min(again, key=lambda f: f.chi2)
+    return best.theta if best.chi2 < outcome.plain.chi2 - _CLEARLY_BETTER else None
+
+
+_RESTARTS, _MANY, _CLEARLY_BETTER = 3, 10.0, 1.0
+
+
+def _decided(of: Extended, start: Float) -> Outcome:
+    session = of.session
+    untempered = of.refined(of.fit(start, most=3))
     changes = secants(untempered)
     looked = signatures(changes, untempered)
     found = scores(looked)
@@ -86,14 +115,19 @@ def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcom
     p_value = looked.p_value(found[0].statistic) if found else 1.0
     threshold = looked.threshold(LEVEL) if found else float("inf")
     listed, unlisted = p_value < LEVEL, before.p_value < STRUCTURE_LEVEL
+    nothing = Outcome(
+        NONE, untempered, untempered, (), None, (), p_value, threshold, float("nan"), looked, before, None
+    )
     if not (listed or unlisted):
-        return Outcome(
-            NONE, untempered, untempered, (), None, (), p_value, threshold, float("nan"), looked, before, None
-        )
+        return nothing
     weighted = of.with_weight(tempered(session, untempered.misfit))
-    plain = weighted.refined(weighted.fit(fitted.theta))
+    plain = weighted.refined(weighted.fit(untempered.theta))
     weakened = signatures(changes, plain)
     singles = _confirmed(_tried(plain, scores(weakened), weakened, CANDIDATES))
+    confirmed = max(plain.chi2 - f.chi2 for f in singles)
+    if not unlisted and confirmed < _CONFIRMED * threshold:
+        # The screen was led on by what the model absorbs of a strong effect.
+        return replace(nothing, p_value=looked.p_value(confirmed))
     final = _forward(plain, singles, changes)
     p_value = min(p_value, before.p_value if unlisted else 1.0)
     if final is None:
@@ -195,6 +229,7 @@ def _worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit) -> boo
     where = order[: int(most.sum()) + 1]
     noise = _by_block(plain, noise=True)
     least = (
+        SECOND_OF_ALL * (plain.chi2 - best.chi2),
         SECOND_SHARE * float((before - so_far)[where].sum()),
         SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
         SECOND_OF_TRACE * float(best.trace[where].sum()),

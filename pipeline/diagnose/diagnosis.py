@@ -42,7 +42,7 @@ Float = NDArray[np.float64]
 _LEFT = 1e-3
 """Probability below which a pattern that stays is mentioned."""
 _GAIN_WITH_PATTERN = 0.4
-"""Least held-out gain of a cause that leaves a pattern."""
+"""Held-out gain that a cause which leaves a pattern has to be able to have: the upper end of its interval."""
 
 
 def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
@@ -124,7 +124,7 @@ def _checked(outcome: Outcome, gain: HeldOut | None) -> str:
     left = outcome.after is not None and outcome.after.p_value < LEFT_LEVEL
     if np.isnan(gain.gain):
         return outcome.verdict if gain.after < gain.before or not left else UNKNOWN
-    return UNKNOWN if gain.gain <= (_GAIN_WITH_PATTERN if left else 0.0) else outcome.verdict
+    return UNKNOWN if gain.upper <= (_GAIN_WITH_PATTERN if left else 0.0) else outcome.verdict
 
 
 def _extension(outcome: Outcome, final: ExtendedFit, context: Context) -> Extension:

@@ -31,6 +31,8 @@ Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _HARMONICS = 3
+_ROOM = 1.2
+"""Highest frequency of interest over that of the last harmonic: noise above it only leaks in, with a film that stiffens."""
 _FEWEST_REST = 8
 _FEWEST_PER_CYCLE = 10
 _MOST_CYCLES = 400
@@ -66,10 +68,10 @@ def cyclic_blocks(
     capacitance = recording.channels.get("capacitance")
     if capacitance is not None and capacitance.values.size:
         channels["capacitance"] = capacitance
-    found = record(channels, recording, highest_hz=max(2 * _HARMONICS * frequency, _RESOLVING_REST_HZ))
+    found = record(channels, recording, highest_hz=max(_ROOM * _HARMONICS * frequency, _RESOLVING_REST_HZ))
     given = found.values[names[0]]
     per_cycle = 1 / (frequency * found.interval_s)
-    rest = rest_samples(given, back=int(0.02 * per_cycle))
+    rest = rest_samples(given, cycle=per_cycle)
     if rest < _FEWEST_REST or per_cycle < _FEWEST_PER_CYCLE:
         raise NotIdentifiableError(
             f"{rest} samples of rest, {per_cycle:.3g} samples per cycle",

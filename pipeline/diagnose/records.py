@@ -29,6 +29,7 @@ Bool = NDArray[np.bool_]
 
 _PASSED = 0.7
 """Share of half the sample rate below which thinning leaves a spectrum as it is."""
+_CLEARLY_AWAY, _FIRST_LEVEL = 6.0, 40
 _LONGEST_FILL = 0.02
 """Share of a channel that may be interpolated over gaps before its features are refused."""
 
@@ -149,21 +150,25 @@ def _bridged(values: Float) -> Float:
     return np.interp(index, index[~bad], values[~bad])
 
 
-def rest_samples(input_: Float, *, back: int = 2) -> int:
+def rest_samples(input_: Float, *, back: int = 2, cycle: float | None = None) -> int:
     """Samples before the input leaves its rest for good, less `back`; 0 where there are hardly any.
 
-    It has left where three samples in a row are further from its first level than six times the noise of the rest so far.
+    It has left where three samples in a row are further from its first level than six times its noise, which is read off
+    second differences: a slow start is no noise. `cycle` is the number of samples in a period of a sinusoid, which leaves its
+    rest long before it shows.
     """
     reach = float(np.abs(input_ - input_[0]).max())
     if reach == 0:
         return input_.size
-    # A tenth of the way is motion beyond doubt; the first half of what lies before it is rest.
+    # A tenth of the way is motion beyond doubt; the first part of what lies before it is rest.
     certain = int((np.abs(input_ - np.median(input_[: max(8, input_.size // 500)])) > 0.1 * reach).argmax())
     head = input_[: max(8, certain // 2)]
-    noise = max(float(head.std()), 1e-9 * reach)
-    away = np.abs(input_ - head.mean()) > 6 * noise
+    noise = max(float(np.sqrt(np.mean(np.diff(head, 2) ** 2) / 6)), 1e-9 * reach)
+    away = np.abs(input_ - head[: max(8, certain // _FIRST_LEVEL)].mean()) > _CLEARLY_AWAY * noise
     left = away[:-2] & away[1:-1] & away[2:]
-    return max(0, int(left.argmax()) - back) if left.any() else input_.size
+    # From rest 1 − cos φ grows as φ²/2.
+    unseen = 0.0 if cycle is None else cycle * np.sqrt(4 * _CLEARLY_AWAY * noise / reach) / (2 * np.pi)
+    return max(0, int(left.argmax()) - back - int(unseen)) if left.any() else input_.size
 
 
 def bode_gain(frequency_hz: float, value: complex) -> Callable[[Float], Float]:

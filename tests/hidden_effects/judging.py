@@ -48,7 +48,7 @@ INSEPARABLE = (
 _BAND = np.geomspace(1.0, 100.0, 40)
 _DETECTABLE = 5.1
 """Length of a trace, in standard deviations of the noise, that is found with 80 % probability at the level of the search."""
-_FIRST_GUESS = 0.05
+_FIRST_GUESS, _BEYOND = 0.05, 2.0
 _MOST_ROUNDS, _CLOSE = 4, 0.1
 _NOISE, _FEW = 3.0, 10.0
 """Mean square in units of the noise, and more of it for few values, that noise explains."""
@@ -126,17 +126,30 @@ def clean(seed: int, size: str, material: str | None = None) -> Diagnosis:
 
 
 def effect_at(
-    id: str, multiple: float, smallest: Mapping[str, Mapping[str, float]], rng: np.random.Generator
+    id: str, multiple: float, smallest: Mapping[str, Mapping[str, float]], rng: np.random.Generator, case: Case
 ) -> Effect | None:
-    """A random effect at a multiple of the smallest detectable severity; None where the session cannot show it."""
-    if id not in smallest:
-        return None
-    values = smallest[id]
+    """A random effect at a multiple of the smallest detectable severity; None where the session cannot show it.
+
+    What a diagnosis says of a cause that it knows holds for its usual form. Of other forms, and of causes that it does not
+    know, the features themselves tell.
+    """
     kind = KINDS[id]
-    severity = multiple * values[kind.key if kind.key in values else next(iter(values))]
-    if kind.signed and rng.random() < 0.5:
-        severity = -severity
-    return random_effect(id, severity, rng)
+    drawn = random_effect(id, kind.typical, rng)
+    usual = all(
+        drawn.shape.get(name, default) == default for name, default in kind.shape.items() if isinstance(default, str)
+    )
+    if kind.listed and usual:
+        if id not in smallest:
+            return None
+        values = smallest[id]
+        least = values[kind.key if kind.key in values else next(iter(values))]
+    else:
+        found = smallest_of(case, drawn)
+        if found is None:
+            return None
+        least = found
+    severity = multiple * least
+    return replace(drawn, severity=-severity if kind.signed and rng.random() < 0.5 else severity)
 
 
 def judge(case: Case) -> Judgement:
@@ -146,7 +159,7 @@ def judge(case: Case) -> Judgement:
         diagnosis, session = clean(case.seed, case.size, case.material), None
         return _compared(case, diagnosis, session, ())
     smallest = clean(case.seed, case.size, case.material).smallest_parameters
-    effects = [_hidden(id, multiple, smallest, rng, case) for id, multiple in case.effects]
+    effects = [effect_at(id, multiple, smallest, rng, case) for id, multiple in case.effects]
     if any(e is None for e in effects):
         return _nothing(case)
     chosen = tuple(e for e in effects if e is not None)
@@ -154,17 +167,8 @@ def judge(case: Case) -> Judgement:
     return _compared(case, observe(session), session, chosen)
 
 
-def _hidden(
-    id: str, multiple: float, smallest: Mapping[str, Mapping[str, float]], rng: np.random.Generator, case: Case
-) -> Effect | None:
-    if KINDS[id].listed:
-        return effect_at(id, multiple, smallest, rng)
-    shape = random_effect(id, KINDS[id].typical, rng)
-    return replace(shape, severity=multiple * smallest_of(case, shape))
-
-
-def smallest_of(case: Case, effect: Effect) -> float:
-    """Severity of an effect that no mechanism knows at which its trace could just be found.
+def smallest_of(case: Case, effect: Effect) -> float | None:
+    """Severity of an effect at which its trace could just be found; None where that is beyond all reason.
 
     The trace is the noise-free difference that it makes to the features of the clean session, without what material and rig
     absorb, in units of the noise.
@@ -184,6 +188,8 @@ def smallest_of(case: Case, effect: Effect) -> float:
         if abs(length / _DETECTABLE - 1) < _CLOSE:
             break
         severity *= float(np.clip(_DETECTABLE / max(length, 1e-9), 0.02, 50.0))
+        if severity > _BEYOND * KINDS[effect.id].strong:
+            return None
     return severity
 
 
