@@ -90,6 +90,7 @@ def step_blocks(
             f"{max(rest, 0)} samples before the first step", where=where, expected=f"at least {_FEWEST_REST}"
         )
     groups = _groups(cycles)
+    edge_s = float(np.median(np.diff(recording.channels["voltage"].time_ns))) * 1e-9 / np.sqrt(12)
     squared = voltage**2
     squared = squared - squared[:rest].mean()
     force = found.values["force"]
@@ -107,7 +108,7 @@ def step_blocks(
         largest_response=float(np.ptp(force)) / float(squared.max()),
     )
     for group in groups:
-        made = _windows(STEP_FORCE, group, base, rest, found, least_s=0.0)
+        made = _windows(STEP_FORCE, group, base, rest, found, edge_s, least_s=0.0)
         if made is not None:
             blocks.append(made)
     values = {
@@ -127,11 +128,11 @@ def step_blocks(
             factor=found.channel_factor("capacitance", "voltage"),
         )
         for group in groups:
-            made = _windows(STEP_CAPACITANCE, group, one, rest, found, least_s=_DISTURBED_S)
+            made = _windows(STEP_CAPACITANCE, group, one, rest, found, edge_s, least_s=_DISTURBED_S)
             if made is not None:
                 blocks.append(made)
     if "command" in channels and np.ptp(found.values["command"]) > 0:
-        blocks += _voltage_blocks(found, groups, rest)
+        blocks += _voltage_blocks(found, groups, rest, edge_s)
     return blocks, [n for n in noise if n is not None], values, []
 
 
@@ -193,8 +194,9 @@ def _spans(group: _Group, least: int) -> tuple[list[list[tuple[int, int]]], list
 
 
 def _windows(
-    kind: str, group: _Group, signals: Signals, rest: int, found: Record, *, least_s: float
+    kind: str, group: _Group, signals: Signals, rest: int, found: Record, edge_s: float, *, least_s: float
 ) -> FeatureBlock | None:
+    """Means of the output in windows after the edges of a group. An edge is known to `edge_s`, for it lies between two samples."""
     spans, since, side = _spans(group, int(least_s / signals.interval_s) + 1)
     rows, kept = [], []
     stop = max(b for span in spans for _, b in span) if spans else 0
@@ -211,7 +213,8 @@ def _windows(
         return None
     at = np.array([np.mean([(a + b) / 2 for a, b in spans[i]]) for i in kept]) * signals.interval_s
     after = np.array([since[i] for i in kept]) * signals.interval_s
-    return block(
+    sides = np.array([side[i] for i in kept])
+    made = block(
         kind,
         group.label,
         signals,
@@ -224,12 +227,25 @@ def _windows(
         time=at,
         support={
             "since_s": after,
-            "side": np.array([side[i] for i in kept]),
+            "side": sides,
             "level_kv": np.array([group.level]),
             "on_s": np.array([(group.cycles[0].fall - group.cycles[0].rise) * signals.interval_s]),
         },
         drifts=True,
     )
+    slope = np.array(rows) @ np.gradient(signals.output[:stop])
+    return _with_timing(made, slope, sides, edge_s / signals.interval_s)
+
+
+def _with_timing(made: FeatureBlock, slope: Float, sides: Float, sd: float) -> FeatureBlock:
+    """The block with the noise that edges bring whose time is known to `sd` samples; `slope` (n,) per sample of delay.
+
+    Edges of one test lie alike between the samples: more cycles do not make it less.
+    """
+    on, off = (np.where(sides == side, slope, 0.0) * sd for side in (1.0, -1.0))
+    timing = np.outer(on, on) + np.outer(off, off)
+    basis = made.basis if made.basis.ndim == 3 else np.array([np.diag(row) for row in made.basis])
+    return replace(made, components=(*made.components, "unit/0"), basis=np.concatenate([basis, timing[None]]))
 
 
 def _without_spikes(sensed: Float, cycles: list[_Cycle], interval_s: float) -> Float:
@@ -243,7 +259,7 @@ def _without_spikes(sensed: Float, cycles: list[_Cycle], interval_s: float) -> F
     return calm
 
 
-def _voltage_blocks(found: Record, groups: list[_Group], rest: int) -> list[FeatureBlock]:
+def _voltage_blocks(found: Record, groups: list[_Group], rest: int, edge_s: float) -> list[FeatureBlock]:
     """Voltage in windows after the edges over the plateau of the command, answer to the command."""
     command = found.values["command"]
     voltage = found.values["voltage"]
@@ -270,7 +286,7 @@ def _voltage_blocks(found: Record, groups: list[_Group], rest: int) -> list[Feat
             noise_sd=float(voltage[:rest].std()),
             largest_response=float(np.abs(voltage).max()),
         )
-        one = _windows(STEP_VOLTAGE, group, signals, rest, found, least_s=0.0)
+        one = _windows(STEP_VOLTAGE, group, signals, rest, found, edge_s, least_s=0.0)
         if one is not None:
             made.append(one)
     return made
