@@ -125,8 +125,9 @@ def _decided(of: Extended, start: Float) -> Outcome:
     weakened = signatures(changes, plain)
     singles = _confirmed(_tried(plain, scores(weakened), weakened, CANDIDATES))
     confirmed = max(plain.chi2 - f.chi2 for f in singles)
-    if not unlisted and confirmed < _CONFIRMED * threshold:
-        # The screen was led on by what the model absorbs of a strong effect.
+    patterned = unlisted and structure(plain).p_value < LEFT_LEVEL
+    if not patterned and confirmed < _CONFIRMED * threshold:
+        # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the model.
         return replace(nothing, p_value=looked.p_value(confirmed))
     final = _forward(plain, singles, changes)
     p_value = min(p_value, before.p_value if unlisted else 1.0)

@@ -166,8 +166,8 @@ def rest_samples(input_: Float, *, back: int = 2, cycle: float | None = None) ->
     noise = max(float(np.sqrt(np.mean(np.diff(head, 2) ** 2) / 6)), 1e-9 * reach)
     away = np.abs(input_ - head[: max(8, certain // _FIRST_LEVEL)].mean()) > _CLEARLY_AWAY * noise
     left = away[:-2] & away[1:-1] & away[2:]
-    # From rest 1 − cos φ grows as φ²/2.
-    unseen = 0.0 if cycle is None else cycle * np.sqrt(4 * _CLEARLY_AWAY * noise / reach) / (2 * np.pi)
+    # From rest 1 − cos φ grows as φ²/2; noise hides it a little longer.
+    unseen = 0.0 if cycle is None else 1.2 * cycle * np.sqrt(4 * _CLEARLY_AWAY * noise / reach) / (2 * np.pi)
     return max(0, int(left.argmax()) - back - int(unseen)) if left.any() else input_.size
 
 
