@@ -25,12 +25,15 @@ from reports.figures.responses import response
 from reports.names import short
 from reports.pages import comparing_models, control, film, lives
 from reports.site import CONTROL, SPECIMENS, Site
+from schemas.mechanisms import cause
 from schemas.numbers import capital, digits, significant, word
 
 _WIDE = 2
 """Findings that get a figure; the others are a paragraph."""
 _ALARMED, _MOST = 12, 20
 """Specimens with a finding of their own, and findings altogether."""
+_SHARED = 3
+"""Specimens with the same cause from which on they have one finding together."""
 _POINTS = 2
 """Points out of control with a finding of their own."""
 
@@ -39,13 +42,17 @@ def section(site: Site, standings: Sequence[Standing], survival: Sequence[tuple[
     rank = {"named": 0, "ambiguous": 1, "unknown": 2}
     alarms = sorted((s for s in standings if s.alarm), key=lambda s: (rank.get(s.verdict, 3), s.specimen_id))
     items: list[Finding] = []
-    for standing in alarms[:_ALARMED]:
+    shared = _sharing(alarms)
+    alone = [s for s in alarms if not any(s in group for group in shared)]
+    for group in shared:
+        items.append(_shared_finding(site, group, wide=len(items) < _WIDE))
+    for standing in alone[:_ALARMED]:
         wide = len([i for i in items if i.figure]) < _WIDE
         items.append(_specimen_finding(site, standing, wide=wide))
-    if len(alarms) > _ALARMED:
+    if len(alone) > _ALARMED:
         items.append(
             Finding(
-                f"{len(alarms) - _ALARMED} more specimens need a look",
+                f"{len(alone) - _ALARMED} more specimens need a look",
                 (flow("They stand first in the ", link("list of specimens", SPECIMENS), "."),),
                 "open",
             )
@@ -106,6 +113,32 @@ def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
         findings.what_next(standing.diagnosis),
         figure,
     )
+
+
+def _sharing(alarms: Sequence[Standing]) -> list[list[Standing]]:
+    """Specimens in which the same causes are named, where there are several: what they share is rather the rig."""
+    groups: dict[tuple[str, ...], list[Standing]] = {}
+    for standing in alarms:
+        if standing.diagnosis and standing.verdict == "named":
+            groups.setdefault(tuple(standing.diagnosis["mechanisms"] or ()), []).append(standing)
+    return [group for group in groups.values() if len(group) >= _SHARED]
+
+
+def _shared_finding(site: Site, group: Sequence[Standing], *, wide: bool) -> Finding:
+    """One finding for all specimens with the same cause; sizes and evidence are those of the first."""
+    first = group[0]
+    pages = [link(name(s.specimen_id), site.specimen_path(s.specimen_id)) for s in group]
+    body = (
+        flow(
+            listed(pages),
+            ": one cause in all of them, so rather in the rig than in the film. Of ",
+            name(first.specimen_id),
+            ":",
+        ),
+        *findings.evidence(first),
+    )
+    title = flow(f"{capital(word(len(group)))} specimens: {cause(first.diagnosis or {})}.")
+    return Finding(title, body, findings.kind(first), None, _told_figure(site, first) if wide else None)
 
 
 def _told_figure(site: Site, standing: Standing) -> Figure | None:
