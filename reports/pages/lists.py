@@ -12,7 +12,7 @@ from reports.pages.campaign import specimen_table
 from reports.pages.trouble import refused_table
 from reports.results import Query, day, literal
 from reports.site import RECORDINGS, REFUSED, SPECIMENS, USED_SQL, Site
-from schemas.numbers import ABSENT, digits, seconds, whole
+from schemas.numbers import ABSENT, capital, counted, digits, seconds, whole
 
 PART = 200
 """Rows on one page."""
@@ -93,7 +93,7 @@ def _page(
     return Page(
         title=f"{title}{which}",
         heading=heading or title,
-        bar=site.bar("", part.list),
+        bar=site.bar("", "Refused files" if part.list == REFUSED else part.list),
         crumbs=(Link("Last night", "index.html"), Link(title)),
         sections=(section,),
     )
@@ -177,7 +177,7 @@ def refused_parts(site: Site) -> list[tuple[Part, str]]:
 def refused(site: Site, part: Part, parts: Sequence[Part]) -> Page:
     """Every refused file with its reason."""
     table = refused_table(site, PART, part.begin, note="kept in quarantine; nothing of them is in the results")
-    title = digits(parts[-1].end, "refused file")
+    title = capital(counted(parts[-1].end, "refused file"))
     return _page(site, part, parts, title, [table], f"{title}: nothing of them is in the results")
 
 
