@@ -7,16 +7,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ingest.canonical import canonical
+from ingest.read import read_raw
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features import RecordingFeatures
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.errors import NotIdentifiableError
+from schemas.recording import Recording
 from tests.hidden_effects.truth import KINDS, compact_session
+from tests.session_files import write_recordings
 
 SEED = 103
 
@@ -94,6 +99,26 @@ def test_verdicts_do_not_depend_on_order_and_names() -> None:
     )
     assert first.p_value == pytest.approx(second.p_value, rel=1e-6)
     assert second.specimen_id == "another"
+
+
+UNITS = {"displacement": ("µm", 1e3), "force": ("mN", 1e3), "voltage": ("V", 1e3), "capacitance": ("nF", 1e-3)}
+"""Units that a rig may write instead of the canonical ones, and how many of them make a canonical one."""
+
+
+def every_second_sample(recording: Recording) -> Recording:
+    channels = {q: replace(c, time_ns=c.time_ns[::2], values=c.values[::2]) for q, c in recording.channels.items()}
+    return replace(recording, channels=channels)
+
+
+def test_verdicts_do_not_depend_on_units_and_sampling(tmp_path: Path) -> None:
+    recordings = compact_session(SEED, [("cyclic_softening", 0.3 * KINDS["cyclic_softening"].typical)]).recordings
+    as_they_are = diagnose([reduce(r) for r in recordings])
+    paths = write_recordings(tmp_path, recordings, UNITS)
+    converted = diagnose([reduce(canonical(read_raw(path, None), where=path.name)) for path in paths])
+    slower = diagnose([reduce(every_second_sample(r)) for r in recordings])
+    assert (as_they_are.verdict, as_they_are.mechanisms[0]) == ("named", "cyclic_softening")
+    assert (converted.verdict, converted.mechanisms) == (as_they_are.verdict, as_they_are.mechanisms)
+    assert (slower.verdict, slower.mechanisms) == (as_they_are.verdict, as_they_are.mechanisms)
 
 
 def test_what_cannot_be_asked_is_said() -> None:
