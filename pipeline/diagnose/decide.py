@@ -124,15 +124,15 @@ def _decided(of: Extended, start: Float) -> Outcome:
     plain = weighted.refined(weighted.fit(untempered.theta))
     weakened = signatures(changes, plain)
     singles = _confirmed(_tried(plain, scores(weakened), weakened, CANDIDATES))
-    confirmed = max(plain.chi2 - f.chi2 for f in singles)
-    patterned = unlisted and structure(plain).p_value < LEFT_LEVEL
+    confirmed = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
+    left = structure(plain)
+    patterned = unlisted and left.p_value < LEFT_LEVEL
     if not patterned and confirmed < _CONFIRMED * threshold:
         # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the model.
-        return replace(nothing, p_value=looked.p_value(confirmed))
+        return replace(nothing, p_value=looked.p_value(confirmed)) if singles else nothing
     final = _forward(plain, singles, changes)
     p_value = min(p_value, before.p_value if unlisted else 1.0)
     if final is None:
-        left = structure(plain)
         return Outcome(UNKNOWN, untempered, plain, singles, None, (), p_value, threshold, 0.0, looked, before, left)
     final = _backward(plain, final)
     final = _strongest_first(final)
@@ -178,8 +178,8 @@ def _ranked(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
 
 
 def _confirmed(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
-    """Best evidence first, the close ones with their searches brought to an end."""
-    top = max(f.log_evidence for f in fits)
+    """Best evidence first, the close ones with their searches brought to an end; nothing of nothing."""
+    top = max((f.log_evidence for f in fits), default=0.0)
     return _ranked([finished(f) if f.log_evidence > top - _CLOSE_CALL - 0.02 * abs(top) else f for f in fits])
 
 

@@ -77,7 +77,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         invisible=invisible(session.kinds),
         could_not_ask=could_not_ask(session),
         unexplained=_unexplained(outcome) if verdict == UNKNOWN else (),
-        plain_film=fitted.model.physical(fitted.theta).film,
+        plain_film=outcome.untempered.of.model.physical(outcome.untempered.theta).film,
         residuals=_residuals(session, outcome),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
         explained=outcome.explained,

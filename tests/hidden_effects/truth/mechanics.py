@@ -68,10 +68,10 @@ OF_THE_CELL = ("drag", "drag_speed", "second_mass", "second_stiffness", "second_
 """Constants that stay when there is no film."""
 
 # What the film remembers from recording to recording, by index.
-LARGEST, DAMAGE, PATH, HEAT = range(4)
+LARGEST, DAMAGE, PATH, HEAT, SLIDER = range(5)
 SLIDERS = 4
-"""Sliders of the clamp, each a play operator of the tension; their memories follow the rest."""
-MEMORY = 4 + SLIDERS
+"""Sliders of the clamp, each a play operator of the tension; their memories begin at `SLIDER`."""
+MEMORY = SLIDER + SLIDERS
 
 
 @kernel
@@ -98,10 +98,10 @@ def slipped(tension, stiffness, law, memory):
     reach = np.zeros(SLIDERS)
     for i in range(SLIDERS):
         force = law.slip_force * law.slip_spread ** (i / (SLIDERS - 1))
-        away = tension - memory[4 + i]
+        away = tension - memory[SLIDER + i]
         if abs(away) > force:
             moving[i] = True
-            reach[i] = memory[4 + i] + math.copysign(force, away)
+            reach[i] = memory[SLIDER + i] + math.copysign(force, away)
     total = 0.0
     for _ in range(SLIDERS):
         pull, count = 0.0, 0
@@ -118,7 +118,7 @@ def slipped(tension, stiffness, law, memory):
             break
     for i in range(SLIDERS):
         if moving[i]:
-            memory[4 + i] += tension - stiffness * total - reach[i]
+            memory[SLIDER + i] += tension - stiffness * total - reach[i]
     return total
 
 
@@ -214,7 +214,7 @@ def integrate(
     d1, d2, d3, d4 = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
     slip = 0.0
     for i in range(SLIDERS):
-        slip += memory[4 + i] / (SLIDERS * max(law.slip_hardening, 1e-9))
+        slip += memory[SLIDER + i] / (SLIDERS * max(law.slip_hardening, 1e-9))
     amplitude, mean = 0.0, 0.0
     e = x0[0] - slip
     u = 0.0
