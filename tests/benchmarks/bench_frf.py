@@ -62,10 +62,10 @@ def welch(displacement: Samples, force: Samples) -> Estimate:
 
 
 def by_pyfrf(displacement: Samples, force: Samples) -> Estimate:
-    """H1 of pyFRF; the displacement is its excitation, the force its response, both taken as they are."""
+    """H1 of pyFRF: frequency in Hz, force by displacement in N/mm. Types are those that it does not convert."""
     import pyFRF
 
-    found = pyFRF.FRF(RATE, displacement, force, exc_type="f", resp_type="f")
+    found = pyFRF.FRF(int(RATE), displacement, force, exc_type="f", resp_type="e")
     return found.get_f_axis(), found.get_H1().ravel()
 
 
