@@ -147,12 +147,22 @@ def lacks_end(path: Path, found: str | None) -> bool:
     return True
 
 
+@dataclass(frozen=True)
+class _Folder:
+    """A folder's path without links, the names in it, and those of them that are links."""
+
+    place: str
+    names: frozenset[str]
+    links: frozenset[str]
+
+
 class _Walk:
     def __init__(self, skip: Sequence[Path]) -> None:
         self.skip = skip
         self.files: list[SourceFile] = []
         self.notes: list[str] = []
         self.seen: set[str | tuple[int, int]] = set()
+        self._folders: dict[Path, _Folder] = {}
 
     def take(self, path: Path, root: Path) -> None:
         """One path: a file or a folder with all that is below it."""
@@ -192,14 +202,14 @@ class _Walk:
             return
         mapping, error = None, None
         try:
-            mapping = find_mapping(path)
+            mapping = find_mapping(path, self._beside(path).names)
         except DealabError as found:
             error = found
         file_format = format_of(path, mapping)
         if mapping is not None and mapping.kind == IGNORE:
             self.notes.append(f"{shown(path)}: passed over, as {mapping.source} says")
             return
-        if file_format is None and mapping is None and not own_mapping(path).is_file():
+        if file_format is None and mapping is None and own_mapping(path).name not in self._beside(path).names:
             return
         if mapping is None and error is None:
             if path.name.lower().startswith(_DOCUMENTS):
@@ -207,8 +217,29 @@ class _Walk:
             state = NATIVE if file_format == "mcap" else UNMAPPED
         else:
             state = NATIVE if file_format == "mcap" and mapping is None else MAPPED
-        if self._first_time(os.path.realpath(path)):
+        if self._first_time(self._real(path)):
             self.files.append(SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote))
+
+    def _beside(self, path: Path) -> _Folder:
+        """The folder that a file lies in, looked at once."""
+        folder = path.parent
+        if folder not in self._folders:
+            try:
+                with os.scandir(folder) as entries:
+                    listed = list(entries)
+            except OSError:
+                listed = []
+            self._folders[folder] = _Folder(
+                os.path.realpath(folder),
+                frozenset(e.name for e in listed),
+                frozenset(e.name for e in listed if e.is_symlink()),
+            )
+        return self._folders[folder]
+
+    def _real(self, path: Path) -> str:
+        """The path without links."""
+        folder = self._beside(path)
+        return os.path.realpath(path) if path.name in folder.links else os.path.join(folder.place, path.name)
 
     def _first_time(self, place: str | tuple[int, int]) -> bool:
         new = place not in self.seen

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import fnmatch
 import functools
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from pathlib import Path
@@ -165,13 +165,20 @@ class FileMapping:
         )
 
 
-def find_mapping(path: Path) -> FileMapping | None:
-    """The mapping of a data file, or None when there is none. `RefusedError` when there is one but it is wrong."""
+def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping | None:
+    """The mapping of a data file, or None when there is none. `RefusedError` when there is one but it is wrong.
+
+    `names` in the file's folder, where somebody has looked already.
+    """
+
+    def there(candidate: Path) -> bool:
+        return (names is None or candidate.name in names) and candidate.is_file()
+
     own = own_mapping(path)
-    if own.is_file():
+    if there(own):
         return FileMapping.parse(load_toml(own), stem=_stem(path), suffix=path.suffix, source=own.name)
     shared = path.with_name(FOLDER_FILE)
-    if not shared.is_file():
+    if not there(shared):
         return None
     info = shared.stat()
     for number, entry in enumerate(_folder_entries(shared, info.st_mtime_ns, info.st_size), start=1):

@@ -46,14 +46,15 @@ def samples_path(recording: Recording) -> str:
     return f"samples/protocol={about.protocol}/month={month}/{about.recording_id}.parquet"
 
 
-def write_samples(recording: Recording, lab: Path) -> str:
+def write_samples(recording: Recording, lab: Path, *, staged: Path | None = None) -> str:
     """Writes the samples of a recording and returns the path relative to the lab.
 
+    `staged` is written instead where given: somebody moves it to its place later.
     Rows are the instants at which any channel has a sample, ascending; a channel without a sample there, or with a lost
     one (NaN), is NULL. The file appears under its name complete and on the disk, or not at all.
     """
     relative = samples_path(recording)
-    write_table(samples_table(recording), lab / relative)
+    write_table(samples_table(recording), staged or lab / relative)
     return relative
 
 
@@ -63,7 +64,7 @@ def samples_table(recording: Recording) -> pa.Table:
 
     channels = list(recording.channels.values())
     times = _union([channel.time_ns for channel in channels])
-    columns = [pa.array(times)]
+    columns = [_array(times, pa.int64())]
     fields = [pa.field(TIME, pa.int64(), nullable=False, metadata={"unit": "ns", "meaning": "Unix time, UTC"})]
     for channel in channels:
         columns.append(_column(channel, times))
@@ -79,7 +80,7 @@ def write_table(table: pa.Table, path: Path) -> None:
     import pyarrow.parquet as pq
 
     values = [name for name in table.column_names if name != TIME]
-    encodings = {name: _encoding(table.column(name).to_numpy()) for name in values}
+    encodings = {name: _encoding(_values(table.column(name))) for name in values}
     with written_whole(path) as temporary:
         pq.write_table(
             table,
@@ -169,8 +170,25 @@ def _column(channel: Channel, times: Int) -> pa.Array:
     if times.size != channel.time_ns.size:
         values = np.full(times.size, np.nan)
         values[np.searchsorted(times, channel.time_ns)] = channel.values
-    # only where it must, for it costs a copy: `from_pandas` makes NULL of NaN
-    return pa.array(values, from_pandas=bool(np.isnan(values).any()))
+    lost = np.isnan(values)
+    return _array(values, pa.float64(), ~lost if lost.any() else None)
+
+
+def _array(values: NDArray[Any], kind: pa.DataType, valid: NDArray[np.bool_] | None = None) -> pa.Array:
+    """An arrow array over the same memory; values that are not `valid` are NULL.
+
+    By its buffers: `pyarrow.array` imports pandas to look at what it is given, which takes longer than a small recording.
+    """
+    import pyarrow as pa
+
+    known = None if valid is None else pa.py_buffer(np.packbits(valid, bitorder="little"))
+    return pa.Array.from_buffers(kind, values.size, [known, pa.py_buffer(np.ascontiguousarray(values))])
+
+
+def _values(column: pa.ChunkedArray) -> Float:
+    """The values of a column of doubles, NULLs as whatever stands there."""
+    parts = [np.frombuffer(c.buffers()[1], np.float64, len(c), 8 * c.offset) for c in column.chunks]
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])
 
 
 def _field_metadata(channel: Channel) -> dict[str, str]:

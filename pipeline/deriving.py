@@ -24,7 +24,6 @@ from pipeline.store.inputs import Included, fetch
 from pipeline.store.journal import Freshness
 from pipeline.store.manifest import published
 
-_PLURAL = {DIAGNOSIS: "diagnoses"}
 _ByRig = dict[str | None, list[Included]]
 
 
@@ -45,13 +44,11 @@ class _Item:
 def derive(context: Context, recordings: Sequence[Included]) -> frozenset[str]:
     """Makes what is not fresh; returns all items that there have to be."""
     calibrations = _calibrations(recordings)
-    specimens = _specimens(recordings, calibrations)
-    _make(context, specimens)
-    diagnoses = _diagnoses(recordings, calibrations)
-    _make(context, diagnoses)
-    groups = _groups(recordings)
-    _make(context, groups)
-    return frozenset(item.item_id for item in specimens + diagnoses + groups)
+    specimens, diagnoses = _specimens(recordings, calibrations), _diagnoses(recordings, calibrations)
+    # None needs another's result. The longest first, so that no worker is left alone with one at the end.
+    items = [*sorted(diagnoses, key=lambda item: -len(item.recordings)), *_groups(recordings), *specimens]
+    _make(context, items)
+    return frozenset(item.item_id for item in items)
 
 
 def _specimens(recordings: Sequence[Included], calibrations: _ByRig) -> list[_Item]:
@@ -103,12 +100,7 @@ def _groups(recordings: Sequence[Included]) -> list[_Item]:
 
 
 def _make(context: Context, items: Sequence[_Item]) -> None:
-    if not items:
-        return
-    stage = items[0].stage
-    only, but = (DIAGNOSIS_KIND, "") if stage == DIAGNOSIS else ("", DIAGNOSIS_KIND)
-    code, settings = context.version(stage)
-    expected = {item.item_id: Freshness(item.input_hash, code, settings) for item in items}
+    expected = {item.item_id: Freshness(item.input_hash, *context.version(item.stage)) for item in items}
     stale = [item for item in items if not context.is_fresh(item.item_id, expected[item.item_id])]
     if not stale:
         return
@@ -116,17 +108,18 @@ def _make(context: Context, items: Sequence[_Item]) -> None:
 
         def tasks() -> Iterator[DerivedTask]:
             for item in stale:
+                only, but = (DIAGNOSIS_KIND, "") if item.stage == DIAGNOSIS else ("", DIAGNOSIS_KIND)
                 yield DerivedTask(
                     item.item_id,
-                    stage,
+                    item.stage,
                     expected[item.item_id],
                     fetch(item.recordings, reader, only=only, but=but),
                     context.lab.journal,
                     fetch(item.calibrations, reader, only=only, but=but),
-                    context.settings.of_stage(stage),
+                    context.settings.of_stage(item.stage),
                 )
 
-        for task, result in context.run(tasks(), len(stale), _PLURAL.get(stage, f"{stage}s")):
+        for task, result in context.run(tasks(), len(stale), "analyses"):
             if isinstance(result, Casualty):
                 limits = replace(task.freshness, settings_hash=context.limits_hash)
                 result = derived_casualty(replace(task, freshness=limits), result.reason)

@@ -44,6 +44,21 @@ class SerialExecutor(Executor):
         return future
 
 
+def prepared(preload: Sequence[str]) -> Any:
+    """The context that workers start from. Where workers are forked from a server of their own, it begins to import the modules of
+    `preload`, while whoever called goes on."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    from multiprocessing.forkserver import ensure_running
+
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(preload))
+    ensure_running()
+    return context
+
+
 class LocalPool(Executor):
     """Worker processes of this machine. One that dies or is overdue costs its item only and is replaced.
 
@@ -58,11 +73,7 @@ class LocalPool(Executor):
     def __init__(self, jobs: int, *, deadline_s: float, memory_mb: int = 0, preload: Sequence[str] = ()) -> None:
         from pebble import ProcessPool
 
-        method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-        context = multiprocessing.get_context(method)
-        context.set_forkserver_preload(list(preload))
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            os.environ.setdefault(name, "1")
+        context = prepared(preload)
         self._deadline_s = deadline_s
         self._pool = ProcessPool(max_workers=jobs, initializer=_start_worker, initargs=(memory_mb,), context=context)
 

@@ -69,8 +69,12 @@ class Lab:
 
     @property
     def staging(self) -> Path:
-        """Samples of recordings that are not yet accepted, one folder per content."""
+        """Samples of recordings that are not yet accepted."""
         return self.work / "samples"
+
+    def staged(self, sha256: str) -> Path:
+        """Samples of a content that is not yet accepted."""
+        return self.staging / f"{sha256}.parquet"
 
     @property
     def remote(self) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +46,15 @@ class Context:
     earlier: dict[str, Outcome] = field(default_factory=dict)
     done: dict[str, Outcome] = field(default_factory=dict)
     _rig_hashes: dict[tuple[str | None, Path, Path], str] = field(default_factory=dict)
+    _versions: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def version(self, stage: str) -> tuple[str, str]:
         """Code version and settings hash of a stage."""
-        return code_version(MODULES[stage]), digest(self.settings.of_stage(stage))
+        if stage not in self._versions:
+            self._versions[stage] = code_version(MODULES[stage]), digest(self.settings.of_stage(stage))
+        return self._versions[stage]
 
-    @property
+    @cached_property
     def limits_hash(self) -> str:
         """Stands for the settings in what a casualty was made from: with other limits it is tried again."""
         return digest([self.settings.deadline_s, self.settings.memory_mb])

@@ -301,11 +301,11 @@ def _place_samples(context: Context, night: Night) -> None:
         relative = None if outcome is None else outcome.facts.get("samples_path")
         if relative is None:
             continue
-        staged, place = context.lab.staging / sha256 / relative, context.lab.folder / relative
+        waiting, place = context.lab.staged(sha256), context.lab.folder / relative
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            if staged.exists():
-                staged.replace(place)
+            if waiting.exists():
+                waiting.replace(place)
                 folders.add(place.parent)
         except OSError as error:
             raise unwritable(place.parent, error) from error

@@ -46,9 +46,11 @@ def adopt_journal(context: Context) -> None:
         if path.name not in whole:
             path.unlink()
     if staging.is_dir():
-        for folder in staging.iterdir():
-            if item_id(RECORDING, folder.name) not in context.earlier:
-                shutil.rmtree(folder, ignore_errors=True)
+        for path in staging.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif item_id(RECORDING, path.stem) not in context.earlier:
+                path.unlink()
 
 
 def read(context: Context, found: Found) -> Read:
@@ -124,7 +126,8 @@ def _read_contents(context: Context, stale: Sequence[Content]) -> frozenset[str]
             source=(content.primary or content.looks[0]).source,
             sha256=content.sha256,
             rigs=context.rigs,
-            staging=context.lab.staging / content.sha256,
+            lab=context.lab.folder,
+            staged=context.lab.staged(content.sha256),
             journal=context.lab.journal,
             code_version=code,
             settings_hash=settings,

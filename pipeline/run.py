@@ -21,7 +21,7 @@ from types import FrameType
 
 from pipeline.annotations import excluded, read_annotations
 from pipeline.deriving import derive
-from pipeline.execute import LocalPool, SerialExecutor
+from pipeline.execute import LocalPool, SerialExecutor, prepared
 from pipeline.lab import Lab
 from pipeline.lock import exclusive
 from pipeline.looking import look
@@ -84,6 +84,9 @@ class Summary:
         return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {self.seconds:.1f} s."
 
 
+_PRELOAD = tuple(MODULES.values())
+
+
 def nightly(
     raw: Sequence[str | os.PathLike[str]],
     lab: Lab,
@@ -117,6 +120,8 @@ def nightly(
         context = Context(lab, settings, load_manifest(lab), rigs, workers, open_executor, track)
         annotations = read_annotations(lab)
         found = look(raw, lab, context.manifest.files)
+        if found.seen and jobs and cluster is None:
+            prepared(_PRELOAD)  # there will be work, most likely: its modules load while it is planned
         adopt_journal(context)
         read_now = read(context, found)
         out = excluded(annotations)
@@ -137,7 +142,7 @@ def nightly(
             annotations=annotations,
         )
         publish_night(context, night)
-        problem = _report(lab)
+        problem = _report(lab, None if cluster else open_executor, workers)
         discard_work(context)
         return _summary(context, night, time.monotonic() - clock, problem)
 
@@ -162,12 +167,12 @@ def _summary(context: Context, night: Night, seconds: float, problem: str | None
     )
 
 
-def _report(lab: Lab) -> str | None:
+def _report(lab: Lab, open_executor: Callable[[int], Executor] | None, jobs: int) -> str | None:
     """Writes the pages; a page that fails is told, but the database is published all the same."""
     from reports.build import build_reports
 
     try:
-        build_reports(lab.folder)
+        build_reports(lab.folder, workers=open_executor and (lambda: open_executor(jobs)), jobs=jobs)
     except DealabError as error:
         return str(error)
     except Exception as error:
@@ -186,9 +191,7 @@ def _executors(settings: Settings, jobs: int, cluster: str | None) -> tuple[Call
     def local(count: int) -> Executor:
         if count == 0 or jobs == 0:
             return SerialExecutor()
-        return LocalPool(
-            count, deadline_s=settings.deadline_s, memory_mb=settings.memory_mb, preload=tuple(MODULES.values())
-        )
+        return LocalPool(count, deadline_s=settings.deadline_s, memory_mb=settings.memory_mb, preload=_PRELOAD)
 
     return local, jobs
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,11 @@ from reports.render import html
 from reports.results import Digests, Query, Results
 from reports.site import CONTROL, INDEX, Site
 from schemas.errors import LabError
+
+_PAGES_AT_ONCE = 200
+"""Pages that a worker makes for one task, at most."""
+_FEWEST = 50
+"""Pages below which workers are not worth their start."""
 
 
 @dataclass(frozen=True)
@@ -42,33 +48,68 @@ class _Plan:
     make: Callable[[], Page]
 
 
-def build_reports(lab: Path, *, force: bool = False) -> ReportResult:
-    """Writes LAB/reports; `force` makes every page anew. Raises `LabError` without a readable database or folder."""
+def build_reports(
+    lab: Path, *, force: bool = False, workers: Callable[[], Executor] | None = None, jobs: int = 1
+) -> ReportResult:
+    """Writes LAB/reports; `force` makes every page anew. Raises `LabError` without a readable database or folder.
+
+    `workers` opens an executor with `jobs` workers, which many pages are shared among.
+    """
     start = time.perf_counter()
     folder = lab / "reports"
-    written = 0
     with Results(lab) as results:
         site = Site(results)
         plans = list(_plans(site, results.digests()))
         before = {} if force else manifest.read(folder)
+        there = manifest.present(folder)
         after: dict[str, Entry] = {}
+        stale = []
+        for plan in plans:
+            known = before.get(plan.path)
+            if known is not None and known.digest == plan.digest and there.issuperset((plan.path, *known.files)):
+                after[plan.path] = known
+            else:
+                stale.append(plan)
         try:
-            for plan in plans:
-                known = before.get(plan.path)
-                if known is not None and known.digest == plan.digest and _complete(folder, plan.path, known):
-                    after[plan.path] = known
-                    continue
-                after[plan.path] = _write(folder, plan)
-                written += 1
-            manifest.remove_stale(folder, {*after, *(f for e in after.values() for f in e.files)})
+            if workers is None or jobs < 2 or len(stale) < _FEWEST:
+                after.update((plan.path, _write(folder, plan)) for plan in stale)
+            else:
+                after.update(_shared(lab, stale, workers, jobs))
+            manifest.remove_stale(folder, there, {*after, *(f for e in after.values() for f in e.files)})
             manifest.write(folder, after)
         except OSError as error:
             raise LabError(f"the report cannot be written: {error}", where=str(folder)) from error
-    return ReportResult(written, len(plans) - written, folder / INDEX, time.perf_counter() - start)
+    return ReportResult(len(stale), len(plans) - len(stale), folder / INDEX, time.perf_counter() - start)
 
 
-def _complete(folder: Path, path: str, entry: Entry) -> bool:
-    return all((folder / f).is_file() for f in (path, *entry.files))
+def _shared(
+    lab: Path, stale: Sequence[_Plan], workers: Callable[[], Executor], jobs: int
+) -> Iterable[tuple[str, Entry]]:
+    """Pages written by workers. Which they are is told by their addresses: a page itself holds on to the database."""
+    first, *others = stale
+    made = [(first.path, _write(lab / "reports", first))]
+    parts = max(2 * jobs, -(-len(others) // _PAGES_AT_ONCE))
+    state = (lab / "results.duckdb").stat()
+    with workers() as executor:
+        tasks = [
+            executor.submit(write_pages, lab, (state.st_ino, state.st_mtime_ns), [p.path for p in others[part::parts]])
+            for part in range(parts)
+        ]
+        for task in tasks:
+            made += task.result()
+    return made
+
+
+def write_pages(lab: Path, state: tuple[int, int], addresses: Sequence[str]) -> list[tuple[str, Entry]]:
+    """Writes some pages of a lab whose database is in this `state`; a worker that is asked again knows the site already."""
+    plans = _known_plans(lab, state)
+    return [(address, _write(lab / "reports", plans[address])) for address in addresses]
+
+
+@functools.lru_cache(maxsize=1)
+def _known_plans(lab: Path, state: tuple[int, int]) -> dict[str, _Plan]:
+    results = Results(lab)
+    return {plan.path: plan for plan in _plans(Site(results), results.digests())}
 
 
 def _write(folder: Path, plan: _Plan) -> Entry:

@@ -7,6 +7,7 @@ import hashlib
 import importlib.metadata
 import json
 import os
+import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,8 @@ from pathlib import Path
 import schemas
 
 NAME = ".manifest.json"
+_OURS = re.compile(r"(?:[^/]+/)?[^/]+\.html|data/(?:[^/]+/)?[^/]+\.csv|(?:.*/)?\.writing-[^/]*")
+"""What reports write: nothing else in their folder is ever removed."""
 _SOURCES = (Path(__file__).parent, Path(schemas.__file__).parent)
 
 
@@ -66,12 +69,18 @@ def write_text(path: Path, text: str) -> None:
         raise
 
 
-def remove_stale(folder: Path, kept: set[str]) -> int:
-    """Removes pages and data files of earlier reports that no page has any more; gives their number."""
-    removed = 0
-    for pattern in ("*.html", "*/*.html", "data/*.csv", "data/*/*.csv", ".writing-*", "**/.writing-*"):
-        for path in folder.glob(pattern):
-            if path.is_file() and path.relative_to(folder).as_posix() not in kept:
-                path.unlink()
-                removed += 1
-    return removed
+def present(folder: Path) -> set[str]:
+    """All files below the reports' folder, relative to it: looked at once, not file by file."""
+    found: set[str] = set()
+    for place, _, names in os.walk(folder):
+        below = Path(place).relative_to(folder).as_posix()
+        found.update(names if below == "." else (f"{below}/{name}" for name in names))
+    return found
+
+
+def remove_stale(folder: Path, there: set[str], kept: set[str]) -> int:
+    """Removes pages and data files of earlier reports (`there`) that no page has any more; gives their number."""
+    stale = [file for file in there - kept if _OURS.fullmatch(file)]
+    for file in stale:
+        (folder / file).unlink(missing_ok=True)
+    return len(stale)

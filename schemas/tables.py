@@ -826,7 +826,10 @@ _ALL: tuple[Table, ...] = (
             Column("mechanisms", LIST, "", "all that are named together"),
             Column("also_possible", LIST, "", "alternatives that cannot be told apart from the strongest"),
             _r("p_value", "", "of any discrepancy, calibrated under the null"),
-            _t("severity", "JSON: mechanism, parameter, {value, sd}"),
+            _t(
+                "severity",
+                "JSON: mechanism, parameter, {value, sd, lower, upper}: standard deviation and 90 % interval",
+            ),
             Column("supported_by", LIST, "", "protocols that show it"),
             _r(
                 "held_out_error_before", "SD of the noise", "root mean square error of the plain model on held-out data"

@@ -262,7 +262,7 @@ def _strongest_first(final: ExtendedFit) -> ExtendedFit:
     loss = [without(final, i).chi2 for i in range(len(final.of.chosen))]
     order = np.argsort(-np.array(loss), kind="stable")
     of = replace(final.of, chosen=tuple(final.of.chosen[i] for i in order))
-    return of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3)
+    return finished(of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3))
 
 
 def _alternatives(plain: ExtendedFit, final: ExtendedFit, singles: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:

@@ -39,6 +39,7 @@ from pipeline.fit.model import RelaxationModel
 
 Float = NDArray[np.float64]
 
+_SMALL, _NORMAL_90 = 1e-3, 1.645
 _LEFT = 1e-3
 """Probability below which a pattern that stays is mentioned."""
 _GAIN_WITH_PATTERN = 0.4
@@ -56,7 +57,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     outcome = decide(session, simulation, fitted)
     context = context_of(session, simulation, outcome.untempered)
     final = outcome.final
-    smallest = smallest_parameters(outcome.untempered, outcome.looked, outcome.threshold)
+    smallest = smallest_parameters(outcome.looked, outcome.threshold)
     gain = None if final is None else held_out(outcome.plain, final)
     verdict = _checked(outcome, gain)
     named = () if final is None else tuple(c.id for c in final.of.chosen)
@@ -69,7 +70,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         p_value=outcome.p_value,
         supported_by=() if final is None else supported_by(outcome.plain, final),
         held_out=gain,
-        extension=None if final is None else _extension(outcome, final, context),
+        extension=None if final is None else _extension(outcome, final, context, gain),
         candidates=_candidates(outcome, context, gain),
         discrepancies=discrepancies(outcome.untempered),
         next_recording=next_recording(final, outcome.alternatives) if verdict == AMBIGUOUS and final else None,
@@ -127,11 +128,12 @@ def _checked(outcome: Outcome, gain: HeldOut | None) -> str:
     return UNKNOWN if gain.upper <= (_GAIN_WITH_PATTERN if left else 0.0) else outcome.verdict
 
 
-def _extension(outcome: Outcome, final: ExtendedFit, context: Context) -> Extension:
+def _extension(outcome: Outcome, final: ExtendedFit, context: Context, gain: HeldOut | None) -> Extension:
     model, plain = final.of.model, outcome.untempered
+    spread = final.spread(None if gain is None else gain.entries)
     raw = final.of.data_residual(final.x)
     return Extension(
-        severities={c.id: _estimates(final, i, context) for i, c in enumerate(final.of.chosen)},
+        severities={c.id: _estimates(final, i, spread, context) for i, c in enumerate(final.of.chosen)},
         variants={c.id: c.variant for c in final.of.chosen},
         film=model.physical(final.theta).film,
         film_sd=_film_sd(final),
@@ -154,18 +156,32 @@ def _film_sd(fit: ExtendedFit) -> tuple[float, ...]:
     return tuple(float(v) for v in own)
 
 
-def _estimates(fit: ExtendedFit, number: int, context: Context) -> dict[str, Estimate]:
-    """Severity by the contract's keys; standard deviations by the delta method through the report."""
-    chosen, values = fit.of.chosen[number], fit.values[number]
-    spread = fit.sd()[number]
-    base = _numbers(chosen.mechanism.reported(values, chosen.variant, context))
-    variance = dict.fromkeys(base, 0.0)
-    for name, sd in spread.items():
-        step = 1e-4 * max(abs(values[name]), 1e-9)
-        moved = _numbers(chosen.mechanism.reported({**values, name: values[name] + step}, chosen.variant, context))
-        for key in base:
-            variance[key] += ((moved.get(key, base[key]) - base[key]) / step * sd) ** 2
-    return {key: Estimate(value, float(np.sqrt(variance[key]))) for key, value in base.items()}
+def _estimates(fit: ExtendedFit, number: int, spread: Float, context: Context) -> dict[str, Estimate]:
+    """Severity by the contract's keys, from standard deviations (Q,) of the entries: by small steps, intervals by whole ones.
+
+    An interval is as lopsided as the parameters are: what is searched in the logarithm is never below 0.
+    """
+    mechanism, variant = fit.of.chosen[number].mechanism, fit.of.chosen[number].variant
+
+    def report(values: Mapping[str, float]) -> dict[str, float]:
+        return _numbers(mechanism.reported(values, variant, context))
+
+    def away(steps: Float) -> dict[str, Float]:
+        """Changes of each key by steps of each parameter."""
+        reports = [report(values) for values in fit.moved(number, steps)]
+        return {key: np.array([other.get(key, value) - value for other in reports]) for key, value in base.items()}
+
+    base = report(fit.values[number])
+    slopes, down, up = away(_SMALL * spread), away(-_NORMAL_90 * spread), away(_NORMAL_90 * spread)
+    return {
+        key: Estimate(
+            value,
+            float(np.linalg.norm(slopes[key])) / _SMALL,
+            value - float(np.linalg.norm(np.minimum(np.minimum(down[key], up[key]), 0.0))),
+            value + float(np.linalg.norm(np.maximum(np.maximum(down[key], up[key]), 0.0))),
+        )
+        for key, value in base.items()
+    }
 
 
 def _numbers(report: Mapping[str, float | str]) -> dict[str, float]:
@@ -182,7 +198,7 @@ def _candidates(outcome: Outcome, context: Context, gain: HeldOut | None) -> tup
     found = []
     for fit, share in zip(outcome.singles, probability, strict=True):
         chosen = fit.of.chosen[0]
-        estimates = _estimates(fit, 0, context)
+        estimates = _estimates(fit, 0, fit.spread(), context)
         key = main_key(chosen.id, estimates)
         ratio = outcome.plain.chi2 - fit.chi2
         alone = outcome.final is not None and len(outcome.final.of.chosen) == 1

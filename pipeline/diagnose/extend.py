@@ -20,7 +20,7 @@ from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parame
 from pipeline.diagnose.plain import bounds, deviations
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.session import Session
-from pipeline.diagnose.solve import Solution, central, minimise
+from pipeline.diagnose.solve import DAMPING, Solution, central, minimise
 
 Float = NDArray[np.float64]
 
@@ -28,6 +28,8 @@ _BEYOND = np.log(20.0)
 """How far a severity is searched beyond its plausible range, which is no limit."""
 _SHAPE_BEYOND = np.log(4.0)
 _LEAST_DENSITY = 1e-12
+_LARGEST_LOG = 600.0
+"""An entry that the data do not hold may be anywhere."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """How a parameter is searched: value = exp(x), or `scale` × x; prior N(mean, sd) in x for shapes."""
+    """How a parameter is searched: value = exp(x), `scale` × x, or exp(`scale` × x) − 1; prior N(mean, sd) in x for shapes."""
 
     owner: int
     parameter: Parameter
@@ -64,9 +66,13 @@ class Coordinate:
         return p.start if p.signed else max(abs(p.low), abs(p.high))
 
     def value(self, x: float) -> float:
-        return float(np.exp(x)) if self.logarithmic else self.scale * float(x)
+        if self.parameter.factor:
+            return float(np.expm1(min(self.scale * x, _LARGEST_LOG)))
+        return float(np.exp(min(x, _LARGEST_LOG))) if self.logarithmic else self.scale * float(x)
 
     def entry(self, value: float) -> float:
+        if self.parameter.factor:
+            return float(np.log1p(value)) / self.scale
         return float(np.log(max(value, 1e-300))) if self.logarithmic else value / self.scale
 
     @property
@@ -82,8 +88,8 @@ class Coordinate:
             least = np.log(p.least) if p.least > 0 else -np.inf
             return max(low, least), min(high, np.log(p.most))
         if p.signed:
-            far = float(np.exp(_BEYOND)) * p.high / self.scale
-            return max(-far, p.least / self.scale if p.least else -far), min(far, p.most / self.scale)
+            far = float(np.exp(_BEYOND)) * p.high
+            return self.entry(max(-far, p.least if p.least else -far)), self.entry(min(far, p.most))
         room = 0.5 * (p.high - p.low)
         return max(p.low - room, p.least) / self.scale, min(p.high + room, p.most) / self.scale
 
@@ -102,8 +108,8 @@ class Coordinate:
         width = np.log(p.high / p.low)
         if self.logarithmic:
             return float(-np.log(width))
-        size = max(abs(self.value(x)), p.low)
-        return float(-np.log(2 * width) - np.log(max(size / self.scale, _LEAST_DENSITY)))
+        size = max(abs(float(x)), p.low / self.scale)
+        return float(-np.log(2 * width) - np.log(max(size, _LEAST_DENSITY)))
 
 
 @dataclass(frozen=True)
@@ -173,6 +179,7 @@ class Extended:
         near: ExtendedFit | None = None,
         jacobian: Float | None = None,
         thorough: bool = True,
+        damping: float = DAMPING,
     ) -> ExtendedFit:
         """The optimum from `start`. `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian."""
         low, high = self.limits
@@ -181,7 +188,15 @@ class Extended:
             jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), start.size))
             jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
         found = minimise(
-            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
+            self.residual,
+            start,
+            low,
+            high,
+            most=most,
+            jacobian=jacobian,
+            moving=self.model.size,
+            thorough=thorough,
+            damping=damping,
         )
         return ExtendedFit(self, found)
 
@@ -244,15 +259,24 @@ class ExtendedFit:
         change = of.weight * of.session.whiten(of.predict(self.x) - alone)
         return np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in of.session.places])
 
-    def sd(self) -> tuple[dict[str, float], ...]:
-        """Standard deviations of the parameters of each mechanism, by the delta method."""
-        found: list[dict[str, float]] = [{} for _ in self.of.chosen]
-        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[self.of.model.size :]
-        own = self.x[self.of.model.size :]
-        for c, x, s in zip(self.of.coordinates, own, spread, strict=True):
-            factor = 0.0 if c.fixed else c.value(x) if c.logarithmic else c.scale
-            found[c.owner][c.parameter.name] = float(s * abs(factor))
-        return tuple(found)
+    def spread(self, without_parts: Float | None = None) -> Float:
+        """(Q,) standard deviations of the mechanisms' entries.
+
+        without_parts : (G, Q) the entries fitted without each of G parts of the data. Where these differ by more than noise
+        explains, the form is not quite right, and their delete-a-group jackknife counts.
+        """
+        variance = np.maximum(np.diag(self.covariance), 0.0)[self.of.model.size :]
+        if without_parts is not None and len(without_parts) > 1:
+            variance = np.maximum(variance, (len(without_parts) - 1) * np.var(without_parts, axis=0))
+        return np.asarray(np.sqrt(variance))
+
+    def moved(self, number: int, changes: Float) -> list[dict[str, float]]:
+        """Parameters of mechanism `number`, those that are searched changed one by one by these changes (Q,) of the entries."""
+        values, own, found = self.values[number], self.x[self.of.model.size :], []
+        for c, x, change in zip(self.of.coordinates, own, changes, strict=True):
+            if c.owner == number and not c.fixed:
+                found.append({**values, c.parameter.name: c.value(x + change)})
+        return found
 
     @cached_property
     def log_evidence(self) -> float:

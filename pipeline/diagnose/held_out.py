@@ -56,6 +56,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
     found: list[tuple[int, float, float, int]] = []
     named: dict[str, tuple[float, float]] = {}
     predicted: list[Predicted] = []
+    entries: list[Float] = []
     for part in parts:
         left = set(part.blocks)
         keep = [i not in left for i in range(len(session.places))]
@@ -72,6 +73,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
             again = of.fit(fit.x, most=_MOST, jacobian=fit.solution.jacobian[rows], thorough=False)
             values.append(fit.of.predict(again.x))
             errors.append(session.whiten(session.value - values[-1]))
+        entries.append(again.x[again.of.model.size :])  # of the extended model, the last
         own = []
         for i in part.blocks:
             place = session.places[i]
@@ -103,6 +105,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
         size=int(pooled[2]),
         parts=named,
         predicted=tuple(predicted),
+        entries=np.array(entries),
     )
 
 

@@ -8,32 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from pipeline.diagnose.extend import Chosen, ExtendedFit, effect_of_all
+from pipeline.diagnose.extend import Chosen
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
-from pipeline.diagnose.screen import Signatures, absorbed_by
+from pipeline.diagnose.screen import Signatures
 
 Float = NDArray[np.float64]
+Shape = tuple[float, ...]
 
 POWER = 0.8
 _SHAPES = 0.8
 """Share of the plausible shapes in which the severity has to be detectable."""
 _BEYOND = 2.0
 """How far beyond the plausible range a severity may be to be given."""
-_SMALL = 0.01
 _STEEPEST = 6.0
 
 
-def smallest_parameters(
-    fit: ExtendedFit, looked: Signatures, threshold: float
-) -> dict[str, tuple[str, dict[str, float]]]:
+def smallest_parameters(looked: Signatures, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
     """Mechanism → form and parameters at which its signature reaches the threshold Λ with 80 % probability.
 
-    `looked` are the signatures about `fit`: their points are the shapes that count, in four of five of which this severity or
-    more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can be seen
-    counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
+    `looked` are the signatures about the plain model: their points are the shapes that count, in four of five of which this
+    severity or more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can
+    be seen counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
     """
     wanted = float(np.sqrt(threshold) + norm.ppf(POWER))
-    absorb, base = absorbed_by(fit), fit.of.predict(fit.x)
     by_form: dict[Chosen, list[int]] = {}
     for i, c in enumerate(looked.chosen):
         by_form.setdefault(c, []).append(i)
@@ -41,10 +38,7 @@ def smallest_parameters(
     for id, mechanism in MECHANISMS.items():
         for chosen in (Chosen(id, variant) for variant in mechanism.variants):
             points = by_form.get(chosen, [])
-            if mechanism.onset:
-                needed = _by_grid(mechanism, looked, points, wanted)
-            else:
-                needed = _by_slope(fit, chosen, [looked.values[i] for i in points], base, absorb, wanted)
+            needed = (_by_grid if mechanism.onset else _by_slope)(mechanism, looked, points, wanted)
             values = _of_most_shapes(mechanism, needed)
             if values is not None:
                 found[id] = chosen.variant, values
@@ -64,9 +58,6 @@ def reported(found: Mapping[str, tuple[str, Mapping[str, float]]], context: Cont
     return result
 
 
-Shape = tuple[float, ...]
-
-
 def _shape(mechanism: Mechanism, values: Mapping[str, float]) -> Shape:
     return tuple(values[p.name] for p in mechanism.shapes)
 
@@ -84,36 +75,15 @@ def _of_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict
     return {main.name: at, **others, **dict(zip((p.name for p in mechanism.shapes), shape, strict=True))}
 
 
-def _by_slope(
-    fit: ExtendedFit, chosen: Chosen, points: list[Mapping[str, float]], base: Float, absorb: Float, wanted: float
-) -> dict[Shape, float]:
+def _by_slope(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
     """In proportion to a small severity: far from zero the model could absorb more than its derivatives say."""
-    mechanism = chosen.mechanism
     main = mechanism.severities[0]
-    small = _SMALL * main.low
-    still = {p.name: 0.0 for p in mechanism.severities}
     needed: dict[Shape, float] = {}
-    for values in points:
-        shape = _shape(mechanism, values)
-        if shape not in needed:
-            both = [{**values, **still, main.name: sign * small} for sign in ((1.0, -1.0) if main.signed else (1.0,))]
-            needed[shape] = wanted * small / max(_length(fit, chosen, both, base, absorb), 1e-300)
+    for i in points:
+        severity = abs(looked.values[i][main.name])
+        if looked.weak[i] and severity > 0:
+            needed[_shape(mechanism, looked.values[i])] = wanted * severity / float(looked.length[i])
     return needed
-
-
-def _length(fit: ExtendedFit, chosen: Chosen, values: list[dict[str, float]], base: Float, absorb: Float) -> float:
-    """Length of the signature at these parameters; of half the difference, where two opposite ones are given."""
-    of = fit.of
-    moved = [
-        of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, chosen), (*fit.values, own)))
-        for own in values
-    ]
-    change = moved[0] - base if len(moved) == 1 else (moved[0] - moved[1]) / 2
-    seen = of.weight * of.session.whiten(change)
-    if not np.isfinite(seen).all():
-        return 0.0
-    whole = np.concatenate([seen, np.zeros(absorb.shape[0] - seen.size)])
-    return float(np.linalg.norm(whole - absorb @ (absorb.T @ whole)))
 
 
 def _by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:

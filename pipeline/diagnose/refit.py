@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import Chosen, ExtendedFit
 from pipeline.diagnose.screen import Score, Signatures
+from pipeline.diagnose.solve import LEAST_DAMPING
 
 Float = NDArray[np.float64]
 
@@ -33,6 +34,7 @@ _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 _FORMS = 2
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
+_CONFIRMATIONS, _SETTLED = 3, 0.1
 
 
 def proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
@@ -86,8 +88,20 @@ def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -
 
 
 def finished(fit: ExtendedFit) -> ExtendedFit:
-    """The same optimum, confirmed."""
-    return fit.of.fit(fit.x, most=_THOROUGHLY)
+    """The same optimum, confirmed.
+
+    With central differences and next to no damping: entries that can change places (a mass and its error) are parted by priors
+    that are 10⁸ times weaker than the data. Forward differences see a slope there that is none, and damping stays with it.
+    """
+    found = fit.of.refined(fit.of.fit(fit.x, most=_THOROUGHLY))
+    for _ in range(_CONFIRMATIONS):
+        again = fit.of.fit(
+            found.x, most=_ROUGHLY, jacobian=found.solution.jacobian, thorough=False, damping=LEAST_DAMPING
+        )
+        if again.chi2 > found.chi2 - _SETTLED:
+            break
+        found = fit.of.refined(again)
+    return found
 
 
 def without(fit: ExtendedFit, number: int) -> ExtendedFit:
@@ -95,7 +109,7 @@ def without(fit: ExtendedFit, number: int) -> ExtendedFit:
     chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
     values = tuple(v for i, v in enumerate(fit.values) if i != number)
     of = replace(fit.of, chosen=chosen)
-    return of.fit(of.entries(fit.theta, values), most=_THOROUGHLY)
+    return finished(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
 
 
 def _scaled(chosen: Chosen, values: Mapping[str, float], share: float) -> dict[str, float]:

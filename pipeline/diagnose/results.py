@@ -32,10 +32,12 @@ class Discrepancy:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A severity with its standard deviation, in the unit of its key."""
+    """A severity with its standard deviation and its 90 % interval, in the unit of its key."""
 
     value: float
     sd: float
+    lower: float = float("nan")
+    upper: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class HeldOut:
     gain : share of the removable error that the extension removes, `lower` to `upper` its 95 % interval; NaN where the plain
         model's held-out error is within the noise
     size : number of features that were predicted; parts : part left out → (before, after); predicted : block by block
+    entries : (parts, Q) the mechanisms' entries in the extended model fitted without each part
     """
 
     before: float
@@ -93,6 +96,7 @@ class HeldOut:
     size: int
     parts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     predicted: tuple[Predicted, ...] = ()
+    entries: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)

@@ -111,21 +111,34 @@ class Secants:
 
 
 def secants(fit: ExtendedFit) -> Secants:
-    """Changes about a fitted model, of every visible mechanism that is not in it. The one costly step of a screen."""
+    """Changes about a fitted model, of every visible mechanism that is not in it. The one costly step of a screen.
+
+    Weak effects of either sign have central differences: what a small step leaves of the curvature is more than some causes show.
+    """
     of = fit.of
     base = of.predict(fit.x)
+
+    def change(c: Chosen, values: Mapping[str, float], part: float) -> Float:
+        own = _times(c.mechanism, values, part)
+        moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, own)))
+        return np.asarray((moved - base) / part)
+
     rows, chosen, values, weak = [], [], [], []
+    opposite: dict[tuple[Chosen, tuple[float, ...]], Float] = {}
     for c, own, part in grid(of, {c.id for c in of.chosen}):
-        names = {p.name for p in c.mechanism.severities}
-        near = own if part == 1 else {name: part * v if name in names else v for name, v in own.items()}
-        moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, near)))
-        if np.isfinite(moved).all():
-            rows.append((moved - base) / part)
+        row = opposite.get((c, tuple(own.values())))
+        if row is None:
+            row = change(c, own, part)
+            if part < 1 and _either_sign(c.mechanism, own):
+                row = (row + change(c, own, -part)) / 2
+                opposite[c, tuple(_times(c.mechanism, own, -1.0).values())] = -row
+        if np.isfinite(row).all():
+            rows.append(row)
             chosen.append(c)
             values.append(own)
             weak.append(part < 1)
-    change = of.session.whiten(np.array(rows).T) if rows else np.zeros((of.session.size, 0))
-    return Secants(tuple(chosen), tuple(values), change, np.array(weak, dtype=bool))
+    changes = of.session.whiten(np.array(rows).T) if rows else np.zeros((of.session.size, 0))
+    return Secants(tuple(chosen), tuple(values), changes, np.array(weak, dtype=bool))
 
 
 def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
@@ -180,6 +193,17 @@ def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float
                 for combination in itertools.product(*shapes):
                     own = dict(zip((p.name for p in mechanism.shapes), combination, strict=True))
                     yield Chosen(id, variant), severity | own, part
+
+
+def _times(mechanism: Mechanism, values: Mapping[str, float], part: float) -> dict[str, float]:
+    """Parameters with the severities times a part."""
+    names = {p.name for p in mechanism.severities}
+    return {name: part * value if name in names else value for name, value in values.items()}
+
+
+def _either_sign(mechanism: Mechanism, values: Mapping[str, float]) -> bool:
+    """Whether the severities that are not 0 may be of either sign."""
+    return all(p.signed for p in mechanism.severities if values[p.name] != 0)
 
 
 def _places(p: Parameter, shares: tuple[float, ...]) -> list[float]:

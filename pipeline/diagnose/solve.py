@@ -20,6 +20,7 @@ _RIDGE = 1e-10
 _STILL, _HOPELESS = 1e-7, 1e7
 _KEPT = (0.4, 1.6)
 """Fall over promised fall within which old columns are good enough."""
+DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 _MOST_STEP = 1.5
 """Longest step of one entry: entries are logarithms or scaled to their range."""
 
@@ -57,11 +58,13 @@ def minimise(
     jacobian: Float | None = None,
     moving: int = 0,
     thorough: bool = True,
+    damping: float = DAMPING,
 ) -> Solution:
     """Least sum of squares of `residual` (M,) from `start` (P,) within `low` … `high`; entries with equal bounds stay.
 
     jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed at every step, the others when steps
         fall short of what they promise. `thorough`: the end is confirmed with a Jacobian of its own.
+    damping : to begin with, relative to what the data say of each entry alone
     Never fails: a search that does not converge says so.
     """
     x = np.clip(start, low, high)
@@ -74,7 +77,7 @@ def minimise(
         own, fresh = _renewed(residual, np.zeros((r.size, x.size)), x, r, high, everything), True
     else:
         own, fresh = _renewed(residual, jacobian.copy(), x, r, high, recent), False
-    damping, converged = 1e-3, False
+    converged = False
     for _ in range(most):
         gradient = own.T @ r
         free = everything[~_held(x, gradient, low, high)[everything]]
@@ -89,7 +92,7 @@ def minimise(
         if np.isfinite(value) and value < chi2:
             fall = chi2 - value
             x, r, chi2 = trial, new, value
-            damping = max(damping / 5, 1e-9)
+            damping = max(damping / 5, LEAST_DAMPING)
             if fall < _ENOUGH and (fresh or not thorough):
                 converged = True
                 break

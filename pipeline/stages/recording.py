@@ -133,7 +133,7 @@ def _processed(task: RecordingTask, progress: _Progress) -> tuple[dict[str, Any]
         rig_file=None if rig is None else rig.values,
         source=Source(source_text(source), task.sha256, source.size),
     )
-    samples = _written(recording, task.staging)
+    samples = _written(recording, task)
     analysis = analyse_recording(recording)
     analysis.add({"previews": _previews(recording)})
     return _with_notes(recording_row(recording), analysis), analysis, samples
@@ -147,11 +147,11 @@ def _with_notes(row: dict[str, Any], analysis: Analysis) -> dict[str, Any]:
     return {**row, "notes": notes, "problem": problem}
 
 
-def _written(recording: Recording, staging: Path) -> str:
+def _written(recording: Recording, task: RecordingTask) -> str:
     try:
-        return write_samples(recording, staging)
+        return write_samples(recording, task.lab, staged=task.staged)
     except OSError as error:
-        raise unwritable(staging, error) from error
+        raise unwritable(task.staged.parent, error) from error
 
 
 def _keep(journal: Path, outcome: Outcome, analysis: Analysis, recording_id: str | None) -> None:

@@ -123,7 +123,8 @@ class RecordingTask:
     source : the file, its mapping, and its size and time when it was hashed
     sha256 : of its content
     rigs : folder of rig files, None to look beside the recordings
-    staging : folder that gets the samples, under the path they will have in the lab
+    lab : the lab's folder
+    staged : file that gets the samples, until the recording is accepted
     journal : folder that gets the results
     code_version, settings_hash : of the stage, as the night began
     """
@@ -131,7 +132,8 @@ class RecordingTask:
     source: SourceFile
     sha256: str
     rigs: Path | None
-    staging: Path
+    lab: Path
+    staged: Path
     journal: Path
     code_version: str
     settings_hash: str

@@ -55,8 +55,8 @@ def fetch(
         if recording.entry is None:
             row, results = about[name], carried.get(name, [])
         else:
-            tables = read_tables(recording.entry)
-            (row,) = tables["recordings"].to_pylist()
+            tables = read_tables(recording.entry, ("recordings", "carried"))
+            (row,) = tables["recordings"].select(["kind", "metadata", "status", "problem"]).to_pylist()
             results = _rows(tables.get("carried"), only, but)
         damage = (row["problem"] or "damaged") if row["status"] == "damaged" else ""
         inputs.append(RecordingInput(name, row["kind"], row["metadata"], tuple(results), damage))

@@ -1,16 +1,15 @@
 """Results that are finished and not yet published, one file per item, so that a killed night loses none of them.
 
-A file holds a header (what was done and how it ended, JSON) and the item's rows of each table (Arrow streams). It is
-written under a temporary name and renamed; its checksum tells a file that the machine lost half of.
+A file holds a header (what was done and how it ended, and the size of each table; JSON) and the item's rows of each table (Arrow
+streams). It is written under a temporary name and renamed; its checksum tells a file that the machine lost half of.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from schemas.errors import LabError
 
 OK, DAMAGED, QUARANTINED, PENDING, FAILED = "ok", "damaged", "quarantined", "pending", "failed"
 USABLE = (OK, DAMAGED)
-_MAGIC = b"dealab-journal-1\n"
+_MAGIC = b"dealab-journal-2\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +72,10 @@ def entry_path(folder: Path, item_id: str) -> Path:
 
 def write_entry(folder: Path, outcome: Outcome, tables: Mapping[str, pa.Table]) -> Path:
     """Keeps an item's outcome and rows; a complete file when this returns. Raises `LabError` for an unwritable lab."""
-    body = io.BytesIO()
-    header = json.dumps(asdict(outcome), ensure_ascii=True).encode("ascii")
-    body.write(len(header).to_bytes(8, "little"))
-    body.write(header)
-    for name, table in sorted(tables.items()):
-        if table.num_rows:
-            schema = table.schema.with_metadata({"table": name})
-            with pa.ipc.new_stream(body, schema) as stream:
-                stream.write_table(table)
-    content = body.getbuffer()
+    streams = {name: _stream(table) for name, table in sorted(tables.items()) if table.num_rows}
+    about = asdict(outcome) | {"tables": {name: stream.size for name, stream in streams.items()}}
+    header = json.dumps(about, ensure_ascii=True).encode("ascii")
+    content = b"".join([len(header).to_bytes(8, "little"), header, *streams.values()])
     path = entry_path(folder, outcome.item_id)
     try:
         with written_whole(path, durable=False) as temporary, temporary.open("wb") as file:
@@ -109,16 +102,18 @@ def read_outcome(path: Path) -> Outcome | None:
     return None if content is None else _outcome(content)
 
 
-def read_tables(path: Path) -> dict[str, pa.Table]:
-    """The rows in an entry that `read_outcome` found whole."""
+def read_tables(path: Path, only: Container[str] | None = None) -> dict[str, pa.Table]:
+    """The rows in an entry that `read_outcome` found whole: of all tables, or of those named."""
     content = _content(path)
     if content is None:
         raise ValueError(f"{path.name} is not a whole journal entry")
-    stream = io.BytesIO(content[8 + int.from_bytes(content[:8], "little") :])
+    header, at = _header(content)
+    body = pa.py_buffer(content)
     tables = {}
-    while stream.tell() < stream.getbuffer().nbytes:
-        table = pa.ipc.open_stream(stream).read_all()
-        tables[table.schema.metadata[b"table"].decode()] = table.replace_schema_metadata()
+    for name, size in header["tables"].items():
+        if only is None or name in only:
+            tables[name] = pa.ipc.open_stream(body.slice(at, size)).read_all()
+        at += size
     return tables
 
 
@@ -142,6 +137,21 @@ def _content(path: Path) -> bytes | None:
     return data[start:]
 
 
+def _header(content: bytes) -> tuple[dict[str, Any], int]:
+    """The header of an entry, and where its tables begin."""
+    end = 8 + int.from_bytes(content[:8], "little")
+    header: dict[str, Any] = json.loads(content[8:end])
+    return header, end
+
+
 def _outcome(content: bytes) -> Outcome:
-    values = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    values, _ = _header(content)
+    del values["tables"]
     return Outcome(**{**values, "freshness": Freshness(**values["freshness"])})
+
+
+def _stream(table: pa.Table) -> pa.Buffer:
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema.remove_metadata()) as stream:
+        stream.write_table(table)
+    return sink.getvalue()

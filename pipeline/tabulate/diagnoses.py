@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,7 +137,7 @@ def _severity(extension: Extension) -> dict[str, dict[str, Any]]:
     """Mechanism → key → {value, sd}; with the channel where it is a sensor's, with the form where there are several."""
     found: dict[str, dict[str, Any]] = {}
     for mechanism, estimates in extension.severities.items():
-        own: dict[str, Any] = {key: {"value": _finite(e.value), "sd": _finite(e.sd)} for key, e in estimates.items()}
+        own: dict[str, Any] = {key: {k: _finite(v) for k, v in asdict(e).items()} for key, e in estimates.items()}
         form = extension.variants.get(mechanism, "")
         listed = MECHANISMS[mechanism]
         if form and listed.stage == "sensor":

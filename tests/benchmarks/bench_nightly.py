@@ -34,7 +34,7 @@ import json, resource, sys, time
 import pipeline.run
 from pipeline import Lab
 if sys.argv[4] == "no pages":
-    pipeline.run._report = lambda lab: None
+    pipeline.run._report = lambda *_: None
 begin, used = time.monotonic(), time.process_time()
 summary = pipeline.run.nightly([sys.argv[1]], Lab(sys.argv[2]), jobs=int(sys.argv[3]))
 print(json.dumps({

@@ -9,7 +9,9 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from html.parser import HTMLParser
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -125,6 +127,16 @@ def test_forced_everything_is_made_and_nothing_changes(small: Path) -> None:
     before = contents(small / "reports")
     assert build_reports(small, force=True).pages_unchanged == 0
     assert contents(small / "reports") == before
+
+
+def test_workers_make_the_same_pages(lab: Path, tmp_path: Path) -> None:
+    other = tmp_path / "lab"
+    other.mkdir()
+    shutil.copy(lab / "results.duckdb", other)
+    spawned = get_context("spawn")
+    made = build_reports(other, workers=lambda: ProcessPoolExecutor(2, mp_context=spawned), jobs=2)
+    assert made.pages_written > 50
+    assert contents(other / "reports") == contents(lab / "reports")
 
 
 def test_nothing_new_nothing_made(lab: Path) -> None:

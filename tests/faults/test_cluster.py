@@ -73,7 +73,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def test_a_cluster_gives_the_same_and_outlives_its_workers(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
     raw = small_campaign(tmp_path / "raw", lives=2)
     life(raw / "killonce-1.mcap", 5)
     (raw / "killonce-1.seen").touch()

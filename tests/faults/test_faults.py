@@ -39,7 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Lab]:
 
 @pytest.fixture
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
 
 
 def statuses(lab: Lab) -> dict[str, tuple[str, str]]:
@@ -81,7 +81,7 @@ def test_a_lost_worker_costs_its_recording_only(
     again = nightly([raw], lab, jobs=2)
     assert again.analysed == 0, "what failed twice is not tried every night"
     monkeypatch.undo()
-    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
     lab.settings.write_text("deadline_s = 60\nmemory_mb = 0\n")
     assert nightly([raw], lab, jobs=2).exit_status == 0, "with other limits it is tried again"
     assert list(lab.quarantine.iterdir()) == []

@@ -27,7 +27,7 @@ LABS = ROOT / "tests" / "faults" / "labs"
 
 @pytest.fixture(autouse=True)
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
 
 
 @pytest.fixture

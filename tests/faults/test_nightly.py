@@ -55,7 +55,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.fixture
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """The pages have tests of their own."""
-    monkeypatch.setattr(pipeline.run, "_report", lambda _lab: None)
+    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from pipeline.diagnose.hum import with_hum
 from pipeline.diagnose.plain import fit_plain
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.results import NONE, Diagnosis, HeldOut, Predicted
+from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, HeldOut, Predicted
 from pipeline.diagnose.screen import absorbed_by
 from pipeline.diagnose.session import make_session as session_of
 from tests.hidden_effects.truth import (
@@ -75,7 +75,9 @@ class Judgement:
         number of features; NaN without
     bias : largest deviation of the plain film's parameters from the truth in standard deviations
     curve_before, curve_after : mean relative error of k(jω) over 1–100 Hz of the plain and of the extended film
-    seconds : of the diagnosis alone
+    off : deviation of that severity from the truth in standard deviations; NaN where not defined
+    split : whether the recording that an ambiguous diagnosis proposes, made and diagnosed with the others, leaves one cause, the
+        right one; None where the diagnosis is not ambiguous
     """
 
     case: Case
@@ -94,6 +96,8 @@ class Judgement:
     p_value: float
     left_p_value: float = float("nan")
     gain: float = float("nan")
+    off: float = float("nan")
+    split: bool | None = None
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -150,6 +154,11 @@ def effect_at(
         least = found
     severity = multiple * least
     return replace(drawn, severity=-severity if kind.signed and rng.random() < 0.5 else severity)
+
+
+def judged(case: Case) -> tuple[Judgement, ...]:
+    """The judgement of a case; with it that of the specimen's clean session, which had to be diagnosed first."""
+    return (judge(case),) if not case.effects else (judge(replace(case, effects=())), judge(case))
 
 
 def judge(case: Case) -> Judgement:
@@ -245,7 +254,7 @@ def _held_out(held: HeldOut, truth: Session) -> tuple[float, float, int]:
 
 def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[Effect, ...]) -> Judgement:
     bias = before = after = float("nan")
-    covered = None
+    covered, off, split = None, float("nan"), None
     if session is not None:
         film = session.truth.specimen.film
         truth = film.stiffness(_BAND)
@@ -256,7 +265,8 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
             true = np.array([film.k0, *film.k, *film.tau])
             plain = np.array([d.plain_film.k0, *d.plain_film.k, *d.plain_film.tau])
             bias = float(np.max(np.abs(plain - true) / np.array(d.extension.plain_film_sd)))
-        covered = _covered(d, session, effects)
+        covered, off = _covered(d, session, effects)
+        split = _split(d, session, effects)
     error, left, size = float("nan"), float("nan"), 0
     if session is not None and d.held_out is not None:
         error, left, size = _held_out(d.held_out, session)
@@ -277,20 +287,38 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
         p_value=d.p_value,
         left_p_value=d.left_p_value,
         gain=float("nan") if d.held_out is None else d.held_out.gain,
+        off=off,
+        split=split,
     )
 
 
-def _covered(d: Diagnosis, session: Session, effects: tuple[Effect, ...]) -> bool | None:
-    """Whether the 90 % interval of the severity holds the truth, for effects whose form defines it."""
+def _covered(d: Diagnosis, session: Session, effects: tuple[Effect, ...]) -> tuple[bool | None, float]:
+    """Whether the 90 % interval of the first effect's severity holds the truth, and how many standard deviations it is off.
+
+    None and NaN where its form does not define it.
+    """
     id = effects[0].id
     if not KINDS[id].exact or d.extension is None or id not in d.extension.severities:
-        return None
+        return None, float("nan")
     estimates = d.extension.severities[id]
     key = main_key(id, estimates)
     said = session.truth.equivalent[id].get(key)
     if not isinstance(said, int | float):
+        return None, float("nan")
+    found = estimates[key]
+    return bool(found.lower <= said <= found.upper), float((found.value - said) / found.sd)
+
+
+def _split(d: Diagnosis, session: Session, effects: tuple[Effect, ...]) -> bool | None:
+    """Whether the proposed recording leaves the right causes alone."""
+    if d.verdict != AMBIGUOUS:
         return None
-    return bool(abs(estimates[key].value - said) < 1.645 * estimates[key].sd)
+    if d.next_recording is None:
+        return False
+    whole = ("repeats", "periods", "cycles")
+    design = {k: int(v) if k in whole else v for k, v in d.next_recording.design.items()}
+    again = observe(session.extended(design))
+    return again.verdict == NAMED and set(again.mechanisms) == {e.id for e in effects}
 
 
 def _nothing(case: Case) -> Judgement:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.diagnose.solve import central, minimise
+from pipeline.diagnose.solve import LEAST_DAMPING, central, minimise
 
 Float = NDArray[np.float64]
 FAR = np.full(2, 50.0)
@@ -64,3 +64,15 @@ def test_central_differences_are_of_third_order() -> None:
     x = np.array([0.3, -0.2])
     found = central(lambda v: np.exp(3 * v), x, -FAR, FAR)
     assert found == pytest.approx(np.diag(3 * np.exp(3 * x)), rel=1e-6)
+
+
+def test_entries_that_change_places_are_parted_by_their_prior_in_a_few_steps() -> None:
+    """A sum known to 10⁻⁵ and a prior on one part: damping in proportion to the data would hold both where they are."""
+
+    def residual(x: Float) -> Float:
+        return np.array([1e5 * (x[0] + x[1] - 0.5), 30 * x[0]])
+
+    found = minimise(residual, np.array([0.5, 0.0]), -FAR, FAR, most=10, damping=LEAST_DAMPING)
+    assert found.converged
+    assert found.x == pytest.approx([0.0, 0.5], abs=5e-3)
+    assert np.sqrt(np.diag(found.covariance)) == pytest.approx([1 / 30, 1 / 30], rel=0.01)

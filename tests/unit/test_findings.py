@@ -97,7 +97,7 @@ def test_all_specimens_without_names(lab: Lab) -> None:
 
 def test_programs_get_everything_as_objects(lab: Lab) -> None:
     first, *others = json.loads(diagnoses(lab, [], as_json=True))
-    assert first["severity"]["gain_error"]["gain"] == {"value": 0.1, "sd": 0.01}
+    assert first["severity"]["gain_error"]["gain"] == {"value": 0.1, "sd": 0.01, "lower": 0.08, "upper": 0.12}
     assert first["candidates"][0]["mechanism"] == "gain_error"
     assert first["discrepancies"][0]["recording_id"] == "r-1"
     assert {p["parameter"] for p in first["parameters"]} >= {"k0", "k1", "tau1"}

@@ -171,6 +171,21 @@ def test_journal_keeps_outcome_and_rows(tmp_path: Path) -> None:
     assert list(entries(tmp_path)) == [(path, OUTCOME)]
 
 
+def test_of_an_entry_only_the_tables_that_are_wanted_are_read(tmp_path: Path) -> None:
+    tables = {
+        name: TABLES[name].rows([{"recording_id": name, **more}])
+        for name, more in (
+            ("carried", {"kind": "x"}),
+            ("lifetimes", {"failed": True}),
+            ("recordings", {"status": "ok"}),
+        )
+    }
+    path = write_entry(tmp_path, OUTCOME, tables)
+    assert read_tables(path) == tables
+    for wanted in (("lifetimes",), ("recordings", "carried"), ("no such",)):
+        assert read_tables(path, wanted) == {name: table for name, table in tables.items() if name in wanted}
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
 def test_half_an_entry_is_no_entry(tmp_path: Path, share: float) -> None:
     path = write_entry(tmp_path, OUTCOME, {})

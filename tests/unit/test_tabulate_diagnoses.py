@@ -72,7 +72,7 @@ NAMED = Diagnosis(
     supported_by=("chirp",),
     held_out=HeldOut(5.0, 1.2, 0.97, 0.94, 0.99, 200, {"chirp": (5.0, 1.2)}),
     extension=Extension(
-        {"gain_error": {"gain": Estimate(0.1, 0.01)}, "cyclic_softening": {"loss": Estimate(0.2, NAN)}},
+        {"gain_error": {"gain": Estimate(0.1, 0.01, 0.08, 0.12)}, "cyclic_softening": {"loss": Estimate(0.2, NAN)}},
         {"gain_error": "force", "cyclic_softening": ""},
         FILM, (0.01, 0.1, 0.001, 1e-4), PLAIN, (0.02, 0.2, 0.002), 20.0, 900.0, 30,
     ),
@@ -97,8 +97,11 @@ def test_rows_of_a_named_diagnosis() -> None:
         "named",
     )
     severity = json.loads(row["severity"])
-    assert severity["gain_error"] == {"gain": {"value": 0.1, "sd": 0.01}, "channel": "force"}
-    assert severity["cyclic_softening"]["loss"] == {"value": 0.2, "sd": None}
+    assert severity["gain_error"] == {
+        "gain": {"value": 0.1, "sd": 0.01, "lower": 0.08, "upper": 0.12},
+        "channel": "force",
+    }
+    assert severity["cyclic_softening"]["loss"] == {"value": 0.2, "sd": None, "lower": None, "upper": None}
     assert json.loads(row["smallest_detectable"]) == {"leakage": {"droop": 0.02}, "slack": {}}
     assert json.loads(row["held_out_parts"]) == {"chirp": {"before": 5.0, "after": 1.2}}
     assert json.loads(row["next_design"]) == {"protocol": "weight"}

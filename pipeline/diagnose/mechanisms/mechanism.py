@@ -36,7 +36,8 @@ class Parameter:
 
     `low` to `high` is the plausible range of its size (no limit), `least` and `most` are hard limits. The effect vanishes
     where all severities are 0; a shape has no effect by itself. `log`: searched and believed uniform in the logarithm of its
-    size. `signed`: both signs are possible. `start` is where a search begins.
+    size. `signed`: both signs are possible. `factor`: 1 + value multiplies a constant that the plain model searches in the
+    logarithm; its own logarithm is searched, so that the two can change places. `start` is where a search begins.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Parameter:
     role: str = SEVERITY
     log: bool = True
     signed: bool = False
+    factor: bool = False
     least: float = 0.0
     most: float = float("inf")
 

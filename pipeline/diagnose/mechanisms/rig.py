@@ -77,10 +77,13 @@ RIG_CONSTANTS = Mechanism(
     equation="M (1 + δM), kL (1 + δL) in G and H",
     source="M ẍ′ = T − kL x′ − cL ẋ′, F = kL x′ (thesis, eq 4.16, sign of the inertia corrected)",
     parameters=(
-        Parameter("mass_error", "1", "true mass over that of the rig file, less 1", 0.01, 0.2, signed=True, least=-0.8),
+        Parameter(
+            "mass_error", "1", "true mass over that of the rig file, less 1", 0.01, 0.2, signed=True,
+            factor=True, least=-0.8,
+        ),
         Parameter(
             "stiffness_error", "1", "true load-cell stiffness over that of the file, less 1", 0.01, 0.2,
-            signed=True, least=-0.8,
+            signed=True, factor=True, least=-0.8,
         ),
     ),
     shows=MECHANICAL | ELECTRICAL | {features.TAP_RING},

@@ -102,7 +102,9 @@ GAIN_ERROR = Mechanism(
     stage="sensor",
     equation="one channel × (1 + g)",
     source="calibration",
-    parameters=(Parameter("gain", "1", "recorded over true, less 1", 1e-3, 0.2, signed=True, least=-0.95),),
+    parameters=(
+        Parameter("gain", "1", "recorded over true, less 1", 1e-3, 0.2, signed=True, factor=True, least=-0.95),
+    ),
     shows=MECHANICAL | ELECTRICAL | AMPLIFIER | {features.WEIGHT_GAIN},
     confusable={
         "thermal_softening": "a gain is constant in time",

@@ -1,0 +1,33 @@
+"""The plain model with mechanisms: how their parameters are searched, and how well severities are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.diagnose.extend import Coordinate
+from pipeline.diagnose.mechanisms import MECHANISMS
+
+COORDINATES = [Coordinate(0, p) for m in MECHANISMS.values() for p in m.parameters]
+
+
+@pytest.mark.parametrize("c", COORDINATES, ids=lambda c: c.parameter.name)
+@given(share=st.floats(0.0, 1.0))
+def test_an_entry_gives_its_value_back(c: Coordinate, share: float) -> None:
+    p = c.parameter
+    value = p.low * (p.high / p.low) ** share if p.log else p.low + (p.high - p.low) * share
+    assert c.value(c.entry(value)) == pytest.approx(value, rel=1e-9)
+    low, high = c.limits
+    assert low - 1e-9 <= c.entry(value) <= high + 1e-9
+
+
+@pytest.mark.parametrize(("id", "name"), [("rig_constants", "mass_error"), ("gain_error", "gain")])
+def test_errors_of_factors_add_up_as_logarithms(id: str, name: str) -> None:
+    """So that an error and the constant that it multiplies, which is searched in the logarithm, can change places."""
+    c = Coordinate(0, MECHANISMS[id].parameter(name))
+    both = c.value(c.entry(0.1) + c.entry(-0.3))
+    assert 1 + both == pytest.approx(1.1 * 0.7)
+    assert c.value(-1e6) >= -1.0
+    assert np.isfinite(c.value(1e6))
