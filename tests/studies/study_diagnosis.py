@@ -5,7 +5,8 @@
 
 The truth rig of `tests.hidden_effects` integrates in time and gives every effect a form that the extensions do not have. Severities
 are multiples of the smallest detectable one of the same specimen's clean session, which is one of the clean ones. Rates stand with 95 % intervals (Clopper and
-Pearson). `--minutes` ends the study early: what was not begun is left out and counted. Targets that are missed are named.
+Pearson). `--minutes` ends the study early: what was not begun is left out and counted. Targets that are missed are named. `--log`, or
+DEALAB_STUDY_LOG, gets every judgement as a line of JSON.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--pairs", type=int, default=60)
     parser.add_argument("--unlisted", type=int, default=56)
     parser.add_argument("--minutes", type=float, default=float("inf"))
-    parser.add_argument("--log", type=Path)
+    parser.add_argument("--log", type=Path, default=os.environ.get("DEALAB_STUDY_LOG"))
     given = parser.parse_args(arguments)
     chosen = cases(given.seed, given.size, given.clean, given.per_mechanism, given.pairs, given.unlisted)
     begin = time.monotonic()
