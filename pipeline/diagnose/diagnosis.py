@@ -44,6 +44,9 @@ _LEFT = 1e-3
 """Probability below which a pattern that stays is mentioned."""
 _GAIN_WITH_PATTERN = 0.4
 """Held-out gain that a cause which leaves a pattern has to be able to have: the upper end of its interval."""
+_STRONG, _GAIN_OF_STRONG = 9.0, 0.4
+"""Λ over its threshold from which a cause has to predict what it was not fitted to, and the held-out gain that it has to have. Of
+right causes that strong nearly all gain more than half, of look-alikes hardly any; weaker evidence is too noisy to ask."""
 
 
 def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
@@ -125,6 +128,9 @@ def _checked(outcome: Outcome, gain: HeldOut | None) -> str:
     left = outcome.after is not None and outcome.after.p_value < LEFT_LEVEL
     if np.isnan(gain.gain):
         return outcome.verdict if gain.after < gain.before or not left else UNKNOWN
+    fall = 0.0 if outcome.final is None else outcome.plain.chi2 - outcome.final.chi2
+    if fall > _STRONG * outcome.threshold and gain.gain < _GAIN_OF_STRONG:
+        return UNKNOWN
     return UNKNOWN if gain.upper <= (_GAIN_WITH_PATTERN if left else 0.0) else outcome.verdict
 
 

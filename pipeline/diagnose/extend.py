@@ -20,7 +20,7 @@ from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parame
 from pipeline.diagnose.plain import bounds, deviations
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.session import Session
-from pipeline.diagnose.solve import DAMPING, Solution, central, minimise
+from pipeline.diagnose.solve import LEAST_DAMPING, Solution, central, minimise
 
 Float = NDArray[np.float64]
 
@@ -179,7 +179,6 @@ class Extended:
         near: ExtendedFit | None = None,
         jacobian: Float | None = None,
         thorough: bool = True,
-        damping: float = DAMPING,
     ) -> ExtendedFit:
         """The optimum from `start`. `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian."""
         low, high = self.limits
@@ -188,15 +187,7 @@ class Extended:
             jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), start.size))
             jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
         found = minimise(
-            self.residual,
-            start,
-            low,
-            high,
-            most=most,
-            jacobian=jacobian,
-            moving=self.model.size,
-            thorough=thorough,
-            damping=damping,
+            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
         )
         return ExtendedFit(self, found)
 
@@ -204,6 +195,21 @@ class Extended:
         """The same optimum with a Jacobian by central differences."""
         jacobian = central(self.residual, fit.x, *self.limits)
         return ExtendedFit(self, replace(fit.solution, jacobian=jacobian))
+
+    def further(self, fit: ExtendedFit, *, most: int) -> ExtendedFit:
+        """On from a fit with the Jacobian that it has and next to no damping.
+
+        Entries that can change places (a mass and its error) are parted by priors that are 10⁸ times weaker than the data:
+        forward differences see a slope there that is none, and damping in proportion to the data holds them where they are.
+        """
+        jacobian, own = fit.solution.jacobian, fit.x.size
+        return ExtendedFit(
+            self,
+            minimise(
+                self.residual, fit.x, *self.limits, most=most, jacobian=jacobian, moving=own, thorough=False,
+                damping=LEAST_DAMPING,
+            ),
+        )  # fmt: skip
 
     def room(self, start: Float, most: int) -> Float:
         """Entries with the material and the rig at their best for the mechanisms as they stand at `start`."""

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import Chosen, ExtendedFit
 from pipeline.diagnose.screen import Score, Signatures
-from pipeline.diagnose.solve import LEAST_DAMPING
 
 Float = NDArray[np.float64]
 
@@ -88,16 +87,10 @@ def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -
 
 
 def finished(fit: ExtendedFit) -> ExtendedFit:
-    """The same optimum, confirmed.
-
-    With central differences and next to no damping: entries that can change places (a mass and its error) are parted by priors
-    that are 10⁸ times weaker than the data. Forward differences see a slope there that is none, and damping stays with it.
-    """
+    """The same optimum, confirmed with central differences."""
     found = fit.of.refined(fit.of.fit(fit.x, most=_THOROUGHLY))
     for _ in range(_CONFIRMATIONS):
-        again = fit.of.fit(
-            found.x, most=_ROUGHLY, jacobian=found.solution.jacobian, thorough=False, damping=LEAST_DAMPING
-        )
+        again = fit.of.further(found, most=_ROUGHLY)
         if again.chi2 > found.chi2 - _SETTLED:
             break
         found = fit.of.refined(again)

@@ -20,6 +20,7 @@ from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
+from tests.hidden_effects.judging import Case, judge
 from tests.hidden_effects.truth import KINDS, compact_session
 from tests.session_files import write_recordings
 
@@ -137,3 +138,11 @@ def test_a_session_without_any_response_is_refused_with_a_reason() -> None:
         diagnose([replace(features(None)[0], blocks=())])
     with pytest.raises(NotIdentifiableError, match="without recordings"):
         diagnose([])
+
+
+def test_the_proposed_recording_tells_the_causes_apart() -> None:
+    """A voltage that is offset and a permittivity that falls with the field look alike until the polarity is turned."""
+    found = judge(Case(202_610_009, "compact", (("field_dependent_permittivity", 2.0),)))
+    assert found.verdict == "ambiguous"
+    assert {*found.named, *found.possible} == {"field_dependent_permittivity", "drive_offset"}
+    assert found.split
