@@ -43,13 +43,15 @@ def session_of(
     constants would count them twice. They count from when the specimen was first measured, since their age says nothing
     about the film; calibrations made after its last recording are left out, as in the fits.
     """
-    features, refused = [], []
+    features: list[RecordingFeatures] = []
+    without: dict[str, list[str]] = {}
     for one in recordings:
         found = _features(one)
         if isinstance(found, RecordingFeatures):
             features.append(found)
-        elif found:
-            refused.append(found)
+        else:
+            without.setdefault(found, []).append(one.recording_id)
+    refused = [f"{_some(names)}: {reason}" for reason, names in without.items()]
     if not features:
         return [], refused
     first, last = min(f.started_at for f in features), max(f.started_at for f in features)
@@ -65,6 +67,9 @@ def session_of(
     return features, refused
 
 
+_NAMED = 3
+
+
 def _clamp(rig: RigConstants) -> tuple[float | None, ...]:
     """What a calibration is about: a clamp of another mass on the same rig is another clamp."""
     return rig.clamp_mass_kg, rig.load_cell_stiffness_n_per_mm, rig.load_cell_damping_n_s_per_mm
@@ -76,10 +81,14 @@ def _features(one: Measured) -> RecordingFeatures | str:
     if not kept:
         about = one.metadata
         what = f"{about.loading} {about.protocol}" if isinstance(about, RecordingMetadata) else "table"
-        return f"{one.recording_id}: a {what} is not simulated"
-    if kept[0].refused:
-        return f"{one.recording_id}: {kept[0].refused}"
-    return unpack(kept[0].content)
+        return f"{'an' if what[0] in 'aeiou' else 'a'} {what} is not simulated"
+    return kept[0].refused or unpack(kept[0].content)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Names of recordings, the first few of many."""
+    more = len(names) - _NAMED
+    return ", ".join(names) if more <= 1 else f"{', '.join(names[:_NAMED])} and {more} more"
 
 
 def _asked(session: Sequence[RecordingFeatures], refused: Sequence[str]) -> Diagnosis | list[str]:

@@ -31,9 +31,10 @@ def against_square(voltage: Float, step: Float, wrinkled: Bool, slope: float | N
     lower = Panel(drawing, 46, 222, 392, 62, x, symmetric(1.25 * reach))
     if slope is not None:
         upper.curve([0, x.high], [0, slope * x.high], MODEL, 1.8)
+        inside = min(0.55 * x.high, 0.8 * float(np.abs(step).max()) / max(abs(slope), 1e-300))
         upper.label(
-            x.high * 0.55,
-            slope * x.high * 0.55,
+            inside,
+            slope * inside,
             "∝ V²",
             MODEL,
             bold=True,

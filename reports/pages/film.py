@@ -42,31 +42,38 @@ def response(
     href = draft.data("response", _data(lines, curves))
     left = (href, draft.data("residual", _residual_data(curves))) if curves else (href,)
     who = short(draft.item, 40)
-    span = f"{compact(lines.frequency.min(), 2)} to {compact(lines.frequency.max(), 2)}{NBSP}Hz"
+    span = over(lines)
     magnitude, phase = np.abs(lines.value[lines.usable]), np.degrees(np.angle(lines.value[lines.usable]))
     misfits = _misfits(curves)
     if magnitude.size:
         rise = f"{significant(magnitude[0], 2)} to {significant(magnitude[-1], 2)}{NBSP}N/mm"
-        turn = f"{significant(phase.min(), 2)}° to {significant(phase.max(), 2)}°"
+        low, high = f"{significant(phase.min(), 2)}°", f"{significant(phase.max(), 2)}°"
+        turn = low if low == high else f"From {low} to {high}"
     else:
-        rise = turn = "no usable line"
+        rise, turn = "no usable line", "No usable line"
 
     def drawn(*, phase: bool, alt: str) -> Markup:
         return figures.response(lines, recorded, curves, phase=phase, alarm=alarm, alt=f"{alt} {misfits}")
 
     first = Figure(
-        drawn(phase=False, alt=f"Dynamic stiffness of {who} goes from {rise} over {span}."),
+        drawn(phase=False, alt=f"Dynamic stiffness of {who} goes from {rise} {span}."),
         flow(bold("Magnitude."), " ", misfits, " ", _legend(curves, found)),
         left,
     )
     second = Figure(
-        drawn(phase=True, alt=f"Phase of the stiffness of {who}, {turn} over {span}."),
-        flow(bold("Phase."), f" From {turn}. ", _grey(lines)),
+        drawn(phase=True, alt=f"Phase of the stiffness of {who} {span}. {turn}."),
+        flow(bold("Phase."), f" {turn}. ", _grey(lines)),
         left,
     )
     elsewhere = misfit_elsewhere(chosen, curves)
     blocks = (Pair((first, second)), Text(elsewhere)) if elsewhere else (Pair((first, second)),)
     return Section("response", _response_heading(chosen, span, curves), "Response and model", blocks)
+
+
+def over(lines: Lines) -> str:
+    """The frequencies of lines, as in "from 1 to 100 Hz" and "at 1 Hz"."""
+    low, high = (compact(f, 2) for f in (lines.frequency.min(), lines.frequency.max()))
+    return f"at {low}{NBSP}Hz" if low == high else f"from {low} to {high}{NBSP}Hz"
 
 
 def misfit_elsewhere(chosen: Record | None, curves: Sequence[Curve]) -> str:
@@ -141,12 +148,12 @@ def _grey(lines: Lines) -> str:
 
 def _response_heading(chosen: Record | None, span: str, curves: Sequence[Curve]) -> str:
     if chosen is None:
-        return f"Response from {span}, without a model"
+        return f"Response {span}, without a model"
     arms_ = chosen["model_order"]
     subject = f"{capital(word(arms_))} relaxation{'s' if arms_ != 1 else ''}"
     left = next((c.residual.rms for c in curves if c.selected and c.residual.in_sd), float("nan"))
     if misfit_elsewhere(chosen, curves):
-        return f"{subject} follow{'s' if arms_ == 1 else ''} the responses from {span}; the misfit lies elsewhere"
+        return f"{subject} follow{'s' if arms_ == 1 else ''} the responses {span}; the misfit lies elsewhere"
     if left > _NOISE or (np.isnan(left) and beyond_noise(chosen)):
-        return f"{subject} leave{'s' if arms_ == 1 else ''} more than noise from {span}"
-    return f"{subject} describe{'s' if arms_ == 1 else ''} the film from {span}"
+        return f"{subject} leave{'s' if arms_ == 1 else ''} more than noise {span}"
+    return f"{subject} describe{'s' if arms_ == 1 else ''} the film {span}"

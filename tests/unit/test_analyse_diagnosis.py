@@ -80,5 +80,19 @@ def test_reasons_of_recordings_without_features_are_kept(recorded: Any) -> None:
     assert analysis.failures == []
 
 
+def test_recordings_without_features_for_one_reason_are_told_together(recorded: Any) -> None:
+    one = replace(recorded["cyclic"], results=())
+    electrical = [
+        replace(
+            one, metadata=replace(one.metadata, recording_id=f"coat-{i}", loading="electrical", protocol="coverage")
+        )
+        for i in range(12)
+    ]
+    features, refused = session_of("S-9", electrical, [])
+    assert features == []
+    assert refused == ["coat-0, coat-1, coat-2 and 9 more: an electrical coverage is not simulated"]
+    assert session_of("S-9", electrical[:4], [])[1][0].startswith("coat-0, coat-1, coat-2, coat-3: ")
+
+
 def test_a_clamp_under_a_name_of_its_own_is_no_specimen(recorded: Any) -> None:
     assert analyse_diagnosis("clamp", [recorded["tap"]], []).joined() == {}
