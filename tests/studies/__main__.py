@@ -57,9 +57,10 @@ def run(path: Path, options: Sequence[str]) -> tuple[str, bool]:
         check=False,
     )
     good = done.returncode == 0
-    found = (
-        done.stdout.strip() if good else f"{done.stdout}\n**Failed** (status {done.returncode}).\n{done.stderr[-2000:]}"
-    )
+    print(done.stderr, end="", file=sys.stderr, flush=True)
+    # Warnings and tracebacks name folders of this machine: the results get the error alone.
+    error = done.stderr.strip().splitlines()[-1] if "Traceback" in done.stderr else ""
+    found = done.stdout.strip() if good else f"{done.stdout}\n**Failed** (status {done.returncode}).\n{error}"
     how = f"{today()} · {machine()} · {' '.join(options) or 'its own seed'} · {time.monotonic() - begin:.0f} s"
     return f"## {about(path)}\n\n{found.strip()}\n\n{how}\n", good
 

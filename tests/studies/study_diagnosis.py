@@ -4,9 +4,9 @@
                                             [--size compact|full] [--minutes N] [--log FILE]
 
 The truth rig of `tests.hidden_effects` integrates in time and gives every effect a form that the extensions do not have. Severities
-are multiples of the smallest detectable one of the same specimen's clean session, which is one of the clean ones. Rates stand with 95 % intervals (Clopper and
-Pearson). `--minutes` ends the study early: what was not begun is left out and counted. Targets that are missed are named. `--log`, or
-DEALAB_STUDY_LOG, gets every judgement as a line of JSON.
+are multiples of the smallest detectable one of the same specimen's clean session, which is one of the clean ones. Rates stand with
+95 % intervals (Clopper and Pearson). `--minutes` ends the study early: what was not begun is left out and counted. Targets that are
+missed are named. `--log`, or DEALAB_STUDY_LOG, gets every judgement as a line of JSON.
 """
 
 from __future__ import annotations

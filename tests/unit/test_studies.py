@@ -46,3 +46,24 @@ def test_a_missed_target_is_seen_in_the_status(
     monkeypatch.setattr("sys.argv", ["study_fit", "--truths", "8", "--seed", "3"])
     assert study_fit.main() == 1
     assert "- **missed**: 2 3" in capsys.readouterr().out
+
+
+def test_results_name_no_folder_of_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warnings and tracebacks do; what a study printed, and the error that ended it, stand in the results."""
+    for name, code in (
+        ("warned", "import sys, warnings; print('- missed'); warnings.warn('careful'); sys.exit(1)"),
+        ("died", "print('- begun'); raise ValueError('no film')"),
+    ):
+        (tmp_path / f"study_{name}.py").write_text(f'"""About {name}."""\n{code}\n', encoding="utf-8")
+    called = studies.subprocess.run
+
+    def here(command: list[str], **options: object) -> object:
+        return called([command[0], str(tmp_path / f"{command[2].rpartition('.')[2]}.py")], **options)
+
+    monkeypatch.setattr(studies.subprocess, "run", here)
+    for name, ends in (("warned", "(status 1)."), ("died", "(status 1).\nValueError: no film")):
+        text, good = studies.run(tmp_path / f"study_{name}.py", [])
+        assert not good
+        assert f"**Failed** {ends}\n\n" in text
+        assert "careful" not in text
+        assert str(tmp_path) not in text
