@@ -6,6 +6,7 @@ Does not belong here: reading recordings; the lab's bookkeeping of what is new (
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import stat
@@ -149,11 +150,11 @@ def lacks_end(path: Path, found: str | None) -> bool:
 
 @dataclass(frozen=True)
 class _Folder:
-    """A folder's path without links, the names in it, and those of them that are links."""
+    """A folder's path without links, the names in it, and those of them that are links; None where it cannot be listed."""
 
     place: str
-    names: frozenset[str]
-    links: frozenset[str]
+    names: frozenset[str] | None
+    links: frozenset[str] | None
 
 
 class _Walk:
@@ -209,7 +210,7 @@ class _Walk:
         if mapping is not None and mapping.kind == IGNORE:
             self.notes.append(f"{shown(path)}: passed over, as {mapping.source} says")
             return
-        if file_format is None and mapping is None and own_mapping(path).name not in self._beside(path).names:
+        if file_format is None and mapping is None and not own_mapping(path).is_file():
             return
         if mapping is None and error is None:
             if path.name.lower().startswith(_DOCUMENTS):
@@ -224,22 +225,19 @@ class _Walk:
         """The folder that a file lies in, looked at once."""
         folder = path.parent
         if folder not in self._folders:
-            try:
-                with os.scandir(folder) as entries:
-                    listed = list(entries)
-            except OSError:
-                listed = []
-            self._folders[folder] = _Folder(
-                os.path.realpath(folder),
-                frozenset(e.name for e in listed),
-                frozenset(e.name for e in listed if e.is_symlink()),
-            )
+            names = links = None
+            with contextlib.suppress(OSError), os.scandir(folder) as entries:
+                listed = list(entries)
+                names = frozenset(e.name for e in listed)
+                links = frozenset(e.name for e in listed if e.is_symlink())
+            self._folders[folder] = _Folder(os.path.realpath(folder), names, links)
         return self._folders[folder]
 
     def _real(self, path: Path) -> str:
         """The path without links."""
         folder = self._beside(path)
-        return os.path.realpath(path) if path.name in folder.links else os.path.join(folder.place, path.name)
+        plain = folder.links is not None and path.name not in folder.links
+        return os.path.join(folder.place, path.name) if plain else os.path.realpath(path)
 
     def _first_time(self, place: str | tuple[int, int]) -> bool:
         new = place not in self.seen

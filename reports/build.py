@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,9 +82,7 @@ def build_reports(
     return ReportResult(len(stale), len(plans) - len(stale), folder / INDEX, time.perf_counter() - start)
 
 
-def _shared(
-    lab: Path, stale: Sequence[_Plan], workers: Callable[[], Executor], jobs: int
-) -> Iterable[tuple[str, Entry]]:
+def _shared(lab: Path, stale: Sequence[_Plan], workers: Callable[[], Executor], jobs: int) -> list[tuple[str, Entry]]:
     """Pages written by workers. Which they are is told by their addresses: a page itself holds on to the database."""
     first, *others = stale
     made = [(first.path, _write(lab / "reports", first))]

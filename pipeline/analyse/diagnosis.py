@@ -67,9 +67,6 @@ def session_of(
     return features, refused
 
 
-_NAMED = 3
-
-
 def _clamp(rig: RigConstants) -> tuple[float | None, ...]:
     """What a calibration is about: a clamp of another mass on the same rig is another clamp."""
     return rig.clamp_mass_kg, rig.load_cell_stiffness_n_per_mm, rig.load_cell_damping_n_s_per_mm
@@ -83,6 +80,10 @@ def _features(one: Measured) -> RecordingFeatures | str:
         what = f"{about.loading} {about.protocol}" if isinstance(about, RecordingMetadata) else "table"
         return f"{'an' if what[0] in 'aeiou' else 'a'} {what} is not simulated"
     return kept[0].refused or unpack(kept[0].content)
+
+
+_NAMED = 3
+"""Recordings that are named before the others are counted."""
 
 
 def _some(names: Sequence[str]) -> str:

@@ -125,15 +125,28 @@ def _decided(of: Extended, start: Float) -> Outcome:
     weakened = signatures(changes, plain)
     singles = _confirmed(_tried(plain, scores(weakened), weakened, CANDIDATES))
     confirmed = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
-    left = structure(plain)
-    patterned = unlisted and left.p_value < LEFT_LEVEL
+    left = structure(plain) if unlisted else None
+    patterned = left is not None and left.p_value < LEFT_LEVEL
     if not patterned and confirmed < _CONFIRMED * threshold:
         # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the model.
         return replace(nothing, p_value=looked.p_value(confirmed)) if singles else nothing
     final = _forward(plain, singles, changes)
     p_value = min(p_value, before.p_value if unlisted else 1.0)
     if final is None:
-        return Outcome(UNKNOWN, untempered, plain, singles, None, (), p_value, threshold, 0.0, looked, before, left)
+        return Outcome(
+            UNKNOWN,
+            untempered,
+            plain,
+            singles,
+            None,
+            (),
+            p_value,
+            threshold,
+            0.0,
+            looked,
+            before,
+            left or structure(plain),
+        )
     final = _backward(plain, final)
     final = _strongest_first(final)
     alternatives = _alternatives(plain, final, singles)

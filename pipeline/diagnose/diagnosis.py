@@ -5,6 +5,7 @@ features of its recordings → session → plain fit → is there anything? → 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -182,9 +183,9 @@ def _estimates(fit: ExtendedFit, number: int, spread: Float, context: Context) -
     return {
         key: Estimate(
             value,
-            float(np.linalg.norm(slopes[key])) / _SMALL,
-            value - float(np.linalg.norm(np.minimum(np.minimum(down[key], up[key]), 0.0))),
-            value + float(np.linalg.norm(np.maximum(np.maximum(down[key], up[key]), 0.0))),
+            math.hypot(*slopes[key]) / _SMALL,
+            value - math.hypot(*np.minimum(np.minimum(down[key], up[key]), 0.0)),
+            value + math.hypot(*np.maximum(np.maximum(down[key], up[key]), 0.0)),
         )
         for key, value in base.items()
     }

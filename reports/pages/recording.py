@@ -30,6 +30,7 @@ from reports.figures.responses import Lines, spectrum
 from reports.names import short, visible
 from reports.pages import calibrating, distorted, listing, relaxing
 from reports.pages.draft import Draft
+from reports.pages.film import over
 from reports.results import Query, Row, moment
 from reports.site import RECORDINGS, Site, flat_metadata
 from reports.words import plain, protocol
@@ -273,11 +274,10 @@ def _response(draft: Draft) -> Section | None:
     counts = ", ".join(f"{stage}: {int(p.usable.sum())} of {p.size} lines usable" for stage, p in parts.items())
     blocks: list[Block | Fold] = []
     if first.size > 1:
-        span = f"{compact(first.frequency.min(), 2)} to {compact(first.frequency.max(), 2)}{NBSP}Hz"
         href = draft.data("response", data)
-        image = spectrum(parts, unit, alt=f"Response of {short(draft.item, 60)} from {span}. {counts}.")
+        image = spectrum(parts, unit, alt=f"Response of {short(draft.item, 60)} {over(first)}. {counts}.")
         blocks.append(Figure(image, flow(bold("Response."), f" {counts}. Bars: ±2 SD."), href))
-        return Section("response", f"Response from {span}", "Response", tuple(blocks))
+        return Section("response", f"Response {over(first)}", "Response", tuple(blocks))
     rows = tuple(
         TableRow((stage, significant(p.frequency[0]), significant(abs(p.value[0])), significant(float(np.degrees(np.angle(p.value[0])))), significant(p.error[0], 2)))
         for stage, p in parts.items()

@@ -7,6 +7,7 @@ import os
 import time
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from hypothesis import given
@@ -102,6 +103,21 @@ def test_ignored_and_odd_endings(tmp_path: Path) -> None:
     found = discover([tmp_path])
     assert [(f.path.name, f.format) for f in found.files] == [("run.csv", "csv"), ("run.lvm", "csv")]
     assert any("cal1.csv" in note for note in found.notes)
+
+
+def test_a_file_in_a_folder_that_cannot_be_listed_has_its_mapping(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "recordings.toml").write_text(TOML)
+    (tmp_path / "a.csv").write_text("1\n")
+    whole = discover([tmp_path / "a.csv"])
+
+    def closed(path: Path) -> NoReturn:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("ingest.discover.os.scandir", closed)
+    assert whole.files[0].mapping is not None
+    assert discover([tmp_path / "a.csv"]) == whole
 
 
 def test_hostile_names_in_notes_are_escaped(tmp_path: Path) -> None:
