@@ -124,8 +124,8 @@ class NoiseSample:
     """Periodogram of a channel where it holds no signal: rest, residuals between lines.
 
     `frequency_hz` (m,), `power` (m,) with the density per sample as expectation (σ² for white noise), `weight` (m,) number of
-    independent ordinates. `interval_s` is that of the samples; `setting` names rate and resolution of the converter: the white
-    part is the same in recordings of one setting, unless they say otherwise.
+    independent ordinates. `interval_s` is that of the samples; `setting` is the interval in which the converter took them, in s,
+    and its step: the white part is the same in recordings of one setting, unless they say otherwise.
     """
 
     quantity: str
@@ -133,7 +133,7 @@ class NoiseSample:
     frequency_hz: Float
     power: Float
     weight: Float
-    setting: str = ""
+    setting: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from schemas.metadata import RigConstants
 Float = NDArray[np.float64]
 Array = NDArray[Any]
 
-_VERSION = 2
+_VERSION = 3
 _LEVEL = 9
 _MOST_BYTES = 1 << 30
 _WEIGHTS = ("re_data", "im_data")
@@ -116,14 +116,15 @@ def _noise_head(sample: NoiseSample, writer: _Writer) -> dict[str, Any]:
     return {
         "quantity": sample.quantity,
         "interval_s": sample.interval_s,
-        "setting": sample.setting,
+        "setting": list(sample.setting),
         **{name: writer.array(getattr(sample, name)) for name in ("frequency_hz", "power", "weight")},
     }
 
 
 def _noise(head: Mapping[str, Any], reader: _Reader) -> NoiseSample:
     arrays = {name: reader.array(head[name]) for name in ("frequency_hz", "power", "weight")}
-    return NoiseSample(quantity=head["quantity"], interval_s=head["interval_s"], setting=head["setting"], **arrays)
+    interval_s, step = head["setting"]
+    return NoiseSample(quantity=head["quantity"], interval_s=head["interval_s"], setting=(interval_s, step), **arrays)
 
 
 def _covariances(basis: Float) -> bool:

@@ -7,7 +7,7 @@ square of the measured voltage is the input of force and capacitance, the comman
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +35,10 @@ _DISTURBED_S = 0.05
 """Time after an edge in which the converter of the capacitance is disturbed."""
 _SAME_EDGE_S = 0.25
 _COMMAND_LEAST = 0.05
+
+
+_SETTLED, _CREEP_DEGREE, _SLOW_HZ, _MOST_PLATEAUS = 0.4, 4, 20.0, 8
+"""Share of a plateau after which its noise is taken, polynomial that creep follows, highest frequency, cycles that are enough."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,7 @@ def step_blocks(
     squared = squared - squared[:rest].mean()
     force = found.values["force"]
     noise = [found.noise(q, v[:rest]) for q, v in found.values.items()]
+    noise += _plateau_noise(found, cycles)
     blocks: list[FeatureBlock] = []
     base = Signals(
         squared,
@@ -134,6 +139,22 @@ def step_blocks(
     if "command" in channels and np.ptp(found.values["command"]) > 0:
         blocks += _voltage_blocks(found, groups, rest, edge_s)
     return blocks, [n for n in noise if n is not None], values, []
+
+
+def _plateau_noise(found: Record, cycles: list[_Cycle]) -> Iterator[NoiseSample | None]:
+    """Slow noise in the later parts of the plateaus, where nothing but creep is left: the rest is too short to show it.
+
+    Not of the force: the clamp rings longer.
+    """
+    for quantity in ("voltage", "command", "capacitance"):
+        if quantity not in found.values:
+            continue
+        for c in cycles[:_MOST_PLATEAUS]:
+            for begin, stop in ((c.up, c.fall), (c.down, c.end)):
+                late = begin + int(_SETTLED * (stop - begin))
+                if not found.lost[late : stop - 1].any():
+                    values = found.values[quantity][late : stop - 1]
+                    yield found.noise(quantity, values, degree=_CREEP_DEGREE, below_hz=_SLOW_HZ)
 
 
 def _cycles(voltage: Float, interval_s: float) -> list[_Cycle]:

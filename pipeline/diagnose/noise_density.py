@@ -6,13 +6,14 @@ coloured ones, per Hz, to the sensor: they are common to the recordings of a ses
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import logsumexp
 
 from pipeline.diagnose.features import NoiseSample
 
@@ -27,9 +28,13 @@ _ENOUGH = 8.0
 _RED_WORTH = 12.0
 """Twice the gain in log likelihood that red noise must bring."""
 _MOST_DOUBT = 1.0
-"""Largest variance of a logarithm that is allowed for: what the stretches leave open altogether is not noise."""
+"""Variance of a logarithm from which it says no more how large a coefficient may be; red noise is then no larger than this allows."""
+_PINK_GRID, _WHITE_GRID = np.linspace(-10.0, 6.0, 33), np.linspace(-4.0, 4.0, 49)
+"""Logarithms of the pink density at 1 Hz and of the white ones over the mean density, over which a mean is taken."""
 _LEAST_POWER = 1e-12
 """Share of the middle power below which an ordinate is no noise: a channel that stands still."""
+_ALIKE = 0.3
+"""Standard deviation of the logarithm of a sample's white variance between settings of one converter."""
 _CLEARLY = 3.5
 """Standard deviations by which the periodogram of a recording must miss the common law to be one of its own."""
 
@@ -57,7 +62,7 @@ def noise_sample(
     *,
     degree: int = 1,
     below_hz: float = np.inf,
-    setting: str = "",
+    setting: tuple[float, float] = (0.0, 0.0),
 ) -> NoiseSample | None:
     """Hann periodogram of a stretch of noise (n,) without its polynomial of that degree; None below 16 samples.
 
@@ -82,7 +87,13 @@ def noise_sample(
 
 
 def thinned(
-    quantity: str, interval_s: float, f: Float, power: Float, weight: Float, *, setting: str = ""
+    quantity: str,
+    interval_s: float,
+    f: Float,
+    power: Float,
+    weight: Float,
+    *,
+    setting: tuple[float, float] = (0.0, 0.0),
 ) -> NoiseSample | None:
     """Means over neighbouring ordinates, at most 40 per octave: the likelihood of a smooth law hardly changes."""
     if f.size == 0:
@@ -106,10 +117,11 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
     """Law of one channel of a session from (recording, sample) pairs.
 
     Recordings of one setting share the density of their white part, except those whose own periodograms clearly differ;
-    recordings without any sample take the median one.
+    recordings without any sample take the median one. At other rates with the same step of the converter the white variance of
+    a sample is much the same: few low frequencies tell white from coloured noise only so.
     """
-    pool = _Pool.of(samples)
     groups = sorted({s.setting for _, s in samples})
+    pool = _Pool.of(samples, groups)
     group = np.concatenate([np.full(s.power.size, groups.index(s.setting)) for _, s in samples])
     x = pool.fit(group)
     expected = pool.density(x, group)
@@ -133,14 +145,19 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
         first = int(np.flatnonzero(pool.recording == r)[0])
         white[r] = density[separate[first]] * pool.rate[first]
     white[np.isnan(white)] = np.nanmedian(white)
-    doubt = np.minimum(pool.doubt(x, separate), _MOST_DOUBT)
-    pink, red = np.exp(x[-2:] + doubt / 2) * pool.unit
-    return NoiseLaw(white * pool.unit, float(pink), float(red))
+    doubt = pool.doubt(x, separate)
+    pink, red = np.exp(x[-2:] + np.minimum(doubt, _MOST_DOUBT) / 2)
+    if doubt[0] > _MOST_DOUBT:
+        pink = max(pink, pool.mean_pink(float(np.exp(x[-1])), separate))
+    return NoiseLaw(white * pool.unit, float(pink) * pool.unit, float(red) * pool.unit)
 
 
 @dataclass(frozen=True)
 class _Pool:
-    """All ordinates of a channel, (n,) each; `power` in the `unit` of the middle one, `rate` 1/s of the samples."""
+    """All ordinates of a channel, (n,) each; `power` in the `unit` of the middle one, `rate` 1/s of the samples.
+
+    `alike`: pairs of groups and logarithms of their converter's interval, of those that share its step.
+    """
 
     recording: Int
     frequency: Float
@@ -148,9 +165,10 @@ class _Pool:
     weight: Float
     rate: Float
     unit: float
+    alike: tuple[tuple[Int, Float], ...]
 
     @classmethod
-    def of(cls, samples: Sequence[tuple[int, NoiseSample]]) -> _Pool:
+    def of(cls, samples: Sequence[tuple[int, NoiseSample]], groups: Sequence[tuple[float, float]]) -> _Pool:
         power = np.concatenate([s.power for _, s in samples])
         moving = power[power > np.finfo(float).tiny]
         unit = float(np.median(moving)) if moving.size else float(np.finfo(float).tiny)
@@ -161,6 +179,7 @@ class _Pool:
             np.concatenate([s.weight for _, s in samples]),
             np.concatenate([np.full(s.power.size, 1 / s.interval_s) for _, s in samples]),
             unit,
+            tuple(_same_step(groups)),
         )
 
     def density(self, x: Float, group: Int) -> Float:
@@ -178,6 +197,33 @@ class _Pool:
         information = parts.T @ (self.weight[:, None] * parts) + np.eye(x.size) * _LEAST_POWER
         return np.asarray(np.diag(np.linalg.inv(information))[-2:])
 
+    def mean_pink(self, red: float, group: Int) -> float:
+        """Mean of the pink density at 1 Hz over what the ordinates leave open about it and the white ones.
+
+        Where the stretches only bound it the most likely value may be none at all, and slow features would seem exact.
+        """
+        levels = self._levels(group)
+        pink = float(np.median(levels)) * np.exp(_PINK_GRID)
+        white = float(np.median(levels)) * np.exp(_WHITE_GRID)
+        likelihood = np.zeros((levels.size, white.size, pink.size))
+        for number, own in enumerate(likelihood):
+            here = group == number
+            f, rate, power, weight = (v[here] for v in (self.frequency, self.rate, self.power, self.weight))
+            s = rate * (white[:, None, None] + pink[:, None] / f + red / f**2)
+            own -= (np.log(s) + power / s) @ weight
+        # Uniform in the density itself: as likely to be large as to be small.
+        log_weight = np.log(pink)
+        alone = np.ones(levels.size, dtype=bool)
+        for groups, log_interval in self.alike:
+            alone[groups] = False
+            # Each group's white variance of a sample is spread about a common one.
+            variance = _WHITE_GRID - (log_interval - log_interval.mean())[:, None]
+            prior = -0.5 * ((variance[:, None, :] - _WHITE_GRID[:, None]) / _ALIKE) ** 2
+            each = logsumexp(prior[:, :, :, None] + likelihood[groups][:, None], axis=2)
+            log_weight = log_weight + logsumexp(each.sum(axis=0), axis=0)
+        log_weight = log_weight + logsumexp(likelihood[alone], axis=1).sum(axis=0)
+        return float(np.exp(log_weight - logsumexp(log_weight)) @ pink)
+
     def fit(self, group: Int) -> Float:
         """Whittle's likelihood; red noise only where it raises it clearly, for rests are too short to tell it from pink."""
         plain, cost = self._search(group, ((0.3, None), (1e-3, None)))
@@ -185,22 +231,8 @@ class _Pool:
         return coloured if 2 * (cost - better) > _RED_WORTH else plain
 
     def _search(self, group: Int, starts: Sequence[tuple[float, float | None]]) -> tuple[Float, float]:
-        count = int(group.max()) + 1
-        level = np.bincount(group, self.weight * self.power / self.rate, count) / np.bincount(group, self.weight, count)
+        level = self._levels(group)
         middle = float(np.median(level))
-
-        def cost(x: Float) -> tuple[float, Float]:
-            s = self.density(x, group)
-            slope = self.weight * (1 - self.power / s) / s * self.rate
-            white, pink, red = np.exp(x[:-2]), np.exp(x[-2]), np.exp(x[-1])
-            gradient = np.concatenate(
-                [
-                    np.bincount(group, slope, count) * white,
-                    [float(np.sum(slope / self.frequency)) * pink, float(np.sum(slope / self.frequency**2)) * red],
-                ]
-            )
-            return float(self.weight @ (np.log(s / middle) + self.power / s)), gradient
-
         best: Any = None
         floor, top = np.log(middle) - 16, np.log(middle) + 6
         for pink, red in starts:
@@ -210,7 +242,43 @@ class _Pool:
                 (floor, top),
                 (floor, floor if red is None else top),
             ]
-            found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
+            found = minimize(self._cost, start, args=(group,), jac=True, method="L-BFGS-B", bounds=bounds)
             if best is None or found.fun < best.fun:
                 best = found
         return np.asarray(best.x), float(best.fun)
+
+    def _levels(self, group: Int) -> Float:
+        """Mean density per Hz of each group."""
+        count = int(group.max()) + 1
+        return np.asarray(
+            np.bincount(group, self.weight * self.power / self.rate, count) / np.bincount(group, self.weight, count)
+        )
+
+    def _cost(self, x: Float, group: Int) -> tuple[float, Float]:
+        """Whittle's negative log likelihood at the logarithms x, and its gradient."""
+        s = self.density(x, group)
+        slope = self.weight * (1 - self.power / s) / s * self.rate
+        white, pink, red = np.exp(x[:-2]), np.exp(x[-2]), np.exp(x[-1])
+        gradient = np.concatenate(
+            [
+                np.bincount(group, slope, white.size) * white,
+                [float(np.sum(slope / self.frequency)) * pink, float(np.sum(slope / self.frequency**2)) * red],
+            ]
+        )
+        total = float(self.weight @ (np.log(s) + self.power / s))
+        for groups, log_interval in self.alike:
+            variance = x[groups] - log_interval
+            off = variance - variance.mean()
+            total += float(off @ off) / (2 * _ALIKE**2)
+            gradient[groups] += off / _ALIKE**2
+        return total, gradient
+
+
+def _same_step(settings: Sequence[tuple[float, float]]) -> Iterator[tuple[Int, Float]]:
+    """Groups with the same step of the converter, where there are several, and logarithms of its intervals."""
+    for step in sorted({step for _, step in settings}):
+        groups = np.array(
+            [i for i, (interval, own) in enumerate(settings) if own == step and interval > 0 and step > 0]
+        )
+        if groups.size > 1:
+            yield groups, np.log([settings[i][0] for i in groups])

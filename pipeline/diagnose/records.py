@@ -72,21 +72,22 @@ class Record:
         """Mains in a channel, as far as thinning leaves them; no part of the noise until a session says how strong they are."""
         return mains_of(lambda frequency: thinned_gain(frequency * self.interval_s / self.thinned, self.thinned))
 
-    def noise(self, quantity: str, values: Float, *, degree: int = 1) -> NoiseSample | None:
-        """Periodogram of a stretch (n,) of a channel without signal."""
-        nyquist = 0.5 / self.interval_s
+    def noise(self, quantity: str, values: Float, *, degree: int = 1, below_hz: float = np.inf) -> NoiseSample | None:
+        """Periodogram of a stretch (n,) of a channel without signal, or with one that a polynomial of that degree follows."""
+        passed_hz = _PASSED * 0.5 / self.interval_s if self.thinned > 1 else np.inf
         return noise_sample(
             quantity,
             values,
             self.interval_s,
             degree=degree,
-            below_hz=_PASSED * nyquist if self.thinned > 1 else np.inf,
+            below_hz=min(below_hz, passed_hz),
             setting=self.setting(quantity),
         )
 
-    def setting(self, quantity: str) -> str:
-        """Rate and resolution of the converter."""
-        return f"{self.interval_s / self.thinned:.3e} s, step {self.resolution.get(quantity) or 0.0:.2e}"
+    def setting(self, quantity: str) -> tuple[float, float]:
+        """Interval of the converter's samples in s and its step, to three digits."""
+        interval_s, step = self.interval_s / self.thinned, self.resolution.get(quantity) or 0.0
+        return float(f"{interval_s:.3e}"), float(f"{step:.2e}")
 
 
 def record(channels: Mapping[str, Channel], recording: Recording, *, highest_hz: float) -> Record:

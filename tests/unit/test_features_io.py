@@ -66,7 +66,8 @@ def blocks(draw: st.DrawFn) -> FeatureBlock:
 
 @st.composite
 def features(draw: st.DrawFn) -> RecordingFeatures:
-    noise = NoiseSample("force", 0.001, draw(vectors(3)), draw(vectors(3)), draw(vectors(3)), draw(st.text(max_size=5)))
+    setting = draw(st.tuples(st.floats(0, 1), st.floats(0, 1)))
+    noise = NoiseSample("force", 0.001, draw(vectors(3)), draw(vectors(3)), draw(vectors(3)), setting)
     return RecordingFeatures(
         recording_id=draw(st.text(min_size=1, max_size=10)),
         specimen_id="S-1",
