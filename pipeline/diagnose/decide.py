@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.diagnose.departures import Departure, departures
 from pipeline.diagnose.extend import Extended, ExtendedFit
 from pipeline.diagnose.plain import PlainFit
 from pipeline.diagnose.predict import Simulation
@@ -49,6 +50,9 @@ CLOSE_MISFIT = 1.3
 EXPLAINED = 0.6
 """Share of the misfit that the causes must explain together for their names to be said, where more than noise is left."""
 LEFT_LEVEL = 1e-3
+DEPARTED_LEVEL, DEPARTED_SHARE = 1e-5, 0.1
+"""Probability below which a quantity left free differs, and least share of what it and the causes explain together: forms of right
+causes that are not quite the rig's own leave less."""
 _CONFIRMED = 0.8
 """Share of the threshold Λ that a fitted cause must reach, which the screen only promised."""
 
@@ -61,6 +65,7 @@ class Outcome:
     alternatives : fits in which the strongest cause is replaced by one that does as well
     p_value : of the whole search; threshold : Λ at the false-alarm level
     explained : share of the misfit that the final model explains; looked : signatures that the plain model was searched with
+    before, after : patterns that the plain and the final model leave; departed : what differs freely beside the final model
     """
 
     verdict: str
@@ -75,6 +80,7 @@ class Outcome:
     looked: Signatures
     before: Structure
     after: Structure | None
+    departed: tuple[Departure, ...] = ()
 
 
 def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcome:
@@ -152,9 +158,22 @@ def _decided(of: Extended, start: Float) -> Outcome:
     alternatives = _alternatives(plain, final, singles)
     share = explained(plain, final)
     after = structure(final)
-    verdict = _verdict(plain, final, alternatives, share, after)
+    departing = departures(final)
+    verdict = _verdict(plain, final, alternatives, share, after, departing)
     return Outcome(
-        verdict, untempered, plain, singles, final, alternatives, p_value, threshold, share, looked, before, after
+        verdict,
+        untempered,
+        plain,
+        singles,
+        final,
+        alternatives,
+        p_value,
+        threshold,
+        share,
+        looked,
+        before,
+        after,
+        departed(plain, final, departing),
     )
 
 
@@ -317,8 +336,15 @@ def _verdict(
     alternatives: Sequence[ExtendedFit],
     share: float,
     after: Structure,
+    departing: Sequence[Departure],
 ) -> str:
     left = after.p_value < LEFT_LEVEL
-    if left and share < EXPLAINED:
+    if (left and share < EXPLAINED) or departed(plain, final, departing):
         return UNKNOWN
     return AMBIGUOUS if alternatives else NAMED
+
+
+def departed(plain: ExtendedFit, final: ExtendedFit, departing: Sequence[Departure]) -> tuple[Departure, ...]:
+    """Quantities that explain, left free, beside the causes a share that no form of theirs does."""
+    fall = plain.chi2 - final.chi2
+    return tuple(d for d in departing if d.p_value < DEPARTED_LEVEL and d.excess > DEPARTED_SHARE * (fall + d.excess))

@@ -246,6 +246,7 @@ def _unexplained(outcome: Outcome) -> tuple[str, ...]:
     for kind, p in sorted(left.kind_p.items(), key=lambda item: item[1]):
         if p < _LEFT:
             found.append(f"A pattern stays in {described(kind)}.")
+    found += [f"Beside the causes named, {d.text}." for d in outcome.departed]
     depends = [words(name) for name, p in sorted(left.variable_p.items(), key=lambda item: item[1]) if p < _LEFT]
     if depends:
         found.append(f"What stays depends on {', '.join(depends)}.")

@@ -65,7 +65,7 @@ def structure(fit: ExtendedFit) -> Structure:
     gram, score = gram / np.outer(scale, scale), score / scale
     kinds = np.array([k for k, _ in labels])
     variables = np.array([v for _, v in labels])
-    total, freedom = _quadratic(gram, score, np.ones(kinds.size, dtype=bool))
+    total, freedom = quadratic(gram, score)
     return Structure(
         total,
         freedom,
@@ -150,16 +150,15 @@ def _scaled(values: Float) -> Float:
     return np.asarray(2 * (values - low) / (high - low) - 1) if high > low else np.zeros(values.size)
 
 
-def _quadratic(gram: Float, score: Float, chosen: NDArray[np.bool_]) -> tuple[float, int]:
-    """scoreᵀ gram⁺ score over the chosen patterns, and its rank."""
-    part = gram[np.ix_(chosen, chosen)]
-    values, vectors = np.linalg.eigh((part + part.T) / 2)
+def quadratic(gram: Float, score: Float) -> tuple[float, int]:
+    """scoreᵀ gram⁺ score over patterns of unit length, and its rank."""
+    values, vectors = np.linalg.eigh((gram + gram.T) / 2)
     kept = values > _RELATIVE_RANK * max(float(values[-1]), 1e-300)
     kept &= values > 1e-5
-    along = vectors[:, kept].T @ score[chosen]
+    along = vectors[:, kept].T @ score
     return float(np.sum(along**2 / values[kept])), int(kept.sum())
 
 
 def _p(gram: Float, score: Float, chosen: NDArray[np.bool_]) -> float:
-    total, freedom = _quadratic(gram, score, chosen)
+    total, freedom = quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
     return float(chi_square.sf(total, freedom)) if freedom else 1.0

@@ -1,0 +1,168 @@
+"""What no listed cause does, in general terms: quantities of the simulation that differ freely where no law says how.
+
+A listed cause that stands for an unlisted one leaves what it cannot follow: a stiffness that differs from recording to recording,
+a bend of the force over strain of any shape, a resonance that is not the clamp's. Smooth patterns of the residual hardly see
+that, spread over all recordings as it is; a few free numbers in the stage where it acts do. What material, rig and the causes in
+the model absorb is taken off, so that the sum of squares of the scores is χ² under the null.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_square
+
+from pipeline.diagnose.effects import Course, Effect, Film, Reading, View
+from pipeline.diagnose.extend import ExtendedFit
+from pipeline.diagnose.screen import absorbed_by
+from pipeline.diagnose.session import Session
+from pipeline.diagnose.structure import quadratic
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_STEP = 1e-4
+_MOST_RECORDINGS = 12
+"""Free numbers over the recordings of a session; of a longer one neighbours share theirs."""
+_KNOTS_HZ = np.geomspace(0.01, 160.0, 15), np.geomspace(5.0, 160.0, 26)
+_CHARGING_S = (0.5, 5.0)
+_RATE_S = 0.1
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One quantity left free. `statistic` is χ² with `degrees_of_freedom` under the null; `text` says what differs."""
+
+    text: str
+    statistic: float
+    degrees_of_freedom: int
+
+    @property
+    def p_value(self) -> float:
+        return float(chi_square.sf(self.statistic, max(self.degrees_of_freedom, 1)))
+
+    @property
+    def excess(self) -> float:
+        """χ² that it explains beyond what its free numbers take of the noise."""
+        return self.statistic - self.degrees_of_freedom
+
+
+def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
+    """Every quantity left free beside a fitted model, the least probable first."""
+    of, session = fit.of, fit.of.session
+    base, own, absorbed = of.predict(fit.x), of.effect(fit.x), absorbed_by(fit)
+    found = []
+    for text, effects in _free(session):
+        rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in effects]
+        rows = [row for row in rows if np.isfinite(row).all() and row.any()]
+        if not rows:
+            continue
+        seen = of.weight[:, None] * session.whiten(np.array(rows).T)
+        scale = np.linalg.norm(seen, axis=0)
+        seen = seen[:, scale > 0] / scale[scale > 0]
+        coefficients = absorbed[: session.size].T @ seen
+        gram = seen.T @ seen - coefficients.T @ coefficients
+        score = seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
+        found.append(Departure(text, *quadratic(gram, score)))
+    return tuple(sorted(found, key=lambda d: d.p_value))
+
+
+def _free(session: Session) -> Iterator[tuple[str, list[Effect]]]:
+    """What is left free, in words, and an effect of size `_STEP` for each number."""
+    spans = _spans(session)
+    yield "the stiffness differs from recording to recording", [Effect(film=(_film(_within(s)),)) for s in spans]
+    if session.scale.voltage_kv > 0:
+        yield (
+            "the actuation differs from recording to recording",
+            [Effect(actuation=(_factor(_within(s)),)) for s in spans],
+        )
+        yield (
+            "the actuation follows the voltage in another way",
+            [Effect(actuation=(_factor(f),)) for f in _of_voltage(session.scale.voltage_kv)],
+        )
+    for knots in _KNOTS_HZ:
+        yield (
+            "the stiffness under mechanical tests follows the frequency in another way",
+            [Effect(film=(_film(_near(knots, i, turn)),)) for i in range(knots.size) for turn in (1.0, 1j)],
+        )
+    if session.scale.strain > 0:
+        yield "the force follows the strain in another way", [Effect(tension=(t,)) for t in _of_strain(session)]
+    yield "the reading follows the force in another way", [Effect(reading=(_bent(power),)) for power in (2, 3)]
+
+
+def _spans(session: Session) -> list[tuple[float, float]]:
+    """Times in the session between the starts of recordings, those of long sessions in groups."""
+    groups = np.array_split(session.start_s, min(session.start_s.size, _MOST_RECORDINGS))
+    first = np.array([g[0] for g in groups])
+    edges = np.concatenate([[-np.inf], first[1:] - 1e-3, [np.inf]])
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+Weight = Callable[[View], Float | Complex]
+
+
+def _film(weight: Weight) -> Callable[[Film, View], Film]:
+    return lambda film, view: Film(film.k * (1 + _STEP * weight(view)), film.share)
+
+
+def _factor(weight: Weight) -> Callable[[View], Float | Complex]:
+    return lambda view: 1 + _STEP * weight(view)
+
+
+def _within(span: tuple[float, float]) -> Weight:
+    return lambda view: np.asarray((view.session_s >= span[0]) & (view.session_s < span[1]), dtype=np.float64)
+
+
+def _of_voltage(highest_kv: float) -> list[Weight]:
+    """Powers of the voltage, at once and as something that charges slowly."""
+
+    def at(power: int, charging_s: float) -> Weight:
+        return lambda view: (view.voltage_kv / highest_kv) ** power / (1 + 2j * np.pi * view.frequency_hz * charging_s)
+
+    return [at(power, charging_s) for power in (2, 4) for charging_s in (0.0, *_CHARGING_S)]
+
+
+def _near(knots: Float, number: int, turn: complex) -> Weight:
+    """A triangle over the logarithm of the frequency about one of the knots, in mechanical tests."""
+    width = float(np.log(knots[1] / knots[0]))
+
+    def weight(view: View) -> Float | Complex:
+        if view.test not in ("sweep", "cyclic"):
+            return np.zeros((1, 1))
+        away = np.abs(np.log(np.maximum(view.frequency_hz, 1e-9) / knots[number])) / width
+        return np.asarray(turn * np.maximum(0.0, 1 - away))
+
+    return weight
+
+
+def _of_strain(session: Session) -> list[Callable[[Course], Float]]:
+    """Powers of the strain, and what goes with its rate: smooth, and with its sign alone, as friction and hysteresis do."""
+    largest = session.scale.strain
+
+    def force(shape: Callable[[Float, Float], Float]) -> Callable[[Course], Float]:
+        def tension(course: Course) -> Float:
+            x = course.strain / largest
+            rate = np.gradient(x, axis=-1) / np.broadcast_to(course.interval_s, x.shape)
+            return np.asarray(
+                course.tension + _STEP * course.static * session.scale.length_mm * largest * shape(x, rate)
+            )
+
+        return tension
+
+    return [
+        force(lambda x, rate: x**2),
+        force(lambda x, rate: x**3),
+        force(lambda x, rate: x**4),
+        force(lambda x, rate: x * rate * _RATE_S),
+        force(lambda x, rate: np.tanh(rate / _RATE_S)),
+        force(lambda x, rate: np.abs(x) * np.tanh(rate / _RATE_S)),
+    ]
+
+
+def _bent(power: int) -> Callable[[Reading], Float]:
+    return lambda reading: np.asarray(
+        reading.force + _STEP * reading.largest_n * (reading.force / reading.largest_n) ** power
+    )

@@ -1,0 +1,58 @@
+"""Quantities left free beside a fitted model: silent where nothing is hidden, and the right one where something unlisted is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from pipeline.diagnose.departures import Departure, departures
+from pipeline.diagnose.extend import Extended
+from pipeline.diagnose.plain import fit_plain
+from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.session import make_session
+from tests.hidden_effects.truth import Effect
+from tests.hidden_effects.truth import make_session as true_session
+
+DESIGNS = (
+    {"protocol": "chirp", "strain_pp": 0.006},
+    {"protocol": "cyclic", "strain_pp": 0.04, "frequency_hz": 1.0, "cycles": 10},
+    {"protocol": "sphs", "drive_kv": 5.5},
+    {"protocol": "cyclic", "strain_pp": 0.12, "frequency_hz": 1.0, "cycles": 10},
+    {"protocol": "sphs", "drive_kv": 8.0},
+    {"protocol": "chirp", "strain_pp": 0.02},
+)
+
+
+def beside_the_plain_model(seed: int, *effects: Effect) -> Sequence[Departure]:
+    session = make_session([reduce(r) for r in true_session(seed, DESIGNS, effects).recordings])
+    simulation = Simulation(session)
+    fitted = fit_plain(session, simulation)
+    of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
+    return departures(of.refined(of.fit(fitted.theta, most=3)))
+
+
+@pytest.mark.parametrize("seed", range(301, 305))
+def test_nothing_departs_where_nothing_is_hidden(seed: int) -> None:
+    found = beside_the_plain_model(seed)
+    assert len(found) >= 7
+    assert min(d.p_value for d in found) > 1e-4, found[0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        (Effect("clamp_misalignment", 0.02), "the force follows the strain in another way"),
+        (Effect("acoustic_resonance", 0.05), "the stiffness under mechanical tests follows the frequency in another way"),
+        (Effect("humidity", 0.02), "the stiffness differs from recording to recording"),
+        (Effect("frame_attraction", 0.05), "the actuation follows the voltage in another way"),
+    ],
+    ids=lambda v: v.id if isinstance(v, Effect) else "",
+)  # fmt: skip
+def test_what_is_in_no_list_departs_where_it_acts(effect: Effect, words: str) -> None:
+    found = beside_the_plain_model(303, effect)
+    assert found[0].p_value < 1e-8
+    assert words in [d.text for d in found if d.p_value < 1e-8]
+    assert found[0].excess == pytest.approx(found[0].statistic - found[0].degrees_of_freedom)
