@@ -6,7 +6,7 @@ output: what is compared later are predictions, not these values.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
 from pipeline.diagnose.features import SPHS_VOLTAGE, STEP_CAPACITANCE, STEP_VOLTAGE, RecordingFeatures
+from pipeline.diagnose.mechanisms.mechanism import CYCLES, MULTISINE_FORCE, RAMPS, STEP_SENSED, SWEEPS, Mechanism
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.session import Session
 from pipeline.simulate import excitation
@@ -30,16 +31,23 @@ _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
 _CHIRP: dict[str, Key] = {"frequency_start_hz": 1.0, "frequency_stop_hz": 100.0, "sweep": "log", "repeats": 2.0}
-_KNEE_HZ = 30.0
+_KINDS = {
+    "chirp": SWEEPS,
+    "cyclic": CYCLES,
+    "relaxation": RAMPS,
+    "sphs": MULTISINE_FORCE | {SPHS_VOLTAGE},
+    "step": STEP_SENSED | {STEP_VOLTAGE},
+}
 _SWEEP_S, _REST_S = 6.0, 2.0
 _SPHS: dict[str, Key] = {
     "period_s": 2.0,
-    "periods": 7.0,
+    "periods": 100.0,
     "frequency_start_hz": 0.5,
     "frequency_stop_hz": 100.0,
     "lines": "odd",
 }
-_LARGEST_STRAIN = 0.3
+_USUAL_STRAIN = 0.02
+_LONG_REST_S = 7200.0
 
 
 @dataclass(frozen=True)
@@ -56,17 +64,28 @@ class Proposal:
         return "relaxation" if protocol == "step" and mechanical else protocol
 
 
+def showing(proposals: Sequence[Proposal], causes: Sequence[Mechanism]) -> list[Proposal]:
+    """Those in which at least one of the causes shows plainly."""
+    return [p for p in proposals if any(_KINDS[p.test] & m.shows and p.test not in m.faint for m in causes)]
+
+
 def catalogue(session: Session) -> list[Proposal]:
-    """Tests around what the session has: smaller and larger, slower, lower and higher voltage, the other polarity."""
-    strain = 2 * max((s for s in [session.scale.strain] if s > 0), default=0.02)
+    """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity.
+
+    None is larger than what the session has: that could bring effects of its own, or the end of the film.
+    """
+    largest = session.scale.strain if session.scale.strain > 0 else _USUAL_STRAIN
+    swings = [2 * r.values.get("largest_strain", 0.0) for r in session.recordings if r.protocol == "chirp"]
+    swing = max(swings, default=0.0) or largest / 2
     found: list[Proposal] = []
-    for level in sorted({round(0.1 * strain, 4), round(0.4 * strain, 4), round(min(1.5 * strain, _LARGEST_STRAIN), 4)}):
+    for level in (round(0.3 * swing, 4), round(swing, 4)):
         found.append(
             Proposal(
                 {"protocol": "chirp", "loading": "mechanical", "strain_pp": level, **_CHIRP},
                 f"a chirp from 1 to 100 Hz at {100 * level:.2g} % strain (peak to peak), twice",
             )
         )
+    for level in (round(0.2 * largest, 4), round(0.5 * largest, 4), round(largest, 4)):
         for frequency, cycles in ((0.02, 4.0), (1.0, 30.0)):
             found.append(
                 Proposal(
@@ -80,12 +99,17 @@ def catalogue(session: Session) -> list[Proposal]:
                     f"{cycles:g} cycles of {100 * level:.2g} % strain (peak to peak) at {frequency:g} Hz",
                 )
             )
-    found.append(
-        Proposal(
-            {"protocol": "step", "loading": "mechanical", "strain_pp": round(0.4 * strain, 4), "hold_s": 600.0},
-            f"a step of {40 * strain:.2g} % strain held for ten minutes",
+    for level in (round(0.5 * largest, 4), round(largest, 4)):
+        found.append(
+            Proposal(
+                {"protocol": "step", "loading": "mechanical", "strain_pp": level, "hold_s": 600.0},
+                f"a step of {100 * level:.2g} % strain held for ten minutes",
+            )
         )
-    )
+    rested: dict[str, Key] = {"rest_before_s": _LONG_REST_S}
+    found += [
+        Proposal({**p.design, **rested}, f"{p.text}, after two hours of rest") for p in found if p.test == "chirp"
+    ]
     if session.scale.voltage_kv > 0:
         found += _electrical(session.scale.voltage_kv)
     return found
@@ -93,7 +117,7 @@ def catalogue(session: Session) -> list[Proposal]:
 
 def _electrical(highest: float) -> list[Proposal]:
     found = []
-    for share in (0.25, 0.5, 0.75, 1.0):
+    for share in (0.125, 0.25, 0.5, 1.0):
         for polarity in (1.0, -1.0):
             kv = round(share * highest, 2)
             side = "" if polarity > 0 else " of the opposite polarity"
@@ -101,7 +125,7 @@ def _electrical(highest: float) -> list[Proposal]:
             found.append(
                 Proposal(
                     {"protocol": "sphs", "loading": "electrical", "drive_kv": kv, **_SPHS, **sign},
-                    f"an SPHS with a peak of {kv:g} kV{side}",
+                    f"an SPHS with a peak of {kv:g} kV{side}, a hundred periods of 2 s",
                 )
             )
             found.append(
@@ -139,7 +163,9 @@ def imagined(session: Session, physical: Physical, proposal: Proposal) -> Record
         k = physical.film.stiffness(frequency)
         sensed = _response(physical, number, frequency, True) * (physical.film.k0 / k) * physical.pf_per_n
         channels["capacitance"] = _filtered(drive, sensed)
-    begin = int((last.started_at + timedelta(seconds=last.duration_s + _PAUSE_S)).timestamp() * _NS)
+    pause_s = float(proposal.design.get("rest_before_s", _PAUSE_S))
+    started_at = last.started_at + timedelta(seconds=last.duration_s + pause_s)
+    begin = int(started_at.timestamp() * _NS)
     stamps = begin + np.rint(time * _NS).astype(np.int64)
     made = {
         quantity: Channel(quantity, stamps, values + rng.normal(0.0, _noise(session, number, quantity), values.size))
@@ -152,7 +178,7 @@ def imagined(session: Session, physical: Physical, proposal: Proposal) -> Record
             **{k: (f"{v:g}" if isinstance(v, float) else v) for k, v in keys.items()},
             "recording_id": "next",
             "specimen_id": session.specimen_id,
-            "started_at": (last.started_at + timedelta(seconds=last.duration_s + _PAUSE_S)).isoformat(),
+            "started_at": started_at.isoformat(),
             "total_length_mm": f"{session.scale.length_mm:g}",
         }
     )
@@ -187,9 +213,10 @@ def _clock(duration_s: float, interval_s: float) -> Float:
 
 
 def _chirp(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
-    time = _clock(_REST_S + 2 * (_SWEEP_S + _REST_S), interval_s)
+    repeats = int(float(design["repeats"]))
+    time = _clock(_REST_S + repeats * (_SWEEP_S + _REST_S), interval_s)
     total: Float = np.zeros(time.size)
-    for repeat in range(2):
+    for repeat in range(repeats):
         one = excitation.sweep(
             time - _REST_S - repeat * (_SWEEP_S + _REST_S),
             start_hz=1.0,

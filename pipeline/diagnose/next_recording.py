@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.designs import Proposal, catalogue, imagined
+from pipeline.diagnose.designs import Proposal, catalogue, imagined, showing
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.results import NextRecording
@@ -26,6 +26,8 @@ Float = NDArray[np.float64]
 _MODEL_ERROR = 0.15
 """Share of a predicted difference that counts as noise: neither cause has exactly its form."""
 _ENOUGH = 9.2
+"""Difference of χ² from which a cause stands alone."""
+_NORMAL_80 = 1.282
 
 
 def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
@@ -34,23 +36,32 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
         return None
     session = final.of.session
     physical = final.of.model.physical(final.theta)
-    best: tuple[float, Proposal] | None = None
-    for proposal in catalogue(session):
+    laws = {key: replace(law, white=np.append(law.white, np.median(law.white))) for key, law in session.laws.items()}
+    best: tuple[float, float, Proposal] | None = None
+    causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
+    for proposal in showing(catalogue(session), causes):
         try:
             new = imagined(session, physical, proposal)
-            later = make_session([*session.recordings, new])
+            later = make_session([*session.recordings, new], laws)
         except NotIdentifiableError:
             continue
         number = len(session.recordings)
-        part = later.part([p.recording == number for p in later.places])
-        separation = min(_separation(part, final, rival) for rival in alternatives)
-        if best is None or separation > best[0]:
-            best = separation, proposal
+        # What severities are relative to stays that of the session at hand, however large the new recording is.
+        part = replace(later.part([p.recording == number for p in later.places]), scale=session.scale)
+        separations = [_separation(part, final, rival) for rival in alternatives]
+        surely = min(_nearly_surely(s) + r.chi2 - final.chi2 for s, r in zip(separations, alternatives, strict=True))
+        if best is None or surely > best[0]:
+            best = surely, min(separations), proposal
     if best is None or best[0] < _ENOUGH:
         return None
-    separation, proposal = best
+    _, separation, proposal = best
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
     return NextRecording(proposal.design, f"{proposal.text}: tells {rivals} apart", separation)
+
+
+def _nearly_surely(separation: float) -> float:
+    """Difference of χ² that noise leaves with a probability of 90 % where this one is expected: its variance is four times it."""
+    return separation - _NORMAL_80 * 2 * float(np.sqrt(separation))
 
 
 def _separation(part: Session, one: ExtendedFit, other: ExtendedFit) -> float:

@@ -6,7 +6,7 @@ belongs to one state. Belongs here: what does not depend on parameters. The simu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -245,9 +245,12 @@ class Session:
         return 1 / (2 * np.pi * high * _TIMES_BEYOND), _TIMES_BEYOND / (2 * np.pi * low)
 
 
-def make_session(recordings: Sequence[RecordingFeatures]) -> Session:
+def make_session(
+    recordings: Sequence[RecordingFeatures], laws: Mapping[tuple[int, str], NoiseLaw] | None = None
+) -> Session:
     """A session of one specimen's recordings, in the order of their start whatever the order given.
 
+    `laws` of the noise are found in the recordings where they are not given.
     Raises `NotIdentifiableError` without recordings and for recordings of several specimens.
     """
     ordered = sorted(recordings, key=lambda r: (r.started_at, r.recording_id))
@@ -289,7 +292,7 @@ def make_session(recordings: Sequence[RecordingFeatures]) -> Session:
         states=states,
         value=np.concatenate([p.block.value for p in places]),
         scale=total,
-        laws=_laws(ordered, number),
+        laws=_laws(ordered, number) if laws is None else dict(laws),
     )
 
 

@@ -84,7 +84,7 @@ MISSING_RELAXATION = Mechanism(
     parameters=(
         Parameter("stiffness_ratio", "1", "k_x over k0", 0.01, 0.6),
         Parameter("time_constant_s", "s", "τ", 1e-3, 30.0, SHAPE),
-        Parameter("spread", "1", "β", 0.4, 1.0, SHAPE, log=False, least=0.2, most=1.0),
+        Parameter("spread", "1", "β", 0.5, 1.0, SHAPE, log=False, least=0.45, most=1.0),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs",),
