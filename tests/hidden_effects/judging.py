@@ -77,7 +77,8 @@ class Judgement:
     curve_before, curve_after : mean relative error of k(jω) over 1–100 Hz of the plain and of the extended film
     off : deviation of that severity from the truth in standard deviations; NaN where not defined
     split : whether the recording that an ambiguous diagnosis proposes, made and diagnosed with the others, leaves one cause, the
-        right one; None where the diagnosis is not ambiguous
+        right one; False where it proposes none, None where the diagnosis is not ambiguous
+    proposed : whether the diagnosis proposes a recording
     """
 
     case: Case
@@ -98,6 +99,7 @@ class Judgement:
     gain: float = float("nan")
     off: float = float("nan")
     split: bool | None = None
+    proposed: bool = False
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -289,6 +291,7 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
         gain=float("nan") if d.held_out is None else d.held_out.gain,
         off=off,
         split=split,
+        proposed=d.next_recording is not None,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -60,7 +61,7 @@ def test_results_name_no_folder_of_the_machine(tmp_path: Path, monkeypatch: pyte
     def here(command: list[str], **options: object) -> object:
         return called([command[0], str(tmp_path / f"{command[2].rpartition('.')[2]}.py")], **options)
 
-    monkeypatch.setattr(studies.subprocess, "run", here)
+    monkeypatch.setattr(studies, "subprocess", SimpleNamespace(run=here))
     for name, ends in (("warned", "(status 1)."), ("died", "(status 1).\nValueError: no film")):
         text, good = studies.run(tmp_path / f"study_{name}.py", [])
         assert not good
