@@ -22,6 +22,8 @@ LIMIT = 5.0
 """Amplification of noise beyond which a corrected point is not used."""
 _REACH = 7.0
 """Half height of the residual panel, SD."""
+_WITHOUT_RESIDUAL = 244
+"""Height of the picture where no model leaves a residual."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,9 @@ def response(
 ) -> Markup:
     """Magnitude or phase against frequency with the models, and the residual of the chosen order and the one below.
 
-    With `alarm`, residuals of the chosen order beyond 3 SD are marked as wrong and the largest is named.
+    Without models there is no residual, and no room for one. With `alarm`, residuals of the chosen order beyond 3 SD are marked as wrong and the largest is named.
     """
-    drawing = Drawing(WIDE, 344)
+    drawing = Drawing(WIDE, 344 if curves else _WITHOUT_RESIDUAL)
     frequencies = [lines.frequency] + ([recorded.frequency] if recorded else [])
     x = logarithmic(*frequencies, margin=0.015)
 
@@ -115,10 +117,10 @@ def response(
 
     y = _value_scale([shown(lines.value)] + ([shown(recorded.value)] if recorded else []), curves, shown, phase=phase)
     upper = Panel(drawing, 46, 24, 332, 176, x, y)
-    lower = Panel(drawing, 46, 226, 332, 72, x, symmetric(_reach(curves, phase=phase)))
-    _greyed(lines, upper, lower, at_top=phase)
+    lower = Panel(drawing, 46, 226, 332, 72, x, symmetric(_reach(curves, phase=phase))) if curves else None
+    _greyed(lines, upper, *((lower,) if lower else ()), at_top=phase)
     title = "Phase of k, degrees" if phase else "Dynamic stiffness |k|, N/mm"
-    upper.axes(title, x_labels=False, y_most=5)
+    upper.axes(title, *(() if lower else ("Frequency, Hz",)), x_labels=not lower, y_most=5)
     if phase and y.low < 0 < y.high:
         upper.level(0, "#c9ced4")
     if recorded:
@@ -134,7 +136,8 @@ def response(
     upper.dots(lines.frequency[good], shown(lines.value)[good], INK, 4.2)
     upper.names([_name(c, float(shown(c.on_grid[-1:])[0])) for c in curves])
     _captions(upper, lines, recorded, shown, phase=phase)
-    _residuals(lower, curves, phase=phase, alarm=alarm)
+    if lower:
+        _residuals(lower, curves, phase=phase, alarm=alarm)
     return drawing.image(alt)
 
 
