@@ -34,7 +34,7 @@ from pipeline.store.journal import DAMAGED, FAILED, PENDING, QUARANTINED, Outcom
 from pipeline.store.manifest import KnownRecording
 from pipeline.store.manifest import published as snapshot
 from pipeline.store.publish import Changes, Deletion, Rows, publish
-from pipeline.tabulate.recordings import as_json, joined, recordings_table
+from pipeline.tabulate.recordings import as_json, joined, recordings_rows, recordings_table
 from schemas.errors import RefusedError
 from schemas.version import software_version
 
@@ -206,7 +206,7 @@ def _insertions(context: Context, night: Night, changed: Sequence[Row]) -> Itera
         tables = read_tables(entry_path(context.lab.journal, outcome.item_id))
         read = tables.pop("recordings", None)
         if read is not None:
-            (full,) = read.to_pylist()
+            (full,) = recordings_rows(read)
             waiting += [complete(row, full) for row in left.pop(outcome.item_id, ())]
         if outcome.item_id in accepted:
             yield tables
@@ -214,8 +214,8 @@ def _insertions(context: Context, night: Night, changed: Sequence[Row]) -> Itera
             yield {"recordings": recordings_table(waiting)}
             waiting.clear()
     waiting += _as_published(context, [row for rows in left.values() for row in rows], complete)
-    if waiting:
-        yield {"recordings": recordings_table(waiting)}
+    if waiting:  # a few as they are: the first arrow table made here costs an import of pandas
+        yield {"recordings": [{"software_version": software_version(), **row} for row in waiting]}
     yield {
         "items": [_item_row(outcome, night.run_id) for outcome in made],
         "files": [{"path": path, **asdict(seen)} for path, seen in night.read.found.seen.items()],

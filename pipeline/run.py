@@ -24,7 +24,7 @@ from pipeline.deriving import derive
 from pipeline.execute import LocalPool, SerialExecutor, prepared
 from pipeline.lab import Lab
 from pipeline.lock import exclusive
-from pipeline.looking import look
+from pipeline.looking import likely_new, look
 from pipeline.night import Context, Track
 from pipeline.plan import rows
 from pipeline.publishing import Counts, Night, count, discard_work, failures, publish_night
@@ -117,11 +117,14 @@ def nightly(
         started, clock = datetime.now(UTC), time.monotonic()
         settings = load_settings(lab)
         open_executor, workers = _executors(settings, jobs, cluster)
+        local = jobs > 0 and cluster is None
+        if local and likely_new(raw, lab):
+            prepared(_PRELOAD)  # what workers need loads while the night finds out what there is to do
         context = Context(lab, settings, load_manifest(lab), rigs, workers, open_executor, track)
         annotations = read_annotations(lab)
         found = look(raw, lab, context.manifest.files)
-        if found.seen and jobs and cluster is None:
-            prepared(_PRELOAD)  # there will be work, most likely: its modules load while it is planned
+        if found.seen and local:
+            prepared(_PRELOAD)
         adopt_journal(context)
         read_now = read(context, found)
         out = excluded(annotations)

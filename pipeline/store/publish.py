@@ -112,30 +112,40 @@ def _base(published: Path, building: Path) -> Any:
         connection = duckdb.connect(str(building), config=READABLE_FROM)
         _define(connection)
         return connection
-    if _schema_of(published) == fingerprint():
-        _copy(published, building)
-        return duckdb.connect(str(building))
+    _copy(published, building)
+    connection = _opened(building, published)
+    if _schema_of(connection) == fingerprint():
+        return connection
+    connection.close()
+    discard(building)
     connection = duckdb.connect(str(building), config=READABLE_FROM)
     _define(connection)
     _migrate(connection, published)
     return connection
 
 
-def _schema_of(database: Path) -> str | None:
+def _opened(copy: Path, published: Path) -> Any:
+    """A writable connection to the copy of a published database."""
     import duckdb
 
     try:
-        with duckdb.connect(str(database), read_only=True) as connection:
-            row = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
-            return None if row is None else str(row[0])
-    except duckdb.CatalogException:
-        return None
+        return duckdb.connect(str(copy))
     except duckdb.Error as error:
         raise LabError(
             f"the published database cannot be read: {str(error).splitlines()[0]}",
-            where=str(database),
+            where=str(published),
             remedy="Move it away; the next nightly over all raw folders builds it anew",
         ) from None
+
+
+def _schema_of(connection: Any) -> str | None:
+    import duckdb
+
+    try:
+        row = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
+    except duckdb.CatalogException:
+        return None
+    return None if row is None else str(row[0])
 
 
 def _copy(source: Path, target: Path) -> None:
