@@ -23,7 +23,8 @@ from pipeline.stages.tasks import (
 )
 from pipeline.store.inputs import Included, fetch
 from pipeline.store.journal import Freshness
-from pipeline.store.manifest import Reader, published
+from pipeline.store.manifest import published
+from pipeline.store.reader import Reader
 
 _ByRig = dict[str | None, list[Included]]
 
@@ -119,7 +120,8 @@ def _task(context: Context, item: _Item, expected: Freshness, reader: Reader | N
     """The task of an item, with what it is made from: fetched here, or where to fetch it."""
     task = DerivedTask(item.item_id, item.stage, expected, (), context.lab.journal)
     if item.stage == GROUP:
-        return replace(task, lab=context.lab.folder, stored=tuple(one.stored for one in item.recordings))
+        snapshot = None if all(one.entry for one in item.recordings) else context.lab.database
+        return replace(task, snapshot=snapshot, stored=tuple(one.stored for one in item.recordings))
     only, but = (DIAGNOSIS_KIND, "") if item.stage == DIAGNOSIS else ("", DIAGNOSIS_KIND)
     return replace(
         task,

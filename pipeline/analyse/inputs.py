@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
 
 from schemas.metadata import RecordingMetadata, RigConstants, TableMetadata
 
 Kind = TypeVar("Kind")
+Stored: TypeAlias = tuple[str, Path | None]
+"""A recording's id and its journal entry, None where its results are in the published snapshot."""
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.groups import analyse_force_maps, analyse_survival
 from pipeline.analyse.inputs import RecordingInput, measured, results_of_kind
 from pipeline.analyse.weak_regions import analyse_weak_regions
-from pipeline.lab import Lab
 from pipeline.stages.derived import run as run_derived
 from pipeline.stages.tasks import GROUPS, DerivedTask
 from pipeline.store.inputs import fetch_results
 from pipeline.store.journal import Outcome
-from pipeline.store.manifest import published
+from pipeline.store.reader import Reader
 from pipeline.transform.force_map import ForceMapReadings
 from schemas.lifetimes import LifetimeRow
 
@@ -35,9 +35,6 @@ def _analysis(task: DerivedTask) -> Analysis:
 
 
 def _fetched(task: DerivedTask) -> Sequence[RecordingInput]:
-    assert task.lab is not None
     group = GROUPS[task.name]
-    if all(entry is not None for _, entry in task.stored):
-        return fetch_results(task.stored, None, group.kinds, mention=group.mention)
-    with published(Lab(task.lab)) as reader:
+    with contextlib.nullcontext() if task.snapshot is None else Reader(task.snapshot) as reader:
         return fetch_results(task.stored, reader, group.kinds, mention=group.mention)

@@ -13,10 +13,9 @@ from typing import Any
 
 from ingest.discover import SourceFile
 from ingest.rigs import find_rig
-from pipeline.analyse.inputs import RecordingInput
+from pipeline.analyse.inputs import RecordingInput, Stored
 from pipeline.freshness import digest
 from pipeline.paths import source_text
-from pipeline.store.inputs import Stored
 from pipeline.store.journal import FAILED, QUARANTINED, Freshness, Outcome, write_entry
 from pipeline.tabulate.recordings import recordings_table, refused_row
 from schemas.errors import DealabError
@@ -163,7 +162,7 @@ class DerivedTask:
     journal : folder that gets the results
     calibrations : results of the calibrations of their rigs
     settings : settings of the stage
-    lab, stored : of a group, the lab's folder and where the results of its recordings are: there may be many thousand,
+    snapshot, stored : of a group, the published database, None where there is none yet, and where the results of its recordings are: there may be many thousand,
         so the worker fetches them, not the night
     """
 
@@ -174,7 +173,7 @@ class DerivedTask:
     journal: Path
     calibrations: tuple[RecordingInput, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
-    lab: Path | None = None
+    snapshot: Path | None = None
     stored: tuple[Stored, ...] = ()
 
     @property

@@ -9,18 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
-from pipeline.analyse.inputs import RecordingInput
+from pipeline.analyse.inputs import RecordingInput, Stored
 from pipeline.store.checks import ANALYSED
 from pipeline.store.journal import Freshness, read_tables
-from pipeline.store.manifest import Reader
+from pipeline.store.reader import Reader
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Stored: TypeAlias = tuple[str, Path | None]
-"""A recording's id and its journal entry, None where its results are in the published snapshot."""
 
 
 @dataclass(frozen=True)

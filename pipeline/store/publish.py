@@ -25,6 +25,8 @@ from schemas.tables import TABLES, Table
 from schemas.views import VIEWS, fingerprint
 
 _BATCH_BYTES = 32 << 20
+BATCH_PIECES = 1000
+"""What is inserted at once. A small arrow table holds ten times the bytes of its rows, so their number counts as well."""
 _MEMORY = "256MB"
 """What DuckDB may keep in memory while it edits the copy, however many rows there are; the rest goes to its file."""
 READABLE_FROM = {"storage_compatibility_version": "v1.2.0"}
@@ -204,7 +206,7 @@ def _apply(connection: Any, changes: Changes) -> None:
                 f"DELETE FROM {deletion.table} USING (SELECT {given}) AS given WHERE {match} AND ({deletion.where})",
                 [list(values) for values in deletion.keys.values()],
             )
-    for tables in _batched(changes.insertions):
+    for tables in batched(changes.insertions):
         for name, rows in tables.items():
             _insert(connection, TABLES[name], rows)
         connection.execute("COMMIT")  # nobody sees the copy yet; a transaction's rows stay in memory until then
@@ -212,17 +214,18 @@ def _apply(connection: Any, changes: Changes) -> None:
     connection.execute("COMMIT")
 
 
-def _batched(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows]]]:
+def batched(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows]]]:
     """The same rows in fewer, larger pieces: DuckDB takes few large tables faster than many small ones."""
     waiting: dict[str, list[Rows]] = {}
-    size = 0
+    size = pieces = 0
     for part in parts:
         for name, rows in part.items():
             waiting.setdefault(name, []).append(rows)
             size += rows.nbytes if isinstance(rows, pa.Table) else 0
-        if size >= _BATCH_BYTES:
+            pieces += 1
+        if size >= _BATCH_BYTES or pieces >= BATCH_PIECES:
             yield waiting
-            waiting, size = {}, 0
+            waiting, size, pieces = {}, 0, 0
     yield waiting
 
 

@@ -12,8 +12,8 @@ import pytest
 from pipeline.lab import Lab
 from pipeline.store.inputs import _rows, fetch_results
 from pipeline.store.journal import Freshness, Outcome, entry_path, write_entry
-from pipeline.store.manifest import Reader
 from pipeline.store.publish import Changes, publish
+from pipeline.store.reader import Reader
 from schemas.tables import TABLES
 
 
@@ -53,7 +53,7 @@ def test_results_of_a_group_from_journal_and_snapshot(tmp_path: Path, published:
     }
     publish(lab, Changes(insertions=[every[name] for name in published]))
     stored = [(name, None if name in published else entry_path(tmp_path, name)) for name in every]
-    with Reader(lab) as reader:
+    with Reader(lab.database) as reader:
         plain = fetch_results(stored, reader, {"Lifetime"})
         with_rods = fetch_results(stored, reader, {"Lifetime"}, mention="rods")
     assert [(one.recording_id, [row["kind"] for row in one.carried]) for one in plain] == [
