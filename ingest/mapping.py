@@ -58,6 +58,8 @@ from ingest.toml_files import content_hash, load_toml
 from schemas.quantities import QUANTITIES
 
 FOLDER_FILE = "recordings.toml"
+_OWN = ".toml"
+"""What the name of a data file gets for that of a mapping of its own."""
 ColumnName: TypeAlias = str | int
 
 
@@ -171,15 +173,15 @@ def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping
     `names` in the file's folder, where somebody has looked already.
     """
 
-    def there(candidate: Path) -> bool:
-        return (names is None or candidate.name in names) and candidate.is_file()
+    def there(name: str) -> bool:
+        return (names is None or name in names) and path.with_name(name).is_file()
 
-    own = own_mapping(path)
+    own = path.name + _OWN
     if there(own):
-        return FileMapping.parse(load_toml(own), stem=_stem(path), suffix=path.suffix, source=own.name)
-    shared = path.with_name(FOLDER_FILE)
-    if not there(shared):
+        return FileMapping.parse(load_toml(path.with_name(own)), stem=_stem(path), suffix=path.suffix, source=own)
+    if not there(FOLDER_FILE):
         return None
+    shared = path.with_name(FOLDER_FILE)
     info = shared.stat()
     for number, entry in enumerate(_folder_entries(shared, info.st_mtime_ns, info.st_size), start=1):
         if fnmatch.fnmatchcase(path.name, entry["match"]):
@@ -196,7 +198,7 @@ def _stem(path: Path) -> str:
 
 def own_mapping(path: Path) -> Path:
     """The mapping file beside a data file, whether it exists or not."""
-    return path.with_name(path.name + ".toml")
+    return path.with_name(path.name + _OWN)
 
 
 @functools.lru_cache(maxsize=64)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from pipeline.execute import Casualty
@@ -23,6 +24,7 @@ from pipeline.stages.tasks import (
 from pipeline.store.inputs import Included, fetch
 from pipeline.store.journal import Freshness
 from pipeline.store.manifest import published
+from pipeline.store.reader import Reader
 
 _ByRig = dict[str | None, list[Included]]
 
@@ -104,26 +106,29 @@ def _make(context: Context, items: Sequence[_Item]) -> None:
     stale = [item for item in items if not context.is_fresh(item.item_id, expected[item.item_id])]
     if not stale:
         return
-    with published(context.lab) as reader:
-
-        def tasks() -> Iterator[DerivedTask]:
-            for item in stale:
-                only, but = (DIAGNOSIS_KIND, "") if item.stage == DIAGNOSIS else ("", DIAGNOSIS_KIND)
-                yield DerivedTask(
-                    item.item_id,
-                    item.stage,
-                    expected[item.item_id],
-                    fetch(item.recordings, reader, only=only, but=but),
-                    context.lab.journal,
-                    fetch(item.calibrations, reader, only=only, but=but),
-                    context.settings.of_stage(item.stage),
-                )
-
-        for task, result in context.run(tasks(), len(stale), "analyses"):
+    alone = all(item.stage == GROUP for item in stale)  # groups fetch what they need themselves
+    with contextlib.nullcontext() if alone else published(context.lab) as reader:
+        tasks = (_task(context, item, expected[item.item_id], reader) for item in stale)
+        for task, result in context.run(tasks, len(stale), "analyses"):
             if isinstance(result, Casualty):
                 limits = replace(task.freshness, settings_hash=context.limits_hash)
                 result = derived_casualty(replace(task, freshness=limits), result.reason)
             context.done[result.item_id] = result
+
+
+def _task(context: Context, item: _Item, expected: Freshness, reader: Reader | None) -> DerivedTask:
+    """The task of an item, with what it is made from: fetched here, or where to fetch it."""
+    task = DerivedTask(item.item_id, item.stage, expected, (), context.lab.journal)
+    if item.stage == GROUP:
+        snapshot = None if all(one.entry for one in item.recordings) else context.lab.database
+        return replace(task, snapshot=snapshot, stored=tuple(one.stored for one in item.recordings))
+    only, but = (DIAGNOSIS_KIND, "") if item.stage == DIAGNOSIS else ("", DIAGNOSIS_KIND)
+    return replace(
+        task,
+        recordings=fetch(item.recordings, reader, only=only, but=but),
+        calibrations=fetch(item.calibrations, reader, only=only, but=but),
+        settings=context.settings.of_stage(item.stage),
+    )
 
 
 def _identity(one: Included) -> list[str]:

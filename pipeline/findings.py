@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.lab import Lab
 from pipeline.show import safe
-from pipeline.store.manifest import Reader
+from pipeline.store.reader import Reader
 from schemas.errors import UsageError
 from schemas.mechanisms import amount, candidate, cause, main, nested, parameter_words, plain_name, severity
 from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, significant
@@ -35,7 +35,7 @@ def diagnoses(lab: Lab, specimens: Sequence[str], *, as_json: bool) -> str:
     Raises `LabError` without a database, `UsageError` for a specimen that the lab does not know.
     """
     lab.require_database()
-    with Reader(lab) as reader:
+    with Reader(lab.database) as reader:
         found = reader.rows("diagnoses")
         known = {row["specimen_id"] for row in reader.rows("recordings", ("specimen_id",))}
         for name in specimens:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -45,7 +46,7 @@ class Context:
     track: Track
     earlier: dict[str, Outcome] = field(default_factory=dict)
     done: dict[str, Outcome] = field(default_factory=dict)
-    _rig_hashes: dict[tuple[str | None, Path, Path], str] = field(default_factory=dict)
+    _rig_hashes: dict[tuple[str | None, str, Path], str] = field(default_factory=dict)
     _versions: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def version(self, stage: str) -> tuple[str, str]:
@@ -71,7 +72,7 @@ class Context:
 
     def rig_hash(self, source: SourceFile, rig_id: str | None) -> str:
         """Hash of the file of a recording's rig; looked up once per rig and folder."""
-        key = (rig_id, source.path.parent, source.root)
+        key = (rig_id, os.path.dirname(source.path), source.root)
         if key not in self._rig_hashes:
             self._rig_hashes[key] = rig_hash(source, rig_id, self.rigs)
         return self._rig_hashes[key]

@@ -19,8 +19,8 @@ from pipeline.lab import Lab
 from pipeline.lock import exclusive
 from pipeline.stages.tasks import RECORDING, item_id
 from pipeline.store.checks import ANALYSED
-from pipeline.store.manifest import Reader
 from pipeline.store.publish import Changes, Deletion, publish
+from pipeline.store.reader import Reader
 from schemas.tables import TABLES
 
 
@@ -67,7 +67,7 @@ def plan(lab: Lab, rule: Rule, now: datetime | None = None) -> Plan:
     """What would go; changes nothing. Raises `LabError` where nothing has been published."""
     now = now or datetime.now(UTC)
     lab.require_database()
-    with Reader(lab) as reader:
+    with Reader(lab.database) as reader:
         rows = reader.rows("recordings")
     found = Plan()
     if rule.gone:

@@ -34,7 +34,7 @@ from pipeline.store.journal import DAMAGED, FAILED, PENDING, QUARANTINED, Outcom
 from pipeline.store.manifest import KnownRecording
 from pipeline.store.manifest import published as snapshot
 from pipeline.store.publish import Changes, Deletion, Rows, publish
-from pipeline.tabulate.recordings import as_json, joined, recordings_table
+from pipeline.tabulate.recordings import as_json, joined, recordings_rows
 from schemas.errors import RefusedError
 from schemas.version import software_version
 
@@ -76,7 +76,7 @@ def count(context: Context, night: Night) -> Counts:
     statuses = [row.status for row in tonight]
     read = {item for item in context.done if item.startswith(f"{RECORDING}:")}
     contents = {item_id(RECORDING, row.source_sha256) for row in tonight if row.source_sha256 is not None}
-    accepted = {item_id(RECORDING, sha) for sha in night.read.accepted()}
+    accepted = {item_id(RECORDING, sha) for sha in night.read.accepted}
     return Counts(
         found=len(night.read.found.looks),
         ingested=len(read & contents & accepted),
@@ -92,7 +92,7 @@ def count(context: Context, night: Night) -> Counts:
 
 def failures(context: Context, night: Night) -> dict[str, str]:
     """Items that stand in the lab as failed, with the first line of their reason."""
-    standing = night.derived | {item_id(RECORDING, sha) for sha in night.read.accepted()}
+    standing = night.derived | {item_id(RECORDING, sha) for sha in night.read.accepted}
     errors = {
         item: made.error or "" for item in standing if (made := _outcome(context, item)) and made.outcome == FAILED
     }
@@ -163,7 +163,7 @@ def _deletions(context: Context, night: Night, changed: Sequence[Row]) -> Iterat
 
 def _without_results(context: Context, night: Night) -> list[KnownRecording]:
     """Published recordings whose rows go: read again, no longer accepted, or forgotten."""
-    accepted = set(night.read.accepted())
+    accepted = set(night.read.accepted)
     return [
         row
         for row in context.manifest.recordings
@@ -194,7 +194,7 @@ def _files_gone(context: Context, night: Night) -> list[str]:
 
 
 def _insertions(context: Context, night: Night, changed: Sequence[Row]) -> Iterator[Mapping[str, Rows]]:
-    accepted = {item_id(RECORDING, sha) for sha in night.read.accepted()} | night.derived
+    accepted = {item_id(RECORDING, sha) for sha in night.read.accepted} | night.derived
     complete = _completer(context, night)
     left: dict[str, list[Row]] = {}
     for row in changed:
@@ -206,16 +206,15 @@ def _insertions(context: Context, night: Night, changed: Sequence[Row]) -> Itera
         tables = read_tables(entry_path(context.lab.journal, outcome.item_id))
         read = tables.pop("recordings", None)
         if read is not None:
-            (full,) = read.to_pylist()
+            (full,) = recordings_rows(read)
             waiting += [complete(row, full) for row in left.pop(outcome.item_id, ())]
         if outcome.item_id in accepted:
             yield tables
         if len(waiting) >= _ROWS_AT_ONCE:
-            yield {"recordings": recordings_table(waiting)}
-            waiting.clear()
+            yield {"recordings": waiting}
+            waiting = []
     waiting += _as_published(context, [row for rows in left.values() for row in rows], complete)
-    if waiting:
-        yield {"recordings": recordings_table(waiting)}
+    yield {"recordings": waiting}
     yield {
         "items": [_item_row(outcome, night.run_id) for outcome in made],
         "files": [{"path": path, **asdict(seen)} for path, seen in night.read.found.seen.items()],
@@ -237,13 +236,14 @@ def _as_published(context: Context, changed: Sequence[Row], complete: _Complete)
 
 
 def _completer(context: Context, night: Night) -> _Complete:
-    """Makes a whole row of `recordings` from what the night says of it and what its content gave when it was read."""
+    """Makes a whole row of `recordings`, not as an arrow table, which would cost an import of pandas, from what the night says of it and what its content gave when it was read."""
     earlier = {(row.source_path, row.source_sha256): row for row in context.manifest.recordings}
 
     def complete(row: Row, full: Mapping[str, Any]) -> dict[str, Any]:
         before = earlier.get(row.key)
         as_before = before is not None and _same(row, before)
         return {
+            "software_version": software_version(),
             **full,
             **({"samples_path": None} if row.status in (DUPLICATE, QUARANTINED) else {}),
             "recording_id": row.recording_id,
@@ -296,7 +296,7 @@ def _outcome(context: Context, item: str) -> Any:
 def _place_samples(context: Context, night: Night) -> None:
     """Moves the samples of accepted recordings from where the workers wrote them. Done twice, it does nothing twice."""
     folders = set()
-    for sha256 in night.read.accepted():
+    for sha256 in night.read.accepted:
         outcome = context.done.get(item_id(RECORDING, sha256))
         relative = None if outcome is None else outcome.facts.get("samples_path")
         if relative is None:
@@ -352,7 +352,7 @@ def _remove_old_samples(context: Context, night: Night) -> None:
     """Samples of recordings that were read again under another name, or are forgotten."""
     current = {
         outcome.facts.get("samples_path")
-        for sha in night.read.accepted()
+        for sha in night.read.accepted
         if (outcome := context.done.get(item_id(RECORDING, sha))) is not None
     }
     root = context.lab.samples_folder.resolve()

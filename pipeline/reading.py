@@ -28,12 +28,11 @@ class Read:
     places: Mapping[str, Content]
     verdicts: Verdicts
 
-    def accepted(self) -> list[str]:
+    @functools.cached_property
+    def accepted(self) -> tuple[str, ...]:
         """The contents that have results in the lab, in the order of the files (those not looked at first)."""
-        return sorted(
-            (sha for sha in self.places if sha in self.verdicts.readings and self.verdicts.accepted(sha)),
-            key=lambda sha: (self.places[sha].order, sha),
-        )
+        found = (sha for sha in self.places if sha in self.verdicts.readings and self.verdicts.accepted(sha))
+        return tuple(sorted(found, key=lambda sha: (self.places[sha].order, sha)))
 
 
 def adopt_journal(context: Context) -> None:
@@ -71,7 +70,7 @@ def read(context: Context, found: Found) -> Read:
         read_now = Read(found, everything, judge(readings, everything, known))
         stale = [
             everything[sha]
-            for sha in read_now.accepted()
+            for sha in read_now.accepted
             if sha not in published and item_id(RECORDING, sha) not in context.done
         ]
         if not stale:
@@ -82,7 +81,7 @@ def included(context: Context, read_now: Read, excluded: frozenset[str]) -> list
     """The recordings that take part in the analysis, by id."""
     rows = {row.source_sha256: row for row in context.manifest.recordings if row.status in ANALYSED}
     chosen = []
-    for sha256 in read_now.accepted():
+    for sha256 in read_now.accepted:
         name = read_now.verdicts.readings[sha256].recording_id
         if name is None or name in excluded:
             continue

@@ -8,8 +8,10 @@ lies in the journal until it is published, so that a night that was killed is ta
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import signal
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +26,7 @@ from pipeline.deriving import derive
 from pipeline.execute import LocalPool, SerialExecutor, prepared
 from pipeline.lab import Lab
 from pipeline.lock import exclusive
-from pipeline.looking import look
+from pipeline.looking import likely_new, look
 from pipeline.night import Context, Track
 from pipeline.plan import rows
 from pipeline.publishing import Counts, Night, count, discard_work, failures, publish_night
@@ -117,11 +119,15 @@ def nightly(
         started, clock = datetime.now(UTC), time.monotonic()
         settings = load_settings(lab)
         open_executor, workers = _executors(settings, jobs, cluster)
+        local = jobs > 0 and cluster is None
+        if local and likely_new(raw, lab):
+            prepared(_PRELOAD)  # what workers need loads while the night finds out what there is to do
         context = Context(lab, settings, load_manifest(lab), rigs, workers, open_executor, track)
         annotations = read_annotations(lab)
         found = look(raw, lab, context.manifest.files)
-        if found.seen and jobs and cluster is None:
-            prepared(_PRELOAD)  # there will be work, most likely: its modules load while it is planned
+        if found.seen and local:
+            prepared(_PRELOAD)
+        reports = _imported("reports.build")
         adopt_journal(context)
         read_now = read(context, found)
         out = excluded(annotations)
@@ -142,6 +148,7 @@ def nightly(
             annotations=annotations,
         )
         publish_night(context, night)
+        reports.join()
         problem = _report(lab, None if cluster else open_executor, workers)
         discard_work(context)
         return _summary(context, night, time.monotonic() - clock, problem)
@@ -179,6 +186,18 @@ def _report(lab: Lab, open_executor: Callable[[int], Executor] | None, jobs: int
         place = traceback.extract_tb(error.__traceback__)[-1]
         return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
     return None
+
+
+def _imported(module: str) -> threading.Thread:
+    """Imports a module beside what is done now: the night waits for workers and the database more than it computes."""
+
+    def load() -> None:
+        with contextlib.suppress(Exception):  # told when it is needed
+            importlib.import_module(module)
+
+    thread = threading.Thread(target=load, daemon=True)
+    thread.start()
+    return thread
 
 
 def _executors(settings: Settings, jobs: int, cluster: str | None) -> tuple[Callable[[int], Executor], int]:

@@ -16,8 +16,9 @@ from pipeline.settings import load as load_settings
 from pipeline.show import safe
 from pipeline.stages.tasks import MODULES
 from pipeline.store.journal import Freshness
-from pipeline.store.manifest import KnownRecording, Manifest, Reader, SeenFile
+from pipeline.store.manifest import KnownRecording, Manifest, SeenFile
 from pipeline.store.manifest import load as load_manifest
+from pipeline.store.reader import Reader
 
 _ATTENTION = ("quarantined", "damaged", "pending")
 
@@ -26,7 +27,7 @@ def status(lab: Lab) -> str:
     """The state of a lab. Raises `LabError` where there is none."""
     lab.require_database()
     manifest = load_manifest(lab)
-    with Reader(lab) as reader:
+    with Reader(lab.database) as reader:
         runs = reader.rows("runs")
         published = len(reader.rows("annotations", ("recording_id",)))
     annotations = read_annotations(lab)

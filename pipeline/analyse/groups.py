@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pipeline.analyse.analysis import Analysis
-from pipeline.analyse.inputs import Measured, all_of
 from pipeline.fit.force_comparisons import compare_forces
 from pipeline.fit.force_map import fit_force_maps
 from pipeline.fit.survival_groups import survival_group
@@ -15,20 +14,19 @@ from pipeline.transform.force_map import ForceMapReadings
 from schemas.lifetimes import LifetimeRow
 
 
-def analyse_survival(recordings: Sequence[Measured]) -> Analysis:
+def analyse_survival(lives: Sequence[LifetimeRow]) -> Analysis:
     """Survival per configuration and voltage, and comparisons, from all lives."""
     analysis = Analysis()
-    lives = all_of(LifetimeRow, recordings)
     results = analysis.attempt("survival", survival_group, lives)
     if results is not None:
         analysis.add(survival_tables(results))
     return analysis
 
 
-def analyse_force_maps(recordings: Sequence[Measured]) -> Analysis:
+def analyse_force_maps(readings: Sequence[ForceMapReadings]) -> Analysis:
     """Static force per pre-stretch, permittivity per point and per map, and differences between configurations."""
     analysis = Analysis()
-    fitted = analysis.attempt("force maps", fit_force_maps, all_of(ForceMapReadings, recordings))
+    fitted = analysis.attempt("force maps", fit_force_maps, readings)
     if fitted is not None:
         points, fits = fitted
         analysis.add(force_map_tables(points, fits, compare_forces(points)))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
 
 from schemas.metadata import RecordingMetadata, RigConstants, TableMetadata
 
 Kind = TypeVar("Kind")
+Stored: TypeAlias = tuple[str, Path | None]
+"""A recording's id and its journal entry, None where its results are in the published snapshot."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,14 @@ def measured(given: RecordingInput) -> Measured:
         metadata = TableMetadata.parse(about["recording"], where=given.recording_id)
     rig = RigConstants.parse(about.get("rig", {}), where=given.recording_id)
     return Measured(metadata, rig, results_of(given.carried), given.damage)
+
+
+def results_of_kind(kind: type[Kind], recordings: Iterable[RecordingInput]) -> tuple[Kind, ...]:
+    """The results of one kind of all recordings, in their order, without a look at anything else."""
+    from pipeline.analyse.carried import results_of
+
+    found = (result for recording in recordings for result in results_of(recording.carried))
+    return tuple(result for result in found if isinstance(result, kind))
 
 
 def all_of(kind: type[Kind], recordings: Sequence[Measured]) -> tuple[Kind, ...]:

@@ -96,6 +96,13 @@ class Lives:
         with np.errstate(divide="ignore"):
             return LogLives(np.log(self.lower)[None, :], np.log(self.upper)[None, :])
 
+    def distinct(self) -> LogLives:
+        """Logarithms with equal lives taken once: most specimens survive to the planned end of their test."""
+        limits, count = np.unique(np.stack((self.lower, self.upper)), axis=1, return_counts=True)
+        with np.errstate(divide="ignore"):
+            lower, upper = np.log(limits)[:, None, :]
+        return LogLives(lower, upper, count.astype(np.float64))
+
     @property
     def log_jacobian(self) -> float:
         """Σ ln t of the exact lives: the log-likelihood of ln t less this is that of t."""
@@ -167,9 +174,9 @@ def fit_distribution(lives: Lives, distribution: str, *, goodness: bool = True) 
             f"no {_NAMES[distribution]} law: {held} ({lives.failures} of {lives.lower.size} failed)",
             expected=f"at least {needed} distinct failure time{'s' if needed > 1 else ''}",
         )
-    data, error = lives.logarithms(), _error(distribution)
+    data, error = lives.distinct(), _error(distribution)
     fixed = 1.0 if distribution == EXPONENTIAL else None
-    ones = np.ones((lives.lower.size, 1))
+    ones = np.ones((data.lower.shape[1], 1))
     best = converged_single(maximise(data, ones, error, sigma=fixed), f"{distribution} fit")
     top, location, sigma = float(best.log_likelihood[0]), float(best.coefficients[0, 0]), float(best.sigma[0])
 

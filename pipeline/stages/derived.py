@@ -1,34 +1,29 @@
-"""What the specimen and the group stage share: an analysis of recordings' results, run, timed and kept."""
+"""What the stages after the first share: an analysis of recordings' results, run, timed and kept."""
 
 from __future__ import annotations
 
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured, measured
 from pipeline.stages.tasks import DerivedTask
 from pipeline.store.journal import FAILED, OK, Outcome, write_entry
-from schemas.errors import DealabError
+from schemas.errors import DealabError, LabError
 
 
-@dataclass(frozen=True)
-class Decoded:
-    """The task's recordings for an analysis."""
-
-    recordings: tuple[Measured, ...]
-    calibrations: tuple[Measured, ...]
+def decoded(task: DerivedTask) -> tuple[tuple[Measured, ...], tuple[Measured, ...]]:
+    """The task's recordings and calibrations for an analysis."""
+    return tuple(measured(r) for r in task.recordings), tuple(measured(r) for r in task.calibrations)
 
 
-def run(task: DerivedTask, analyse: Callable[[DerivedTask, Decoded], Analysis]) -> Outcome:
-    """Runs an analysis and keeps what it gives. Raises `LabError` when the lab cannot be written."""
+def run(task: DerivedTask, analyse: Callable[[DerivedTask], Analysis]) -> Outcome:
+    """Runs an analysis and keeps what it gives. Raises `LabError` when the lab cannot be read or written."""
     started = time.monotonic()
     try:
-        decoded = Decoded(tuple(measured(r) for r in task.recordings), tuple(measured(r) for r in task.calibrations))
-        analysis = analyse(task, decoded)
-    except MemoryError:
+        analysis = analyse(task)
+    except (LabError, MemoryError):
         raise
     except DealabError as error:
         analysis = Analysis(failures=[str(error)])

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.groups import analyse_force_maps, analyse_survival
-from pipeline.analyse.inputs import Measured
+from pipeline.analyse.inputs import RecordingInput, measured, results_of_kind
 from pipeline.analyse.weak_regions import analyse_weak_regions
-from pipeline.stages.derived import Decoded
 from pipeline.stages.derived import run as run_derived
-from pipeline.stages.tasks import DerivedTask
+from pipeline.stages.tasks import GROUPS, DerivedTask
+from pipeline.store.inputs import fetch_results
 from pipeline.store.journal import Outcome
+from pipeline.store.reader import Reader
+from pipeline.transform.force_map import ForceMapReadings
+from schemas.lifetimes import LifetimeRow
 
-ANALYSES: Mapping[str, Callable[[Sequence[Measured]], Analysis]] = {
-    "survival": analyse_survival,
-    "force_maps": analyse_force_maps,
-    "weak_regions": analyse_weak_regions,
+ANALYSES: Mapping[str, Callable[[Sequence[RecordingInput]], Analysis]] = {
+    "survival": lambda given: analyse_survival(results_of_kind(LifetimeRow, given)),
+    "force_maps": lambda given: analyse_force_maps(results_of_kind(ForceMapReadings, given)),
+    "weak_regions": lambda given: analyse_weak_regions([measured(one) for one in given]),
 }
 """The analysis of each group of `pipeline.stages.tasks.GROUPS`."""
 
@@ -26,5 +30,11 @@ def run(task: DerivedTask) -> Outcome:
     return run_derived(task, _analysis)
 
 
-def _analysis(task: DerivedTask, given: Decoded) -> Analysis:
-    return ANALYSES[task.name](given.recordings)
+def _analysis(task: DerivedTask) -> Analysis:
+    return ANALYSES[task.name](_fetched(task))
+
+
+def _fetched(task: DerivedTask) -> Sequence[RecordingInput]:
+    group = GROUPS[task.name]
+    with contextlib.nullcontext() if task.snapshot is None else Reader(task.snapshot) as reader:
+        return fetch_results(task.stored, reader, group.kinds, mention=group.mention)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.specimen import analyse_specimen
-from pipeline.stages.derived import Decoded
+from pipeline.stages.derived import decoded
 from pipeline.stages.derived import run as run_derived
 from pipeline.stages.tasks import DerivedTask
 from pipeline.store.journal import Outcome
@@ -15,5 +15,5 @@ def run(task: DerivedTask) -> Outcome:
     return run_derived(task, _analysis)
 
 
-def _analysis(task: DerivedTask, given: Decoded) -> Analysis:
-    return analyse_specimen(task.name, given.recordings, given.calibrations, orders=tuple(task.settings["orders"]))
+def _analysis(task: DerivedTask) -> Analysis:
+    return analyse_specimen(task.name, *decoded(task), orders=tuple(task.settings["orders"]))

@@ -13,7 +13,7 @@ from typing import Any
 
 from ingest.discover import SourceFile
 from ingest.rigs import find_rig
-from pipeline.analyse.inputs import RecordingInput
+from pipeline.analyse.inputs import RecordingInput, Stored
 from pipeline.freshness import digest
 from pipeline.paths import source_text
 from pipeline.store.journal import FAILED, QUARANTINED, Freshness, Outcome, write_entry
@@ -79,10 +79,14 @@ DIAGNOSIS_KIND = "SessionFeatures"
 
 @dataclass(frozen=True)
 class Group:
-    """One analysis over many specimens: the kinds of carried results it takes, the tables it fills as a whole."""
+    """One analysis over many specimens: the kinds of carried results it takes, the tables it fills as a whole.
+
+    `mention` is the key of the metadata without which a recording tells it nothing; None: it takes no metadata.
+    """
 
     kinds: frozenset[str]
     tables: tuple[str, ...]
+    mention: str | None = None
 
 
 GROUPS: Mapping[str, Group] = {
@@ -99,7 +103,9 @@ GROUPS: Mapping[str, Group] = {
         ),
     ),
     "force_maps": Group(frozenset({"ForceMapReadings"}), ("force_maps", "force_map_fits", "force_comparisons")),
-    "weak_regions": Group(frozenset({"Lifetime", "LifetimeRow"}), ("weak_regions", "electrode_layouts", "film_maps")),
+    "weak_regions": Group(
+        frozenset({"Lifetime", "LifetimeRow"}), ("weak_regions", "electrode_layouts", "film_maps"), mention="rods"
+    ),
 }
 
 
@@ -153,9 +159,11 @@ class DerivedTask:
     item_id, stage : which item; its name after the colon is what it is about
     freshness : what it is made from
     recordings : its recordings' results
+    journal : folder that gets the results
     calibrations : results of the calibrations of their rigs
     settings : settings of the stage
-    journal : folder that gets the results
+    snapshot, stored : of a group, the published database, None where there is none yet, and where the results of its recordings are: there may be many thousand,
+        so the worker fetches them, not the night
     """
 
     item_id: str
@@ -165,6 +173,8 @@ class DerivedTask:
     journal: Path
     calibrations: tuple[RecordingInput, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    snapshot: Path | None = None
+    stored: tuple[Stored, ...] = ()
 
     @property
     def name(self) -> str:

@@ -81,7 +81,11 @@ class Codec:
             return complex(*value[_COMPLEX])
         if _TIME in value:
             return datetime.fromisoformat(value[_TIME])
-        members = {key: self._decoded(member) for key, member in value.items() if key != _TYPE}
+        members = {
+            key: self._decoded(member) if isinstance(member, list | dict) else member
+            for key, member in value.items()
+            if key != _TYPE
+        }
         if _TYPE in value:
             return self._kinds[value[_TYPE]](**members)
         return members

@@ -1,15 +1,20 @@
-"""Recordings' results for the later stages, from the journal where they are new and from the snapshot where not."""
+"""Recordings' results for the later stages, from the journal where they are new and from the snapshot where not.
+
+`fetch` is for the inputs of a specimen, which the night sends along with the task; `fetch_results` for those of a group,
+which may be all recordings there are: its worker fetches them itself.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.analyse.inputs import RecordingInput
+from pipeline.analyse.inputs import RecordingInput, Stored
+from pipeline.store.checks import ANALYSED
 from pipeline.store.journal import Freshness, read_tables
-from pipeline.store.manifest import Reader
+from pipeline.store.reader import Reader
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,6 +35,10 @@ class Included:
     made_from: Freshness
     entry: Path | None = None
 
+    @property
+    def stored(self) -> Stored:
+        return self.recording_id, self.entry
+
 
 def fetch(
     recordings: Sequence[Included], reader: Reader | None, *, only: str = "", but: str = ""
@@ -46,7 +55,7 @@ def fetch(
         rows = reader.rows(
             "recordings", ("recording_id", "kind", "metadata", "status", "problem"), "recording_id", published
         )
-        about = {row["recording_id"]: row for row in rows if row["status"] in ("ok", "damaged", "excluded")}
+        about = {row["recording_id"]: row for row in rows if row["status"] in ANALYSED}
         for row in reader.rows("carried", None, "recording_id", published, where=where):
             carried.setdefault(row["recording_id"], []).append(row)
     inputs = []
@@ -63,12 +72,57 @@ def fetch(
     return tuple(inputs)
 
 
+def fetch_results(
+    recordings: Sequence[Stored], reader: Reader | None, kinds: Collection[str], *, mention: str | None = None
+) -> tuple[RecordingInput, ...]:
+    """The results of some `kinds` of recordings, in the order given; those without any are left out.
+
+    Without `mention` nothing else of a recording is fetched. With it only recordings whose metadata mention that key
+    are, with their metadata.
+    """
+    about = (
+        _mentioning(recordings, reader, mention) if mention is not None else {name: ("", "") for name, _ in recordings}
+    )
+    results: dict[str, list[dict[str, Any]]] = {}
+    published = [name for name, entry in recordings if entry is None and name in about]
+    if published and reader is not None:
+        wanted = "kind IN ('" + "', '".join(sorted(kinds)) + "')"
+        for row in reader.rows("carried", None, "recording_id", published, where=wanted):
+            results.setdefault(row["recording_id"], []).append(row)
+    for name, entry in recordings:
+        if entry is not None and name in about:
+            results[name] = _wanted(read_tables(entry, ("carried",)).get("carried"), kinds.__contains__)
+    return tuple(
+        RecordingInput(name, *about[name], tuple(results[name])) for name, _ in recordings if results.get(name)
+    )
+
+
+def _mentioning(recordings: Sequence[Stored], reader: Reader | None, mention: str) -> dict[str, tuple[str, str]]:
+    """Kind and metadata of the recordings whose metadata have a key of that name, by id."""
+    key = f'"{mention}":'
+    found: dict[str, tuple[str, str]] = {}
+    published = [name for name, entry in recordings if entry is None]
+    if published and reader is not None:
+        where = f"contains(metadata, '{key}') AND status IN {ANALYSED!r}"
+        for row in reader.rows(
+            "recordings", ("recording_id", "kind", "metadata"), "recording_id", published, where=where
+        ):
+            found[row["recording_id"]] = (row["kind"], row["metadata"])
+    for name, entry in recordings:
+        if entry is not None:
+            (row,) = read_tables(entry, ("recordings",))["recordings"].select(["kind", "metadata"]).to_pylist()
+            if key in (row["metadata"] or ""):
+                found[name] = (row["kind"], row["metadata"])
+    return found
+
+
 def _rows(carried: pa.Table | None, only: str, but: str) -> list[dict[str, Any]]:
+    return _wanted(carried, lambda kind: kind == only if only else kind != but)
+
+
+def _wanted(carried: pa.Table | None, is_wanted: Callable[[str], bool]) -> list[dict[str, Any]]:
+    """The rows of some kinds, picked one by one: arrow's own filter would take an array, and with it pandas."""
     if carried is None:
         return []
-    import pyarrow as pa
-
-    kinds = carried.column("kind").to_pylist()
-    wanted = pa.array([kind == only if only else kind != but for kind in kinds], pa.bool_())
-    rows: list[dict[str, Any]] = carried.filter(wanted).to_pylist()
-    return rows
+    kinds = enumerate(carried.column("kind").to_pylist())
+    return [row for i, kind in kinds if is_wanted(kind) for row in carried.slice(i, 1).to_pylist()]

@@ -25,6 +25,8 @@ from schemas.tables import TABLES, Table
 from schemas.views import VIEWS, fingerprint
 
 _BATCH_BYTES = 32 << 20
+BATCH_PIECES = 1000
+"""What is inserted at once. A small arrow table holds ten times the bytes of its rows, so their number counts as well."""
 _MEMORY = "256MB"
 """What DuckDB may keep in memory while it edits the copy, however many rows there are; the rest goes to its file."""
 READABLE_FROM = {"storage_compatibility_version": "v1.2.0"}
@@ -112,30 +114,40 @@ def _base(published: Path, building: Path) -> Any:
         connection = duckdb.connect(str(building), config=READABLE_FROM)
         _define(connection)
         return connection
-    if _schema_of(published) == fingerprint():
-        _copy(published, building)
-        return duckdb.connect(str(building))
+    _copy(published, building)
+    connection = _opened(building, published)
+    if _schema_of(connection) == fingerprint():
+        return connection
+    connection.close()
+    discard(building)
     connection = duckdb.connect(str(building), config=READABLE_FROM)
     _define(connection)
     _migrate(connection, published)
     return connection
 
 
-def _schema_of(database: Path) -> str | None:
+def _opened(copy: Path, published: Path) -> Any:
+    """A writable connection to the copy of a published database."""
     import duckdb
 
     try:
-        with duckdb.connect(str(database), read_only=True) as connection:
-            row = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
-            return None if row is None else str(row[0])
-    except duckdb.CatalogException:
-        return None
+        return duckdb.connect(str(copy))
     except duckdb.Error as error:
         raise LabError(
             f"the published database cannot be read: {str(error).splitlines()[0]}",
-            where=str(database),
+            where=str(published),
             remedy="Move it away; the next nightly over all raw folders builds it anew",
         ) from None
+
+
+def _schema_of(connection: Any) -> str | None:
+    import duckdb
+
+    try:
+        row = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
+    except duckdb.CatalogException:
+        return None
+    return None if row is None else str(row[0])
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -194,7 +206,7 @@ def _apply(connection: Any, changes: Changes) -> None:
                 f"DELETE FROM {deletion.table} USING (SELECT {given}) AS given WHERE {match} AND ({deletion.where})",
                 [list(values) for values in deletion.keys.values()],
             )
-    for tables in _batched(changes.insertions):
+    for tables in batched(changes.insertions):
         for name, rows in tables.items():
             _insert(connection, TABLES[name], rows)
         connection.execute("COMMIT")  # nobody sees the copy yet; a transaction's rows stay in memory until then
@@ -202,17 +214,18 @@ def _apply(connection: Any, changes: Changes) -> None:
     connection.execute("COMMIT")
 
 
-def _batched(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows]]]:
+def batched(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows]]]:
     """The same rows in fewer, larger pieces: DuckDB takes few large tables faster than many small ones."""
     waiting: dict[str, list[Rows]] = {}
-    size = 0
+    size = pieces = 0
     for part in parts:
         for name, rows in part.items():
             waiting.setdefault(name, []).append(rows)
             size += rows.nbytes if isinstance(rows, pa.Table) else 0
-        if size >= _BATCH_BYTES:
+            pieces += 1
+        if size >= _BATCH_BYTES or pieces >= BATCH_PIECES:
             yield waiting
-            waiting, size = {}, 0
+            waiting, size, pieces = {}, 0, 0
     yield waiting
 
 

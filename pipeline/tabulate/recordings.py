@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from schemas.metadata import RECORDING_ID, RecordingMetadata, TableMetadata
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DESCRIPTION = (
     "recording_id",
     "campaign",
@@ -72,6 +74,20 @@ def refused_row(given: Mapping[str, Any], problem: str, kind: str) -> dict[str, 
 def recordings_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
     """Rows of `recordings`, stamped with the version that read them."""
     return TABLES["recordings"].rows({"software_version": software_version(), **row} for row in rows)
+
+
+def recordings_rows(table: pa.Table) -> list[dict[str, Any]]:
+    """Rows of `recordings` as dictionaries. Times come as whole microseconds: arrow's own way to them imports pandas."""
+    import pyarrow as pa
+
+    times = [f.name for f in table.schema if pa.types.is_timestamp(f.type)]
+    whole = {name: table.column(name).cast(pa.int64()).to_pylist() for name in times}
+    rows: list[dict[str, Any]] = table.drop_columns(times).to_pylist()
+    for i, row in enumerate(rows):
+        for name in times:
+            since = whole[name][i]
+            row[name] = None if since is None else _EPOCH + timedelta(microseconds=since)
+    return rows
 
 
 def preview_table(

@@ -37,7 +37,9 @@ def page(site: Site) -> Page:
     """The index."""
     used = site.results.rows(
         "SELECT recording_id, specimen_id, campaign, material, configuration, protocol, loading, started_at, status, run_id, metadata FROM recordings"
-        " WHERE status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes' ORDER BY started_at, recording_id"
+        " WHERE status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes'"
+        " AND specimen_id IN (SELECT specimen_id FROM model_fits UNION ALL SELECT specimen_id FROM diagnoses)"
+        " ORDER BY started_at, recording_id"
     )
     standings = [s for s in campaign.of_specimens(site, used) if s.fit is not None or s.diagnosis is not None]
     survival = [(c, lives.load(_campaign_draft(site, c))) for c in site.campaigns[: arrived.CAMPAIGNS_SHOWN]]

@@ -25,6 +25,7 @@ import pipeline.stages.recording as stage
 from pipeline import Lab
 from pipeline.annotations import annotate
 from pipeline.lock import exclusive
+from pipeline.looking import likely_new
 from pipeline.run import Summary, nightly
 from pipeline.status import status
 from schemas.errors import LabError, UsageError
@@ -131,6 +132,36 @@ def test_a_night_with_nothing_new_imports_nothing_heavy(made: tuple[Path, Path],
     )
     found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert found.stdout.splitlines() == ["0 None", "[]"]
+
+
+def test_a_night_with_one_new_recording_leaves_the_heavy_imports_to_its_worker(
+    made: tuple[Path, Path], tmp_path: Path
+) -> None:
+    raw, lab = shutil.copytree(made[0], tmp_path / "raw"), tmp_path / "lab"
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom pipeline import Lab\nfrom pipeline.run import nightly\n"
+        f"summary = nightly([{os.fspath(raw)!r}], Lab(Path({os.fspath(lab)!r})), jobs=1)\n"
+        "print(summary.counts.ingested, summary.report_problem)\n"
+        "print([name for name in ('pandas', 'scipy') if name in sys.modules])"
+    )
+    for new, following in ((6, 8), (1, 9)):
+        found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+        assert found.stdout.splitlines() == [f"{new} None", "[]"]
+        life(raw / f"L-{following}.mcap", following)
+    assert redone(Lab(lab)) == {"L-8"} | LIVES
+
+
+def test_folders_tell_that_something_is_new(made: tuple[Path, Path], tmp_path: Path) -> None:
+    raw, lab = shutil.copytree(made[0], tmp_path / "raw"), Lab(tmp_path / "lab")
+    deep = raw / "a" / "b"
+    deep.mkdir(parents=True)
+    assert likely_new([raw], lab), "nothing is published yet"
+    shutil.copytree(made[1], lab.folder)
+    lab.database.touch()
+    time.sleep(0.05)
+    assert not likely_new([raw, raw / "L-1.mcap", "s3://bucket/raw", tmp_path / "gone"], lab)
+    life(deep / "L-9.mcap", 9)
+    assert likely_new([raw], lab)
 
 
 def test_one_new_recording_redoes_what_it_touches(night: Any) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,3 +74,15 @@ def test_tasks_are_taken_a_few_at_a_time(tmp_path: Path) -> None:
         assert taken <= number + 4
     assert taken == 50
     assert list(run_all([], work, pool, jobs=2)) == []
+
+
+def test_workers_spare_the_import_of_pandas() -> None:
+    """pyarrow imports it on its first conversion, which takes longer than a small recording."""
+    assert [result for _, result in run_all([0.5], converted, pool, jobs=1)] == [([0.5, None], False)]
+
+
+def converted(value: float) -> tuple[list[float | None], bool]:
+    """An arrow array's values, and whether pandas was imported for it."""
+    import pyarrow as pa
+
+    return pa.array([value, None], pa.float64()).to_pylist(), "pandas" in sys.modules

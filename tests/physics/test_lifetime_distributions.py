@@ -14,6 +14,7 @@ from pipeline.fit.lifetime_distributions import (
     Lives,
     fit_distribution,
 )
+from pipeline.fit.log_location_scale import NORMAL, SMALLEST_EXTREME_VALUE, maximise
 from schemas.errors import NotIdentifiableError, RefusedError
 from tests.physics.survival_data import TREATED
 
@@ -139,3 +140,22 @@ def test_survival_of_the_fit() -> None:
             LOG_NORMAL: lambda p: stats.lognorm(p["log_sd"].value, scale=p["median_s"].value),
         }[distribution](fit.parameters)
         np.testing.assert_allclose(fit.survival([1.0, 10.0, 50.0]), frozen.sf([1.0, 10.0, 50.0]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_equal_lives_taken_once_count_as_often_as_they_are(distribution: str) -> None:
+    """Exact, right-censored, left-censored and inspected lives, each several times, against the same taken one by one."""
+    lower = np.repeat([3.0, 7.0, 11.0, 16.0, 20.0, 0.0, 5.0], [4, 1, 3, 2, 9, 2, 3])
+    upper = np.repeat([3.0, 7.0, 11.0, 16.0, np.inf, 2.0, 9.0], [4, 1, 3, 2, 9, 2, 3])
+    order = np.random.default_rng(3).permutation(lower.size)
+    lives = Lives(lower[order], upper[order])
+    once, singly = lives.distinct(), lives.logarithms()
+    assert once.lower.shape == (1, 7)
+    assert once.specimens == lower.size
+    error = NORMAL if distribution == LOG_NORMAL else SMALLEST_EXTREME_VALUE
+    sigma = 1.0 if distribution == EXPONENTIAL else None
+    a, b = (maximise(y, np.ones((y.lower.shape[1], 1)), error, sigma=sigma) for y in (once, singly))
+    assert a.converged.all()
+    assert b.converged.all()
+    for name in ("alpha", "gamma", "log_likelihood"):
+        assert getattr(a, name) == pytest.approx(getattr(b, name), rel=1e-9)

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pyarrow as pa
 import pytest
 
-from pipeline.store.inputs import _rows
+from pipeline.lab import Lab
+from pipeline.store.inputs import _rows, fetch_results
+from pipeline.store.journal import Freshness, Outcome, entry_path, write_entry
+from pipeline.store.publish import Changes, publish
+from pipeline.store.reader import Reader
 from schemas.tables import TABLES
 
 
@@ -21,3 +30,34 @@ def test_results_by_kind_even_where_none_is_left(kinds: list[str], only: str, bu
     carried = TABLES["carried"].rows([{"recording_id": "r", "kind": kind, "position": i, "payload": "{}"} for i, kind in enumerate(kinds)])  # fmt: skip
     assert [row["kind"] for row in _rows(carried, only, but)] == expected
     assert _rows(None, only, but) == []
+
+
+def _kept(folder: Path, name: str, kinds: Sequence[str], **metadata: str) -> dict[str, pa.Table]:
+    """The tables of a recording with results of some kinds, which stand in its journal as well."""
+    about = json.dumps({"recording": {"recording_id": name, **metadata}, "rig": {}})
+    row = {"recording_id": name, "kind": "recording", "metadata": about, "status": "ok", "source_path": name}
+    rows = [{"recording_id": name, "kind": kind, "position": i, "payload": "{}"} for i, kind in enumerate(kinds)]
+    tables = {"recordings": TABLES["recordings"].rows([row]), "carried": TABLES["carried"].rows(rows)}
+    write_entry(folder, Outcome(name, "recording", Freshness("", "", ""), "ok"), tables)
+    return tables
+
+
+@pytest.mark.parametrize("published", [(), ("a", "c"), ("a", "b", "c", "d")])
+def test_results_of_a_group_from_journal_and_snapshot(tmp_path: Path, published: Sequence[str]) -> None:
+    lab = Lab(tmp_path)
+    every = {
+        "a": _kept(tmp_path, "a", ["Lifetime", "SessionFeatures"], rods="5"),
+        "b": _kept(tmp_path, "b", ["SessionFeatures", "Lifetime"]),
+        "c": _kept(tmp_path, "c", ["FrequencyResponse"], rods="5"),
+        "d": _kept(tmp_path, "d", ["Lifetime"], notes="rods of steel"),
+    }
+    publish(lab, Changes(insertions=[every[name] for name in published]))
+    stored = [(name, None if name in published else entry_path(tmp_path, name)) for name in every]
+    with Reader(lab.database) as reader:
+        plain = fetch_results(stored, reader, {"Lifetime"})
+        with_rods = fetch_results(stored, reader, {"Lifetime"}, mention="rods")
+    assert [(one.recording_id, [row["kind"] for row in one.carried]) for one in plain] == [
+        ("a", ["Lifetime"]), ("b", ["Lifetime"]), ("d", ["Lifetime"]),
+    ]  # fmt: skip
+    assert [one.recording_id for one in with_rods] == ["a"]
+    assert json.loads(with_rods[0].about)["recording"]["rods"] == "5"

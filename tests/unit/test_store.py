@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from pipeline.store.carry import Codec
 from pipeline.store.checks import violations
 from pipeline.store.journal import Freshness, Outcome, entries, read_outcome, read_tables, write_entry
 from pipeline.store.manifest import load
-from pipeline.store.publish import Changes, Deletion, publish
+from pipeline.store.publish import BATCH_PIECES, Changes, Deletion, batched, publish
+from pipeline.tabulate.recordings import recordings_rows
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from schemas.errors import LabError
 from schemas.lifetimes import LifetimeRow
@@ -266,3 +268,22 @@ def test_rows_are_ordered_within_a_publish(lab: Lab) -> None:
     )
     publish(lab, added(recording("a"), previews=previews))
     assert select(lab, "SELECT quantity, time_s FROM previews") == [("f", 1.0), ("f", 2.0), ("x", 1.0)]
+
+
+def test_rows_of_recordings_keep_their_times_to_the_microsecond() -> None:
+    at = datetime(2026, 3, 1, 8, 0, 0, 123457, tzinfo=UTC)
+    given = [{"recording_id": "a", "started_at": at, "duration_s": float("nan")}, {"recording_id": "b"}]
+    table = TABLES["recordings"].rows(given)
+    assert recordings_rows(table) == table.to_pylist()
+
+
+def test_small_tables_are_inserted_in_parts_however_few_bytes_they_have() -> None:
+    """Arrow holds ten times as much for a table of one row as the row has."""
+    small = TABLES["runs"].rows([{"run_id": "1"}])
+    parts = [{"runs": small, "recordings": [recording(str(i))]} for i in range(3 * BATCH_PIECES)]
+    batches = list(batched(parts))
+    assert sum(len(batch.get("runs", ())) for batch in batches) == len(parts)
+    assert [row for batch in batches for rows in batch.get("recordings", ()) for row in rows] == [
+        row for part in parts for row in part["recordings"]
+    ]
+    assert max(sum(map(len, batch.values())) for batch in batches) <= BATCH_PIECES + 1
