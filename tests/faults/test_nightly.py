@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import random
@@ -327,6 +328,15 @@ def test_an_analysis_that_fails_is_told_and_stops_nothing(night: Any, monkeypatc
     assert statuses(night.lab)["L-8.mcap"] == "ok", "the recording itself is fine"
     assert "Traceback" in select(night.lab, "SELECT error FROM items WHERE outcome = 'failed'")[0][0]
     assert "a defect" in status(night.lab)
+
+
+def test_the_garbage_collector_is_left_as_it_was(night: Any, tmp_path: Path) -> None:
+    before = gc.get_threshold()
+    night()
+    assert gc.get_threshold() == before
+    with pytest.raises(UsageError):
+        night(tmp_path / "nowhere")
+    assert gc.get_threshold() == before
 
 
 def test_only_folders_without_recordings_are_a_failure(night: Any, tmp_path: Path) -> None:
