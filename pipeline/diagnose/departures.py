@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc
 
 from pipeline.diagnose.effects import Course, Effect, Film, Reading, View
 from pipeline.diagnose.extend import ExtendedFit
@@ -42,7 +42,7 @@ class Departure:
 
     @property
     def p_value(self) -> float:
-        return float(chi_square.sf(self.statistic, max(self.degrees_of_freedom, 1)))
+        return float(chdtrc(max(self.degrees_of_freedom, 1), self.statistic))
 
     @property
     def excess(self) -> float:

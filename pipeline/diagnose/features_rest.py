@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
-from scipy.stats import norm
+from scipy.special import fdtrc, fdtri, ndtr, ndtri
 
 from pipeline.diagnose.blocks import assembled
 from pipeline.diagnose.features import REST_HUM, TAP_RING, WEIGHT_GAIN, FeatureBlock
@@ -26,11 +25,11 @@ _NEAR, _FAR = 2, 14
 """Bins beside that of the mains that are its neighbourhood."""
 _FREEDOM = 2 * 2 * (_FAR - _NEAR + 1) / 1.5
 """Degrees of freedom of the neighbourhood: Hann bins share data with their neighbours, two thirds are independent."""
-_MIDDLE = float(f_distribution.median(2, _FREEDOM))
+_MIDDLE = float(fdtri(2, _FREEDOM, 0.5))
 _SHORTEST_S = 0.3
 _EXACT_Z = 4.0
 """Score up to which the null distribution is exact; beyond it the score grows as the amplitude over its noise."""
-_EXACT_RATIO = float(f_distribution.isf(norm.sf(_EXACT_Z), 2, _FREEDOM))
+_EXACT_RATIO = float(fdtri(2, _FREEDOM, ndtr(_EXACT_Z)))
 _HIGHEST_Z = 300.0
 _BEFORE_S = 0.05
 
@@ -87,7 +86,7 @@ def _score(ratio: Float) -> Float:
     deviation, so that the score of strong mains has the standard deviation 1 as well (Rice distribution).
     """
     amplitude = np.sqrt(2 * np.maximum(ratio, 0.0))
-    exact = norm.isf(f_distribution.sf(np.minimum(ratio, _EXACT_RATIO), 2, _FREEDOM))
+    exact = -ndtri(fdtrc(2, _FREEDOM, np.minimum(ratio, _EXACT_RATIO)))
     beyond = np.maximum(amplitude - np.sqrt(2 * _EXACT_RATIO), 0.0)
     return np.asarray(np.clip(exact + beyond, -_HIGHEST_Z, _HIGHEST_Z))
 

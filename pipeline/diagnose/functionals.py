@@ -10,14 +10,17 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
 import scipy.sparse
 from numpy.typing import NDArray
-from scipy.signal import CZT
 
 from pipeline.diagnose.nodes import interpolation
+
+if TYPE_CHECKING:
+    from scipy.signal import CZT
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -215,6 +218,8 @@ def _transposed(nodes: bytes, size: int, interval_s: float, bins: bytes) -> scip
 @functools.lru_cache(maxsize=16)
 def _zoom(samples: int, count: int, step: float) -> CZT:
     """Transform of `samples` at `count` frequencies that are `step` cycles per sample apart, from 0 on."""
+    from scipy.signal import CZT  # half a second, which most recordings need not wait for
+
     return CZT(samples, count, np.exp(-2j * np.pi * step))
 
 

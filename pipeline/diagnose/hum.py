@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from pipeline.diagnose.features import REST_HUM
 from pipeline.diagnose.features_rest import hum_score
@@ -25,7 +25,7 @@ _RANGE_N = (1e-7, 1.0)
 def with_hum(session: Session) -> Session:
     """The session with mains in its noise, as strong as the rests say; as it is where they show none."""
     frequency, score, variance = _rests(session)
-    if score.size == 0 or chi2.sf(float(np.sum(np.maximum(score, 0.0) ** 2)), score.size) > LEVEL:
+    if score.size == 0 or chdtrc(score.size, float(np.sum(np.maximum(score, 0.0) ** 2))) > LEVEL:
         return session
     amplitude = {f: _amplitude(score[frequency == f], variance[frequency == f]) for f in HUM_HZ}
     laws = dict(session.laws)

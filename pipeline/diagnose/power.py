@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from pipeline.diagnose.extend import Chosen
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
@@ -30,7 +30,7 @@ def smallest_parameters(looked: Signatures, threshold: float) -> dict[str, tuple
     severity or more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can
     be seen counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
     """
-    wanted = float(np.sqrt(threshold) + norm.ppf(POWER))
+    wanted = float(np.sqrt(threshold) + ndtri(POWER))
     by_form: dict[Chosen, list[int]] = {}
     for i, c in enumerate(looked.chosen):
         by_form.setdefault(c, []).append(i)

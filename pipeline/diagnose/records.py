@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
 
 from pipeline.diagnose.features import NoiseSample
@@ -122,14 +121,18 @@ def thin(values: Float, factor: int) -> Float:
     """Every `factor`-th sample after a symmetric low pass: the same for every channel, so that ratios do not change."""
     if factor == 1:
         return values
+    from scipy.signal import upfirdn  # half a second, which most recordings need not wait for
+
     taps = _low_pass(factor)
     half = 8 * factor
     padded = np.concatenate([np.full(half, values[0]), values, np.full(half, values[-1])])
-    return np.asarray(scipy.signal.upfirdn(taps, padded, 1, factor)[16:][: (values.size - 1) // factor + 1])
+    return np.asarray(upfirdn(taps, padded, 1, factor)[16:][: (values.size - 1) // factor + 1])
 
 
 def _low_pass(factor: int) -> Float:
-    return np.asarray(scipy.signal.firwin(16 * factor + 1, 0.8 / factor, window=("kaiser", 8.0)))
+    from scipy.signal import firwin
+
+    return np.asarray(firwin(16 * factor + 1, 0.8 / factor, window=("kaiser", 8.0)))
 
 
 def thinned_gain(cycles: Float, factor: int) -> Float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc
 
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.features import REST_HUM, TAP_RING, WEIGHT_GAIN
@@ -69,7 +69,7 @@ def structure(fit: ExtendedFit) -> Structure:
     return Structure(
         total,
         freedom,
-        float(chi_square.sf(total, max(freedom, 1))),
+        float(chdtrc(max(freedom, 1), total)),
         {str(k): _p(gram, score, kinds == k) for k in np.unique(kinds)},
         {str(v): _p(gram, score, variables == v) for v in np.unique(variables) if v},
     )
@@ -92,7 +92,7 @@ def blocks_p(fit: ExtendedFit, spread: float) -> Float:
 def block_probability(chi2: float, size: int, spread: float) -> float:
     """Probability of χ² or more of `size` values whose common variance is known to `spread` (relative): Satterthwaite."""
     variance = 2 * size + (spread * size) ** 2
-    return float(chi_square.sf(chi2 * 2 * size / variance, 2 * size**2 / variance))
+    return float(chdtrc(2 * size**2 / variance, chi2 * 2 * size / variance))
 
 
 def _patterns(session: Session) -> Iterator[tuple[str, str, Float]]:
@@ -161,4 +161,4 @@ def quadratic(gram: Float, score: Float) -> tuple[float, int]:
 
 def _p(gram: Float, score: Float, chosen: NDArray[np.bool_]) -> float:
     total, freedom = quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
-    return float(chi_square.sf(total, freedom)) if freedom else 1.0
+    return float(chdtrc(freedom, total)) if freedom else 1.0

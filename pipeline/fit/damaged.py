@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 
 from pipeline.fit.assemble import assemble
 from pipeline.fit.reference import Reference, find_reference
@@ -53,7 +53,7 @@ def weighed(
             found[i] = responses[i].mark(responses[i].usable, reason)
             remarks.append(f"{name} is left out: {reason}")
         else:
-            factor = max(1.0, chi2 / float(chi2_distribution.ppf(DOUBT, data)))
+            factor = max(1.0, chi2 / float(2 * gammaincinv(data / 2, DOUBT)))
             found[i] = replace(responses[i], variance=factor * responses[i].variance)
             remarks.append(
                 f"{name} is damaged; the whole recordings leave it {1 / factor:.0%} of its weight"

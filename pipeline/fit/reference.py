@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from pipeline.fit.kernels import Shape, debye
 from pipeline.fit.linear import Expansion, Linearisation, amplitude_given, first_expansion, solve
@@ -298,4 +298,4 @@ def refuse_hopeless(reference: Reference) -> None:
 
 def misfit_probability(chi2: float, freedom: float) -> float:
     """P(χ² ≥ chi2) at these degrees of freedom."""
-    return float(chi2_distribution.sf(chi2, freedom))
+    return float(chdtrc(freedom, chi2))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import special, stats
+from scipy import special
 
 from pipeline.fit.survival import Bool, Float, Int, check_lifetimes
 from schemas.errors import NotIdentifiableError
@@ -221,12 +221,27 @@ def fisher_test(a: tuple[ArrayLike, ArrayLike], b: tuple[ArrayLike, ArrayLike], 
         table.append((int(dead.sum()), int(known.sum() - dead.sum())))
     if min(sum(row) for row in table) == 0 or table[0][0] + table[1][0] == 0:
         raise NotIdentifiableError(f"no counts to compare of failures within {within_s:g} s")
-    p_value = float(stats.fisher_exact(table).pvalue)
+    p_value = _as_rare(table)
     (failed_a, alive_a), (failed_b, alive_b) = table
     below = alive_a * failed_b
     odds = failed_a * alive_b / below if below else (float("inf") if failed_a * alive_b else float("nan"))
     warnings = (f"{lost} censored before {within_s:g} s left out",) if lost else ()
     return TestResult(FISHER, odds, p_value, warnings=warnings)
+
+
+def _as_rare(table: Sequence[tuple[int, int]]) -> float:
+    """Probability of the tables with the sums of this one that are no more probable than it (Fisher 1935, two-sided)."""
+    (a, b), (c, d) = table
+    first, second, failed = a + b, c + d, a + c
+    k = np.arange(max(0, failed - second), min(failed, first) + 1)
+
+    def log_choose(n: int, of: Float) -> Float:
+        return np.asarray(special.gammaln(n + 1) - special.gammaln(of + 1) - special.gammaln(n - of + 1))
+
+    log_probability = log_choose(first, k) + log_choose(second, failed - k)
+    log_probability = log_probability - special.logsumexp(log_probability)
+    as_rare = log_probability <= log_probability[a - k[0]] + _TIE
+    return float(min(np.exp(log_probability[as_rare]).sum(), 1.0))
 
 
 def holm(p_values: ArrayLike) -> Float:

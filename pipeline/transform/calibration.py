@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from pipeline.transform import quality
 from pipeline.transform.rig import TONNES_PER_KG, RigModel, tied_by_frequency
@@ -179,7 +179,7 @@ def weigh(recording: Recording) -> WeightCalibration:
         raise NotIdentifiableError(
             f"the force falls when masses are hung (gain {gain:.3g})", where=where, expected="tension positive"
         )
-    limit = float(student.ppf(0.975, freedom)) if freedom > 0 else float("inf")
+    limit = float(stdtrit(freedom, 0.975)) if freedom > 0 else float("inf")
     sd = float(np.sqrt(covariance[0, 0]))
     return WeightCalibration(
         gain=gain,

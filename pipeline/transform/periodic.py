@@ -9,7 +9,6 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
-from scipy.signal import czt
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -44,6 +43,8 @@ def line_spectra(values: Float, starts: Int, onset: float, period: float, lines:
 
 def _exact(pieces: Float, period: float, lines: int) -> Complex:
     """Least squares of pieces of a whole number of samples on e^{j2πln/period}, |l| < lines: a Toeplitz system."""
+    from scipy.signal import czt  # half a second, which most recordings need not wait for
+
     length = pieces.shape[1]
     k = np.arange(2 * lines - 1)
     turn = np.exp(-2j * np.pi / period)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc, fdtri
 
 from pipeline.transform import local_polynomial
 from pipeline.transform.local_polynomial import LocalFit
@@ -43,7 +43,7 @@ def synchronised(u: Complex, y: Complex, lines: Int, widths: Int) -> tuple[Local
     width = window.inside.sum(axis=1)
     noise = (power[window.index] * window.inside).sum(axis=1) / width
     freedom = width * (count - 1.0)
-    limit = f_distribution.ppf(1 - CHANGED, 2 * fitted.degrees_of_freedom, 2 * freedom)
+    limit = fdtri(2 * fitted.degrees_of_freedom, 2 * freedom, 1 - CHANGED)
     pooled = (noise * freedom + fitted.noise * fitted.degrees_of_freedom) / (freedom + fitted.degrees_of_freedom)
     whole = np.where(fitted.noise > limit * noise, fitted.noise, pooled)
     return (
@@ -68,7 +68,7 @@ def first_against_later(fits: list[LocalFit], noise: LocalFit) -> dict[str, Any]
     return {
         "relative_difference": ratio.real,
         "relative_difference_imag": ratio.imag,
-        "p_value": float(f_distribution.sf(statistic, 2 * int(good.sum()), freedom)),
+        "p_value": float(fdtrc(2 * int(good.sum()), freedom, statistic)),
         "left_out": False,
     }
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from pipeline.transform import local_polynomial, quality, sweeps
 from pipeline.transform.best_linear import BestLinear, best_linear_approximation, smoothed
@@ -254,7 +254,7 @@ def _first_settled(u: Complex, y: Complex) -> int:
     noise = smoothed(power.sum(axis=0) / (late - 1))
     leading: int = periods - late
     # Smoothing over five lines multiplies the degrees of freedom, at most.
-    limit = f_distribution.ppf(1 - _SETTLED / leading, 2 * count, 2 * count * (late - 1))
+    limit = fdtri(2 * count, 2 * count * (late - 1), 1 - _SETTLED / leading)
     expected = np.maximum(noise * (1 + 1 / late), np.finfo(float).tiny)
     for p in range(leading):
         if float(np.mean(np.abs(rest[p] - rest[-late:].mean(axis=0)) ** 2 / expected)) <= limit:

@@ -49,6 +49,18 @@ def test_all_against_none() -> None:
     assert exact.p_value == pytest.approx(2 / 184756, rel=1e-12)
 
 
+@given(st.tuples(*[st.integers(0, 200)] * 4).filter(lambda t: t[0] + t[1] and t[2] + t[3] and t[0] + t[2]))
+def test_fisher_of_any_table_is_that_of_scipy(counts: tuple[int, int, int, int]) -> None:
+    dead_a, alive_a, dead_b, alive_b = counts
+    groups = [
+        (np.repeat([10.0, 240.0], [dead, alive]), np.repeat([True, False], [dead, alive]))
+        for dead, alive in ((dead_a, alive_a), (dead_b, alive_b))
+    ]
+    found = fisher_test(groups[0], groups[1], 240)
+    expected = stats.fisher_exact([[dead_a, alive_a], [dead_b, alive_b]])
+    assert found.p_value == pytest.approx(expected.pvalue, rel=1e-7, abs=1e-200)
+
+
 def test_fisher() -> None:
     half = (np.r_[np.full(5, 100.0), np.full(5, 240.0)], np.r_[np.ones(5), np.zeros(5)])
     assert fisher_test(ALIVE, half, 240).p_value == pytest.approx(0.0325, abs=5e-5)
