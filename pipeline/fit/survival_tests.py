@@ -233,14 +233,14 @@ def _as_rare(table: Sequence[tuple[int, int]]) -> float:
     """Probability of the tables with the sums of this one that are no more probable than it (Fisher 1935, two-sided)."""
     (a, b), (c, d) = table
     first, second, failed = a + b, c + d, a + c
-    k = np.arange(max(0, failed - second), min(failed, first) + 1)
+    k = np.arange(max(0, failed - second), min(failed, first) + 1, dtype=np.float64)
 
     def log_choose(n: int, of: Float) -> Float:
         return np.asarray(special.gammaln(n + 1) - special.gammaln(of + 1) - special.gammaln(n - of + 1))
 
     log_probability = log_choose(first, k) + log_choose(second, failed - k)
     log_probability = log_probability - special.logsumexp(log_probability)
-    as_rare = log_probability <= log_probability[a - k[0]] + _TIE
+    as_rare = log_probability <= log_probability[a - int(k[0])] + _TIE
     return float(min(np.exp(log_probability[as_rare]).sum(), 1.0))
 
 
