@@ -1,0 +1,48 @@
+"""Nodes of simulated responses: cubics between them carry a resonance, whatever the rig file says of its damping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.diagnose.nodes import interpolation, response_nodes
+from schemas.metadata import RigConstants
+
+MASS_KG, STIFFNESS_N_PER_MM = 0.36, 34.0
+
+
+@given(
+    ratio=st.floats(0.004, 0.03),
+    stated=st.floats(0.5, 2.5),
+    alone=st.floats(0.97, 1.03),
+    film=st.floats(0.0, 0.2),
+)
+def test_a_resonance_lighter_than_stated_is_carried(ratio: float, stated: float, alone: float, film: float) -> None:
+    """At worst half way between two nodes by 0.3 % of the peak, of either sign in turn: features take means over many nodes."""
+    mass = 1e-3 * MASS_KG
+    damping = ratio * 2 * np.sqrt(STIFFNESS_N_PER_MM * mass)
+    rig = RigConstants(
+        rig_id="r",
+        clamp_mass_kg=MASS_KG,
+        load_cell_stiffness_n_per_mm=STIFFNESS_N_PER_MM * alone**2,
+        load_cell_damping_n_s_per_mm=stated * damping,
+        load_cell_damping_n_s_per_mm_sd=0.3 * stated * damping,
+    )
+
+    def response(frequency: np.ndarray) -> np.ndarray:
+        s = 2j * np.pi * frequency
+        return STIFFNESS_N_PER_MM / (STIFFNESS_N_PER_MM * (1 + film) + damping * s + mass * s**2)
+
+    nodes = response_nodes(rig)
+    frequency = np.linspace(1.0, 200.0, 20_000)
+    missed = np.abs(interpolation(nodes, frequency) @ response(nodes) - response(frequency))
+    assert missed.max() < 3e-3 * np.abs(response(frequency)).max()
+
+
+def test_a_rig_file_without_a_spread_of_the_damping_has_nodes_for_the_lightest() -> None:
+    known = RigConstants(rig_id="r", clamp_mass_kg=MASS_KG, load_cell_stiffness_n_per_mm=STIFFNESS_N_PER_MM)
+    nodes = response_nodes(known)
+    near = nodes[(nodes > 48) & (nodes < 52)]
+    assert np.diff(np.log(near)).max() == pytest.approx(0.004 / 4, rel=0.01)
