@@ -45,7 +45,6 @@ _COMMAND_LEAST = 0.1
 _MAINS_HALF_HZ = 0.6
 _FEWEST = 3
 _LEAD_IN_S = 0.03
-_LEAST_DAMPING = 0.004
 
 
 @dataclass(frozen=True)
@@ -207,13 +206,12 @@ def _periods(recording: Recording, found: Record, wave: Float, square: bool, hig
 
 
 def _ringing_s(rig: RigConstants) -> float:
-    """Time in which the clamp's ringing falls to a hundredth."""
+    """Time in which the clamp's ringing falls to a hundredth, however light its damping may be."""
     prior = rig_prior(rig)
     if prior is None or prior.nominal[0] <= 0:
         return 0.0
-    mass, stiffness, damping, _ = prior.nominal
-    ratio = max(damping / (2 * np.sqrt(stiffness * mass)), _LEAST_DAMPING)
-    return float(np.log(100) / (ratio * np.sqrt(stiffness / mass)))
+    mass, stiffness = prior.nominal[:2]
+    return float(np.log(100) / (prior.lightest_ratio * np.sqrt(stiffness / mass)))
 
 
 def _away_from_mains(frequency: Float) -> NDArray[np.bool_]:

@@ -19,9 +19,8 @@ Float = NDArray[np.float64]
 
 _LOWEST_HZ, _HIGHEST_HZ = 1e-4, 2e4
 _PER_DECADE = 24
-_LEAST_DAMPING = 0.004
-_PER_WIDTH, _LIGHTER = 4.0, 2.0
-"""Nodes per half width of the lightest resonance that is expected, and how many standard deviations lighter that is than stated."""
+_PER_WIDTH = 4.0
+"""Nodes per half width of the lightest resonance that is expected."""
 _RESONANCE = (0.88, 1.7)
 """Range about the clamp-alone frequency in which the resonance with a film may lie."""
 _GRADED = 0.06
@@ -36,11 +35,10 @@ def response_nodes(rig: RigConstants) -> Float:
     prior = rig_prior(rig)
     if prior is None or prior.nominal[0] <= 0:
         return np.concatenate([[0.0], np.exp(np.arange(x[0], end + coarse, coarse))])
-    mass, stiffness, damping, _ = prior.nominal
+    mass, stiffness = prior.nominal[:2]
     alone = 0.5 * math.log(stiffness / mass) - math.log(2 * math.pi)
     low, high = alone + math.log(_RESONANCE[0]), alone + math.log(_RESONANCE[1])
-    lightest = damping - _LIGHTER * float(np.linalg.norm(prior.factor[2]))
-    fine = max(lightest / (2 * math.sqrt(stiffness * mass)), _LEAST_DAMPING) / _PER_WIDTH
+    fine = prior.lightest_ratio / _PER_WIDTH
     while x[-1] < end:
         # The distance is that of the next node where the range lies ahead.
         away = max(low - x[-1], x[-1] - high, 0.0)

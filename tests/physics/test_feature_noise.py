@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.diagnose.features import REST_HUM, NoiseSample
+from pipeline.diagnose.features import REST_HUM, SPHS_RESPONSE, NoiseSample
 from pipeline.diagnose.functionals import Component, Functionals
 from pipeline.diagnose.mains import HUM_HZ, mains_components, mains_of
 from pipeline.diagnose.noise_density import NoiseLaw, noise_law, noise_sample
@@ -20,6 +20,7 @@ from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.session import make_session
 from tests.hidden_effects.truth import Effect
 from tests.hidden_effects.truth import make_session as true_session
+from tests.hidden_effects.truth.material import random_specimen
 
 Float = NDArray[np.float64]
 
@@ -190,3 +191,15 @@ def test_plateaus_of_steps_show_noise_that_is_slower_than_the_rest() -> None:
     assert max(slowest.values()) < 1.5
     law = make_session([found]).laws[(0, "capacitance")]
     assert law.pink == pytest.approx(0.25 * 0.002**2 / 20, rel=2.0)
+
+
+def test_a_clamp_that_rings_longer_than_the_file_says_is_not_in_the_early_periods() -> None:
+    """Damping stated 2.5 times too high, two standard deviations: the start has died away where the first period begins."""
+    specimen = random_specimen(np.random.default_rng(5), kind="silicone")
+    light = 2 * 0.0042 * float(np.sqrt(specimen.rig.stiffness * specimen.rig.mass))
+    stated = {"load_cell_damping_n_s_per_mm": 2.5 * light, "load_cell_damping_n_s_per_mm_sd": 0.75 * light}
+    rig = replace(specimen.rig, damping=light)
+    specimen = replace(specimen, rig=rig, rig_file={**specimen.rig_file, **stated})
+    silent = true_session(106, ({"protocol": "sphs", "drive_kv": 8.0},), (), material=specimen).noise_free[0]
+    early, late = (b.value for b in reduce(silent).blocks if b.kind == SPHS_RESPONSE)
+    assert np.abs(early - late).max() < 3e-4 * np.abs(late).max()
