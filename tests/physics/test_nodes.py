@@ -33,7 +33,7 @@ def test_a_resonance_lighter_than_stated_is_carried(ratio: float, stated: float,
 
     def response(frequency: np.ndarray) -> np.ndarray:
         s = 2j * np.pi * frequency
-        return STIFFNESS_N_PER_MM / (STIFFNESS_N_PER_MM * (1 + film) + damping * s + mass * s**2)
+        return np.asarray(STIFFNESS_N_PER_MM / (STIFFNESS_N_PER_MM * (1 + film) + damping * s + mass * s**2))
 
     nodes = response_nodes(rig)
     frequency = np.linspace(1.0, 200.0, 20_000)
