@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import logsumexp
 
 from pipeline.diagnose.features import NoiseSample
 
@@ -28,9 +27,7 @@ _ENOUGH = 8.0
 _RED_WORTH = 12.0
 """Twice the gain in log likelihood that red noise must bring."""
 _MOST_DOUBT = 1.0
-"""Variance of a logarithm from which it says no more how large a coefficient may be; red noise is then no larger than this allows."""
-_PINK_GRID, _WHITE_GRID = np.linspace(-10.0, 6.0, 33), np.linspace(-4.0, 4.0, 49)
-"""Logarithms of the pink density at 1 Hz and of the white ones over the mean density, over which a mean is taken."""
+"""Largest variance of a logarithm that is allowed for: what the stretches leave open altogether is not noise."""
 _LEAST_POWER = 1e-12
 """Share of the middle power below which an ordinate is no noise: a channel that stands still."""
 _ALIKE = 0.3
@@ -145,11 +142,9 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
         first = int(np.flatnonzero(pool.recording == r)[0])
         white[r] = density[separate[first]] * pool.rate[first]
     white[np.isnan(white)] = np.nanmedian(white)
-    doubt = pool.doubt(x, separate)
-    pink, red = np.exp(x[-2:] + np.minimum(doubt, _MOST_DOUBT) / 2)
-    if doubt[0] > _MOST_DOUBT:
-        pink = max(pink, pool.mean_pink(float(np.exp(x[-1])), separate))
-    return NoiseLaw(white * pool.unit, float(pink) * pool.unit, float(red) * pool.unit)
+    doubt = np.minimum(pool.doubt(x, separate), _MOST_DOUBT)
+    pink, red = np.exp(x[-2:] + doubt / 2) * pool.unit
+    return NoiseLaw(white * pool.unit, float(pink), float(red))
 
 
 @dataclass(frozen=True)
@@ -196,33 +191,6 @@ class _Pool:
         parts *= (self.rate / expected)[:, None]
         information = parts.T @ (self.weight[:, None] * parts) + np.eye(x.size) * _LEAST_POWER
         return np.asarray(np.diag(np.linalg.inv(information))[-2:])
-
-    def mean_pink(self, red: float, group: Int) -> float:
-        """Mean of the pink density at 1 Hz over what the ordinates leave open about it and the white ones.
-
-        Where the stretches only bound it the most likely value may be none at all, and slow features would seem exact.
-        """
-        levels = self._levels(group)
-        pink = float(np.median(levels)) * np.exp(_PINK_GRID)
-        white = float(np.median(levels)) * np.exp(_WHITE_GRID)
-        likelihood = np.zeros((levels.size, white.size, pink.size))
-        for number, own in enumerate(likelihood):
-            here = group == number
-            f, rate, power, weight = (v[here] for v in (self.frequency, self.rate, self.power, self.weight))
-            s = rate * (white[:, None, None] + pink[:, None] / f + red / f**2)
-            own -= (np.log(s) + power / s) @ weight
-        # Uniform in the density itself: as likely to be large as to be small.
-        log_weight = np.log(pink)
-        alone = np.ones(levels.size, dtype=bool)
-        for groups, log_interval in self.alike:
-            alone[groups] = False
-            # Each group's white variance of a sample is spread about a common one.
-            variance = _WHITE_GRID - (log_interval - log_interval.mean())[:, None]
-            prior = -0.5 * ((variance[:, None, :] - _WHITE_GRID[:, None]) / _ALIKE) ** 2
-            each = logsumexp(prior[:, :, :, None] + likelihood[groups][:, None], axis=2)
-            log_weight = log_weight + logsumexp(each.sum(axis=0), axis=0)
-        log_weight = log_weight + logsumexp(likelihood[alone], axis=1).sum(axis=0)
-        return float(np.exp(log_weight - logsumexp(log_weight)) @ pink)
 
     def fit(self, group: Int) -> Float:
         """Whittle's likelihood; red noise only where it raises it clearly, for rests are too short to tell it from pink."""

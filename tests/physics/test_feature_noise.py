@@ -157,28 +157,6 @@ def test_residuals_of_slow_noise_have_variance_one_on_average() -> None:
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.25)
 
 
-def test_slow_noise_that_a_rest_only_bounds_does_not_vanish() -> None:
-    """Two rests of 1 s at 500 Hz and two of 24 ms a sample, as a capacitance has them: the most likely law often has no slow part."""
-    rng = np.random.default_rng(8)
-    truth, ratio = 0.02, []
-    for _ in range(40):
-        found = []
-        for i, (interval_s, count, taken_s) in enumerate([(0.002, 480, 0.002), (0.024, 40, 0.004)] * 2):
-            # A sample of thinned ones is the mean of six.
-            white = rng.normal(size=count) * np.sqrt(taken_s / interval_s)
-            one = noise_sample(
-                "capacitance",
-                white + np.sqrt(truth) * pink(count, interval_s, rng, 1)[0],
-                interval_s,
-                setting=(taken_s, 1.0),
-            )
-            assert one is not None
-            found.append((i, one))
-        ratio.append(truth / noise_law(found, 4).pink)
-    assert np.median(ratio) < 2.0
-    assert max(ratio) < 15.0
-
-
 def test_plateaus_of_steps_show_noise_that_is_slower_than_the_rest() -> None:
     """Of what is still there: not of the force, for the clamp rings."""
     designs = ({"protocol": "step", "loading": "electrical", "drive_kv": 5.0},)
