@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 
 from pipeline.diagnose.effects import Course, Effect, Film, Reading, View
 from pipeline.diagnose.extend import ExtendedFit
-from pipeline.diagnose.screen import absorbed_by
+from pipeline.diagnose.screen import LEAST_VISIBLE, absorbed_by, unabsorbed
 from pipeline.diagnose.session import Session
 from pipeline.diagnose.structure import quadratic
 
@@ -57,16 +57,15 @@ def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
     found = []
     for text, effects in _free(session):
         rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in effects]
-        rows = [row for row in rows if np.isfinite(row).all() and row.any()]
+        rows = [row for row in rows if np.isfinite(row).all()]
         if not rows:
             continue
         seen = of.weight[:, None] * session.whiten(np.array(rows).T)
-        scale = np.linalg.norm(seen, axis=0)
-        seen = seen[:, scale > 0] / scale[scale > 0]
-        coefficients = absorbed[: session.size].T @ seen
-        gram = seen.T @ seen - coefficients.T @ coefficients
-        score = seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
-        found.append(Departure(text, *quadratic(gram, score)))
+        length = np.linalg.norm(seen, axis=0)
+        visible = length > LEAST_VISIBLE  # what a change by the whole leaves less of is rounding
+        if visible.any():
+            seen = seen[:, visible] / length[visible]
+            found.append(Departure(text, *quadratic(*unabsorbed(fit, seen, absorbed))))
     return tuple(sorted(found, key=lambda d: d.p_value))
 
 
@@ -163,6 +162,9 @@ def _of_strain(session: Session) -> list[Callable[[Course], Float]]:
 
 
 def _bent(power: int) -> Callable[[Reading], Float]:
-    return lambda reading: np.asarray(
-        reading.force + _STEP * reading.largest_n * (reading.force / reading.largest_n) ** power
-    )
+    def bent(reading: Reading) -> Float:
+        if reading.largest_n <= 0:  # no mechanical test says what a large force is
+            return reading.force
+        return np.asarray(reading.force + _STEP * reading.largest_n * (reading.force / reading.largest_n) ** power)
+
+    return bent

@@ -29,7 +29,7 @@ _SHAPES = ((0.1, 0.5, 0.9), (0.2, 0.8), (0.5,))
 """Places within the ranges of the first, second and third shape parameter."""
 _LEAST_PART = 0.2
 """Least part of a strong effect's change that a score may stand for."""
-_LEAST_VISIBLE = 0.05
+LEAST_VISIBLE = 0.05
 """Length of a signature, in standard deviations of the noise, below which a mechanism leaves no trace."""
 _DRAWS = 20_000
 _SEED = 20_260
@@ -146,13 +146,9 @@ def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
     held = {c.id for c in fit.of.chosen}
     open_ = np.array([i for i, c in enumerate(found.chosen) if c.id not in held], dtype=np.int64)
     seen = fit.of.weight[:, None] * found.change[:, open_]
-    absorbed = absorbed_by(fit)
-    # The priors' rows see nothing of a signature, but they hold back what absorbs it.
-    coefficients = absorbed[: fit.of.session.size].T @ seen
-    gram = seen.T @ seen - coefficients.T @ coefficients
-    along = seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
+    gram, along = unabsorbed(fit, seen, absorbed_by(fit))
     length = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    places = np.flatnonzero(length > np.maximum(_LEAST_VISIBLE, 1e-6 * np.sqrt(np.sum(seen**2, axis=0))))
+    places = np.flatnonzero(length > np.maximum(LEAST_VISIBLE, 1e-6 * np.sqrt(np.sum(seen**2, axis=0))))
     length = length[places]
     return Signatures(
         tuple(found.chosen[open_[i]] for i in places),
@@ -224,6 +220,14 @@ def _severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float]]:
                 if p.least <= sign * level <= p.most or not p.signed:
                     found.append(({q.name: 0.0 for q in mechanism.severities} | {p.name: sign * float(level)}, part))
     return found
+
+
+def unabsorbed(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, Float]:
+    """Products of weighted whitened changes (N, G) without what a fit absorbs, (G, G), and their scores (G,) with its residual."""
+    # The priors' rows see nothing of a change, but they hold back what absorbs it.
+    coefficients = absorbed[: fit.of.session.size].T @ seen
+    gram = seen.T @ seen - coefficients.T @ coefficients
+    return gram, seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
 
 
 def absorbed_by(fit: ExtendedFit) -> Float:

@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.features import REST_HUM, TAP_RING, WEIGHT_GAIN
-from pipeline.diagnose.screen import absorbed_by
+from pipeline.diagnose.screen import absorbed_by, unabsorbed
 from pipeline.diagnose.session import Place, Session
 
 Float = NDArray[np.float64]
@@ -57,10 +57,7 @@ def structure(fit: ExtendedFit) -> Structure:
     if not columns:
         return Structure(0.0, 0, 1.0, {}, {})
     seen = fit.of.weight[:, None] * np.column_stack(columns)
-    absorbed = absorbed_by(fit)
-    coefficients = absorbed[: session.size].T @ seen
-    gram = seen.T @ seen - coefficients.T @ coefficients
-    score = seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
+    gram, score = unabsorbed(fit, seen, absorbed_by(fit))
     scale = np.sqrt(np.maximum(np.sum(seen**2, axis=0), 1e-300))
     gram, score = gram / np.outer(scale, scale), score / scale
     kinds = np.array([k for k, _ in labels])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ from pipeline.diagnose.session import make_session
 from tests.hidden_effects.truth import Effect
 from tests.hidden_effects.truth import make_session as true_session
 
-DESIGNS = (
+Designs = tuple[dict[str, Any], ...]
+DESIGNS: Designs = (
     {"protocol": "chirp", "strain_pp": 0.006},
     {"protocol": "cyclic", "strain_pp": 0.04, "frequency_hz": 1.0, "cycles": 10},
     {"protocol": "sphs", "drive_kv": 5.5},
@@ -26,8 +29,8 @@ DESIGNS = (
 )
 
 
-def beside_the_plain_model(seed: int, *effects: Effect) -> Sequence[Departure]:
-    session = make_session([reduce(r) for r in true_session(seed, DESIGNS, effects).recordings])
+def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Sequence[Departure]:
+    session = make_session([reduce(r) for r in true_session(seed, designs, effects).recordings])
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
@@ -56,3 +59,12 @@ def test_what_is_in_no_list_departs_where_it_acts(effect: Effect, words: str) ->
     assert found[0].p_value < 1e-8
     assert words in [d.text for d in found if d.p_value < 1e-8]
     assert found[0].excess == pytest.approx(found[0].statistic - found[0].degrees_of_freedom)
+
+
+def test_electrical_tests_alone_are_asked_without_a_warning() -> None:
+    """Nothing says there what a large strain or reading is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = beside_the_plain_model(301, designs=({"protocol": "sphs", "drive_kv": 8.0},))
+    assert found
+    assert "the reading follows the force in another way" not in [d.text for d in found]
