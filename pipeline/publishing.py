@@ -236,7 +236,10 @@ def _as_published(context: Context, changed: Sequence[Row], complete: _Complete)
 
 
 def _completer(context: Context, night: Night) -> _Complete:
-    """Makes a whole row of `recordings`, not as an arrow table, which would cost an import of pandas, from what the night says of it and what its content gave when it was read."""
+    """Makes a whole row of `recordings` from what the night says of it and what its content gave when it was read.
+
+    Not as an arrow table, which would cost an import of pandas.
+    """
     earlier = {(row.source_path, row.source_sha256): row for row in context.manifest.recordings}
 
     def complete(row: Row, full: Mapping[str, Any]) -> dict[str, Any]:

@@ -158,8 +158,8 @@ def _decided(of: Extended, start: Float) -> Outcome:
     alternatives = _alternatives(plain, final, singles)
     share = explained(plain, final)
     after = structure(final)
-    departing = departures(final)
-    verdict = _verdict(plain, final, alternatives, share, after, departing)
+    beside = _departed(plain, final)
+    verdict = _verdict(alternatives, share, after, beside)
     return Outcome(
         verdict,
         untempered,
@@ -173,7 +173,7 @@ def _decided(of: Extended, start: Float) -> Outcome:
         looked,
         before,
         after,
-        departed(plain, final, departing),
+        beside,
     )
 
 
@@ -330,21 +330,14 @@ def _as_good(plain: ExtendedFit, best: ExtendedFit, other: ExtendedFit) -> bool:
 _MUCH_LEFT = 6.0
 
 
-def _verdict(
-    plain: ExtendedFit,
-    final: ExtendedFit,
-    alternatives: Sequence[ExtendedFit],
-    share: float,
-    after: Structure,
-    departing: Sequence[Departure],
-) -> str:
+def _verdict(alternatives: Sequence[ExtendedFit], share: float, after: Structure, departed: Sequence[Departure]) -> str:
     left = after.p_value < LEFT_LEVEL
-    if (left and share < EXPLAINED) or departed(plain, final, departing):
+    if (left and share < EXPLAINED) or departed:
         return UNKNOWN
     return AMBIGUOUS if alternatives else NAMED
 
 
-def departed(plain: ExtendedFit, final: ExtendedFit, departing: Sequence[Departure]) -> tuple[Departure, ...]:
+def _departed(plain: ExtendedFit, final: ExtendedFit) -> tuple[Departure, ...]:
     """Quantities that explain, left free, beside the causes a share that no form of theirs does."""
-    fall = plain.chi2 - final.chi2
-    return tuple(d for d in departing if d.p_value < DEPARTED_LEVEL and d.excess > DEPARTED_SHARE * (fall + d.excess))
+    fall, found = plain.chi2 - final.chi2, departures(final)
+    return tuple(d for d in found if d.p_value < DEPARTED_LEVEL and d.excess > DEPARTED_SHARE * (fall + d.excess))

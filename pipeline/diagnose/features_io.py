@@ -116,15 +116,15 @@ def _noise_head(sample: NoiseSample, writer: _Writer) -> dict[str, Any]:
     return {
         "quantity": sample.quantity,
         "interval_s": sample.interval_s,
-        "setting": list(sample.setting),
+        "setting": sample.setting,
         **{name: writer.array(getattr(sample, name)) for name in ("frequency_hz", "power", "weight")},
     }
 
 
 def _noise(head: Mapping[str, Any], reader: _Reader) -> NoiseSample:
     arrays = {name: reader.array(head[name]) for name in ("frequency_hz", "power", "weight")}
-    interval_s, step = head["setting"]
-    return NoiseSample(quantity=head["quantity"], interval_s=head["interval_s"], setting=(interval_s, step), **arrays)
+    setting = tuple(head["setting"])
+    return NoiseSample(quantity=head["quantity"], interval_s=head["interval_s"], setting=setting, **arrays)
 
 
 def _covariances(basis: Float) -> bool:

@@ -35,8 +35,6 @@ _DISTURBED_S = 0.05
 """Time after an edge in which the converter of the capacitance is disturbed."""
 _SAME_EDGE_S = 0.25
 _COMMAND_LEAST = 0.05
-
-
 _SETTLED, _CREEP_DEGREE, _SLOW_HZ, _MOST_PLATEAUS = 0.4, 4, 20.0, 8
 """Share of a plateau after which its noise is taken, polynomial that creep follows, highest frequency, cycles that are enough."""
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.diagnose.decide import CLOSE
 from pipeline.diagnose.designs import Proposal, catalogue, imagined, showing
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.predict import Simulation
@@ -25,7 +26,7 @@ Float = NDArray[np.float64]
 
 _MODEL_ERROR = 0.15
 """Share of a predicted difference that counts as noise: neither cause has exactly its form."""
-_ENOUGH = 9.2
+_ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
 _NORMAL_80 = 1.282
 

@@ -162,8 +162,8 @@ class DerivedTask:
     journal : folder that gets the results
     calibrations : results of the calibrations of their rigs
     settings : settings of the stage
-    snapshot, stored : of a group, the published database, None where there is none yet, and where the results of its recordings are: there may be many thousand,
-        so the worker fetches them, not the night
+    snapshot, stored : of a group, the published database, None where nothing of it is needed, and where the results of its
+        recordings are: there may be many thousand, so the worker fetches them, not the night
     """
 
     item_id: str
