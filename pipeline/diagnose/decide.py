@@ -50,9 +50,8 @@ CLOSE_MISFIT = 1.3
 EXPLAINED = 0.6
 """Share of the misfit that the causes must explain together for their names to be said, where more than noise is left."""
 LEFT_LEVEL = 1e-3
-DEPARTED_LEVEL, DEPARTED_SHARE = 1e-5, 0.1
-"""Probability below which a quantity left free differs, and least share of what it and the causes explain together: forms of right
-causes that are not quite the rig's own leave less."""
+DEPARTED_LEVEL = 1e-5
+"""Probability below which a quantity left free differs."""
 _CONFIRMED = 0.8
 """Share of the threshold Λ that a fitted cause must reach, which the screen only promised."""
 
@@ -114,6 +113,9 @@ _RESTARTS, _MANY, _CLEARLY_BETTER = 3, 10.0, 1.0
 def _decided(of: Extended, start: Float) -> Outcome:
     session = of.session
     untempered = of.refined(of.fit(start, most=3))
+    against = of.simulation.measured_against(of.model.physical(untempered.theta))
+    of = replace(of, simulation=against)
+    untempered = ExtendedFit(of, untempered.solution)
     changes = secants(untempered)
     looked = signatures(changes, untempered)
     found = scores(looked)
@@ -340,4 +342,4 @@ def _verdict(alternatives: Sequence[ExtendedFit], share: float, after: Structure
 def _departed(plain: ExtendedFit, final: ExtendedFit) -> tuple[Departure, ...]:
     """Quantities that explain, left free, beside the causes a share that no form of theirs does."""
     fall, found = plain.chi2 - final.chi2, departures(final)
-    return tuple(d for d in found if d.p_value < DEPARTED_LEVEL and d.excess > DEPARTED_SHARE * (fall + d.excess))
+    return tuple(d for d in found if d.p_value < DEPARTED_LEVEL and d.excess > d.tolerated * (fall + d.excess))

@@ -17,14 +17,40 @@ from pipeline.diagnose.effects import Course, Scale
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Int = NDArray[np.int64]
 
 PHASES = 32
 _ITERATIONS = 12
 _SETTLED = 1e-4
 _LOOPS = 2
 _SLOPES = 0.05, 1.5
-_GRID = np.concatenate([[0.02, 0.1, 0.2, 0.3], np.linspace(0.38, 1.6, 18)])
-"""Amplitudes of the grid over the largest that the linear film has at a frequency."""
+_GRID = np.array(
+    [
+        0.02,
+        0.1,
+        0.2,
+        0.3,
+        0.4,
+        0.5,
+        0.6,
+        0.68,
+        0.75,
+        0.81,
+        0.86,
+        0.9,
+        0.93,
+        0.96,
+        0.98,
+        1.0,
+        1.02,
+        1.05,
+        1.1,
+        1.2,
+        1.35,
+        1.6,
+    ]
+)
+"""Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies."""
 _ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
 COSINE = np.cos(_ANGLE)
 _COSINES, _SINES = np.cos(np.outer(np.arange(4), _ANGLE)), np.sin(np.outer(np.arange(4), _ANGLE))
@@ -106,43 +132,73 @@ def describe(
     return Described(factor, found[..., 0].real, found[..., 2], found[..., 3], amplitude, turn)
 
 
-def describe_sweeps(
+@dataclass(frozen=True)
+class Places:
+    """Places (T,) among the frequencies of a table: the two columns about each, and how far it is to the second."""
+
+    column: Int
+    beside: Int
+    share: Float
+
+
+@dataclass(frozen=True)
+class SweepTable:
+    """What elements make of waves of any amplitude at log frequencies `log_hz` (C,).
+
+    `top` (C,) strain amplitude that the grid is relative to; `values` (grid, C, 5): factor of k, then mean and harmonics 1 … 3 of
+    the tension that the elements add, N per unit of strain amplitude.
+    """
+
+    log_hz: Float
+    top: Float
+    values: Complex
+
+    def places(self, log_hz: Float) -> Places:
+        """Where log frequencies (T,) lie among those of the table."""
+        along = np.interp(log_hz, self.log_hz, np.arange(self.log_hz.size, dtype=float))
+        column = np.minimum(along.astype(np.int64), max(self.log_hz.size - 2, 0))
+        return Places(column, np.minimum(column + 1, self.log_hz.size - 1), along - column)
+
+    def factor(self, strain: Float, at: Places) -> Complex:
+        """(T,) factor of k at strain amplitudes (T,)."""
+        return self._at(strain, at, slice(0, 1))[..., 0]
+
+    def waves(self, strain: Float, at: Places) -> Complex:
+        """(T, 4) mean and harmonics of the tension that the elements add, N, the strain being a cosine."""
+        return self._at(strain, at, slice(1, 5)) * strain[..., None]
+
+    def _at(self, strain: Float, at: Places, which: slice) -> Complex:
+        top = (1 - at.share) * self.top[at.column] + at.share * self.top[at.beside]
+        up = np.interp(strain / top, _GRID, np.arange(_GRID.size, dtype=float))
+        row = np.minimum(up.astype(np.int64), _GRID.size - 2)
+        share, across = (up - row)[:, None], at.share[:, None]
+        v = np.ascontiguousarray(self.values[..., which])
+        low = v[row, at.column] * (1 - share) + v[row + 1, at.column] * share
+        high = v[row, at.beside] * (1 - share) + v[row + 1, at.beside] * share
+        return np.asarray(low + across * (high - low))
+
+
+def sweep_table(
     elements: Sequence[Callable[[Course], Float]],
     loop: Loop,
-    strain: Float,
-    rest_force_n: Float,
+    log_hz: Float,
+    top: Float,
+    rest_force_n: float,
     loads: Loads,
     scale: Scale,
-) -> Described:
-    """The same for sweeps without mean strain, whose states differ in amplitude and little else.
+) -> SweepTable:
+    """Elements asked on a grid of amplitudes up to and beyond `top` (C,), with the mean of the states' films and rigs.
 
-    The elements are asked on a grid of amplitudes at each frequency with the states' mean stiffness and rest force; the
-    states' own amplitudes are solved with the rig between the points of that grid.
+    States of sweeps, which have no mean strain, differ in amplitude and little else.
     """
-    k, dynamic, compliance = loop.k[1], loop.dynamic[1], loop.compliance
-    turn = dynamic / (dynamic + k * compliance)
-    amplitude = strain * np.abs(turn)
-    top = np.maximum(amplitude.max(axis=0), 1e-15)
+    top = np.maximum(top, 1e-15)
     grid: Float = _GRID[:, None] * top
-    rest = np.full(grid.shape, float(np.mean(rest_force_n)))
-    nothing = np.zeros(grid.shape)
+    rest = np.full(grid.shape, rest_force_n)
     own: Complex | None = None
     for _ in range(_LOOPS):
-        table, waves, own = _one_amplitude(elements, loop.mean(), grid, nothing, rest, loads, scale, own)
-    stacked = np.concatenate([table[..., None], waves / grid[..., None]], axis=-1)
-    columns = np.arange(grid.shape[1])[None, :]
-    found: Complex = np.ones((*k.shape, 5), dtype=complex)
-    for i in range(_ITERATIONS):
-        at = np.interp(amplitude / top, _GRID, np.arange(_GRID.size, dtype=float)).clip(0.0, _GRID.size - 1.001)
-        left = at.astype(np.int64)
-        share = (at - left)[..., None]
-        found = (1 - share) * stacked[left, columns] + share * stacked[left + 1, columns]
-        turn = dynamic / (dynamic + found[..., 0] * k * compliance)
-        amplitude, change = _next(amplitude, strain, turn, i)
-        if change < _SETTLED:
-            break
-    own_part = found[..., 1:] * amplitude[..., None]
-    return Described(found[..., 0], own_part[..., 0].real, own_part[..., 2], own_part[..., 3], amplitude, turn)
+        factor, waves, own = _one_amplitude(elements, loop.mean(), grid, np.zeros(grid.shape), rest, loads, scale, own)
+    values = np.concatenate([factor[..., None], waves / grid[..., None]], axis=-1)
+    return SweepTable(log_hz, top, values)
 
 
 def _next(amplitude: Float, strain: Float, turn: Complex, i: int) -> tuple[Float, float]:
@@ -182,7 +238,7 @@ def _one_amplitude(
         rest_force_n=rest_force_n[..., None],
         largest_tension_n=loads.tension_n,
         largest_fall_n=loads.fall_n,
-        stiffness=np.broadcast_to(np.abs(k[..., 1:2]), (*amplitude.shape, 1)),
+        stiffness=np.broadcast_to(k[..., 1:2], (*amplitude.shape, 1)),
         static=float(loop.k[0].flat[0].real),
         interval_s=np.broadcast_to(1 / (PHASES * loop.frequency_hz[..., None]), (*amplitude.shape, 1)),
         scale=scale,

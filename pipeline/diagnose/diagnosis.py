@@ -21,7 +21,7 @@ from pipeline.diagnose.hum import with_hum
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
 from pipeline.diagnose.next_recording import next_recording
 from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.power import reported, smallest_parameters
+from pipeline.diagnose.power import length_beyond_arms, reported, smallest_parameters
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.results import (
     AMBIGUOUS,
@@ -45,9 +45,9 @@ _LEFT = 1e-3
 """Probability below which a pattern that stays is mentioned."""
 _GAIN_WITH_PATTERN = 0.4
 """Held-out gain that a cause which leaves a pattern has to be able to have: the upper end of its interval."""
-_STRONG, _GAIN_OF_STRONG = 9.0, 0.4
-"""Λ over its threshold from which a cause has to predict what it was not fitted to, and the held-out gain that it has to have. Of
-right causes that strong nearly all gain more than half, of look-alikes hardly any; weaker evidence is too noisy to ask."""
+_STRONG, _GAIN_OF_STRONG = 9.0, 0.1
+"""Λ over its threshold from which a cause has to predict what it was not fitted to, and the held-out gain that it has to have. A
+cause that strong which does not carry over at all is another's look; weaker evidence is too noisy to ask."""
 
 
 def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
@@ -61,7 +61,8 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     outcome = decide(session, simulation, fitted)
     context = context_of(session, simulation, outcome.untempered)
     final = outcome.final
-    smallest = smallest_parameters(outcome.looked, outcome.threshold)
+    visible = length_beyond_arms(outcome.untempered, outcome.looked)
+    smallest = smallest_parameters(outcome.looked, visible, outcome.threshold)
     gain = None if final is None else held_out(outcome.plain, final)
     verdict = _checked(outcome, gain)
     named = () if final is None else tuple(c.id for c in final.of.chosen)

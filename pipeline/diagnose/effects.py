@@ -65,6 +65,10 @@ class View:
     test: str
     k0: float = 1.0
 
+    def times(self, order: int) -> View:
+        """The view at multiples of its frequencies, where harmonics are."""
+        return replace(self, frequency_hz=self.frequency_hz * order)
+
     def at(self, index: NDArray[np.int64]) -> View:
         """The view at some frequencies (places on the last axis)."""
         return replace(
@@ -120,7 +124,7 @@ class Course:
 
     `strain` of the film (positive: longer) and `tension` N as the linear film has it, both against rest. `rest_force_n` is the
     tension at rest (NaN unknown); `largest_tension_n` and `largest_fall_n` are the largest rise and the largest fall of the
-    tension in the session as the linear film has it. `stiffness` |k| N/mm at the frequency, broadcasts against the waves;
+    tension in the session as the linear film has it. `stiffness` k N/mm at the frequency (real: secant of a course), broadcasts against the waves;
     `static` k0. `interval_s` is the time from one point to the next, (..., 1) or (..., P). A period is the mean of those from
     `cycles[0]` to `cycles[1]` since the film was at rest, (...) each; where that is None, of a later one. `carry`: see `carried`.
     """
@@ -131,7 +135,7 @@ class Course:
     rest_force_n: Float
     largest_tension_n: float
     largest_fall_n: float
-    stiffness: Float
+    stiffness: Complex
     static: float
     interval_s: Float
     scale: Scale
@@ -142,7 +146,7 @@ class Course:
         """Tension N of the linear film under a change of its strain along the course: as it relaxes where that is known."""
         if self.carry is not None:
             return self.carry(strain)
-        return np.asarray(strain * self.scale.length_mm * self.stiffness)
+        return np.asarray(strain * self.scale.length_mm * np.abs(self.stiffness))
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,17 @@ them: in time windows, against multiples of the input's own phase.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from pipeline.diagnose.blocks import Signals, block
 from pipeline.diagnose.features import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE, FeatureBlock, NoiseSample
-from pipeline.diagnose.functionals import Component, half_cosine, stacked
-from pipeline.diagnose.noise_density import MAINS_HZ
-from pipeline.diagnose.records import Record, polynomials, record, rest_samples, strain_length_mm
+from pipeline.diagnose.functionals import Component, stacked
+from pipeline.diagnose.records import Record, record, rest_samples, strain_length_mm
+from pipeline.diagnose.sweep_kernels import WITHIN, Bands, Piece, bands_of, harmonics_of
 from pipeline.fit.rig import rig_prior
 from pipeline.transform import sweeps
 from pipeline.transform.channels import drive
@@ -29,17 +27,7 @@ from schemas.recording import Recording
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
 
-BANDS = 40
-_FEWEST_BINS = 2
-_DEGREE = 3
-"""Degree of the drift that the response of a band does not see."""
-_HARMONIC_RATIO = 1.45
-_HARMONIC_CYCLES = 4.0
-_WITHIN = 9
-"""Frequencies within a window at which its harmonics are predicted, odd."""
-_ENVELOPE_CYCLES = 1.0
 _SHIFT_CELLS = 40
 """Stretches of a sweep, of equal length, in which what shifts the mean force is taken as constant."""
 _FEWEST_REST = 32
@@ -58,16 +46,6 @@ class Sweep:
     start: int
     end: int
     number: int
-
-
-@dataclass(frozen=True)
-class _Bands:
-    """What a sweep has at each band (b,): kernels (b, n), frequency Hz, instant (samples of the sweep), amplitude mm."""
-
-    kernels: Complex
-    frequency: Float
-    moment: Float
-    amplitude: Float
 
 
 def chirp_blocks(
@@ -96,15 +74,16 @@ def chirp_blocks(
         if found.lost[sweep.first : sweep.stop].any():
             warnings.append(f"sweep {sweep.number} has gaps and is left out")
             continue
-        bands = _bands(signals, sweep, (low, high))
+        piece = _piece(signals, sweep, (low, high))
+        bands = bands_of(piece)
         part = signals.output[sweep.first : sweep.stop]
         signals = replace(
             signals,
             components=_components(names, bands, part, recording.rig) + found.mains,
             largest_response=float(np.abs(bands.kernels @ part).max()),
         )
-        blocks.append(_response(signals, sweep, bands, length))
-        blocks += _harmonics(signals, sweep, bands, length)
+        blocks.append(_response(signals, sweep, piece, bands, length))
+        blocks += _harmonics(signals, sweep, piece, bands, length)
     if not blocks:
         raise NotIdentifiableError("every sweep has gaps", where=where)
     blocks += _levels(signals, found, pieces, rest, amplitude / length)
@@ -138,74 +117,7 @@ def _sweeps(recording: Recording, found: Record, x: Float, low: float) -> tuple[
     return pieces, moving.amplitude
 
 
-def _edges(low: float, high: float, duration_s: float) -> Int:
-    """Bins that begin each band, and the end of the last: log-spaced, at least two bins each."""
-    first, last = max(int(np.ceil(low * duration_s)), 1), int(np.floor(high * duration_s))
-    edges = [first]
-    for edge in np.rint(np.geomspace(first, last + 1, BANDS + 1)[1:]).astype(int):
-        if edge >= edges[-1] + _FEWEST_BINS:
-            edges.append(int(edge))
-    if edges[-1] < last + 1:
-        edges[-1] = last + 1
-    return np.array(edges, dtype=np.int64)
-
-
-def _analytic(u: Float) -> Complex:
-    spectrum = scipy.fft.fft(u)
-    spectrum[u.size // 2 :] = 0.0
-    return np.asarray(2 * scipy.fft.ifft(spectrum))
-
-
-def _bands(signals: Signals, sweep: Sweep, band: tuple[float, float]) -> _Bands:
-    u = signals.input[sweep.first : sweep.stop]
-    duration = u.size * signals.interval_s
-    spectrum = scipy.fft.fft(u)
-    frequency = np.arange(u.size) / duration
-    edges = _edges(*band, duration)
-    for mains in MAINS_HZ:
-        spectrum[np.abs(frequency - mains) < 1.01 / duration] = 0.0
-    parts = np.zeros((edges.size - 1, u.size), dtype=complex)
-    for row, first, stop in zip(parts, edges[:-1], edges[1:], strict=True):
-        row[first:stop] = spectrum[first:stop]
-    parts = parts[np.abs(parts).max(axis=1) > 0]
-    power = np.abs(parts) ** 2
-    centre = power @ frequency / power.sum(axis=1)
-    parts = scipy.fft.ifft(parts, axis=1, overwrite_x=True)
-    energy = np.abs(parts) ** 2
-    moment = energy @ np.arange(u.size) / energy.sum(axis=1)
-    kernels = _without_drift(parts.conj() * _taper(sweep), _taper(sweep))
-    kernels /= (kernels @ u)[:, None]
-    return _Bands(
-        kernels, centre, moment, _amplitudes(np.abs(_analytic(u)), sweep, moment, centre * signals.interval_s)
-    )
-
-
-def _amplitudes(envelope: Float, sweep: Sweep, moment: Float, turns: Float) -> Float:
-    """Amplitude of the input within a cycle before and after each moment, of `turns` per sample, while it moves."""
-    total = np.concatenate([[0.0], np.cumsum(envelope)])
-    low, high = sweep.start - sweep.first, sweep.end - sweep.first
-    a = np.clip(np.rint(moment - _ENVELOPE_CYCLES / turns), low, high - 2).astype(int)
-    b = np.clip(np.rint(moment + _ENVELOPE_CYCLES / turns), a + 2, high).astype(int)
-    return np.asarray((total[b] - total[a]) / (b - a))
-
-
-def _taper(sweep: Sweep) -> Float:
-    """1 while the sweep moves, falling smoothly to 0 at the ends of the rest around it: a functional then has no far lobes."""
-    taper = np.ones(sweep.stop - sweep.first)
-    before, after = sweep.start - sweep.first, sweep.stop - sweep.end
-    taper[:before] = half_cosine(before)[::-1]
-    taper[taper.size - after :] *= half_cosine(after)
-    return taper
-
-
-def _without_drift(kernels: Complex, taper: Float) -> Complex:
-    """Kernels (n, N) that a polynomial in time does not move; what is taken off has the taper as well."""
-    slow = polynomials(taper.size, _DEGREE)
-    tapered = slow * taper
-    return np.asarray(kernels - np.linalg.solve(tapered @ slow.T, (kernels @ slow.T).T).T @ tapered)
-
-
-def _components(names: tuple[str, str], bands: _Bands, y: Float, rig: RigConstants) -> tuple[Component, ...]:
+def _components(names: tuple[str, str], bands: Bands, y: Float, rig: RigConstants) -> tuple[Component, ...]:
     """Noise of the force, and that of the displacement, which reaches the force through the response itself."""
     force, given = names[1], names[0]
     gain = _gain(bands.frequency, bands.kernels @ y, rig)
@@ -252,7 +164,15 @@ def _gain(frequency: Float, response: Complex, rig: RigConstants) -> Callable[[F
     return gain
 
 
-def _response(signals: Signals, sweep: Sweep, bands: _Bands, length: float) -> FeatureBlock:
+def _piece(signals: Signals, sweep: Sweep, band: tuple[float, float]) -> Piece:
+    first = sweep.first
+    return Piece(
+        signals.input[first : sweep.stop], sweep.start - first, sweep.end - first, signals.interval_s, band[0], band[1]
+    )
+
+
+def _response(signals: Signals, sweep: Sweep, piece: Piece, bands: Bands, length: float) -> FeatureBlock:
+    turn = np.ones(bands.frequency.size, dtype=complex) if signals.factor is None else signals.factor(bands.frequency)
     return block(
         CHIRP_RESPONSE,
         f"sweep {sweep.number}",
@@ -264,12 +184,20 @@ def _response(signals: Signals, sweep: Sweep, bands: _Bands, length: float) -> F
         amplitude=bands.amplitude / length,
         cycle=float(sweep.number),
         time=(sweep.first + bands.moment) * signals.interval_s,
-        support={"profile_hz": bands.frequency, "profile_mm": bands.amplitude}
+        support={
+            "profile_hz": bands.frequency,
+            "profile_mm": bands.amplitude,
+            "piece_mm": piece.input,
+            "piece": np.array([piece.start, piece.end, piece.interval_s, piece.low_hz, piece.high_hz]),
+            "piece_s": bands.moment * signals.interval_s,
+            "turn_re": turn.real,
+            "turn_im": turn.imag,
+        }
         | _shifts(stacked(bands.kernels), sweep, bands),
     )
 
 
-def _shifts(kernels: Float, sweep: Sweep, bands: _Bands) -> dict[str, Float]:
+def _shifts(kernels: Float, sweep: Sweep, bands: Bands) -> dict[str, Float]:
     """How features (n, N) see a slow shift of the force while the sweep passes `shift_hz` (q,): `shift_weight` (n, q)."""
     edges = np.rint(np.linspace(sweep.start, sweep.end, _SHIFT_CELLS + 1)).astype(int) - sweep.first
     weight = np.add.reduceat(np.pad(kernels, ((0, 0), (0, 1))), edges, axis=1)[:, :-1]
@@ -278,63 +206,35 @@ def _shifts(kernels: Float, sweep: Sweep, bands: _Bands) -> dict[str, Float]:
     return {"shift_hz": np.interp(middle, bands.moment[order], bands.frequency[order]), "shift_weight": weight.ravel()}
 
 
-def _harmonics(signals: Signals, sweep: Sweep, bands: _Bands, length: float) -> list[FeatureBlock]:
-    """Second and third harmonic in Hann windows of at least four cycles; none where the sweep is too short for them."""
+def _harmonics(signals: Signals, sweep: Sweep, piece: Piece, bands: Bands, length: float) -> list[FeatureBlock]:
+    """Second and third harmonic; none where the sweep is too short for them."""
+    found = harmonics_of(piece, bands)
+    if found is None:
+        return []
     order = np.argsort(bands.moment)
     time, f = bands.moment[order], bands.frequency[order]
-    if time.size < 4 or not (np.diff(f) > 0).mean() > 0.7:
-        return []
-    analytic = _analytic(signals.input[sweep.first : sweep.stop])
-    phase = np.unwrap(np.angle(analytic))
-    edges = _windows(time, f, signals.interval_s)
-    kernels, orders, at = [], [], []
-    for m in (2, 3):
-        for a, b in itertools.pairwise(edges):
-            inside = np.interp(np.linspace(a, b, _WITHIN + 2)[1:-1], time, f)
-            if m * inside.max() > 0.4 / signals.interval_s:
-                continue
-            window = np.zeros(phase.size)
-            window[a:b] = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(b - a) + 0.5) / (b - a))
-            kernels.append(2 * window * np.exp(-1j * m * phase) / window.sum())
-            orders.append(m)
-            at.append(inside)
-    if not kernels:
-        return []
-    rows = _without_drift(np.array(kernels), _taper(sweep))
-    within = np.array(at)
+    rows, middle = stacked(found.kernels), found.within[:, WITHIN // 2]
     return [
         block(
             CHIRP_HARMONIC,
             f"sweep {sweep.number}",
             signals,
-            stacked(rows),
+            rows,
             sweep.first,
             is_complex=True,
-            frequency=within[:, _WITHIN // 2],
-            amplitude=np.interp(within[:, _WITHIN // 2], f, bands.amplitude[order]) / length,
+            frequency=middle,
+            amplitude=np.interp(middle, f, bands.amplitude[order]) / length,
             cycle=float(sweep.number),
-            time=(sweep.first + np.interp(within[:, _WITHIN // 2], f, time)) * signals.interval_s,
+            time=(sweep.first + np.interp(middle, f, time)) * signals.interval_s,
             support={
-                "order": np.array(orders, dtype=float),
-                "within_hz": within.ravel(),
+                "order": found.order.astype(float),
+                "within_hz": found.within.ravel(),
                 "profile_hz": bands.frequency,
                 "profile_mm": bands.amplitude,
             }
-            | _shifts(stacked(rows), sweep, bands),
+            | _shifts(rows, sweep, bands),
         )
     ]
-
-
-def _windows(time: Float, f: Float, interval_s: float) -> list[int]:
-    """Samples that bound the windows: each a factor of frequency wide, and some cycles long."""
-    edges, last = [int(time[0])], int(time[-1])
-    while edges[-1] < last:
-        at = float(np.interp(edges[-1], time, f))
-        by_ratio = float(np.interp(at * _HARMONIC_RATIO, f, time))
-        by_cycles = edges[-1] + _HARMONIC_CYCLES / (at * interval_s)
-        step = int(max(by_ratio, by_cycles, edges[-1] + 8))
-        edges.append(last if last - step < 0.5 * (step - edges[-1]) else step)
-    return edges
 
 
 def _levels(signals: Signals, found: Record, pieces: list[Sweep], rest: int, strain: float) -> list[FeatureBlock]:

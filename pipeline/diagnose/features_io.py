@@ -1,7 +1,7 @@
 """Features of a recording as one text and back: what the recording stage leaves for the diagnosis.
 
-Numbers come back bit for bit, but for what fills the space: weights of operators, sums of thousands, are kept in single
-precision (relative 6e-8, a hundredth of the least noise), covariances as the triangle of their correlations in steps of
+Numbers come back bit for bit, but for what fills the space: weights of operators, sums of thousands, and the input of sweeps
+are kept in single precision (relative 6e-8, a hundredth of the least noise), covariances as the triangle of their correlations in steps of
 1.5e-11, below the share that a session adds to their diagonals. Columns of sparse rows are kept as differences. Bytes of
 equal rank stand together before they are compressed, then base64. Never pickle: what comes from a disk must not be able to
 run.
@@ -25,10 +25,10 @@ from schemas.metadata import RigConstants
 Float = NDArray[np.float64]
 Array = NDArray[Any]
 
-_VERSION = 3
+_VERSION = 4
 _LEVEL = 9
 _MOST_BYTES = 1 << 30
-_WEIGHTS = ("re_data", "im_data")
+_SINGLES = "re_data", "im_data", "piece_mm"
 _COLUMNS = ("re_columns", "im_columns")
 _COVARIATES = ("value", "frequency_hz", "amplitude", "voltage_kv", "cycle", "time_s")
 _EXACT, _SINGLE, _STEPS, _CORRELATIONS = "exact", "single", "steps", "correlations"
@@ -138,7 +138,7 @@ def _covariances(basis: Float) -> bool:
 
 def _form(name: str, value: Array) -> str:
     """How an array of a block's support is kept."""
-    if name in _WEIGHTS and bool(np.all(np.abs(value) < np.finfo(np.float32).max)):
+    if name in _SINGLES and bool(np.all(np.abs(value) < np.finfo(np.float32).max)):
         return _SINGLE
     whole = value.ndim == 1 and bool(np.all((value == np.rint(value)) & (np.abs(value) < 2**30)))
     return _STEPS if name in _COLUMNS and whole else _EXACT

@@ -172,11 +172,20 @@ def _split(extended: ExtendedFit, part: _Part) -> list[_Part]:
         if len(dealt) > 1 and _predictable(extended, smaller):
             found.append(smaller)
             continue
+        units = _units(extended, blocks)
         for side in (0, 1):
-            half = _Part(f"{smaller.name}, {('odd', 'even')[side]} blocks", tuple(blocks[side::2]))
+            half = _Part(f"{smaller.name}, {('odd', 'even')[side]} blocks", tuple(i for u in units[side::2] for i in u))
             if half.blocks and len(half.blocks) < len(blocks) and _predictable(extended, half):
                 found.append(half)
     return found
+
+
+def _units(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int]]:
+    """Blocks by sweep or group of cycles, whose features need each other; one by one where there is one such group."""
+    by_state: dict[int, list[int]] = {}
+    for i in blocks:
+        by_state.setdefault(extended.of.session.places[i].state, []).append(i)
+    return list(by_state.values()) if len(by_state) > 1 else [[i] for i in blocks]
 
 
 def _predictable(extended: ExtendedFit, part: _Part) -> bool:

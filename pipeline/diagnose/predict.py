@@ -8,6 +8,9 @@ responses of a family and what is not linear in it are in `predict_mechanical` a
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +38,8 @@ from pipeline.diagnose.mains import HUM_HZ
 from pipeline.diagnose.nodes import response_nodes
 from pipeline.diagnose.predict_capacitance import CapacitanceFamily
 from pipeline.diagnose.predict_electrical import CAPACITANCE, FORCE, VOLTAGE, MultisineFamily, StepFamily
-from pipeline.diagnose.predict_mechanical import CYCLIC, RAMP, SWEEP, MechanicalFamily
+from pipeline.diagnose.predict_mechanical import CYCLIC, RAMP, CyclicFamily, MechanicalFamily, RampFamily
+from pipeline.diagnose.predict_sweeps import SWEEP, SweepFamily
 from pipeline.diagnose.session import Place, Session
 from schemas.metadata import RigConstants
 
@@ -43,6 +47,11 @@ Float = NDArray[np.float64]
 
 _STEPS = {STEP_FORCE: FORCE, STEP_CAPACITANCE: CAPACITANCE, STEP_VOLTAGE: VOLTAGE}
 _MULTISINES = (SPHS_RESPONSE, SPHS_DETECTION, SPHS_VOLTAGE, SPHS_CAPACITANCE)
+_MECHANICAL: dict[str, Callable[[Session, Sequence[Place], Float], MechanicalFamily]] = {
+    SWEEP: SweepFamily,
+    CYCLIC: CyclicFamily,
+    RAMP: RampFamily,
+}
 _DRIFT_SIGN = {STEP_FORCE: -1.0, STEP_CAPACITANCE: 0.0, STEP_VOLTAGE: 0.0}
 
 
@@ -53,6 +62,7 @@ class Simulation:
         """`whole`: the simulation of the session that this one is a part of; its loads are what onsets are measured against."""
         self.session = session
         self._whole = whole
+        self._reference: Loads | None = None
         groups: dict[tuple[object, ...], list[Place]] = {}
         for p in session.places:
             groups.setdefault((int(session.rig[p.recording]), *_family_key(p)), []).append(p)
@@ -61,8 +71,8 @@ class Simulation:
             nodes = session.recordings[places[0].recording].nodes
             if key[1:] == ("step", VOLTAGE):
                 nodes = response_nodes(RigConstants())
-            if key[1] in (SWEEP, CYCLIC, RAMP):
-                self._families.append(MechanicalFamily(session, places, nodes, str(key[1])))
+            if key[1] in _MECHANICAL:
+                self._families.append(_MECHANICAL[str(key[1])](session, places, nodes))
             elif key[1] == "step":
                 self._families.append(StepFamily(session, places, nodes, str(key[2])))
             elif key[1] == "multisine":
@@ -87,8 +97,16 @@ class Simulation:
                 values[place.first : place.stop] += weight @ drift(recording_s, session_s, rest)
         return values
 
+    def measured_against(self, physical: Physical) -> Simulation:
+        """The same simulation with onsets measured against the loads of one film, whatever film is simulated."""
+        other = copy.copy(self)
+        other._reference = self.loads(physical)
+        return other
+
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the session as the plain film has them: what onsets are measured against."""
+        if self._reference is not None:
+            return self._reference
         if self._whole is not None:
             return self._whole.loads(physical)
         if self._known is None or self._known[0] != physical:

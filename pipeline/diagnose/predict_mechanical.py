@@ -1,4 +1,4 @@
-"""Prediction of sweeps, sinusoids, relaxation and large cycles: G = F/x0 through the operators, and what is not linear.
+"""Prediction of sinusoids, relaxation and large cycles: G = F/x0 through the operators, and what is not linear. Sweeps: `predict_sweeps`.
 
     G = g k/(1 + (−Mω² + jωcL)/kL + k/kL) × (force channel)/(displacement channel)
 
@@ -7,123 +7,107 @@ Harmonics m of the tension reach the load cell as g T_m/(1 + (−Mω² + jωcL)/
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
-from pipeline.diagnose.describing import (
-    COSINE,
-    PHASES,
-    Described,
-    Loads,
-    Loop,
-    along,
-    describe,
-    describe_sweeps,
-    harmonics,
-)
+from pipeline.diagnose.describing import PHASES, Loads, Loop, along, describe, harmonics
 from pipeline.diagnose.effects import NONE, Course, Effect, Reading, Rig, View
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of
-from pipeline.diagnose.features import (
-    CHIRP_HARMONIC,
-    CHIRP_LEVEL,
-    CHIRP_RESPONSE,
-    CYCLIC_HARMONIC,
-    CYCLIC_LEVEL,
-    CYCLIC_RESPONSE,
-)
+from pipeline.diagnose.features import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
 from pipeline.diagnose.session import Place, Session
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Int = NDArray[np.int64]
 
-SWEEP, CYCLIC, RAMP = "sweep", "cyclic", "ramp"
-_COARSE = 24
-"""Log-spaced and, beside them, evenly counted nodes of a sweep at which describing functions are computed."""
-
-
-def _hann(count: int) -> Float:
-    """Weights (count,) of the points within a Hann window, evenly spaced and without its ends; one point weighs all."""
-    weight = np.sin(np.pi * np.arange(1, count + 1) / (count + 1)) ** 2
-    return np.asarray(weight / weight.sum())
+CYCLIC, RAMP = "cyclic", "ramp"
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """Harmonic features: place among the family's rows of real and imaginary part, state, order, frequencies (h, w)."""
+class Linear:
+    """Film k N/mm, clamp 1 + (−Mω² + jωcL)/kL and response F/x0 N/mm at a family's nodes, (1 or S, J) each."""
 
-    real: Int
-    imaginary: Int
-    state: Int
-    order: Int
-    frequency: Float
-
-
-@dataclass(frozen=True)
-class _Between:
-    """Places between neighbours: the left one, and how far it is to the right one."""
-
-    left: Int
-    share: Float
-
-
-@dataclass(frozen=True)
-class _Nonlinear:
-    """At the coarse frequencies (S, C): factors of k and of the force, harmonics 2 and 3 of the force N, its mean N."""
-
-    stiffness: Complex
-    force: Complex
-    second: Complex
-    third: Complex
-    mean: Float
+    k: Complex
+    dynamic: Complex
+    response: Complex
 
 
 class MechanicalFamily(Family):
-    """Blocks of sweeps, of sinusoids or of ramps."""
+    """Blocks of mechanical tests of one kind."""
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, kind: str) -> None:
         super().__init__(session, places, nodes, kind)
-        self.kind = kind
         starts = np.cumsum([0, *(p.block.size for p in self.places)])
-        self._spans = {id(p): (int(a), int(b)) for p, a, b in zip(self.places, starts[:-1], starts[1:], strict=True)}
-        self._coarse = self._coarse_view()
-        self._harmonics = self._harmonic_rows()
-        self._at_nodes = self._between(np.maximum(self.frequency, 1e-9))
-        self._at_rows = None if self._harmonics is None else self._between(self._harmonics.frequency)
-        self._mean_strain = self._mean_strains()
-        self._groups = self._cyclic_groups() if kind == CYCLIC else []
-        self._cycles = self._group_cycles() if kind == CYCLIC else None
-        self._shifts = [(p, self._shift(p)) for p in self.places if "shift_hz" in p.block.support]
+        self.spans = {
+            id(p): slice(int(a), int(b)) for p, a, b in zip(self.places, starts[:-1], starts[1:], strict=True)
+        }
 
-    def _coarse_view(self) -> View | None:
-        if self.kind == RAMP:
-            return None
-        if self.kind == CYCLIC:
-            f = np.full((self.states.size, 1), np.nan)
-            strain = np.zeros((self.states.size, 1))
-            for p in self.places:
-                f[self.state_of[id(p)], 0] = p.block.frequency_hz[0]
-                strain[self.state_of[id(p)], 0] = p.block.amplitude[0]
-            return replace(self.view, frequency_hz=f, strain=strain)
-        bands = [p.block.frequency_hz for p in self.places if p.block.kind == CHIRP_RESPONSE]
-        low, high = min(float(b.min()) for b in bands), max(float(b.max()) for b in bands)
-        inside = np.flatnonzero((self.frequency >= low) & (self.frequency <= high))
-        spaced = np.searchsorted(self.frequency[inside], np.geomspace(low, high, _COARSE)).clip(0, inside.size - 1)
-        counted = np.linspace(0, inside.size - 1, _COARSE).astype(int)
-        return self.view.at(inside[np.unique(np.concatenate([spaced, counted]))])
+    def linear(self, physical: Physical, effect: Effect, view: View | None = None) -> Linear:
+        """The response without elements and readings, at the nodes or at the frequencies of another view."""
+        at = self.view if view is None else view
+        rig = rig_of(physical, self.rig, effect)
+        k = film_at(physical, effect, at).k
+        own = dynamic(rig, at, effect, k)
+        response = rig.gain * k / (own + k * rig.compliance) * channels(effect, at)
+        return Linear(np.atleast_2d(k), np.atleast_2d(own), np.atleast_2d(response))
 
-    def _between(self, frequency: Float) -> _Between | None:
-        """Where frequencies of any shape lie among the coarse ones; None where there is one of these only."""
-        if self._coarse is None or self._coarse.frequency_hz.shape[1] < 2:
-            return None
-        x = np.log(self._coarse.frequency_hz[0])
-        at = np.interp(np.log(frequency), x, np.arange(x.size, dtype=float)).clip(0, x.size - 1.0)
-        left = np.minimum(at.astype(np.int64), x.size - 2)
-        return _Between(left, at - left)
+    def rest_of(self, p: Place) -> float:
+        """Force at rest, N; 0 where it is not known."""
+        return float(np.nan_to_num(self.session.states.rest_force_n[p.state]))
+
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family; `loads` where the effect has elements or readings."""
+        raise NotImplementedError
+
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the family as the plain film has them: what onsets are measured against."""
+        raise NotImplementedError
+
+
+def channels(effect: Effect, view: View) -> Complex:
+    """What effects do to the force over what they do to the displacement."""
+    return np.asarray(channel(effect.force, view) / channel(effect.displacement, view), dtype=complex)
+
+
+def bent(wave: Float, largest_n: float, readings: Sequence[Callable[[Reading], Float]]) -> Float:
+    """What readings add to a force over time (..., P), total, N."""
+    seen = wave
+    for reading in readings:
+        seen = reading(Reading(seen, largest_n))
+    return np.asarray(seen - wave)
+
+
+class CyclicFamily(MechanicalFamily):
+    """Groups of cycles of sinusoids: each a state with one frequency and one amplitude."""
+
+    def __init__(self, session: Session, places: Sequence[Place], nodes: Float) -> None:
+        super().__init__(session, places, nodes, CYCLIC)
+        f = np.full((self.states.size, 1), np.nan)
+        strain = np.zeros((self.states.size, 1))
+        self._mean_strain = np.zeros((self.states.size, 1))
+        for p in self.places:
+            state = self.state_of[id(p)]
+            f[state, 0], strain[state, 0] = p.block.frequency_hz[0], p.block.amplitude[0]
+            if "mean_strain" in p.block.support:
+                self._mean_strain[state] = float(p.block.support["mean_strain"][0])
+        self._own = replace(self.view, frequency_hz=f, strain=strain)
+        self._groups = self._cyclic_groups()
+        self._cycles = self._group_cycles()
+
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family; `loads` where the effect has elements or readings."""
+        linear = self.linear(physical, effect)
+        if loads is None or not effect.tension:
+            values = self.apply(linear.response)
+        else:
+            values = self._with_elements(linear, physical, effect, loads)
+        if loads is not None and effect.reading:
+            self._read(values, effect, loads)
+        return values
 
     def _cyclic_groups(self) -> list[tuple[Place, Place, Place]]:
         """Response, harmonics and level of each group of cycles."""
@@ -145,182 +129,95 @@ class MechanicalFamily(Family):
                 last[i] = end
         return (2 * middle - last)[:, None], last[:, None]
 
-    def _shift(self, p: Place) -> Float:
-        """(n, C) what a block of a sweep sees of mean forces at the coarse frequencies, which it takes for slow ones."""
-        f = p.block.support["shift_hz"]
-        weight = p.block.support["shift_weight"].reshape(p.block.size, f.size)
-        at = self._between(f)
-        if at is None or self._coarse is None:
-            return np.asarray(weight.sum(axis=1, keepdims=True))
-        spread = np.zeros((f.size, self._coarse.frequency_hz.shape[1]))
-        rows = np.arange(f.size)
-        spread[rows, at.left] = 1 - at.share
-        spread[rows, at.left + 1] += at.share
-        return np.asarray(weight @ spread)
-
-    def _mean_strains(self) -> Float:
-        mean = np.zeros((self.states.size, 1))
-        for p in self.places:
-            if "mean_strain" in p.block.support:
-                mean[self.state_of[id(p)], 0] = float(p.block.support["mean_strain"][0])
-        return mean
-
-    def _harmonic_rows(self) -> _Rows | None:
-        parts = []
-        for p in self.places:
-            if p.block.kind not in (CHIRP_HARMONIC, CYCLIC_HARMONIC):
-                continue
-            order = p.block.support["order"].astype(np.int64)
-            first, n = self._spans[id(p)][0], order.size
-            within = p.block.support.get("within_hz")
-            f = p.block.frequency_hz[:n, None] if within is None else within.reshape(n, -1)
-            at = first + np.arange(n)
-            parts.append((at, at + n, np.full(n, self.state_of[id(p)]), order, f))
-        if not parts:
-            return None
-        return _Rows(*(np.concatenate([part[i] for part in parts]) for i in range(5)))
-
-    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
-        """Features (rows,) of the family; `loads` where the effect has elements that depend on the amplitude."""
-        view, rig = self.view, rig_of(physical, self.rig, effect)
-        k = film_at(physical, effect, view).k
-        own = dynamic(rig, view, effect, k)
-        extra = None
-        if loads is not None and self._coarse is not None and (effect.tension or effect.reading):
-            extra = self._nonlinear(physical, effect, rig, loads)
-            k = k * self._spread(extra.stiffness)
-        response = rig.gain * k / (own + k * rig.compliance)
-        response = response * (channel(effect.force, view) / channel(effect.displacement, view))
-        if extra is not None:
-            response = response * self._spread(extra.force)
-        values = self.apply(np.atleast_2d(response))
-        if extra is not None:
-            self._add(values, extra)
-            if effect.reading and self.kind == CYCLIC and loads is not None:
-                self._read(values, effect, loads)
-        elif loads is not None and self.kind == RAMP:
-            self._along(values, physical, effect, rig, loads)
-        return values
-
-    def _spread(self, coarse: Complex) -> Complex:
-        """Values at the coarse frequencies (S, C) at all nodes (S, J or 1)."""
-        at = self._at_nodes
-        if at is None:
-            return coarse
-        return np.asarray((1 - at.share) * coarse[:, at.left] + at.share * coarse[:, at.left + 1])
-
-    def _nonlinear(self, physical: Physical, effect: Effect, rig: Rig, loads: Loads) -> _Nonlinear:
-        """Describing functions of tension and reading at the coarse frequencies."""
-        view = self._coarse
-        if view is None:
-            raise ValueError("ramps have no describing functions")
-        shape = self.states.size, view.frequency_hz.shape[1]
+    def _with_elements(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> Float:
+        """Features with the describing functions of the elements: of the response, of mean and harmonics."""
+        rig, view = rig_of(physical, self.rig, effect), self._own
+        shape = self.states.size, 1
         still = 1 + physical.film.k0 * rig.compliance
-        orders = [replace(view, frequency_hz=view.frequency_hz * order) for order in (1, 2, 3)]
-        films = [film_at(physical, effect, at).k for at in orders]
-        rigs = [dynamic(rig, at, effect, k) for at, k in zip(orders, films, strict=True)]
-        k, own = np.broadcast_to(films[0], shape), np.broadcast_to(rigs[0], shape)
-        mean_strain = np.broadcast_to(self._mean_strain / still, shape)
-        rest = np.broadcast_to(view.rest_force_n, shape)
-        strain = np.broadcast_to(view.strain, shape)
-        if effect.tension:
-            loop = Loop(
-                np.broadcast_to(view.frequency_hz, shape),
-                np.array([np.broadcast_to(v, shape) for v in (np.array([[physical.film.k0]]), *films)], dtype=complex),
-                np.array([np.broadcast_to(v, shape) for v in (np.ones((1, 1)), *rigs)], dtype=complex),
-                rig.compliance,
-                self._cycles,
-            )
-            if self.kind == SWEEP:
-                found = describe_sweeps(effect.tension, loop, strain, rest, loads, view.scale)
-            else:
-                found = describe(effect.tension, loop, strain, mean_strain, rest, loads, view.scale)
-        else:
-            turn = own / (own + k * rig.compliance)
-            nothing = np.zeros(shape, dtype=complex)
-            found = Described(
-                np.ones(shape, dtype=complex), np.zeros(shape), nothing, nothing, strain * np.abs(turn), turn
-            )
+        orders = [view.times(order) for order in (1, 2, 3)]
+        at = [self.linear(physical, effect, order) for order in orders]
+        k0, no_clamp = np.full(shape, physical.film.k0, dtype=complex), np.ones(shape, dtype=complex)
+        loop = Loop(
+            view.frequency_hz,
+            np.array([k0, *(np.broadcast_to(a.k, shape) for a in at)]),
+            np.array([no_clamp, *(np.broadcast_to(a.dynamic, shape) for a in at)]),
+            rig.compliance,
+            self._cycles,
+        )
+        mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, shape)
+        found = describe(effect.tension, loop, view.strain, mean_strain, rest, loads, view.scale)
+        k = linear.k * found.factor
+        closed = rig.gain * k / (linear.dynamic + k * rig.compliance)
+        values = self.apply(np.atleast_2d(closed * channels(effect, self.view)))
         unit = found.turn / np.abs(found.turn)
         force = []
         for order, tension in ((2, found.second), (3, found.third)):
-            passed = rig.gain / (rigs[order - 1] + films[order - 1] * rig.compliance)
+            passed = rig.gain / (at[order - 1].dynamic + at[order - 1].k * rig.compliance)
             force.append(tension * unit**order * passed * channel(effect.force, orders[order - 1]))
-        mean = found.mean / still
-        first = np.ones(shape, dtype=complex)
-        if effect.reading and self.kind == SWEEP:
-            own_k = k * found.factor
-            fundamental = rig.gain * own_k / (own + own_k * rig.compliance) * strain * view.scale.length_mm
-            level = np.nan_to_num(rest) + mean
-            size = np.abs(fundamental)
-            wave = level[..., None] + size[..., None] * COSINE
-            seen = wave
-            for reading in effect.reading:
-                seen = reading(Reading(seen, loads.reading_n))
-            change = harmonics(seen - wave)
-            first = np.where(size > 0, 1 + change[..., 1] / np.maximum(size, 1e-300), 1.0)
-            turned = fundamental / np.maximum(size, 1e-300)
-            force = [f + change[..., m] * turned**m for m, f in zip((2, 3), force, strict=True)]
-            mean = mean + change[..., 0].real
-        return _Nonlinear(found.factor, first, force[0], force[1], mean)
-
-    def _add(self, values: Float, extra: _Nonlinear) -> None:
-        """Harmonics and mean shifts into the features."""
-        rows, view = self._harmonics, self._coarse
-        if view is None:
-            return
-        if rows is not None:
-            both = np.stack([extra.second, extra.third])
-            order, state, at = rows.order - 2, rows.state, self._at_rows
-            if at is None:
-                found = both[order, state, 0]
-            else:
-                order, state = order[:, None], state[:, None]
-                low, high = both[order, state, at.left], both[order, state, at.left + 1]
-                found = ((1 - at.share) * low + at.share * high) @ _hann(at.share.shape[1])
-            values[rows.real] += found.real
-            values[rows.imaginary] += found.imag
-        for p, weight in self._shifts:
-            first, stop = self._spans[id(p)]
-            values[first:stop] += weight @ extra.mean[self.state_of[id(p)]]
         for p in self.places:
-            first, stop = self._spans[id(p)]
-            state = self.state_of[id(p)]
+            state, own = self.state_of[id(p)], self.spans[id(p)]
             if p.block.kind == CYCLIC_LEVEL:
-                values[first:stop] += extra.mean[state, 0]
-            elif p.block.kind == CHIRP_LEVEL:
-                # A logarithmic sweep spends equal times in equal steps of log frequency.
-                x = np.log(view.frequency_hz[0])
-                mean = float(np.trapezoid(extra.mean[state], x) / (x[-1] - x[0])) if x.size > 1 else 0.0
-                values[first:stop] += np.where(p.block.amplitude > 0, mean, 0.0)
+                values[own] += (found.mean / still)[state, 0]
+            elif p.block.kind == CYCLIC_HARMONIC:
+                both = np.array([force[int(m) - 2][state, 0] for m in p.block.support["order"]])
+                values[own] += np.concatenate([both.real, both.imag])
+        return values
 
     def _read(self, values: Float, effect: Effect, loads: Loads) -> None:
         """Readings of sinusoids: of the waves that mean, fundamental and harmonics of each group make."""
         for group in self._groups:
-            response, harmonic, level = (slice(*self._spans[id(p)]) for p in group)
+            response, harmonic, level = (self.spans[id(p)] for p in group)
             amplitude = float(group[0].block.amplitude[0]) * self.session.scale.length_mm
-            rest = float(np.nan_to_num(self.session.states.rest_force_n[group[0].state]))
+            rest = self.rest_of(group[0])
             orders = np.concatenate([[1], group[1].block.support["order"]]).astype(np.int64)
             parts = [np.array([complex(*values[response])]) * amplitude]
             both = values[harmonic]
             parts.append(both[: both.size // 2] + 1j * both[both.size // 2 :])
             turned = np.exp(2j * np.pi / PHASES * np.outer(orders, np.arange(PHASES)))
             wave = rest + values[level] + (np.concatenate(parts) @ turned).real
-            seen, still = wave, np.array([rest])
-            for reading in effect.reading:
-                seen, still = reading(Reading(seen, loads.reading_n)), reading(Reading(still, loads.reading_n))
-            change = harmonics(seen - wave)
-            values[level] += change[0].real - (still[0] - rest)
+            change = harmonics(bent(wave, loads.reading_n, effect.reading))
+            values[level] += change[0].real - bent(np.array([rest]), loads.reading_n, effect.reading)[0]
             values[response] += np.array([change[1].real, change[1].imag]) / amplitude
             values[harmonic] += np.concatenate([change[orders[1:]].real, change[orders[1:]].imag])
+
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the family as the plain film has them: what onsets are measured against."""
+        view = self._own
+        linear = self.linear(physical, NONE, view)
+        compliance, travel = physical.rigs[self.rig].compliance, view.strain * view.scale.length_mm
+        swing = np.abs(linear.k * linear.dynamic / (linear.dynamic + linear.k * compliance)) * travel
+        level = physical.film.k0 / (1 + physical.film.k0 * compliance) * self._mean_strain * view.scale.length_mm
+        reading = np.nan_to_num(view.rest_force_n) + level + np.abs(linear.response) * travel
+        return Loads(float((swing + level).max()), float(np.maximum(swing - level, 0).max()), float(reading.max()))
+
+
+class RampFamily(MechanicalFamily):
+    """Relaxation and large cycles: windows along a course from rest."""
+
+    def __init__(self, session: Session, places: Sequence[Place], nodes: Float) -> None:
+        super().__init__(session, places, nodes, RAMP)
+
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family; `loads` where the effect has elements or readings."""
+        values = self.apply(self.linear(physical, effect).response)
+        if loads is not None and (effect.tension or effect.reading):
+            self._along(values, physical, effect, rig_of(physical, self.rig, effect), loads)
+        return values
+
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the family as the plain film has them: what onsets are measured against."""
+        values = self.predict(physical, NONE, None)
+        rest = np.nan_to_num(self.view.rest_force_n)
+        rise, fall = float(values.max(initial=0.0)), float(-values.min(initial=0.0))
+        return Loads(rise, fall, float(rest.max(initial=0.0)) + rise)
 
     def _along(self, values: Float, physical: Physical, effect: Effect, rig: Rig, loads: Loads) -> None:
         """Elements and readings along the windows of relaxation and cycles, in time order."""
         still = 1 + physical.film.k0 * float(rig.compliance[0, 0])
         for p in self.places:
-            first, stop = self._spans[id(p)]
+            own = self.spans[id(p)]
             order = np.argsort(p.block.time_s)
-            part = values[first:stop][order]
+            part = values[own][order]
             rest = float(self.session.states.rest_force_n[p.state])
             if effect.tension:
                 strain = p.block.support["strain"][order]
@@ -332,30 +229,10 @@ class MechanicalFamily(Family):
                     np.array([[rest]]),
                     loads.tension_n,
                     loads.fall_n,
-                    size[None],
+                    size[None].astype(complex),
                     physical.film.k0,
                     np.diff(p.block.time_s[order], prepend=0.0)[None],
                     self.session.scale,
                 )
                 part = part + along(effect.tension, course)[0] / still
-            seen = np.nan_to_num(rest) + part
-            for reading in effect.reading:
-                seen = reading(Reading(seen, loads.reading_n))
-            values[first + order] = seen - np.nan_to_num(rest)
-
-    def loads(self, physical: Physical) -> Loads:
-        """Largest loads of the family as the plain film has them."""
-        rig = physical.rigs[self.rig]
-        rest = np.nan_to_num(self.view.rest_force_n)
-        if self._coarse is None:
-            values = self.predict(physical, NONE, None)
-            rise, fall = float(values.max(initial=0.0)), float(-values.min(initial=0.0))
-            return Loads(rise, fall, float(rest.max(initial=0.0)) + rise)
-        view = self._coarse
-        k = film_at(physical, NONE, view).k
-        own = dynamic(rig, view, NONE, k)
-        swing = np.abs(k * own / (own + k * rig.compliance)) * view.strain * view.scale.length_mm
-        reading = np.abs(rig.gain * k / (own + k * rig.compliance)) * view.strain * view.scale.length_mm
-        level = physical.film.k0 / (1 + physical.film.k0 * rig.compliance) * self._mean_strain * view.scale.length_mm
-        fall = float(np.maximum(swing - level, 0).max())
-        return Loads(float((swing + level).max()), fall, float((rest + level + reading).max()))
+            values[own.start + order] = part + bent(np.nan_to_num(rest) + part, loads.reading_n, effect.reading)

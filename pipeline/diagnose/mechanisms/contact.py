@@ -12,9 +12,12 @@ from pipeline.diagnose.effects import Course, Effect
 from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SHAPE, SWEEPS, Context, Mechanism, Parameter, Values
 
 Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 _TURNS, _MOST_TURNS = 2, 10
 """Periods of a sweep that are followed, and most of a sinusoid: the slider finds its mean place within them."""
+_LOSS = 1e-3
+"""Least loss factor at which the film is taken to relax within a period."""
 
 
 def _slip(values: Values, variant: str) -> Effect:
@@ -31,35 +34,46 @@ def _slip(values: Values, variant: str) -> Effect:
         # What never comes near the holding force needs no path.
         near = np.flatnonzero(np.abs(wave).reshape(-1, shape[-1]).max(axis=1) > held)
         path = np.ascontiguousarray(wave.reshape(-1, shape[-1])[near].T)
-        spring = np.broadcast_to(course.stiffness, shape).reshape(-1, shape[-1])[near, 0]
-        stiff = spring + hardening * course.static
+        k = np.broadcast_to(course.stiffness, shape).reshape(-1, shape[-1])[near, 0]
+        interval = np.broadcast_to(course.interval_s, shape).reshape(-1, shape[-1])[near].T
+        static, arm, decay = _film(k, course.static, interval)
+        stiff = static + arm + hardening * course.static
         # Slip flows with the excess over the holding force, until the springs about it have taken that up.
-        rate = stiff[:, None] / course.static / creep
-        passing = -np.expm1(-np.broadcast_to(course.interval_s, shape).reshape(-1, shape[-1])[near] * rate).T
-        flow = passing / stiff
+        flow = -np.expm1(-interval * stiff / course.static / creep) / stiff
         first, last = np.full((2, near.size), float(_TURNS if course.periodic else 1))
         if course.periodic and course.cycles is not None:
             first, last = (np.minimum(np.broadcast_to(c, shape[:-1]).ravel()[near], _MOST_TURNS) for c in course.cycles)
-        total = np.zeros_like(path)
-        slip: Float = np.zeros(near.size)
-        mean: Float = np.zeros(near.size)
-        trail = np.zeros_like(path)
+        total, lost = np.zeros_like(path), np.zeros_like(path)
+        slip, relaxing = np.zeros((2, near.size))
         for turn in range(1, int(np.ceil(last.max())) + 1):
-            # The film relaxes under the mean of what has slipped.
-            eased = (spring - course.static) * mean if course.periodic else mean
-            driven = path + eased
             for i in range(path.shape[0]):
-                pull = driven[i] - stiff * slip
-                slip = slip + (pull - np.minimum(np.maximum(pull, -held), held)) * flow[i]
-                trail[i] = slip
-            total += np.where((turn >= first) & (turn <= last), driven - spring * trail, 0.0)
-            mean = trail.mean(axis=0)
+                relaxing = relaxing * decay[i]
+                pull = path[i] - (static + hardening * course.static) * slip - relaxing
+                more = (pull - np.minimum(np.maximum(pull, -held), held)) * flow[i]
+                slip = slip + more
+                relaxing = relaxing + arm * more
+                lost[i] = static * slip + relaxing
+            total += np.where((turn >= first) & (turn <= last), path - lost, 0.0)
         out = total / (last - first + 1)
         result = wave.reshape(-1, shape[-1]).copy()
         result[near] = out.T
         return np.asarray(result.reshape(shape))
 
     return Effect(tension=(slides,))
+
+
+def _film(k: Complex, static: float, interval_s: Float) -> tuple[Float, Float, Float]:
+    """Main spring, spring of one arm, and the share of the arm's force that an interval leaves: the film near one frequency.
+
+    They follow from k (S,) at that frequency; a k without loss is one spring. interval_s : (P, S); the decay has that shape.
+    """
+    rise, loss = k.real - static, k.imag
+    relaxes = (rise > 0) & (loss > _LOSS * np.abs(k))
+    turn = np.where(relaxes, rise / np.where(relaxes, loss, 1.0), 1.0)
+    arm = np.where(relaxes, rise * (1 + 1 / turn**2), 0.0)
+    # τ = turn/ω; a period has as many intervals as points.
+    decay = np.exp(-2 * np.pi / interval_s.shape[0] / turn) * np.ones_like(interval_s)
+    return np.where(relaxes, static, np.abs(k)), arm, decay
 
 
 def _force(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
