@@ -68,6 +68,17 @@ CASES = [
         0.9,
     ),
     ("sensor_saturation", "", 0.25, {}, CYCLES + RELAXATION, {"overload": 0.2, "softness": 0.03}, 0.9),
+    ("sensor_saturation", "", 0.1, {}, SWEEPS, {"overload": 0.1, "softness": 0.03}, 0.95),
+    ("clamp_slip", "", 0.1, {}, SWEEPS, {"overload": 0.1, "hardening": 0.9, "creep_s": 0.01}, 0.7),
+    (
+        "amplitude_softening",
+        "",
+        0.1,
+        {},
+        SWEEPS,
+        {"drop": 0.1, "strain_scale": 0.03, "exponent": 1.5, "at_once": 1.0},
+        0.9,
+    ),
 ]
 
 

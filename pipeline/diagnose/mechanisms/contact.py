@@ -63,7 +63,8 @@ def _slip(values: Values, variant: str) -> Effect:
 
 
 def _film(k: Complex, static: float, interval_s: Float) -> tuple[Float, Float, Float]:
-    """Main spring, spring of one arm, and the share of the arm's force that an interval leaves: the film near one frequency.
+    """Main spring, what one arm adds to it within an interval, and the share of its force that an interval leaves: the film near one
+    frequency.
 
     They follow from k (S,) at that frequency; a k without loss is one spring. interval_s : (P, S); the decay has that shape.
     """
@@ -71,9 +72,10 @@ def _film(k: Complex, static: float, interval_s: Float) -> tuple[Float, Float, F
     relaxes = (rise > 0) & (loss > _LOSS * np.abs(k))
     turn = np.where(relaxes, rise / np.where(relaxes, loss, 1.0), 1.0)
     arm = np.where(relaxes, rise * (1 + 1 / turn**2), 0.0)
-    # τ = turn/ω; a period has as many intervals as points.
-    decay = np.exp(-2 * np.pi / interval_s.shape[0] / turn) * np.ones_like(interval_s)
-    return np.where(relaxes, static, np.abs(k)), arm, decay
+    # τ = turn/ω; a period has as many intervals as points. Slip flows evenly over an interval, and what it strains relaxes in it.
+    passed = 2 * np.pi / interval_s.shape[0] / turn
+    decay = np.exp(-passed) * np.ones_like(interval_s)
+    return np.where(relaxes, static, np.abs(k)), arm * -np.expm1(-passed) / passed, decay
 
 
 def _force(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:

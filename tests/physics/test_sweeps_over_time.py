@@ -1,0 +1,138 @@
+"""Sweeps over time: what the kernels of features make of a force without the kernels, and the film's strain as a sweep passes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.diagnose.extend import Chosen, Extended, effect_of_all
+from pipeline.diagnose.plain import fit_plain
+from pipeline.diagnose.power import length_beyond_arms
+from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.predict_sweeps import SweepFamily
+from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.screen import secants, signatures
+from pipeline.diagnose.session import Session, make_session
+from pipeline.diagnose.sweep_kernels import Piece, SweepReader, bands_of, harmonics_of
+from pipeline.fit.model import RelaxationModel
+from tests.hidden_effects.truth import Session as TrueSession
+from tests.hidden_effects.truth import make_session as true_session
+
+SWEEPS: tuple[dict[str, Any], ...] = tuple({"protocol": "chirp", "strain_pp": s} for s in (0.006, 0.05))
+CYCLES: tuple[dict[str, Any], ...] = ({"protocol": "cyclic", "strain_pp": 0.08, "frequency_hz": 1.0, "cycles": 10},)
+BENDING: Mapping[str, Mapping[str, float]] = {
+    "sensor_saturation": {"overload": 0.2, "softness": 0.03},
+    "clamp_slip": {"overload": 0.2, "hardening": 0.5, "creep_s": 0.01},
+}
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    rest=st.integers(20, 400),
+    after=st.integers(1, 600),
+    high_hz=st.floats(20.0, 120.0),
+    falling=st.booleans(),
+)
+def test_a_reader_is_what_the_kernels_are(seed: int, rest: int, after: int, high_hz: float, falling: bool) -> None:
+    rng, interval, low_hz, duration_s = np.random.default_rng(seed), 1e-3, 2.0, 2.0
+    t = np.arange(round(duration_s / interval)) * interval
+    rate = np.log(high_hz / low_hz) / duration_s
+    sweep = np.sin(2 * np.pi * low_hz * np.expm1(rate * t) / rate)
+    moved = np.concatenate([np.zeros(rest), sweep[::-1] if falling else sweep, np.zeros(after)])
+    moved += 1e-4 * rng.normal(size=moved.size)
+    piece = Piece(moved, rest, rest + t.size, interval, low_hz, high_hz)
+    bands = bands_of(piece)
+    harmonics = harmonics_of(piece, bands)
+    force = rng.normal(size=moved.size).cumsum()
+    response, harmonic = SweepReader(piece, bands.moment, bands.frequency).read(force)
+    assert response == pytest.approx(bands.kernels @ force, rel=1e-8, abs=1e-9 * np.abs(response).max())
+    if harmonics is None:
+        assert harmonic.size == 0
+    else:
+        wanted = harmonics.kernels @ force
+        assert harmonic == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
+
+
+def film_of(truth: TrueSession) -> RelaxationModel:
+    film = truth.truth.specimen.film
+    return RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0)
+
+
+def test_the_force_over_time_is_that_of_a_time_domain_rig() -> None:
+    """Through a resonance that has no time to build up: the truth integrates its equations of motion, and shares no code."""
+    truth = true_session(613, SWEEPS[1:], ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    simulation = Simulation(session)
+    found = fit_plain(session, simulation)
+    physical = found.model.physical(found.theta)
+    (family,) = (f for f in simulation._families if isinstance(f, SweepFamily))
+    linear = family.linear(physical, effect_of_all((), ()))
+    force = truth.noise_free[0].channels["force"].values
+    force = force - force[:100].mean()
+    for sweep in family._sweeps:
+        course = sweep.course
+        wave = course.wave(course.at_bins(linear.response[0])[0] * course.input)
+        moving = wave[course.piece.start : course.piece.end]
+        places = np.lib.stride_tricks.sliding_window_view(force, moving.size)
+        # The record is thinned to where the sweep ends; the truth is not.
+        assert force.size >= moving.size
+        at = int(np.argmax(places @ moving))
+        error = np.linalg.norm(places[at] - moving) / np.linalg.norm(moving)
+        assert error < 0.03
+    steady = np.abs(linear.response).max() * session.scale.strain * session.scale.length_mm
+    assert simulation.loads(physical).reading_n == pytest.approx(
+        float(np.abs(truth.noise_free[0].channels["force"].values).max()), rel=0.03
+    )
+    assert steady > 1.2 * np.abs(force).max(), "a sweep in which the resonance builds up shows nothing here"
+
+
+@pytest.fixture(scope="module")
+def mixed() -> tuple[TrueSession, Session]:
+    truth = true_session(101, (*SWEEPS, *CYCLES), ())
+    return truth, make_session([reduce(r) for r in truth.recordings])
+
+
+@pytest.mark.parametrize("id", BENDING)
+def test_parts_of_a_session_are_simulated_as_within_the_whole(mixed: tuple[TrueSession, Session], id: str) -> None:
+    """Sweeps and groups of cycles are left out as wholes: what stays of a recording must not change."""
+    truth, session = mixed
+    simulation = Simulation(session)
+    film = film_of(truth)
+    model = session.base_model(len(film.k))
+    theta = model.theta(film)
+    effect = effect_of_all((Chosen(id, ""),), (BENDING[id],))
+    whole = simulation.predict(model, theta, effect)
+    for odd in (0, 1):
+        keep = [p.state % 2 == odd for p in session.places]
+        part = session.part(keep)
+        rows = np.concatenate([np.arange(p.first, p.stop) for p, k in zip(session.places, keep, strict=True) if k])
+        found = Simulation(part, simulation).predict(model, theta, effect)
+        apart = (found - whole[rows]) / session.sd[rows]
+        assert float(np.abs(apart).max()) < 0.05 * float(
+            np.abs((whole - simulation.predict(model, theta)) / session.sd).max()
+        )
+
+
+def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
+    """Below the highest order a relaxation has to be told from one arm more."""
+    truth = true_session(101, (*SWEEPS, *CYCLES), ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    simulation = Simulation(session)
+    lengths = []
+    for order in (1, 3):
+        found = fit_plain(session, simulation, order=order)
+        of = Extended(session, simulation, found.model, (), np.ones(session.size))
+        fit = of.refined(of.fit(found.theta, most=3))
+        looked = signatures(secants(fit), fit)
+        lengths.append((looked, length_beyond_arms(fit, looked)))
+    (looked, beyond), (full, unchanged) = lengths
+    assert np.array_equal(unchanged, full.length)
+    relaxing = np.array([c.id in ("missing_relaxation", "power_law_relaxation") for c in looked.chosen])
+    assert np.array_equal(beyond[~relaxing], looked.length[~relaxing])
+    weak = relaxing & looked.weak
+    assert np.all(beyond[weak] < 0.7 * looked.length[weak])
