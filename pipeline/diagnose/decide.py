@@ -156,7 +156,6 @@ def _decided(of: Extended, start: Float) -> Outcome:
             left or structure(plain),
         )
     final = _backward(plain, final)
-    final = _strongest_first(final)
     alternatives = _alternatives(plain, final, singles)
     share = explained(plain, final)
     after = structure(final)
@@ -279,22 +278,20 @@ def _by_block(fit: ExtendedFit, noise: bool = False) -> Float:
 
 
 def _backward(plain: ExtendedFit, final: ExtendedFit) -> ExtendedFit:
-    """Causes that are no longer needed are dropped."""
+    """Causes that are no longer needed are dropped; those that stay are in the order of what each explains beside the others."""
     while len(final.of.chosen) > 1:
         fewer = [without(final, i) for i in range(len(final.of.chosen))]
         best = max(fewer, key=lambda f: f.log_evidence)
         if _worthwhile(plain, best, final):
-            return final
+            return _in_order(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
         final = best
     return final
 
 
-def _strongest_first(final: ExtendedFit) -> ExtendedFit:
-    """The order of causes is that of what each explains with the others in place."""
-    if len(final.of.chosen) < 2:
+def _in_order(final: ExtendedFit, order: NDArray[np.int64]) -> ExtendedFit:
+    """The same fit with its causes in another order."""
+    if np.array_equal(order, np.arange(order.size)):
         return final
-    loss = [without(final, i).chi2 for i in range(len(final.of.chosen))]
-    order = np.argsort(-np.array(loss), kind="stable")
     of = replace(final.of, chosen=tuple(final.of.chosen[i] for i in order))
     return finished(of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3))
 
@@ -310,7 +307,11 @@ def _alternatives(plain: ExtendedFit, final: ExtendedFit, singles: Sequence[Exte
             continue
         if others:
             of = replace(final.of, chosen=(c, *others))
-            fit = of.fit(of.entries(single.theta, (single.values[0], *final.values[1:])), most=20)
+            start = of.entries(single.theta, (single.values[0], *final.values[1:]))
+            fit = of.fit(start, most=_ROUGHLY, near=single, thorough=False)
+            if fit.chi2 > final.chi2 + _ON_THE_WAY * (plain.chi2 - final.chi2):
+                continue
+            fit = of.fit(fit.x, most=20)
         else:
             fit = single
         if _as_good(plain, final, fit):
@@ -330,6 +331,8 @@ def _as_good(plain: ExtendedFit, best: ExtendedFit, other: ExtendedFit) -> bool:
 
 
 _MUCH_LEFT = 6.0
+_ROUGHLY, _ON_THE_WAY = 6, 0.5
+"""Steps after which an alternative must have come this near to what the causes explain, for it to be brought to an end."""
 
 
 def _verdict(alternatives: Sequence[ExtendedFit], share: float, after: Structure, departed: Sequence[Departure]) -> str:

@@ -183,9 +183,7 @@ class Extended:
         """The optimum from `start`. `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian."""
         low, high = self.limits
         if near is not None:
-            shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
-            jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), start.size))
-            jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
+            jacobian = self._lent(near)
         found = minimise(
             self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
         )
@@ -211,11 +209,19 @@ class Extended:
             ),
         )  # fmt: skip
 
-    def room(self, start: Float, most: int) -> Float:
+    def room(self, start: Float, most: int, near: ExtendedFit) -> Float:
         """Entries with the material and the rig at their best for the mechanisms as they stand at `start`."""
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
-        return minimise(self.residual, start, low, high, most=most).x
+        lent, own = self._lent(near), self.model.size
+        return minimise(self.residual, start, low, high, most=most, jacobian=lent, moving=own, thorough=False).x
+
+    def _lent(self, near: ExtendedFit) -> Float:
+        """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""
+        shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
+        jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), self.limits[0].size))
+        jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
+        return jacobian
 
     def with_weight(self, weight: Float) -> Extended:
         return replace(self, weight=weight)

@@ -61,7 +61,7 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
         far = score.chosen.id in _ABSORBED
         if far:
             # The material first: it must make room before the severity may move.
-            x = of.room(x, _ROUGHLY)
+            x = of.room(x, _ROUGHLY, base)
         found = of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False)
         if best is None or found.chi2 < best.chi2:
             best = found
