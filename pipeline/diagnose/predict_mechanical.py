@@ -7,6 +7,7 @@ Harmonics m of the tension reach the load cell as g T_m/(1 + (−Mω² + jωcL)/
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -36,7 +37,7 @@ class Linear:
     response: Complex
 
 
-class MechanicalFamily(Family):
+class MechanicalFamily(Family, ABC):
     """Blocks of mechanical tests of one kind."""
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, kind: str) -> None:
@@ -59,13 +60,13 @@ class MechanicalFamily(Family):
         """Force at rest, N; 0 where it is not known."""
         return float(np.nan_to_num(self.session.states.rest_force_n[p.state]))
 
+    @abstractmethod
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
-        raise NotImplementedError
 
+    @abstractmethod
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the family as the plain film has them: what onsets are measured against."""
-        raise NotImplementedError
 
 
 def channels(effect: Effect, view: View) -> Complex:

@@ -92,7 +92,7 @@ class SweepFamily(MechanicalFamily):
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
         linear = self.linear(physical, effect)
         values = self.apply(linear.response)
-        if loads is None or not (effect.tension or effect.reading):
+        if loads is None or not (effect.tension or effect.reading) or not self._sweeps:
             return values
         passed = self._passed(linear, physical, effect, loads) if effect.tension else [None] * len(self._sweeps)
         for sweep, added in zip(self._sweeps, passed, strict=True):
