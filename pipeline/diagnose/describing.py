@@ -52,7 +52,6 @@ _GRID = np.array(
 )
 """Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies."""
 _ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
-COSINE = np.cos(_ANGLE)
 _COSINES, _SINES = np.cos(np.outer(np.arange(4), _ANGLE)), np.sin(np.outer(np.arange(4), _ANGLE))
 _TURNS = np.exp(-1j * np.outer(_ANGLE, np.arange(4))) * 2 / PHASES
 _TURNS[:, 0] /= 2
@@ -89,7 +88,8 @@ def harmonics(wave: Float) -> Complex:
 class Loop:
     """What closes the loop about the elements at harmonics 0 … 3 of the drive: film and rig, linear.
 
-    frequency_hz (S, J) of the drive, `cycles` (S, J) each as in `Course`; k (4, S, J) N/mm of the linear film (at 0 the main spring), `dynamic` (4, S, J) = 1 + (−Mω² + jωcL)/kL, `compliance` 1/kL.
+    frequency_hz (S, J) of the drive, `cycles` (S, J) each as in `Course`; k (4, S, J) N/mm of the linear film (at 0 the main
+    spring), `dynamic` (4, S, J) = 1 + (−Mω² + jωcL)/kL, `compliance` 1/kL.
     """
 
     frequency_hz: Float
