@@ -42,8 +42,7 @@ _PER_DECADE = 6
 _CLEAR = 0.3
 """|1 + (−Mω² + jωcL)/kL| below which a response says little of the film."""
 _FAR = 60.0
-_MOST, _ROUGHLY, _PURSUED = 30, 8, 3
-"""Steps of a search, of its beginning from every start, and how many of the best beginnings are brought to an end."""
+_MOST = 30
 _PLACES = 6
 _SOUND = 1.3
 """χ² per value at which a search has found what there is: no other start can do clearly better."""
@@ -124,18 +123,15 @@ def _best(session: Session, simulation: Simulation, arms: int, lower: PlainFit |
     def residual(theta: Float) -> Float:
         return residual_of(session, simulation, model, theta)
 
-    found: list[Solution] = []
+    best: Solution | None = None
     for start in _starts(session, model, lower):
-        found.append(minimise(residual, start, low, high, most=_ROUGHLY))
-        if found[-1].converged and found[-1].chi2 < _SOUND * session.size:
+        found = minimise(residual, start, low, high, most=_MOST)
+        if np.isfinite(found.chi2) and (best is None or found.chi2 < best.chi2):
+            best = found
+        if best is not None and best.converged and best.chi2 < _SOUND * session.size:
             break
-    promising = sorted((f for f in found if np.isfinite(f.chi2)), key=lambda f: f.chi2)[:_PURSUED]
-    if not promising:
+    if best is None:
         raise NotIdentifiableError("the plain model has no finite simulation", where=session.specimen_id)
-    ended = [
-        f if f.converged else minimise(residual, f.x, low, high, most=_MOST, jacobian=f.jacobian) for f in promising
-    ]
-    best = min(ended, key=lambda f: f.chi2)
     return PlainFit(model, best.x, best, best.chi2, best.residual[: session.size])
 
 
