@@ -28,7 +28,6 @@ _STEP = 1e-4
 _MOST_RECORDINGS = 12
 """Free numbers over the recordings of a session; of a longer one neighbours share theirs."""
 _KNOTS_HZ = np.geomspace(0.01, 160.0, 15), np.geomspace(5.0, 160.0, 26)
-_BY_FREQUENCY = "the stiffness under mechanical tests follows the frequency in another way"
 _TOLERATED, _TOLERATED_BY_FREQUENCY = 0.08, 0.2
 """Shares that forms of right causes leave which are not quite the rig's own; over frequency the causes that begin at a load leave
 more, for they act where the resonance makes the load."""
@@ -63,7 +62,7 @@ def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
     of, session = fit.of, fit.of.session
     base, own, absorbed = of.predict(fit.x), of.effect(fit.x), absorbed_by(fit)
     found = []
-    for text, effects in _free(session):
+    for text, tolerated, effects in _free(session):
         rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in effects]
         rows = [row for row in rows if np.isfinite(row).all()]
         if not rows:
@@ -73,32 +72,46 @@ def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
         visible = length > LEAST_VISIBLE  # what a change by the whole leaves less of is rounding
         if visible.any():
             seen = seen[:, visible] / length[visible]
-            tolerated = _TOLERATED_BY_FREQUENCY if text == _BY_FREQUENCY else _TOLERATED
             found.append(Departure(text, *quadratic(*unabsorbed(fit, seen, absorbed)), tolerated))
     return tuple(sorted(found, key=lambda d: d.p_value))
 
 
-def _free(session: Session) -> Iterator[tuple[str, list[Effect]]]:
-    """What is left free, in words, and an effect of size `_STEP` for each number."""
+def _free(session: Session) -> Iterator[tuple[str, float, list[Effect]]]:
+    """What is left free, in words, the share that it may have, and an effect of size `_STEP` for each number."""
     spans = _spans(session)
-    yield "the stiffness differs from recording to recording", [Effect(film=(_film(_within(s)),)) for s in spans]
+    yield (
+        "the stiffness differs from recording to recording",
+        _TOLERATED,
+        [Effect(film=(_film(_within(s)),)) for s in spans],
+    )
     if session.scale.voltage_kv > 0:
         yield (
             "the actuation differs from recording to recording",
+            _TOLERATED,
             [Effect(actuation=(_factor(_within(s)),)) for s in spans],
         )
         yield (
             "the actuation follows the voltage in another way",
+            _TOLERATED,
             [Effect(actuation=(_factor(f),)) for f in _of_voltage(session.scale.voltage_kv)],
         )
     for knots in _KNOTS_HZ:
         yield (
-            _BY_FREQUENCY,
+            "the stiffness under mechanical tests follows the frequency in another way",
+            _TOLERATED_BY_FREQUENCY,
             [Effect(film=(_film(_near(knots, i, turn)),)) for i in range(knots.size) for turn in (1.0, 1j)],
         )
     if session.scale.strain > 0:
-        yield "the force follows the strain in another way", [Effect(tension=(t,)) for t in _of_strain(session)]
-    yield "the reading follows the force in another way", [Effect(reading=(_bent(power),)) for power in (2, 3)]
+        yield (
+            "the force follows the strain in another way",
+            _TOLERATED,
+            [Effect(tension=(t,)) for t in _of_strain(session)],
+        )
+    yield (
+        "the reading follows the force in another way",
+        _TOLERATED,
+        [Effect(reading=(_bent(power),)) for power in (2, 3)],
+    )
 
 
 def _spans(session: Session) -> list[tuple[float, float]]:

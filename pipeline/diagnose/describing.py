@@ -24,32 +24,9 @@ _ITERATIONS = 12
 _SETTLED = 1e-4
 _LOOPS = 2
 _SLOPES = 0.05, 1.5
-_GRID = np.array(
-    [
-        0.02,
-        0.1,
-        0.2,
-        0.3,
-        0.4,
-        0.5,
-        0.6,
-        0.68,
-        0.75,
-        0.81,
-        0.86,
-        0.9,
-        0.93,
-        0.96,
-        0.98,
-        1.0,
-        1.02,
-        1.05,
-        1.1,
-        1.2,
-        1.35,
-        1.6,
-    ]
-)
+_GRID = np.array([
+    0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.93, 0.96, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.35, 1.6,
+])  # fmt: skip
 """Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies."""
 _ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
 _COSINES, _SINES = np.cos(np.outer(np.arange(4), _ANGLE)), np.sin(np.outer(np.arange(4), _ANGLE))
@@ -140,24 +117,24 @@ class Places:
     beside: Int
     share: Float
 
+    @classmethod
+    def among(cls, known: Float, wanted: Float) -> Places:
+        """Where log frequencies (T,) lie among those of a table (C,)."""
+        along = np.interp(wanted, known, np.arange(known.size, dtype=float))
+        column = np.minimum(along.astype(np.int64), max(known.size - 2, 0))
+        return cls(column, np.minimum(column + 1, known.size - 1), along - column)
+
 
 @dataclass(frozen=True)
 class SweepTable:
-    """What elements make of waves of any amplitude at log frequencies `log_hz` (C,).
+    """What elements make of waves of any amplitude at C frequencies.
 
     `top` (C,) strain amplitude that the grid is relative to; `values` (grid, C, 5): factor of k, then mean and harmonics 1 … 3 of
     the tension that the elements add, N per unit of strain amplitude.
     """
 
-    log_hz: Float
     top: Float
     values: Complex
-
-    def places(self, log_hz: Float) -> Places:
-        """Where log frequencies (T,) lie among those of the table."""
-        along = np.interp(log_hz, self.log_hz, np.arange(self.log_hz.size, dtype=float))
-        column = np.minimum(along.astype(np.int64), max(self.log_hz.size - 2, 0))
-        return Places(column, np.minimum(column + 1, self.log_hz.size - 1), along - column)
 
     def factor(self, strain: Float, at: Places) -> Complex:
         """(T,) factor of k at strain amplitudes (T,)."""
@@ -181,7 +158,6 @@ class SweepTable:
 def sweep_table(
     elements: Sequence[Callable[[Course], Float]],
     loop: Loop,
-    log_hz: Float,
     top: Float,
     rest_force_n: float,
     loads: Loads,
@@ -198,7 +174,7 @@ def sweep_table(
     for _ in range(_LOOPS):
         factor, waves, own = _one_amplitude(elements, loop.mean(), grid, np.zeros(grid.shape), rest, loads, scale, own)
     values = np.concatenate([factor[..., None], waves / grid[..., None]], axis=-1)
-    return SweepTable(log_hz, top, values)
+    return SweepTable(top, values)
 
 
 def _next(amplitude: Float, strain: Float, turn: Complex, i: int) -> tuple[Float, float]:

@@ -21,7 +21,7 @@ from pipeline.diagnose.hum import with_hum
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
 from pipeline.diagnose.next_recording import next_recording
 from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.power import length_beyond_arms, reported, smallest_parameters
+from pipeline.diagnose.power import beyond_arms, reported, smallest_parameters
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.results import (
     AMBIGUOUS,
@@ -61,8 +61,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     outcome = decide(session, simulation, fitted)
     context = context_of(session, simulation, outcome.untempered)
     final = outcome.final
-    visible = length_beyond_arms(outcome.untempered, outcome.looked)
-    smallest = smallest_parameters(outcome.looked, visible, outcome.threshold)
+    smallest = smallest_parameters(beyond_arms(outcome.untempered, outcome.looked), outcome.threshold)
     gain = None if final is None else held_out(outcome.plain, final)
     verdict = _checked(outcome, gain)
     named = () if final is None else tuple(c.id for c in final.of.chosen)

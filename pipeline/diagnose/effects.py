@@ -203,3 +203,11 @@ class Effect:
 
 
 NONE = Effect()
+
+
+def bent(wave: Float, largest_n: float, readings: tuple[Callable[[Reading], Float], ...]) -> Float:
+    """What readings add to a force over time (..., P), total, N."""
+    seen = wave
+    for reading in readings:
+        seen = reading(Reading(seen, largest_n))
+    return np.asarray(seen - wave)

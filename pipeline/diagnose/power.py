@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from scipy.special import ndtri
 from pipeline.diagnose.extend import Chosen, ExtendedFit, effect_of_all
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
 from pipeline.diagnose.plain import ORDERS
-from pipeline.diagnose.screen import Signatures, absorbed_by, unabsorbed
+from pipeline.diagnose.screen import Signatures, absorbed_by, scaled, unabsorbed
 
 Float = NDArray[np.float64]
 Shape = tuple[float, ...]
@@ -28,10 +29,10 @@ _ARMS_S = np.geomspace(1e-4, 100.0, 19)
 """Relaxation times at which the model could have another arm."""
 
 
-def smallest_parameters(looked: Signatures, length: Float, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
+def smallest_parameters(looked: Signatures, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
     """Mechanism → form and parameters at which its signature reaches the threshold Λ with 80 % probability.
 
-    `looked` are the signatures about the plain model, `length` (G,) what of them shows: their points are the shapes that count, in four of five of which this
+    `looked` are the signatures about the plain model: their points are the shapes that count, in four of five of which this
     severity or more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can
     be seen counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
     """
@@ -43,7 +44,7 @@ def smallest_parameters(looked: Signatures, length: Float, threshold: float) -> 
     for id, mechanism in MECHANISMS.items():
         for chosen in (Chosen(id, variant) for variant in mechanism.variants):
             points = by_form.get(chosen, [])
-            needed = (_by_grid if mechanism.onset else _by_slope)(mechanism, looked, length, points, wanted)
+            needed = (_by_grid if mechanism.onset else _by_slope)(mechanism, looked, points, wanted)
             values = _of_most_shapes(mechanism, needed)
             if values is not None:
                 found[id] = chosen.variant, values
@@ -80,28 +81,24 @@ def _of_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict
     return {main.name: at, **others, **dict(zip((p.name for p in mechanism.shapes), shape, strict=True))}
 
 
-def _by_slope(
-    mechanism: Mechanism, looked: Signatures, length: Float, points: list[int], wanted: float
-) -> dict[Shape, float]:
+def _by_slope(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
     """In proportion to a small severity: far from zero the model could absorb more than its derivatives say."""
     main = mechanism.severities[0]
     needed: dict[Shape, float] = {}
     for i in points:
         severity = abs(looked.values[i][main.name])
         if looked.weak[i] and severity > 0:
-            needed[_shape(mechanism, looked.values[i])] = wanted * severity / float(length[i])
+            needed[_shape(mechanism, looked.values[i])] = wanted * severity / float(looked.length[i])
     return needed
 
 
-def _by_grid(
-    mechanism: Mechanism, looked: Signatures, length: Float, points: list[int], wanted: float
-) -> dict[Shape, float]:
+def _by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
     """Along a chain of powers through the lengths at the grid's severities: an onset has no slope at zero."""
     main = mechanism.severities[0]
     lengths: dict[Shape, list[tuple[float, float]]] = {}
     for i in points:
         own = lengths.setdefault(_shape(mechanism, looked.values[i]), [])
-        own.append((looked.values[i][main.name], float(length[i])))
+        own.append((looked.values[i][main.name], float(looked.length[i])))
     return {shape: _along(np.log(np.array(sorted(own))), float(np.log(wanted))) for shape, own in lengths.items()}
 
 
@@ -115,15 +112,15 @@ def _along(logs: Float, wanted: float) -> float:
     return float(np.exp(logs[near, 0] + (wanted - logs[near, 1]) / slopes[place]))
 
 
-def length_beyond_arms(fit: ExtendedFit, looked: Signatures) -> Float:
-    """(G,) lengths of the signatures about a plain fit; of relaxations what arms leave that the model could still have.
+def beyond_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
+    """Signatures about a plain fit, of relaxations as long as what arms leave that the model could still have.
 
     A plain model below the highest order takes another arm where the recordings ask for one, and then there is nothing to find.
     """
     free = ORDERS[-1] - fit.of.model.arms
     points = [i for i, c in enumerate(looked.chosen) if c.id in _RELAXING and looked.weak[i]]
     if free <= 0 or not points:
-        return looked.length
+        return looked
     of, base = fit.of, fit.of.predict(fit.x)
     arm = Chosen("missing_relaxation", MECHANISMS["missing_relaxation"].variants[0])
     ratio = MECHANISMS["missing_relaxation"].severities[0].low
@@ -131,7 +128,7 @@ def length_beyond_arms(fit: ExtendedFit, looked: Signatures) -> Float:
         of.simulation.predict(of.model, fit.theta, effect_of_all((c,), (values,))) - base
         for c, values in (
             *((arm, {"stiffness_ratio": _SMALL * ratio, "time_constant_s": float(t), "spread": 1.0}) for t in _ARMS_S),
-            *((looked.chosen[i], _small(looked, i)) for i in points),
+            *((looked.chosen[i], scaled(looked.chosen[i].mechanism, looked.values[i], _SMALL)) for i in points),
         )
     ]
     seen = of.weight[:, None] * of.session.whiten(np.array(changes).T / _SMALL)
@@ -151,9 +148,4 @@ def length_beyond_arms(fit: ExtendedFit, looked: Signatures) -> Float:
                 left = left - np.outer(left[:, best], left[best]) / left[best, best]
         # As derivatives over whole severities, so that the ratio counts.
         length[i] *= float(np.sqrt(max(left[place, place], 0.0) / gram[place, place]))
-    return length
-
-
-def _small(looked: Signatures, i: int) -> dict[str, float]:
-    severities = {p.name for p in MECHANISMS[looked.chosen[i].id].severities}
-    return {name: _SMALL * value if name in severities else value for name, value in looked.values[i].items()}
+    return replace(looked, length=length)

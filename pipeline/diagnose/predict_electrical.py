@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
 from pipeline.diagnose.describing import Loads, along
-from pipeline.diagnose.effects import NONE, Course, Edge, Effect, Reading, View, Wave
+from pipeline.diagnose.effects import NONE, Course, Edge, Effect, View, Wave, bent
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of, state_view
 from pipeline.diagnose.features import SPHS_CAPACITANCE, SPHS_DETECTION, SPHS_VOLTAGE
 from pipeline.diagnose.session import Place, Session
@@ -118,10 +118,8 @@ class StepFamily(Family):
                     self.session.scale,
                 )
                 drop = drop - along(effect.tension, course)[0] / still
-            seen = np.nan_to_num(rest) - drop
-            for reading in effect.reading:
-                seen = reading(Reading(seen, loads.reading_n))
-            values[at : at + p.block.size] = np.nan_to_num(rest) - seen
+            seen = bent(np.nan_to_num(rest) - drop, loads.reading_n, effect.reading)
+            values[at : at + p.block.size] = drop - seen
             at += p.block.size
 
     def _electrode(self, values: Float, effect: Effect) -> None:
@@ -248,10 +246,7 @@ class MultisineFamily:
             total = total - passed * _lines(along(effect.tension, course))
         if effect.reading:
             plain = rest + _wave(force - total, self._wave.shape[1])
-            seen = plain
-            for reading in effect.reading:
-                seen = reading(Reading(seen, loads.reading_n))
-            total = total - _lines(seen - plain)
+            total = total - _lines(bent(plain, loads.reading_n, effect.reading))
         return total
 
 

@@ -8,7 +8,7 @@ Harmonics m of the tension reach the load cell as g T_m/(1 + (−Mω² + jωcL)/
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
 from pipeline.diagnose.describing import PHASES, Loads, Loop, along, describe, harmonics
-from pipeline.diagnose.effects import NONE, Course, Effect, Reading, Rig, View
+from pipeline.diagnose.effects import NONE, Course, Effect, Rig, View, bent
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of
 from pipeline.diagnose.features import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
 from pipeline.diagnose.session import Place, Session
@@ -56,6 +56,30 @@ class MechanicalFamily(Family, ABC):
         response = rig.gain * k / (own + k * rig.compliance) * channels(effect, at)
         return Linear(np.atleast_2d(k), np.atleast_2d(own), np.atleast_2d(response))
 
+    def loop(
+        self, physical: Physical, effect: Effect, view: View, cycles: tuple[Float, Float] | None = None
+    ) -> tuple[Loop, list[Complex]]:
+        """Film and rig about elements at the frequencies of a view and their multiples, and what of the tension's harmonics 2 and 3
+        reaches the load cell, (S, C) each."""
+        shape = self.states.size, view.frequency_hz.shape[1]
+        rig = rig_of(physical, self.rig, effect)
+        at = [self.linear(physical, effect, view.times(order)) for order in (1, 2, 3)]
+        k0, no_clamp = np.full(shape, physical.film.k0, dtype=complex), np.ones(shape, dtype=complex)
+        found = Loop(
+            np.broadcast_to(view.frequency_hz, shape),
+            np.array([k0, *(np.broadcast_to(a.k, shape) for a in at)]),
+            np.array([no_clamp, *(np.broadcast_to(a.dynamic, shape) for a in at)]),
+            rig.compliance,
+            cycles,
+        )
+        passing = [
+            rig.gain
+            / (found.dynamic[order] + found.k[order] * rig.compliance)
+            * channel(effect.force, view.times(order))
+            for order in (2, 3)
+        ]
+        return found, passing
+
     def rest_of(self, p: Place) -> float:
         """Force at rest, N; 0 where it is not known."""
         return float(np.nan_to_num(self.session.states.rest_force_n[p.state]))
@@ -72,14 +96,6 @@ class MechanicalFamily(Family, ABC):
 def channels(effect: Effect, view: View) -> Complex:
     """What effects do to the force over what they do to the displacement."""
     return np.asarray(channel(effect.force, view) / channel(effect.displacement, view), dtype=complex)
-
-
-def bent(wave: Float, largest_n: float, readings: Sequence[Callable[[Reading], Float]]) -> Float:
-    """What readings add to a force over time (..., P), total, N."""
-    seen = wave
-    for reading in readings:
-        seen = reading(Reading(seen, largest_n))
-    return np.asarray(seen - wave)
 
 
 class CyclicFamily(MechanicalFamily):
@@ -133,28 +149,15 @@ class CyclicFamily(MechanicalFamily):
     def _with_elements(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> Float:
         """Features with the describing functions of the elements: of the response, of mean and harmonics."""
         rig, view = rig_of(physical, self.rig, effect), self._own
-        shape = self.states.size, 1
         still = 1 + physical.film.k0 * rig.compliance
-        orders = [view.times(order) for order in (1, 2, 3)]
-        at = [self.linear(physical, effect, order) for order in orders]
-        k0, no_clamp = np.full(shape, physical.film.k0, dtype=complex), np.ones(shape, dtype=complex)
-        loop = Loop(
-            view.frequency_hz,
-            np.array([k0, *(np.broadcast_to(a.k, shape) for a in at)]),
-            np.array([no_clamp, *(np.broadcast_to(a.dynamic, shape) for a in at)]),
-            rig.compliance,
-            self._cycles,
-        )
-        mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, shape)
+        loop, passing = self.loop(physical, effect, view, self._cycles)
+        mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, view.strain.shape)
         found = describe(effect.tension, loop, view.strain, mean_strain, rest, loads, view.scale)
         k = linear.k * found.factor
         closed = rig.gain * k / (linear.dynamic + k * rig.compliance)
         values = self.apply(np.atleast_2d(closed * channels(effect, self.view)))
         unit = found.turn / np.abs(found.turn)
-        force = []
-        for order, tension in ((2, found.second), (3, found.third)):
-            passed = rig.gain / (at[order - 1].dynamic + at[order - 1].k * rig.compliance)
-            force.append(tension * unit**order * passed * channel(effect.force, orders[order - 1]))
+        force = [h * unit**m * p for m, h, p in zip((2, 3), (found.second, found.third), passing, strict=True)]
         for p in self.places:
             state, own = self.state_of[id(p)], self.spans[id(p)]
             if p.block.kind == CYCLIC_LEVEL:

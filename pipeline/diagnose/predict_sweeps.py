@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
-from pipeline.diagnose.describing import Loads, Loop, Places, SweepTable, sweep_table
-from pipeline.diagnose.effects import NONE, Effect, Rig, View
-from pipeline.diagnose.families import channel, rig_of
+from pipeline.diagnose.describing import Loads, Places, SweepTable, sweep_table
+from pipeline.diagnose.effects import NONE, Effect, View, bent
+from pipeline.diagnose.families import rig_of
 from pipeline.diagnose.features import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE
-from pipeline.diagnose.predict_mechanical import Linear, MechanicalFamily, bent, channels
+from pipeline.diagnose.predict_mechanical import Linear, MechanicalFamily, channels
 from pipeline.diagnose.session import Place, Session
 from pipeline.diagnose.sweep_course import SweepCourse
 
@@ -32,9 +32,11 @@ _COARSE = 24
 
 @dataclass(frozen=True)
 class _Sweep:
-    """A sweep's course, its response, the other features that it makes, number of its state."""
+    """A sweep's course, where its instants lie among the coarse frequencies, its response, the other features that it makes, number of
+    its state."""
 
     course: SweepCourse
+    places: Places
     response: Place
     others: tuple[Place, ...]
     state: int
@@ -65,8 +67,7 @@ class SweepFamily(MechanicalFamily):
         super().__init__(session, places, nodes, SWEEP)
         self._coarse = self._coarse_view()
         self._log_hz: Float = np.log(self._coarse.frequency_hz[0])
-        count = self._log_hz.size
-        self._at_log_hz = Places(np.arange(count), np.arange(count), np.zeros(count))
+        self._at_log_hz = Places.among(self._log_hz, self._log_hz)
 
     def _coarse_view(self) -> View:
         bands = [p.block.frequency_hz for p in self.places if p.block.kind == CHIRP_RESPONSE]
@@ -85,7 +86,9 @@ class SweepFamily(MechanicalFamily):
                 continue
             others = [p for p in self.places if p.recording == own.recording and _of_sweep(p, own)]
             course = SweepCourse(own.block, self.frequency)
-            found.append(_Sweep(course, own, tuple(others), self.state_of[id(own)]))
+            found.append(
+                _Sweep(course, Places.among(self._log_hz, course.log_hz), own, tuple(others), self.state_of[id(own)])
+            )
         return found
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
@@ -116,7 +119,7 @@ class SweepFamily(MechanicalFamily):
         rig, view = rig_of(physical, self.rig, effect), self._coarse
         compliance = float(rig.compliance[0, 0])
         length = view.scale.length_mm
-        loop = self._loop(physical, effect, rig)
+        loop, passing = self.loop(physical, effect, view)
         still = 1 + physical.film.k0 * compliance
         outside = np.broadcast_to(channels(effect, self.view), linear.k.shape)
         parts, tops = [], []
@@ -127,29 +130,13 @@ class SweepFamily(MechanicalFamily):
             tops.append(np.abs(course.passing(free, self._log_hz)) / length)
             parts.append((own, k, outer))
         rest = float(np.mean(view.rest_force_n))
-        table = sweep_table(effect.tension, loop, self._log_hz, np.max(tops, axis=0), rest, loads, view.scale)
-        passing = [
-            rig.gain / (loop.dynamic[m] + loop.k[m] * compliance) * channel(effect.force, view.times(m)) for m in (2, 3)
-        ]
+        table = sweep_table(effect.tension, loop, np.max(tops, axis=0), rest, loads, view.scale)
         found = []
         for sweep, (own, k, outer) in zip(self._sweeps, parts, strict=True):
-            e, added = sweep.course.strained(own, k, compliance, table, length)
+            e, added = sweep.course.strained(own, k, compliance, table, sweep.places, length)
             force = outer * float(rig.gain[0, 0]) * added / (own + k * compliance)
             found.append(_Passed(force, *self._waves(sweep, e / length, table, passing, still)))
         return found
-
-    def _loop(self, physical: Physical, effect: Effect, rig: Rig) -> Loop:
-        """Film and rig at the coarse frequencies and their multiples, where a sweep has no state of its own."""
-        view = self._coarse
-        shape = self.states.size, view.frequency_hz.shape[1]
-        at = [self.linear(physical, effect, view.times(m)) for m in (1, 2, 3)]
-        k0, no_clamp = np.full(shape, physical.film.k0, dtype=complex), np.ones(shape, dtype=complex)
-        return Loop(
-            np.broadcast_to(view.frequency_hz, shape),
-            np.array([k0, *(np.broadcast_to(a.k, shape) for a in at)]),
-            np.array([no_clamp, *(np.broadcast_to(a.dynamic, shape) for a in at)]),
-            rig.compliance,
-        )
 
     def _waves(
         self, sweep: _Sweep, strain: Complex, table: SweepTable, passing: Sequence[Complex], still: float

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import Chosen, ExtendedFit
-from pipeline.diagnose.screen import Score, Signatures
+from pipeline.diagnose.screen import Score, Signatures, scaled
 
 Float = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
     Never worse than `base` but for the mechanism's priors: a start at a vanishing severity is among them.
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
-    starts = [_scaled(score.chosen, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))]
+    starts = [scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))]
     if score.chosen.id in _ABSORBED:
         starts += _levels(score, signatures)
     best: ExtendedFit | None = None
@@ -66,7 +66,7 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
         if best is None or found.chi2 < best.chi2:
             best = found
     if best is None or not best.chi2 <= base.chi2:
-        faint = of.entries(base.theta, (*base.values, _scaled(score.chosen, score.values, _SMALL)))
+        faint = of.entries(base.theta, (*base.values, scaled(score.chosen.mechanism, score.values, _SMALL)))
         again = of.fit(faint, most=_ROUGHLY, near=base, thorough=False)
         best = again if best is None or not best.chi2 < again.chi2 else best
     return best
@@ -103,11 +103,6 @@ def without(fit: ExtendedFit, number: int) -> ExtendedFit:
     values = tuple(v for i, v in enumerate(fit.values) if i != number)
     of = replace(fit.of, chosen=chosen)
     return finished(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
-
-
-def _scaled(chosen: Chosen, values: Mapping[str, float], share: float) -> dict[str, float]:
-    names = {p.name for p in chosen.mechanism.severities}
-    return {name: value * share if name in names else value for name, value in values.items()}
 
 
 def _levels(score: Score, signatures: Signatures) -> list[dict[str, float]]:

@@ -119,7 +119,7 @@ def secants(fit: ExtendedFit) -> Secants:
     base = of.predict(fit.x)
 
     def change(c: Chosen, values: Mapping[str, float], part: float) -> Float:
-        own = _times(c.mechanism, values, part)
+        own = scaled(c.mechanism, values, part)
         moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, own)))
         return np.asarray((moved - base) / part)
 
@@ -131,7 +131,7 @@ def secants(fit: ExtendedFit) -> Secants:
             row = change(c, own, part)
             if part < 1 and _either_sign(c.mechanism, own):
                 row = (row + change(c, own, -part)) / 2
-                opposite[c, tuple(_times(c.mechanism, own, -1.0).values())] = -row
+                opposite[c, tuple(scaled(c.mechanism, own, -1.0).values())] = -row
         if np.isfinite(row).all():
             rows.append(row)
             chosen.append(c)
@@ -191,7 +191,7 @@ def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float
                     yield Chosen(id, variant), severity | own, part
 
 
-def _times(mechanism: Mechanism, values: Mapping[str, float], part: float) -> dict[str, float]:
+def scaled(mechanism: Mechanism, values: Mapping[str, float], part: float) -> dict[str, float]:
     """Parameters with the severities times a part."""
     names = {p.name for p in mechanism.severities}
     return {name: part * value if name in names else value for name, value in values.items()}

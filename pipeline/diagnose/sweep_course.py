@@ -55,7 +55,7 @@ class SweepCourse:
         self._passes = moment[in_time], np.log(f[in_time])
         self.log_hz = np.interp(np.arange(self._samples) * (count / self._samples), *self._passes)
         """(T,) log frequency of the input at the complex samples"""
-        self._known: tuple[Float, Places] | None = None
+        self._unturned = np.exp(-1j * np.angle(self.signal(self.input)))
 
     def log_hz_of_samples(self) -> Float:
         """(n,) log frequency of the input at the samples of the piece."""
@@ -88,24 +88,23 @@ class SweepCourse:
         """(C,) a signal (T,) over the input's as the sweep passes log frequencies (C,): amplitude in mm or N, phase against it."""
         scale = self._samples / self.piece.input.size
         at = np.interp(log_hz, self._log_f, self._moment * scale).round().astype(np.int64).clip(0, self._samples - 1)
-        own = self.signal(self.input)[at]
-        return np.asarray(signal[at] * np.exp(-1j * np.angle(own)))
+        return np.asarray(signal[at] * self._unturned[at])
 
     def elongation(self, dynamic: Complex, k: Complex, compliance: float) -> Complex:
         """(B,) spectrum of the linear film's elongation, mm: x0 D/(D + k/kL)."""
         return np.asarray(self.input * dynamic / (dynamic + k * compliance))
 
     def strained(
-        self, dynamic: Complex, k: Complex, compliance: float, table: SweepTable, length_mm: float
+        self, dynamic: Complex, k: Complex, compliance: float, table: SweepTable, places: Places, length_mm: float
     ) -> tuple[Complex, Complex]:
-        """(B,) spectra of the film's elongation, mm, and of what elements add to its tension, N.
+        """(B,) spectra of the film's elongation, mm, and of what elements add to its tension, N. `places`: of `log_hz` in the table.
 
         T = k e + Δ, Δ = (n − 1) k e at the amplitude of every instant, e = (D x0 − Δ/kL)/(D + k/kL), found together.
         """
         closing = dynamic + k * compliance
-        free = self.input * dynamic / closing
+        free = self.elongation(dynamic, k, compliance)
         e, added = free, np.zeros_like(free)
-        step, before, places = 1.0, np.inf, self._places(table)
+        step, before = 1.0, np.inf
         for _ in range(_ITERATIONS):
             amplitude = np.abs(self.signal(e)) / length_mm
             wanted = self.spectrum((table.factor(amplitude, places) - 1) * self.signal(k * e))
@@ -119,8 +118,3 @@ class SweepCourse:
             step = step if change < _FALLING * before else max(step / 2, 0.1)
             before = change
         return e, added
-
-    def _places(self, table: SweepTable) -> Places:
-        if self._known is None or self._known[0] is not table.log_hz:
-            self._known = table.log_hz, table.places(self.log_hz)
-        return self._known[1]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pipeline.diagnose.extend import Chosen, Extended, effect_of_all
 from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.power import length_beyond_arms
+from pipeline.diagnose.power import beyond_arms
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.predict_sweeps import SweepFamily
 from pipeline.diagnose.reduce import reduce
@@ -129,7 +129,7 @@ def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
         of = Extended(session, simulation, found.model, (), np.ones(session.size))
         fit = of.refined(of.fit(found.theta, most=3))
         looked = signatures(secants(fit), fit)
-        lengths.append((looked, length_beyond_arms(fit, looked)))
+        lengths.append((looked, beyond_arms(fit, looked).length))
     (looked, beyond), (full, unchanged) = lengths
     assert np.array_equal(unchanged, full.length)
     relaxing = np.array([c.id in ("missing_relaxation", "power_law_relaxation") for c in looked.chosen])
