@@ -6,20 +6,20 @@
 The truth rig of `tests.hidden_effects` integrates in time and gives every effect a form that the extensions do not have. Severities
 are multiples of the smallest detectable one of the same specimen's clean session, which is one of the clean ones. Rates stand with
 95 % intervals (Clopper and Pearson). `--minutes` ends the study early: what was not begun is left out and counted. Targets that are
-missed are named. `--log`, or DEALAB_STUDY_LOG, gets every judgement as a line of JSON.
+missed are named. Every judgement is kept in `diagnosis.jsonl`, or `--log`: a study that was ended goes on where it stopped, as long
+as the code is the same. The seed is a fresh one for every study that begins, where none is given.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -29,10 +29,11 @@ from scipy.stats import beta
 from tests.hidden_effects.judging import INSEPARABLE, Case, Judgement, judged
 from tests.hidden_effects.truth import MECHANISMS, UNLISTED
 from tests.studies.confusion import confusion_svg
+from tests.studies.kept import Kept, digest
 
 HERE = Path(__file__).resolve().parent
 MULTIPLES = (1.5, 2.0, 3.0, 4.0)
-SEED = 20_261
+SEEDS = 100_000
 REMOVED = 0.8
 
 
@@ -171,7 +172,7 @@ def report(found: Sequence[Judgement]) -> Iterable[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--seed", type=int)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--size", choices=("compact", "full"), default="compact")
     parser.add_argument("--clean", type=int, default=200)
@@ -179,14 +180,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--pairs", type=int, default=40)
     parser.add_argument("--unlisted", type=int, default=42)
     parser.add_argument("--minutes", type=float, default=float("inf"))
-    parser.add_argument("--log", type=Path, default=os.environ.get("DEALAB_STUDY_LOG"))
+    parser.add_argument("--log", type=Path, default=HERE / "diagnosis.jsonl")
     given = parser.parse_args(arguments)
-    chosen = cases(given.seed, given.size, given.clean, given.per_mechanism, given.pairs, given.unlisted)
+    kept = Kept(given.log, digest())
+    seed = next(s for s in (given.seed, kept.seed(), int(np.random.default_rng().integers(SEEDS))) if s is not None)
+    kept.begin()
+    chosen = cases(seed, given.size, given.clean, given.per_mechanism, given.pairs, given.unlisted)
     begin = time.monotonic()
-    found = list(run(chosen, given.jobs, lambda: time.monotonic() - begin < 60 * given.minutes, given.log))
-    print(
-        f"{len(found)} of {sum(1 + bool(c.effects) for c in chosen)} sessions ({given.size}), {(time.monotonic() - begin) / 60:.0f} min, {given.jobs} at a time.\n"
-    )
+    found = list(run(chosen, given.jobs, lambda: time.monotonic() - begin < 60 * given.minutes, kept, seed))
+    of = sum(1 + bool(c.effects) for c in chosen)
+    print(f"{len(found)} of {of} sessions ({given.size}), seed {seed}, {given.jobs} at a time.\n")
     print("\n".join(report(found)))
     print(f"\nMissed: {'; '.join(missed(found)) or 'nothing'}.")
     (HERE / "diagnosis.svg").write_text(confusion_svg(found), encoding="utf-8")
@@ -200,26 +203,29 @@ def missed(found: Sequence[Judgement]) -> list[str]:
     return names if removed(sorts)[0] >= REMOVED else [*names, "held-out error removed"]
 
 
-def run(chosen: Sequence[Case], jobs: int, going: Callable[[], bool], log: Path | None) -> Iterable[Judgement]:
-    """Judgements in the order of their end."""
+def run(chosen: Sequence[Case], jobs: int, going: Callable[[], bool], kept: Kept, seed: int) -> Iterable[Judgement]:
+    """Judgements: those that are kept, then others in the order in which they were asked for."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = "1"
+    known = kept.judgements(seed)
+    for case in chosen:
+        yield from known.get(case, ())
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting = list(chosen)[::-1]
-        running = []
+        waiting = [case for case in chosen if case not in known][::-1]
+        running: list[tuple[Case, Future[tuple[Judgement, ...]]]] = []
         while waiting or running:
             while waiting and len(running) < 2 * jobs:
                 if not going():
                     waiting.clear()
                     break
-                running.append(pool.submit(judged, waiting.pop()))
+                case = waiting.pop()
+                running.append((case, pool.submit(judged, case)))
             if not running:
                 break
-            for judgement in running.pop(0).result():
-                if log is not None:
-                    with log.open("a", encoding="utf-8") as out:
-                        out.write(json.dumps(asdict(judgement)) + "\n")
-                yield judgement
+            case, future = running.pop(0)
+            found = future.result()
+            kept.add(seed, case, found)
+            yield from found
 
 
 if __name__ == "__main__":
