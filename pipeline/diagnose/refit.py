@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.extend import Chosen, ExtendedFit
-from pipeline.diagnose.screen import Score, Signatures, scaled
+from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit
+from pipeline.diagnose.screen import Score, Signatures, absorbed_by, scaled
 
 Float = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ _ABSORBED = frozenset(
 _ROUGHLY, _THOROUGHLY = 6, 25
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 _FORMS = 2
+_MOST_STARTS = 3
+"""Starts beside the screen's own from which a mechanism is searched that the material can take the place of."""
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
 _CONFIRMATIONS, _SETTLED = 3, 0.1
@@ -52,13 +54,13 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
     Never worse than `base` but for the mechanism's priors: a start at a vanishing severity is among them.
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
-    starts = [scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))]
-    if score.chosen.id in _ABSORBED:
-        starts += _levels(score, signatures)
+    starts: list[Mapping[str, float]] = [scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))]
+    far = score.chosen.id in _ABSORBED
+    if far:
+        starts = _promising(base, of, score.chosen, starts + _levels(score, signatures))
     best: ExtendedFit | None = None
     for values in starts:
         x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
-        far = score.chosen.id in _ABSORBED
         if far:
             # The material first: it must make room before the severity may move.
             x = of.room(x, _ROUGHLY, base)
@@ -70,6 +72,21 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
         again = of.fit(faint, most=_ROUGHLY, near=base, thorough=False)
         best = again if best is None or not best.chi2 < again.chi2 else best
     return best
+
+
+def _promising(
+    base: ExtendedFit, of: Extended, chosen: Chosen, starts: Sequence[Mapping[str, float]]
+) -> list[Mapping[str, float]]:
+    """The first start and those others that leave least once everything that the base may move has made room, to first order."""
+    absorbed = absorbed_by(base)
+
+    def left(values: Mapping[str, float]) -> float:
+        residual = of.residual(of.entries(_made_room(base, chosen, values), (*base.values, values)))
+        seen = residual[: absorbed.shape[0]]
+        kept = float(residual @ residual - np.sum((absorbed.T @ seen) ** 2))
+        return kept if np.isfinite(kept) else np.inf
+
+    return [starts[0], *sorted(starts[1:], key=left)[:_MOST_STARTS]]
 
 
 def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -> Float:
