@@ -54,7 +54,9 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
     Never worse than `base` but for the mechanism's priors: a start at a vanishing severity is among them.
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
-    starts: list[Mapping[str, float]] = [scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))]
+    starts: list[Mapping[str, float]] = [
+        scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))
+    ]
     far = score.chosen.id in _ABSORBED
     if far:
         starts = _promising(base, of, score.chosen, starts + _levels(score, signatures))
@@ -122,7 +124,7 @@ def without(fit: ExtendedFit, number: int) -> ExtendedFit:
     return finished(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
 
 
-def _levels(score: Score, signatures: Signatures) -> list[dict[str, float]]:
+def _levels(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
     """Other points of the same mechanism and form: the best of each severity."""
     best: dict[tuple[float, ...], tuple[float, Mapping[str, float]]] = {}
     names = [p.name for p in score.chosen.mechanism.severities]

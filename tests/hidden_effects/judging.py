@@ -4,7 +4,8 @@
     judge(case)                                                                 # → Judgement
 
 Severities are multiples of the smallest detectable one: of what the diagnosis of the specimen's own clean session says for
-causes that it knows, of what its features show of the others.
+causes that it knows, of what its features show of the others, and of those that begin at a load: there severities are counted from
+where they begin, and a per cent in that is many in what they do.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.diagnosis import diagnose, film_of, main_key
 from pipeline.diagnose.extend import Extended, ExtendedFit
-from pipeline.diagnose.features import FeatureBlock
+from pipeline.diagnose.features import REST_HUM, FeatureBlock
 from pipeline.diagnose.hum import with_hum
 from pipeline.diagnose.plain import fit_plain
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, HeldOut, Predicted
-from pipeline.diagnose.screen import absorbed_by
+from pipeline.diagnose.session import Place
+from pipeline.diagnose.session import Session as FeatureSession
 from pipeline.diagnose.session import make_session as session_of
 from tests.hidden_effects.truth import (
     KINDS,
@@ -49,7 +51,8 @@ _BAND = np.geomspace(1.0, 100.0, 40)
 _DETECTABLE = 5.1
 """Length of a trace, in standard deviations of the noise, that is found with 80 % probability at the level of the search."""
 _FIRST_GUESS, _BEYOND = 0.05, 2.0
-_MOST_ROUNDS, _CLOSE = 4, 0.1
+_STEP = 1e-4
+_MOST_ROUNDS, _CLOSE, _MOST_STEP = 10, 0.1, (0.03, 30.0)
 _NOISE, _FEW = 3.0, 10.0
 """Mean square in units of the noise, and more of it for few values, that noise explains."""
 
@@ -136,15 +139,15 @@ def effect_at(
 ) -> Effect | None:
     """A random effect at a multiple of the smallest detectable severity; None where the session cannot show it.
 
-    What a diagnosis says of a cause that it knows holds for its usual form. Of other forms, and of causes that it does not
-    know, the features themselves tell.
+    What a diagnosis says of a cause that it knows holds for its usual form. Of other forms, of causes that begin at a load, and of
+    causes that it does not know, the features themselves tell.
     """
     kind = KINDS[id]
     drawn = random_effect(id, kind.typical, rng)
     usual = all(
         drawn.shape.get(name, default) == default for name, default in kind.shape.items() if isinstance(default, str)
     )
-    if kind.listed and usual:
+    if kind.listed and usual and not kind.onset:
         if id not in smallest:
             return None
         values = smallest[id]
@@ -181,38 +184,96 @@ def judge(case: Case) -> Judgement:
 def smallest_of(case: Case, effect: Effect) -> float | None:
     """Severity of an effect at which its trace could just be found; None where that is beyond all reason.
 
-    The trace is the noise-free difference that it makes to the features of the clean session, without what material and rig
-    absorb, in units of the noise.
+    The trace is the noise-free difference that it makes to what a simulation of the plain film leaves, without what material and rig
+    absorb, in units of the noise: what is measured is in the simulation as well. Blocks that only one of them has count for nothing.
+    It grows as a power of the severity, of one that is found on the way.
     """
-    fit, before = _plain(case.seed, case.size, case.material)
-    session, absorb = fit.of.session, absorbed_by(fit)
-    severity = _FIRST_GUESS * effect.severity
+    low, high = (0.0, 0.0), (np.inf, np.inf)
+    severity, beyond = _FIRST_GUESS * effect.severity, _BEYOND * KINDS[effect.id].strong
     for _ in range(_MOST_ROUNDS):
-        changed = noise_free(made(case, (replace(effect, severity=severity),)))
-        change = np.zeros(session.size)
-        for p in session.places:
-            key = _key(session.recordings[p.recording].recording_id, p.block)
-            if key in changed and key in before and changed[key].size == before[key].size == p.stop - p.first:
-                change[p.first : p.stop] = changed[key] - before[key]
-        seen = np.concatenate([session.whiten(change), np.zeros(absorb.shape[0] - session.size)])
-        length = float(np.linalg.norm(seen - absorb @ (absorb.T @ seen)))
+        length = _trace(case, replace(effect, severity=severity))
         if abs(length / _DETECTABLE - 1) < _CLOSE:
             break
-        severity *= float(np.clip(_DETECTABLE / max(length, 1e-9), 0.02, 50.0))
-        if severity > _BEYOND * KINDS[effect.id].strong:
+        if length < _DETECTABLE:
+            low = severity, length
+        else:
+            high = severity, length
+        if low[1] > 0 and np.isfinite(high[1]):
+            slope = np.log(high[1] / low[1]) / np.log(high[0] / low[0])
+            severity = low[0] * (_DETECTABLE / low[1]) ** (1 / slope)
+        else:
+            severity *= float(np.clip(_DETECTABLE / max(length, 1e-9), *_MOST_STEP))
+        if severity > beyond:
             return None
-    return severity
+    return float(severity)
+
+
+def _trace(case: Case, effect: Effect) -> float:
+    """Length of an effect's trace in standard deviations of the noise."""
+    plain = _plain(case.seed, case.size, case.material)
+    session = plain.fit.of.session
+    now, before = (_blocks(*found) for found in (_left(made(case, (effect,)), plain.fit), plain.left))
+    change, shared = np.zeros(session.size), np.zeros(plain.jacobian.shape[0], dtype=bool)
+    shared[session.size :] = True
+    for p, key in _keys(session):
+        if now.get(key, _NOTHING).shape == before.get(key, _NOTHING).shape == (p.block.size,):
+            change[p.first : p.stop] = now[key] - before[key]
+            shared[p.first : p.stop] = True
+    seen = np.concatenate([session.whiten(change), np.zeros(shared.size - session.size)]) * shared
+    jacobian = plain.jacobian * shared[:, None]
+    absorb = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))[0]
+    return float(np.linalg.norm(seen - absorb @ (absorb.T @ seen)))
+
+
+@dataclass(frozen=True)
+class _Plain:
+    """Plain fit of a clean session; what it leaves of the features without noise, with their session; its Jacobian (M, P) there."""
+
+    fit: ExtendedFit
+    left: tuple[FeatureSession, Float]
+    jacobian: Float
 
 
 @lru_cache(maxsize=2)
-def _plain(seed: int, size: str, material: str | None) -> tuple[ExtendedFit, dict[str, Float]]:
-    """Plain fit of the clean session, and its features without noise."""
+def _plain(seed: int, size: str, material: str | None) -> _Plain:
     truth = made(Case(seed, size, (), material), ())
     session = with_hum(session_of([reduce(recording) for recording in truth.recordings]))
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
-    return of.refined(of.fit(fitted.theta, most=3)), noise_free(truth)
+    fit = of.refined(of.fit(fitted.theta, most=3))
+    silent, left = _left(truth, fit)
+    without_noise = Simulation(silent)
+    # What is measured of the drive has noise as well, and with it the simulation: what absorbs is asked without.
+    jacobian = fit.solution.jacobian.copy()
+    for i in range(fitted.model.size):
+        step = _STEP * np.eye(fitted.model.size)[i]
+        change = without_noise.predict(of.model, fit.theta + step) - without_noise.predict(of.model, fit.theta - step)
+        blocks = _blocks(silent, change / (2 * _STEP))
+        column = np.zeros(session.size)
+        for p, key in _keys(session):
+            if blocks.get(key, _NOTHING).shape == (p.block.size,):
+                column[p.first : p.stop] = blocks[key]
+        jacobian[: session.size, i] = -session.whiten(column)
+    return _Plain(fit, (silent, left), jacobian)
+
+
+_NOTHING: Float = np.zeros(0)
+
+
+def _left(truth: Session, fit: ExtendedFit) -> tuple[FeatureSession, Float]:
+    """The session without noise, and what a fit of the plain model leaves of it, (N′,)."""
+    silent = session_of([reduce(recording) for recording in truth.noise_free])
+    return silent, silent.value - Simulation(silent).predict(fit.of.model, fit.theta)
+
+
+def _blocks(session: FeatureSession, values: Float) -> dict[str, Float]:
+    """Values (N,) block by block; mains at rest, which are a score of the noise, left out."""
+    return {key: values[p.first : p.stop] for p, key in _keys(session) if p.block.kind != REST_HUM}
+
+
+def _keys(session: FeatureSession) -> list[tuple[Place, str]]:
+    return [(p, _key(session.recordings[p.recording].recording_id, p.block)) for p in session.places]
 
 
 def noise_free(truth: Session) -> dict[str, Float]:
@@ -224,10 +285,9 @@ def noise_free(truth: Session) -> dict[str, Float]:
     session = session_of([reduce(recording) for recording in truth.recordings])
     true = {_key(r.metadata.recording_id, b): b.value for r in truth.noise_free for b in reduce(r).blocks}
     found = {}
-    for p in session.places:
-        key = _key(session.recordings[p.recording].recording_id, p.block)
-        value = true.get(key)
-        if value is None or value.shape != p.block.value.shape:
+    for p, key in _keys(session):
+        value = true.get(key, _NOTHING)
+        if value.shape != p.block.value.shape:
             continue
         apart = float(np.mean(((p.block.value - value) / session.sd[p.first : p.stop]) ** 2))
         if apart < _NOISE + _FEW / value.size:
