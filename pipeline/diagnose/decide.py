@@ -156,6 +156,7 @@ def _decided(of: Extended, start: Float) -> Outcome:
             left or structure(plain),
         )
     final = _backward(plain, final)
+    singles = _ranked([final if _better_single(final, f) else f for f in singles])
     alternatives = _alternatives(plain, final, singles)
     share = explained(plain, final)
     after = structure(final)
@@ -286,6 +287,11 @@ def _backward(plain: ExtendedFit, final: ExtendedFit) -> ExtendedFit:
             return _in_order(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
         final = best
     return final
+
+
+def _better_single(final: ExtendedFit, single: ExtendedFit) -> bool:
+    """Whether what is left of several causes is a better optimum of the same one."""
+    return final.of.chosen == single.of.chosen and final.log_evidence > single.log_evidence
 
 
 def _in_order(final: ExtendedFit, order: NDArray[np.int64]) -> ExtendedFit:

@@ -36,6 +36,8 @@ _MOST_STARTS = 3
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
 _CONFIRMATIONS, _SETTLED = 3, 0.1
+_STILL_FALLING = 0.01
+"""Share of what a mechanism explains that further steps must add for others to follow."""
 
 
 def proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
@@ -69,11 +71,22 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
         found = of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False)
         if best is None or found.chi2 < best.chi2:
             best = found
+    best = best and _to_its_end(base, best)
     if best is None or not best.chi2 <= base.chi2:
         faint = of.entries(base.theta, (*base.values, scaled(score.chosen.mechanism, score.values, _SMALL)))
         again = of.fit(faint, most=_ROUGHLY, near=base, thorough=False)
         best = again if best is None or not best.chi2 < again.chi2 else best
     return best
+
+
+def _to_its_end(base: ExtendedFit, fit: ExtendedFit) -> ExtendedFit:
+    """On from a rough optimum as long as that adds to what it explains: a strong effect is far from where a screen sees it."""
+    while not fit.solution.converged:
+        again = fit.of.fit(fit.x, most=_ROUGHLY, jacobian=fit.solution.jacobian, thorough=False)
+        if not fit.chi2 - again.chi2 > _STILL_FALLING * (base.chi2 - again.chi2):
+            return again if again.chi2 < fit.chi2 else fit
+        fit = again
+    return fit
 
 
 def _promising(
