@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -69,13 +70,16 @@ def costs(nightly: Mapping[str, Any]) -> str:
 
 
 def ratios(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rows with a ratio, one list."""
-    lines = [
-        f"| {one['title']} | {row['name']} | {row['ratio']:.3g} | {row.get('note') or ''} |"
-        for _, one in sorted(results.items())
-        for row in one["rows"]
-        if row.get("ratio") is not None
-    ]
+    """The rows with a ratio, one list; what is "the same" as the row before is named after that."""
+    lines = []
+    for _, one in sorted(results.items()):
+        title = one["title"]
+        for before, row in itertools.pairwise([{"name": ""}, *one["rows"]]):
+            if row.get("ratio") is None:
+                continue
+            name = row["name"].replace("the same", before["name"].removesuffix(", 1 worker"))
+            lines.append(f"| {title} | {name} | {row['ratio']:.3g} | {row.get('note') or ''} |")
+            title = ""
     head = [
         "Side by side in one run (`tests/benchmarks/results.md`):",
         "",
