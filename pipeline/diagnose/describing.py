@@ -25,7 +25,7 @@ _SETTLED = 1e-4
 _LOOPS = 2
 _SLOPES = 0.05, 1.5
 _GRID = np.array([
-    0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.93, 0.96, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.35, 1.6,
+    0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.93, 0.96, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.35, 1.6, 2.2, 3.2,
 ])  # fmt: skip
 """Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies."""
 _ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
@@ -130,11 +130,16 @@ class SweepTable:
     """What elements make of waves of any amplitude at C frequencies.
 
     `top` (C,) strain amplitude that the grid is relative to; `values` (grid, C, 5): factor of k, then mean and harmonics 1 … 3 of
-    the tension that the elements add, N per unit of strain amplitude.
+    the tension that the elements add, N per unit of strain amplitude. `stiffness` (C,) |k| of the film N/mm.
     """
 
     top: Float
     values: Complex
+    stiffness: Float
+
+    def stiff(self, at: Places) -> Float:
+        """(T,) |k| of the film, N/mm."""
+        return np.asarray((1 - at.share) * self.stiffness[at.column] + at.share * self.stiffness[at.beside])
 
     def factor(self, strain: Float, at: Places) -> Complex:
         """(T,) factor of k at strain amplitudes (T,)."""
@@ -145,14 +150,17 @@ class SweepTable:
         return self._at(strain, at, slice(1, 5)) * strain[..., None]
 
     def _at(self, strain: Float, at: Places, which: slice) -> Complex:
-        top = (1 - at.share) * self.top[at.column] + at.share * self.top[at.beside]
-        up = np.interp(strain / top, _GRID, np.arange(_GRID.size, dtype=float))
-        row = np.minimum(up.astype(np.int64), _GRID.size - 2)
-        share, across = (up - row)[:, None], at.share[:, None]
+        # Both columns are asked at the same strain: between them lies a resonance, and what begins at a load is a bend.
         v = np.ascontiguousarray(self.values[..., which])
-        low = v[row, at.column] * (1 - share) + v[row + 1, at.column] * share
-        high = v[row, at.beside] * (1 - share) + v[row + 1, at.beside] * share
-        return np.asarray(low + across * (high - low))
+        low, high = (self._of_column(v, strain, column) for column in (at.column, at.beside))
+        return np.asarray(low + at.share[:, None] * (high - low))
+
+    def _of_column(self, values: Complex, strain: Float, column: Int) -> Complex:
+        """(T, …) values of columns (T,) at strain amplitudes (T,)."""
+        up = np.interp(strain / self.top[column], _GRID, np.arange(_GRID.size, dtype=float))
+        row = np.minimum(up.astype(np.int64), _GRID.size - 2)
+        share = (up - row)[:, None]
+        return np.asarray(values[row, column] * (1 - share) + values[row + 1, column] * share)
 
 
 def sweep_table(
@@ -174,7 +182,7 @@ def sweep_table(
     for _ in range(_LOOPS):
         factor, waves, own = _one_amplitude(elements, loop.mean(), grid, np.zeros(grid.shape), rest, loads, scale, own)
     values = np.concatenate([factor[..., None], waves / grid[..., None]], axis=-1)
-    return SweepTable(top, values)
+    return SweepTable(top, values, np.abs(loop.mean().k[1, 0]))
 
 
 def _next(amplitude: Float, strain: Float, turn: Complex, i: int) -> tuple[Float, float]:

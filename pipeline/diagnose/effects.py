@@ -158,6 +158,17 @@ class Reading:
 
 
 @dataclass(frozen=True)
+class BySize:
+    """An element that begins at a tension: of a wave that is no sinusoid, as of a film that rings on, the size of the tension counts
+    and not that of the strain."""
+
+    element: Callable[[Course], Float]
+
+    def __call__(self, course: Course) -> Float:
+        return self.element(course)
+
+
+@dataclass(frozen=True)
 class Effect:
     """Functions that a mechanism adds to the stages, in the order of the stages.
 

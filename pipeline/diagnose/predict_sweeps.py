@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
 from pipeline.diagnose.describing import Loads, Places, SweepTable, sweep_table
-from pipeline.diagnose.effects import NONE, Effect, View, bent
+from pipeline.diagnose.effects import NONE, BySize, Effect, View, bent
 from pipeline.diagnose.families import rig_of
 from pipeline.diagnose.features import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE
 from pipeline.diagnose.predict_mechanical import Linear, MechanicalFamily, channels
@@ -122,28 +122,33 @@ class SweepFamily(MechanicalFamily):
         loop, passing = self.loop(physical, effect, view)
         still = 1 + physical.film.k0 * compliance
         outside = np.broadcast_to(channels(effect, self.view), linear.k.shape)
+        by_size = any(isinstance(element, BySize) for element in effect.tension)
+        stiffness = loop.mean().k[1, 0] if by_size else np.ones(self._log_hz.size, dtype=complex)
         parts, tops = [], []
         for sweep in self._sweeps:
             course = sweep.course
             own, k, outer = course.at_bins(*(_row(v, sweep.state) for v in (linear.dynamic, linear.k, outside)))
-            free = course.signal(course.elongation(own, k, compliance))
-            tops.append(np.abs(course.passing(free, self._log_hz)) / length)
+            free = course.elongation(own, k, compliance)
+            sized = course.passing(course.signal(k * free if by_size else free), self._log_hz)
+            tops.append(np.abs(sized / stiffness) / length)
             parts.append((own, k, outer))
         rest = float(np.mean(view.rest_force_n))
         table = sweep_table(effect.tension, loop, np.max(tops, axis=0), rest, loads, view.scale)
         found = []
         for sweep, (own, k, outer) in zip(self._sweeps, parts, strict=True):
-            e, added = sweep.course.strained(own, k, compliance, table, sweep.places, length)
+            e, added = sweep.course.strained(own, k, compliance, table, sweep.places, length, by_size)
             force = outer * float(rig.gain[0, 0]) * added / (own + k * compliance)
-            found.append(_Passed(force, *self._waves(sweep, e / length, table, passing, still)))
+            sized = sweep.course.passing(sweep.course.signal(k * e if by_size else e), self._log_hz)
+            found.append(_Passed(force, *self._waves(sweep, sized / stiffness / length, table, passing, still)))
         return found
 
     def _waves(
-        self, sweep: _Sweep, strain: Complex, table: SweepTable, passing: Sequence[Complex], still: float
+        self, sweep: _Sweep, at: Complex, table: SweepTable, passing: Sequence[Complex], still: float
     ) -> tuple[Float, Complex]:
-        """Mean (C,) and harmonics (2, C) of the force that elements add as the sweep passes the coarse frequencies."""
-        course = sweep.course
-        at = course.passing(course.signal(strain), self._log_hz)
+        """Mean (C,) and harmonics (2, C) of the force that elements add as the sweep passes the coarse frequencies.
+
+        `at` (C,): strain amplitude there, with its phase against the input.
+        """
         waves = table.waves(np.abs(at), self._at_log_hz)
         unit = at / np.maximum(np.abs(at), 1e-300)
         return waves[:, 0].real / still, np.array(

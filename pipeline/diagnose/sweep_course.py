@@ -95,9 +95,17 @@ class SweepCourse:
         return np.asarray(self.input * dynamic / (dynamic + k * compliance))
 
     def strained(
-        self, dynamic: Complex, k: Complex, compliance: float, table: SweepTable, places: Places, length_mm: float
+        self,
+        dynamic: Complex,
+        k: Complex,
+        compliance: float,
+        table: SweepTable,
+        places: Places,
+        length_mm: float,
+        by_size: bool,
     ) -> tuple[Complex, Complex]:
-        """(B,) spectra of the film's elongation, mm, and of what elements add to its tension, N. `places`: of `log_hz` in the table.
+        """(B,) spectra of the film's elongation, mm, and of what elements add to its tension, N. `places`: of `log_hz` in the table;
+        `by_size`: the amplitude is that of the tension over |k|.
 
         T = k e + Δ, Δ = (n − 1) k e at the amplitude of every instant, e = (D x0 − Δ/kL)/(D + k/kL), found together.
         """
@@ -105,9 +113,11 @@ class SweepCourse:
         free = self.elongation(dynamic, k, compliance)
         e, added = free, np.zeros_like(free)
         step, before = 1.0, np.inf
+        stiffness = table.stiff(places)
         for _ in range(_ITERATIONS):
-            amplitude = np.abs(self.signal(e)) / length_mm
-            wanted = self.spectrum((table.factor(amplitude, places) - 1) * self.signal(k * e))
+            tension = self.signal(k * e)
+            amplitude = (np.abs(tension) / stiffness if by_size else np.abs(self.signal(e))) / length_mm
+            wanted = self.spectrum((table.factor(amplitude, places) - 1) * tension)
             added = added + step * (wanted - added)
             new = free - added * compliance / closing
             change = float(np.abs(new - e).max() / np.abs(e).max())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose import features
-from pipeline.diagnose.effects import Course, Effect
+from pipeline.diagnose.effects import BySize, Course, Effect
 from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SHAPE, SWEEPS, Context, Mechanism, Parameter, Values
 
 Float = NDArray[np.float64]
@@ -59,7 +59,7 @@ def _slip(values: Values, variant: str) -> Effect:
         result[near] = out.T
         return np.asarray(result.reshape(shape))
 
-    return Effect(tension=(slides,))
+    return Effect(tension=(BySize(slides),))
 
 
 def _film(k: Complex, static: float, interval_s: Float) -> tuple[Float, Float, Float]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose import features
-from pipeline.diagnose.effects import Course, Effect, Film, View
+from pipeline.diagnose.effects import BySize, Course, Effect, Film, View
 from pipeline.diagnose.mechanisms.mechanism import (
     CYCLES,
     ELECTRICAL,
@@ -114,7 +114,7 @@ def _slack(values: Values, variant: str) -> Effect:
         soft = residual * width * below + (1 - residual) * width * np.expm1(below)
         return np.asarray(np.where(course.tension < floor, floor + soft, course.tension))
 
-    return Effect(tension=(buckles,))
+    return Effect(tension=(BySize(buckles),))
 
 
 def _slack_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:

@@ -1,0 +1,28 @@
+"""What a diagnosis calls detectable, against the traces that effects of other forms leave without noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.hidden_effects.judging import Case, clean, smallest_of
+from tests.hidden_effects.truth import KINDS, Effect, random_effect
+
+CASE = Case(103)
+
+
+@pytest.mark.parametrize("id", ["cyclic_softening", "wrinkling", "leakage"])
+def test_what_is_called_detectable_is(id: str) -> None:
+    """Within a factor of two: the forms differ, and the hardest fifth of the shapes is not promised."""
+    kind = KINDS[id]
+    drawn = random_effect(id, kind.typical, np.random.default_rng(3))
+    true = smallest_of(CASE, drawn)
+    said = clean(CASE.seed, CASE.size).smallest_parameters[id]
+    assert true is not None
+    assert 0.5 < said[kind.key if kind.key in said else next(iter(said))] / true < 2.0
+
+
+def test_a_gain_that_the_film_absorbs_needs_to_be_large() -> None:
+    """Of the displacement that is measured all simulations are told: what the film's stiffness takes up leaves no trace."""
+    true = smallest_of(CASE, Effect("gain_error", 0.05, {"channel": "displacement"}))
+    assert true is None or true > 0.005
