@@ -20,6 +20,7 @@ from pipeline.diagnose.screen import secants, signatures
 from pipeline.diagnose.session import Session, make_session
 from pipeline.diagnose.sweep_kernels import Piece, SweepReader, bands_of, harmonics_of
 from pipeline.fit.model import RelaxationModel
+from tests.hidden_effects.truth import Effect
 from tests.hidden_effects.truth import Session as TrueSession
 from tests.hidden_effects.truth import make_session as true_session
 
@@ -89,6 +90,35 @@ def test_the_force_over_time_is_that_of_a_time_domain_rig() -> None:
         float(np.abs(truth.noise_free[0].channels["force"].values).max()), rel=0.03
     )
     assert steady > 1.2 * np.abs(force).max(), "a sweep in which the resonance builds up shows nothing here"
+
+
+@pytest.mark.parametrize("overload", [0.05, 0.1, 0.3])
+def test_slack_begins_as_in_time(overload: float) -> None:
+    """From a few peaks of a passing resonance on: where the film rings, the tension is not |k| times the strain.
+
+    The truth bends as b/(1 − b), the mechanism as e^b − 1: half the width bends alike.
+    """
+    softness, residual = 0.15, 0.03
+    effects = (Effect("slack", overload, {"residual": residual, "softness": softness}),)
+    truth, slack = (true_session(613, SWEEPS[1:], hidden) for hidden in ((), effects))
+    session = make_session([reduce(r) for r in truth.recordings])
+    simulation = Simulation(session)
+    found = fit_plain(session, simulation)
+    physical = found.model.physical(found.theta)
+    (family,) = (f for f in simulation._families if isinstance(f, SweepFamily))
+    loads = simulation.loads(physical)
+    floor = float(slack.truth.equivalent["slack"]["preload_n"])
+    values = {"overload": loads.fall_n / floor - 1, "residual": residual, "softness": softness / 2}
+    effect = effect_of_all((Chosen("slack", ""),), (values,))
+    passed = family._passed(family.linear(physical, effect), physical, effect, loads)
+    before, after = (t.noise_free[0].channels["force"] for t in (truth, slack))
+    change = np.fft.rfft(after.values - before.values)
+    hz = np.fft.rfftfreq(before.values.size, float(np.median(np.diff(before.time_ns))) / 1e9)
+    # About the resonance: what slack does to the mean is read off elsewhere.
+    change[(hz < 60) | (hz > 110)] = 0.0
+    true = np.fft.irfft(change, before.values.size)
+    simulated = np.concatenate([s.course.wave(p.force) for s, p in zip(family._sweeps, passed, strict=True)])
+    assert np.linalg.norm(simulated) == pytest.approx(np.linalg.norm(true), rel=0.3)
 
 
 @pytest.fixture(scope="module")
