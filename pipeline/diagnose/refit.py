@@ -36,8 +36,8 @@ _MOST_STARTS = 3
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
 _CONFIRMATIONS, _SETTLED = 3, 0.1
-_STILL_FALLING = 0.01
-"""Share of what a mechanism explains that further steps must add for others to follow."""
+_MOST_ROUNDS, _STILL_FALLING = 20, 0.01
+"""Rounds of further steps at most, and share of what a mechanism explains that a round must add for another to follow."""
 
 
 def proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
@@ -81,11 +81,13 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
 
 def _to_its_end(base: ExtendedFit, fit: ExtendedFit) -> ExtendedFit:
     """On from a rough optimum as long as that adds to what it explains: a strong effect is far from where a screen sees it."""
-    while not fit.solution.converged:
+    for _ in range(_MOST_ROUNDS):
+        if fit.solution.converged:
+            break
         again = fit.of.fit(fit.x, most=_ROUGHLY, jacobian=fit.solution.jacobian, thorough=False)
-        if not fit.chi2 - again.chi2 > _STILL_FALLING * (base.chi2 - again.chi2):
-            return again if again.chi2 < fit.chi2 else fit
-        fit = again
+        fall, fit = fit.chi2 - again.chi2, again
+        if not fall > _STILL_FALLING * abs(base.chi2 - again.chi2):
+            break
     return fit
 
 
