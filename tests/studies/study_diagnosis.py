@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import beta
 
+from schemas.errors import NotIdentifiableError
 from tests.hidden_effects.judging import INSEPARABLE, Case, Judgement, judged
 from tests.hidden_effects.truth import MECHANISMS, UNLISTED
 from tests.studies.confusion import confusion_svg
@@ -223,7 +224,11 @@ def run(chosen: Sequence[Case], jobs: int, going: Callable[[], bool], kept: Kept
             if not running:
                 break
             case, future = running.pop(0)
-            found = future.result()
+            try:
+                found = future.result()
+            except NotIdentifiableError as error:
+                print(f"Left out, for its features cannot be read: {error}.\n")
+                continue
             kept.add(seed, case, found)
             yield from found
 
