@@ -66,7 +66,7 @@ def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> 
     log = bool(spread > 300)
     end = float(positive.max()) if positive.size else 1.0
     x = logarithmic(positive, margin=0.03) if log else Scale(0.0, end * 1.0001)
-    panel = Panel(drawing, 142, 26, 306, 206, x, Scale(0.0, 110.0))
+    panel = Panel(drawing, 162, 26, 286, 206, x, Scale(0.0, 110.0))
     start = x.low
     ticks = x.ticks(7)[0]
     if not log and end - ticks[-1] > 0.35 * (ticks[1] - ticks[0]):
