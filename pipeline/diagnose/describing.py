@@ -165,13 +165,13 @@ class SweepTable:
 
 def sweep_table(
     elements: Sequence[Callable[[Course], Float]],
-    loop: Loop,
+    mean: Loop,
     top: Float,
     rest_force_n: float,
     loads: Loads,
     scale: Scale,
 ) -> SweepTable:
-    """Elements asked on a grid of amplitudes up to and beyond `top` (C,), with the mean of the states' films and rigs.
+    """Elements asked on a grid of amplitudes up to and beyond `top` (C,), with `mean` the mean of the states' films and rigs.
 
     States of sweeps, which have no mean strain, differ in amplitude and little else.
     """
@@ -180,9 +180,9 @@ def sweep_table(
     rest = np.full(grid.shape, rest_force_n)
     own: Complex | None = None
     for _ in range(_LOOPS):
-        factor, waves, own = _one_amplitude(elements, loop.mean(), grid, np.zeros(grid.shape), rest, loads, scale, own)
+        factor, waves, own = _one_amplitude(elements, mean, grid, np.zeros(grid.shape), rest, loads, scale, own)
     values = np.concatenate([factor[..., None], waves / grid[..., None]], axis=-1)
-    return SweepTable(top, values, np.abs(loop.mean().k[1, 0]))
+    return SweepTable(top, values, np.abs(mean.k[1, 0]))
 
 
 def _next(amplitude: Float, strain: Float, turn: Complex, i: int) -> tuple[Float, float]:

@@ -122,24 +122,27 @@ class SweepFamily(MechanicalFamily):
         loop, passing = self.loop(physical, effect, view)
         still = 1 + physical.film.k0 * compliance
         outside = np.broadcast_to(channels(effect, self.view), linear.k.shape)
-        by_size = any(isinstance(element, BySize) for element in effect.tension)
-        stiffness = loop.mean().k[1, 0] if by_size else np.ones(self._log_hz.size, dtype=complex)
+        by_size, mean = any(isinstance(element, BySize) for element in effect.tension), loop.mean()
+        stiffness = mean.k[1, 0] if by_size else np.ones(self._log_hz.size, dtype=complex)
+
+        def strain(course: SweepCourse, k: Complex, e: Complex) -> Complex:
+            """(C,) strain amplitude, with its phase against the input, of an elongation e (B,): that of its tension if by size."""
+            signal = course.signal(k * e if by_size else e)
+            return np.asarray(course.passing(signal, self._log_hz) / stiffness / length)
+
         parts, tops = [], []
         for sweep in self._sweeps:
             course = sweep.course
             own, k, outer = course.at_bins(*(_row(v, sweep.state) for v in (linear.dynamic, linear.k, outside)))
-            free = course.elongation(own, k, compliance)
-            sized = course.passing(course.signal(k * free if by_size else free), self._log_hz)
-            tops.append(np.abs(sized / stiffness) / length)
+            tops.append(np.abs(strain(course, k, course.elongation(own, k, compliance))))
             parts.append((own, k, outer))
         rest = float(np.mean(view.rest_force_n))
-        table = sweep_table(effect.tension, loop, np.max(tops, axis=0), rest, loads, view.scale)
+        table = sweep_table(effect.tension, mean, np.max(tops, axis=0), rest, loads, view.scale)
         found = []
         for sweep, (own, k, outer) in zip(self._sweeps, parts, strict=True):
             e, added = sweep.course.strained(own, k, compliance, table, sweep.places, length, by_size)
             force = outer * float(rig.gain[0, 0]) * added / (own + k * compliance)
-            sized = sweep.course.passing(sweep.course.signal(k * e if by_size else e), self._log_hz)
-            found.append(_Passed(force, *self._waves(sweep, sized / stiffness / length, table, passing, still)))
+            found.append(_Passed(force, *self._waves(sweep, strain(sweep.course, k, e), table, passing, still)))
         return found
 
     def _waves(

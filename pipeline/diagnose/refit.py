@@ -61,21 +61,19 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
     ]
     far = score.chosen.id in _ABSORBED
     if far:
-        starts = _promising(base, of, score.chosen, starts + _levels(score, signatures))
-    best: ExtendedFit | None = None
+        starts = _best_starts(base, of, score.chosen, starts + _levels(score, signatures))
+    fits = []
     for values in starts:
         x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
         if far:
             # The material first: it must make room before the severity may move.
             x = of.room(x, _ROUGHLY, base)
-        found = of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False)
-        if best is None or found.chi2 < best.chi2:
-            best = found
-    best = best and _to_its_end(base, best)
-    if best is None or not best.chi2 <= base.chi2:
+        fits.append(of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False))
+    best = _to_its_end(base, min(fits, key=lambda f: f.chi2))
+    if not best.chi2 <= base.chi2:
         faint = of.entries(base.theta, (*base.values, scaled(score.chosen.mechanism, score.values, _SMALL)))
         again = of.fit(faint, most=_ROUGHLY, near=base, thorough=False)
-        best = again if best is None or not best.chi2 < again.chi2 else best
+        best = again if not best.chi2 < again.chi2 else best
     return best
 
 
@@ -91,7 +89,7 @@ def _to_its_end(base: ExtendedFit, fit: ExtendedFit) -> ExtendedFit:
     return fit
 
 
-def _promising(
+def _best_starts(
     base: ExtendedFit, of: Extended, chosen: Chosen, starts: Sequence[Mapping[str, float]]
 ) -> list[Mapping[str, float]]:
     """The first start and those others that leave least once everything that the base may move has made room, to first order."""

@@ -21,13 +21,14 @@ from pipeline.diagnose.diagnosis import diagnose, film_of, main_key
 from pipeline.diagnose.extend import Extended, ExtendedFit
 from pipeline.diagnose.features import REST_HUM, FeatureBlock
 from pipeline.diagnose.hum import with_hum
-from pipeline.diagnose.plain import fit_plain
+from pipeline.diagnose.plain import bounds, fit_plain
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, HeldOut, Predicted
 from pipeline.diagnose.session import Place
 from pipeline.diagnose.session import Session as FeatureSession
 from pipeline.diagnose.session import make_session as session_of
+from pipeline.diagnose.solve import central
 from tests.hidden_effects.truth import (
     KINDS,
     Effect,
@@ -51,7 +52,6 @@ _BAND = np.geomspace(1.0, 100.0, 40)
 _DETECTABLE = 5.1
 """Length of a trace, in standard deviations of the noise, that is found with 80 % probability at the level of the search."""
 _FIRST_GUESS, _BEYOND = 0.05, 2.0
-_STEP = 1e-4
 _MOST_ROUNDS, _CLOSE, _MOST_STEP = 10, 0.1, (0.03, 30.0)
 _NOISE, _FEW = 3.0, 10.0
 """Mean square in units of the noise, and more of it for few values, that noise explains."""
@@ -212,14 +212,11 @@ def _trace(case: Case, effect: Effect) -> float:
     """Length of an effect's trace in standard deviations of the noise."""
     plain = _plain(case.seed, case.size, case.material)
     session = plain.fit.of.session
-    now, before = (_blocks(*found) for found in (_left(made(case, (effect,)), plain.fit), plain.left))
-    change, shared = np.zeros(session.size), np.zeros(plain.jacobian.shape[0], dtype=bool)
-    shared[session.size :] = True
-    for p, key in _keys(session):
-        if now.get(key, _NOTHING).shape == before.get(key, _NOTHING).shape == (p.block.size,):
-            change[p.first : p.stop] = now[key] - before[key]
-            shared[p.first : p.stop] = True
-    seen = np.concatenate([session.whiten(change), np.zeros(shared.size - session.size)]) * shared
+    now, in_now = _placed(session, *_left(made(case, (effect,)), plain.fit))
+    before, in_before = plain.left
+    rest = plain.jacobian.shape[0] - session.size
+    shared = np.concatenate([in_now & in_before, np.ones(rest, dtype=bool)])
+    seen = np.concatenate([session.whiten(np.where(in_now & in_before, now - before, 0.0)), np.zeros(rest)]) * shared
     jacobian = plain.jacobian * shared[:, None]
     absorb = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))[0]
     return float(np.linalg.norm(seen - absorb @ (absorb.T @ seen)))
@@ -227,10 +224,11 @@ def _trace(case: Case, effect: Effect) -> float:
 
 @dataclass(frozen=True)
 class _Plain:
-    """Plain fit of a clean session; what it leaves of the features without noise, with their session; its Jacobian (M, P) there."""
+    """Plain fit of a clean session; what it leaves of the features without noise, and where it has them, (N,) each; its Jacobian
+    (M, P) there."""
 
     fit: ExtendedFit
-    left: tuple[FeatureSession, Float]
+    left: tuple[Float, NDArray[np.bool_]]
     jacobian: Float
 
 
@@ -244,21 +242,14 @@ def _plain(seed: int, size: str, material: str | None) -> _Plain:
     fit = of.refined(of.fit(fitted.theta, most=3))
     silent, left = _left(truth, fit)
     without_noise = Simulation(silent)
+
+    def whitened(theta: Float) -> Float:
+        return session.whiten(-_placed(session, silent, without_noise.predict(of.model, theta))[0])
+
     # What is measured of the drive has noise as well, and with it the simulation: what absorbs is asked without.
     jacobian = fit.solution.jacobian.copy()
-    for i in range(fitted.model.size):
-        step = _STEP * np.eye(fitted.model.size)[i]
-        change = without_noise.predict(of.model, fit.theta + step) - without_noise.predict(of.model, fit.theta - step)
-        blocks = _blocks(silent, change / (2 * _STEP))
-        column = np.zeros(session.size)
-        for p, key in _keys(session):
-            if blocks.get(key, _NOTHING).shape == (p.block.size,):
-                column[p.first : p.stop] = blocks[key]
-        jacobian[: session.size, i] = -session.whiten(column)
-    return _Plain(fit, (silent, left), jacobian)
-
-
-_NOTHING: Float = np.zeros(0)
+    jacobian[: session.size] = central(whitened, fit.theta, *bounds(of.model))
+    return _Plain(fit, _placed(session, silent, left), jacobian)
 
 
 def _left(truth: Session, fit: ExtendedFit) -> tuple[FeatureSession, Float]:
@@ -267,9 +258,16 @@ def _left(truth: Session, fit: ExtendedFit) -> tuple[FeatureSession, Float]:
     return silent, silent.value - Simulation(silent).predict(fit.of.model, fit.theta)
 
 
-def _blocks(session: FeatureSession, values: Float) -> dict[str, Float]:
-    """Values (N,) block by block; mains at rest, which are a score of the noise, left out."""
-    return {key: values[p.first : p.stop] for p, key in _keys(session) if p.block.kind != REST_HUM}
+def _placed(session: FeatureSession, other: FeatureSession, values: Float) -> tuple[Float, NDArray[np.bool_]]:
+    """Values (N′,) of another session where this one has the same blocks, and which those are, (N,) each; mains at rest, which are
+    a score of the noise, left out."""
+    blocks = {key: values[p.first : p.stop] for p, key in _keys(other) if p.block.kind != REST_HUM}
+    placed, known = np.zeros(session.size), np.zeros(session.size, dtype=bool)
+    for p, key in _keys(session):
+        own = slice(p.first, p.stop)
+        if key in blocks and blocks[key].shape == (p.block.size,):
+            placed[own], known[own] = blocks[key], True
+    return placed, known
 
 
 def _keys(session: FeatureSession) -> list[tuple[Place, str]]:
@@ -286,8 +284,8 @@ def noise_free(truth: Session) -> dict[str, Float]:
     true = {_key(r.metadata.recording_id, b): b.value for r in truth.noise_free for b in reduce(r).blocks}
     found = {}
     for p, key in _keys(session):
-        value = true.get(key, _NOTHING)
-        if value.shape != p.block.value.shape:
+        value = true.get(key)
+        if value is None or value.shape != p.block.value.shape:
             continue
         apart = float(np.mean(((p.block.value - value) / session.sd[p.first : p.stop]) ** 2))
         if apart < _NOISE + _FEW / value.size:

@@ -16,7 +16,7 @@ ASKED = Case(7, "compact", (("slack", 1.5),))
 JUDGEMENT = Judgement(
     ASKED, (0.03,), "named", ("slack",), (), True, NAN, NAN, 0, NAN, 1 / 3, 0.2, 0.9, 1e-7, split=None, proposed=True
 )
-NOTHING = Judgement(Case(7), (), "no_discrepancy", (), (), None, NAN, NAN, 0, NAN, 0.1, 0.1, NAN, 0.4)
+NOTHING = Judgement(Case(7), (), "none", (), (), None, NAN, NAN, 0, NAN, 0.1, 0.1, NAN, 0.4)
 
 
 def test_a_judgement_comes_back_as_it_was_kept(tmp_path: Path) -> None:
