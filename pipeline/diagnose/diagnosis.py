@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose import features as kinds
-from pipeline.diagnose.decide import LEFT_LEVEL, Outcome, decide, explained
+from pipeline.diagnose.decide import LEFT_LEVEL, Outcome, decide
 from pipeline.diagnose.discrepancies import described, discrepancies
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.features import RecordingFeatures
 from pipeline.diagnose.held_out import held_out, supported_by
 from pipeline.diagnose.hum import with_hum
+from pipeline.diagnose.intervals import NORMAL_90, ends, linear
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
 from pipeline.diagnose.next_recording import next_recording
 from pipeline.diagnose.plain import fit_plain
@@ -36,18 +37,20 @@ from pipeline.diagnose.results import (
 )
 from pipeline.diagnose.session import Session, make_session
 from pipeline.diagnose.structure import Structure, words
+from pipeline.diagnose.tempering import explained
 from pipeline.fit.model import RelaxationModel
 
 Float = NDArray[np.float64]
 
-_SMALL, _NORMAL_90 = 1e-3, 1.645
+_SMALL = 1e-3
 _LEFT = 1e-3
 """Probability below which a pattern that stays is mentioned."""
 _GAIN_WITH_PATTERN = 0.4
 """Held-out gain that a cause which leaves a pattern has to be able to have: the upper end of its interval."""
 _STRONG, _GAIN_OF_STRONG = 9.0, 0.1
-"""Λ over its threshold from which a cause has to predict what it was not fitted to, and the held-out gain that it has to have. A
-cause that strong which does not carry over at all is another's look; weaker evidence is too noisy to ask."""
+"""Λ over its threshold from which a cause has to predict what it was not fitted to, and the held-out gain that it has to have, if
+it does not predict most parts better. A cause that strong which does not carry over at all is another's look; weaker evidence is
+too noisy to ask, and a course that is nearly all in one recording cannot be predicted there."""
 
 
 def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
@@ -130,17 +133,18 @@ def _checked(outcome: Outcome, gain: HeldOut | None) -> str:
     if np.isnan(gain.gain):
         return outcome.verdict if gain.after < gain.before or not left else UNKNOWN
     fall = 0.0 if outcome.final is None else outcome.plain.chi2 - outcome.final.chi2
-    if fall > _STRONG * outcome.threshold and gain.gain < _GAIN_OF_STRONG:
+    better = sum(after < before for before, after in gain.parts.values())
+    if fall > _STRONG * outcome.threshold and gain.gain < _GAIN_OF_STRONG and 2 * better <= len(gain.parts):
         return UNKNOWN
     return UNKNOWN if gain.upper <= (_GAIN_WITH_PATTERN if left else 0.0) else outcome.verdict
 
 
 def _extension(outcome: Outcome, final: ExtendedFit, context: Context, gain: HeldOut | None) -> Extension:
     model, plain = final.of.model, outcome.untempered
-    spread = final.spread(None if gain is None else gain.entries)
+    interval = ends(final, final.spread(None if gain is None else gain.entries))
     raw = final.of.data_residual(final.x)
     return Extension(
-        severities={c.id: _estimates(final, i, spread, context) for i, c in enumerate(final.of.chosen)},
+        severities={c.id: _estimates(final, i, interval, context) for i, c in enumerate(final.of.chosen)},
         variants={c.id: c.variant for c in final.of.chosen},
         film=model.physical(final.theta).film,
         film_sd=_film_sd(final),
@@ -163,10 +167,11 @@ def _film_sd(fit: ExtendedFit) -> tuple[float, ...]:
     return tuple(float(v) for v in own)
 
 
-def _estimates(fit: ExtendedFit, number: int, spread: Float, context: Context) -> dict[str, Estimate]:
-    """Severity by the contract's keys, from standard deviations (Q,) of the entries: by small steps, intervals by whole ones.
+def _estimates(fit: ExtendedFit, number: int, interval: tuple[Float, Float], context: Context) -> dict[str, Estimate]:
+    """Severity by the contract's keys. `interval`: steps of the entries down and up to the ends of theirs, (Q,) each.
 
-    An interval is as lopsided as the parameters are: what is searched in the logarithm is never below 0.
+    Standard deviations are by small steps, intervals by whole ones: as lopsided as the parameters are, and what is searched in the
+    logarithm is never below 0.
     """
     mechanism, variant = fit.of.chosen[number].mechanism, fit.of.chosen[number].variant
 
@@ -178,8 +183,8 @@ def _estimates(fit: ExtendedFit, number: int, spread: Float, context: Context) -
         reports = [report(values) for values in fit.moved(number, steps)]
         return {key: np.array([other.get(key, value) - value for other in reports]) for key, value in base.items()}
 
-    base = report(fit.values[number])
-    slopes, down, up = away(_SMALL * spread), away(-_NORMAL_90 * spread), away(_NORMAL_90 * spread)
+    base, (lower, upper) = report(fit.values[number]), interval
+    slopes, down, up = away(_SMALL * (upper - lower) / (2 * NORMAL_90)), away(lower), away(upper)
     return {
         key: Estimate(
             value,
@@ -205,7 +210,7 @@ def _candidates(outcome: Outcome, context: Context, gain: HeldOut | None) -> tup
     found = []
     for fit, share in zip(outcome.singles, probability, strict=True):
         chosen = fit.of.chosen[0]
-        estimates = _estimates(fit, 0, fit.spread(), context)
+        estimates = _estimates(fit, 0, linear(fit.spread()), context)
         key = main_key(chosen.id, estimates)
         ratio = outcome.plain.chi2 - fit.chi2
         alone = outcome.final is not None and len(outcome.final.of.chosen) == 1

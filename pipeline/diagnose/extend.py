@@ -265,10 +265,13 @@ class ExtendedFit:
 
     @cached_property
     def trace(self) -> Float:
-        """(B,) what the mechanisms change in each block, the rest of the model as it is: weighted χ² in units of the noise."""
+        """(B,) what shows of the mechanisms in each block, without what the plain model's entries absorb of it: weighted χ² in units
+        of the noise."""
         of = self.of
         alone = of.simulation.predict(of.model, self.theta)
         change = of.weight * of.session.whiten(of.predict(self.x) - alone)
+        absorbed = orthonormal(self.solution.jacobian[:, : of.model.size])[: of.session.size]
+        change = change - absorbed @ (absorbed.T @ change)
         return np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in of.session.places])
 
     def spread(self, without_parts: Float | None = None) -> Float:
@@ -322,6 +325,12 @@ class ExtendedFit:
         if c.logarithmic:
             return float(max(np.log(p.high / p.low), 1e-3) / np.sqrt(2 * np.pi))
         return float(max((p.high - p.low) / c.scale, 1e-3) / np.sqrt(2 * np.pi))
+
+
+def orthonormal(jacobian: Float) -> Float:
+    """(M, R) orthonormal columns that span those of a Jacobian which are not 0."""
+    length = np.sqrt(np.sum(jacobian**2, axis=0))
+    return np.asarray(np.linalg.qr(jacobian[:, length > 0] / length[length > 0])[0])
 
 
 def effect_of_all(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float]]) -> Effect:

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.decide import CLOSE
 from pipeline.diagnose.designs import Proposal, catalogue, imagined, showing
 from pipeline.diagnose.extend import ExtendedFit
+from pipeline.diagnose.further import CLOSE
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.results import NextRecording
 from pipeline.diagnose.session import Session, make_session

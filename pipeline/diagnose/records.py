@@ -28,7 +28,7 @@ Bool = NDArray[np.bool_]
 
 _PASSED = 0.7
 """Share of half the sample rate below which thinning leaves a spectrum as it is."""
-_CLEARLY_AWAY, _FIRST_LEVEL = 6.0, 40
+_CLEARLY_AWAY, _FIRST_LEVEL, _LEAVING, _LEAST_OF_STEP = 6.0, 40, 0.2, 0.25
 _LONGEST_FILL = 0.02
 """Share of a channel that may be interpolated over gaps before its features are refused."""
 
@@ -157,9 +157,9 @@ def _bridged(values: Float) -> Float:
 def rest_samples(input_: Float, *, back: int = 2, cycle: float | None = None) -> int:
     """Samples before the input leaves its rest for good, less `back`; 0 where there are hardly any.
 
-    It has left where three samples in a row are further from its first level than six times its noise, which is read off
-    second differences: a slow start is no noise. `cycle` is the number of samples in a period of a sinusoid, which leaves its
-    rest long before it shows.
+    It has left after the last three samples in a row that are no further from its level than six times its noise, which is read
+    off second differences: a slow start is no noise. `cycle` is the number of samples in a period of a sinusoid, which leaves its
+    rest long before it shows, but not earlier than a fifth of that before a tenth of its way.
     """
     reach = float(np.abs(input_ - input_[0]).max())
     if reach == 0:
@@ -167,12 +167,20 @@ def rest_samples(input_: Float, *, back: int = 2, cycle: float | None = None) ->
     # A tenth of the way is motion beyond doubt; the first part of what lies before it is rest.
     certain = int((np.abs(input_ - np.median(input_[: max(8, input_.size // 500)])) > 0.1 * reach).argmax())
     head = input_[: max(8, certain // 2)]
-    noise = max(float(np.sqrt(np.mean(np.diff(head, 2) ** 2) / 6)), 1e-9 * reach)
-    away = np.abs(input_ - head[: max(8, certain // _FIRST_LEVEL)].mean()) > _CLEARLY_AWAY * noise
-    left = away[:-2] & away[1:-1] & away[2:]
+    noise = max(float(np.sqrt(np.mean(np.diff(head, 2) ** 2) / 6)), _LEAST_OF_STEP * _step_of(head), 1e-9 * reach)
+    first = certain // _FIRST_LEVEL if cycle is None else certain - int(_LEAVING * cycle)
+    away = np.abs(input_ - np.median(input_[: max(8, first)])) > _CLEARLY_AWAY * noise
+    still = np.flatnonzero(~(away[:-2] | away[1:-1] | away[2:])[: max(certain - 2, 1)])
+    left = int(still[-1]) + 3 if still.size else 0
     # From rest 1 − cos φ grows as φ²/2; noise hides it a little longer.
     unseen = 0.0 if cycle is None else 1.2 * cycle * np.sqrt(4 * _CLEARLY_AWAY * noise / reach) / (2 * np.pi)
-    return max(0, int(left.argmax()) - back - int(unseen)) if left.any() else input_.size
+    return max(0, left - back - int(unseen))
+
+
+def _step_of(values: Float) -> float:
+    """Least change between neighbours; 0 where there is none. Of what a converter recorded at rest, its step."""
+    changes = np.abs(np.diff(values))
+    return float(changes[changes > 0].min(initial=np.inf)) if changes.any() else 0.0
 
 
 def bode_gain(frequency_hz: float, value: complex) -> Callable[[Float], Float]:

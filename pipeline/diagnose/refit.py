@@ -35,7 +35,11 @@ _MOST_STARTS = 3
 """Starts beside the screen's own from which a mechanism is searched that the material can take the place of."""
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
-_CONFIRMATIONS, _SETTLED = 3, 0.1
+_TRIALS, _CONFIRMATIONS, _SETTLED, _SETTLED_SHARE = 20, 8, 0.1, 2e-4
+"""Steps of a round, of which many may be too long, rounds of confirming an optimum at most, and the fall of χ², alone and as a share
+of it, below which there is no other: along a bent valley each round gains a little."""
+_CLOSE_CALL = 12.0
+"""Difference of log evidence from the best within which a search is brought to an end."""
 _MOST_ROUNDS, _STILL_FALLING = 20, 0.01
 """Rounds of further steps at most, and share of what a mechanism explains that a round must add for another to follow."""
 
@@ -48,6 +52,23 @@ def proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
         if len(forms) < _FORMS and (not forms or score.statistic > _CLOSE_FORM * forms[0].statistic):
             forms.append(score)
     return list(by_id.values())[:mechanisms]
+
+
+def tried(base: ExtendedFit, found: Sequence[Score], looked: Signatures, mechanisms: int) -> list[ExtendedFit]:
+    """The best form of each of the best mechanisms of a screen, fitted on top of `base`."""
+    forms = proposals(found, mechanisms)
+    return [max((refit(base, form, looked) for form in own), key=lambda f: f.log_evidence) for own in forms]
+
+
+def ranked(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
+    """Best evidence first."""
+    return tuple(sorted(fits, key=lambda f: -f.log_evidence))
+
+
+def confirmed(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
+    """Best evidence first, the close ones with their searches brought to an end; nothing of nothing."""
+    top = max((f.log_evidence for f in fits), default=0.0)
+    return ranked([finished(f) if f.log_evidence > top - _CLOSE_CALL - 0.02 * abs(top) else f for f in fits])
 
 
 def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFit:
@@ -122,10 +143,13 @@ def finished(fit: ExtendedFit) -> ExtendedFit:
     """The same optimum, confirmed with central differences."""
     found = fit.of.refined(fit.of.fit(fit.x, most=_THOROUGHLY))
     for _ in range(_CONFIRMATIONS):
-        again = fit.of.further(found, most=_ROUGHLY)
-        if again.chi2 > found.chi2 - _SETTLED:
+        again = fit.of.further(found, most=_TRIALS)
+        fall = found.chi2 - again.chi2
+        if fall < _SETTLED:
             break
         found = fit.of.refined(again)
+        if fall < _SETTLED_SHARE * found.chi2:
+            break
     return found
 
 

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit, effect_of_all
+from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit, effect_of_all, orthonormal
 from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
 
 Float = NDArray[np.float64]
@@ -232,6 +232,4 @@ def unabsorbed(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, F
 
 def absorbed_by(fit: ExtendedFit) -> Float:
     """(M, P) orthonormal: what changes of the fitted entries can absorb, priors in the last rows."""
-    jacobian = fit.solution.jacobian
-    length = np.sqrt(np.sum(jacobian**2, axis=0))
-    return np.asarray(np.linalg.qr(jacobian[:, length > 0] / length[length > 0])[0])
+    return orthonormal(fit.solution.jacobian)

@@ -76,7 +76,8 @@ class Judgement:
     covered : whether the 90 % interval of the first effect's severity holds the truth; None where not defined
     before, after, size : held-out mean square error of both models against the noise-free truth in units of the noise, and the
         number of features; NaN without
-    bias : largest deviation of the plain film's parameters from the truth in standard deviations
+    bias : largest change of the plain film's parameters by what is hidden, from the specimen's clean session with the same noise, in
+        standard deviations
     curve_before, curve_after : mean relative error of k(jω) over 1–100 Hz of the plain and of the extended film
     off : deviation of that severity from the truth in standard deviations; NaN where not defined
     split : whether the recording that an ambiguous diagnosis proposes, made and diagnosed with the others, leaves one cause, the
@@ -321,10 +322,7 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
         before, after = (
             float(np.mean(np.abs(f.stiffness(_BAND) - truth) / np.abs(truth))) for f in (d.plain_film, film_of(d))
         )
-        if d.extension is not None and len(d.plain_film.k) == len(film.k):
-            true = np.array([film.k0, *film.k, *film.tau])
-            plain = np.array([d.plain_film.k0, *d.plain_film.k, *d.plain_film.tau])
-            bias = float(np.max(np.abs(plain - true) / np.array(d.extension.plain_film_sd)))
+        bias = _bias(d, clean(case.seed, case.size, case.material))
         covered, off = _covered(d, session, effects)
         split = _split(d, session, effects)
     error, left, size = float("nan"), float("nan"), 0
@@ -353,13 +351,25 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
     )
 
 
+def _bias(d: Diagnosis, without: Diagnosis) -> float:
+    """Largest difference of the plain film's parameters with and without an effect, in standard deviations; NaN where not defined."""
+    films = d.plain_film, without.plain_film
+    if d.extension is None or len(films[0].k) != len(films[1].k):
+        return float("nan")
+    now, before = (np.array([film.k0, *film.k, *film.tau]) for film in films)
+    return float(np.max(np.abs(now - before) / np.array(d.extension.plain_film_sd)))
+
+
 def _covered(d: Diagnosis, session: Session, effects: tuple[Effect, ...]) -> tuple[bool | None, float]:
     """Whether the 90 % interval of the first effect's severity holds the truth, and how many standard deviations it is off.
 
-    None and NaN where its form does not define it.
+    None and NaN where its form does not define it, and where it is seen in another channel.
     """
     id = effects[0].id
     if not KINDS[id].exact or d.extension is None or id not in d.extension.severities:
+        return None, float("nan")
+    channel = session.truth.equivalent[id].get("channel", "")
+    if not d.extension.variants[id].startswith(str(channel)):
         return None, float("nan")
     estimates = d.extension.severities[id]
     key = main_key(id, estimates)

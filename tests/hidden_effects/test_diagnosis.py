@@ -79,6 +79,13 @@ def test_the_hidden_effect_is_named_first(id: str) -> None:
     assert set(found.extension.severities) == set(found.mechanisms)
 
 
+def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
+    """Where one cause explains nearly everything its form is known, and what it leaves is another's."""
+    found = judge(Case(706_003_032, effects=(("cyclic_softening", 4.0), ("rig_constants", 4.0))))
+    assert found.verdict == "named"
+    assert set(found.named) == {"rig_constants", "cyclic_softening"}
+
+
 def test_a_weak_effect_is_found_with_its_severity_whatever_the_order_and_the_names() -> None:
     """A delay of 40 µs at 1 kHz: 4 % of a sample, of either form; the interval holds the truth."""
     given = features("sensor_delay", share=0.1)

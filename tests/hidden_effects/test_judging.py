@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.hidden_effects.judging import Case, clean, smallest_of
+from tests.hidden_effects.judging import Case, clean, judge, smallest_of
 from tests.hidden_effects.truth import KINDS, Effect, random_effect
 
 CASE = Case(103)
@@ -26,3 +26,9 @@ def test_a_gain_that_the_film_absorbs_needs_to_be_large() -> None:
     """Of the displacement that is measured all simulations are told: what the film's stiffness takes up leaves no trace."""
     true = smallest_of(CASE, Effect("gain_error", 0.05, {"channel": "displacement"}))
     assert true is None or true > 0.005
+
+
+def test_a_bias_is_what_the_effect_does_to_the_film() -> None:
+    """Not what the noise does to it: leakage acts on the drive alone, and the clean session has the same noise."""
+    assert judge(Case(CASE.seed, effects=(("leakage", 3.0),))).bias < 1.0
+    assert judge(Case(CASE.seed, effects=(("missing_relaxation", 3.0),))).bias > 3.0

@@ -56,3 +56,20 @@ def test_rest_ends_where_a_slow_cycle_begins(start, hz: float) -> None:  # type:
     found = rest_samples(x, cycle=1 / (hz * interval_s))
     assert 0.15 * rest <= found <= rest
     assert np.abs(x[:found]).max() < 5 * 5e-4
+
+
+@pytest.mark.parametrize("quantum", [0.0, 1e-3], ids=["smooth", "quantised"])
+def test_a_filter_that_settles_is_rest(quantum: float) -> None:
+    """Neighbours of noise that was smoothed differ by little, and its first samples are on their way to the level."""
+    rng = np.random.default_rng(4)
+    rest, per_cycle = 42, 42
+    noise = np.convolve(rng.normal(0, 4e-4, rest + 3 * per_cycle + 3), np.ones(4) / 4, "valid")
+    settling = 9e-4 * np.exp(-np.arange(noise.size) / 4)
+    x = (
+        np.concatenate([np.zeros(rest), (1 - np.cos(2 * np.pi * np.arange(3 * per_cycle) / per_cycle))])
+        + noise
+        + settling
+    )
+    if quantum:
+        x = np.round(x / quantum) * quantum
+    assert 0.7 * rest <= rest_samples(x, cycle=per_cycle) <= rest

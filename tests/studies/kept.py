@@ -63,6 +63,10 @@ class Kept:
                 found[_case(line["asked"])] = tuple(_judgement(j) for j in line["found"])
         return found
 
+    def refused(self, seed: int) -> list[str]:
+        """Why sessions of the study could not be judged."""
+        return [line["refused"] for line in self._lines() if line["seed"] == seed and "refused" in line]
+
     def begin(self) -> None:
         """Leaves lines of this code alone."""
         if self.path is not None:
@@ -70,14 +74,17 @@ class Kept:
             self.path.write_text("".join(lines), encoding="utf-8")
 
     def add(self, seed: int, asked: Case, found: Sequence[Judgement]) -> None:
+        self._append(seed, asked, found, {})
+
+    def refuse(self, seed: int, asked: Case, why: str) -> None:
+        """Of a case whose session could not be read."""
+        self._append(seed, asked, (), {"refused": why})
+
+    def _append(self, seed: int, asked: Case, found: Sequence[Judgement], more: dict[str, str]) -> None:
         if self.path is None:
             return
-        line = {
-            "code": self.code,
-            "seed": seed,
-            "asked": asdict(asked),
-            "found": [{name: _short(value) for name, value in asdict(j).items()} for j in found],
-        }
+        judged = [{name: _short(value) for name, value in asdict(j).items()} for j in found]
+        line = {"code": self.code, "seed": seed, "asked": asdict(asked), "found": judged, **more}
         with self.path.open("a", encoding="utf-8") as out:
             out.write(json.dumps(line) + "\n")
 

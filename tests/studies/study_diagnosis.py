@@ -191,6 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = list(run(chosen, given.jobs, lambda: time.monotonic() - begin < 60 * given.minutes, kept, seed))
     of = sum(1 + bool(c.effects) for c in chosen)
     print(f"{len(found)} of {of} sessions ({given.size}), seed {seed}, {given.jobs} at a time.\n")
+    for why in kept.refused(seed):
+        print(f"Left out, for its features cannot be read: {why}.\n")
     print("\n".join(report(found)))
     print(f"\nMissed: {'; '.join(missed(found)) or 'nothing'}.")
     (HERE / "diagnosis.svg").write_text(confusion_svg(found), encoding="utf-8")
@@ -227,7 +229,7 @@ def run(chosen: Sequence[Case], jobs: int, going: Callable[[], bool], kept: Kept
             try:
                 found = future.result()
             except NotIdentifiableError as error:
-                print(f"Left out, for its features cannot be read: {error}.\n")
+                kept.refuse(seed, case, str(error))
                 continue
             kept.add(seed, case, found)
             yield from found

@@ -1,0 +1,146 @@
+"""Several causes at once: further ones added to a single one, and dropped again where the others do without.
+
+A further cause has to add more than the form of those before it can be wrong by. Where one cause explains nearly everything, its
+form is known far better than was assumed, and a weaker one beside it is looked for on the scale that this leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.extend import ExtendedFit
+from pipeline.diagnose.refit import confirmed, finished, ranked, tried, without
+from pipeline.diagnose.screen import Score, Secants, scores, secants, signatures
+from pipeline.diagnose.tempering import SHARE, by_block, noise_chi2, share_of_form, tempered
+
+CLOSE = 4.6
+"""Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
+MOST_CAUSES = 3
+_BASES = 2
+"""Best single causes on which a second one is tried."""
+_HOPELESS = 3.0
+"""χ² over that of the best beyond which a single cause is no base."""
+SECOND_SHARE, SECOND_OF_LEFT = 0.08, 0.4
+"""Least shares of the misfit explained so far, and of what it leaves, that a further cause must add in the blocks in which it adds
+anything: less is the form of those before it."""
+SECOND_OF_ALL = 0.06
+"""The same of the misfit that the causes so far explain anywhere."""
+_WHERE = 0.9
+"""Share of what a cause adds that counts as the place where it does."""
+SECOND_LEVEL = 1e-3
+_MUCH_BETTER = 0.5
+"""Share of the assumed error of forms below which a cause is on a scale of its own."""
+_EXACT = 0.02
+"""Share that a form is wrong by below which it is its cause's own, and what stays is another's."""
+_ROUGHLY = 6
+
+
+@dataclass(frozen=True)
+class Searched:
+    """The plain model, the single causes, best evidence first, and the model with all causes; on one scale. None: no cause."""
+
+    plain: ExtendedFit
+    singles: tuple[ExtendedFit, ...]
+    final: ExtendedFit | None
+
+
+def several(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit], changes: Secants) -> Searched:
+    """Causes added one by one to the best single ones, and those that are no longer needed dropped."""
+    worth = [f for f in singles if f.log_evidence > plain.log_evidence]
+    if not worth:
+        return Searched(plain, tuple(singles), None)
+    best = _added(plain, worth, changes)
+    if len(best.of.chosen) > 1:
+        return Searched(plain, tuple(singles), _needed(plain, best))
+    return _beside(untempered, plain, singles) or Searched(plain, tuple(singles), best)
+
+
+def _beside(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit]) -> Searched | None:
+    """Causes beside the best single one, on the scale that its form is seen to need; None where that is no finer, or shows none."""
+    alone = singles[0]
+    share = share_of_form(
+        untempered, alone.of.with_weight(np.ones(untempered.of.session.size)).fit(alone.x, most=_ROUGHLY)
+    )
+    if share > _MUCH_BETTER * SHARE:
+        return None
+    weight = tempered(untempered.of.session, untempered.misfit, share)
+
+    def moved(fit: ExtendedFit) -> ExtendedFit:
+        of = fit.of.with_weight(weight)
+        return of.refined(of.fit(fit.x, most=_ROUGHLY))
+
+    plain, base = moved(plain), finished(moved(alone))
+    best = _added(plain, [base], secants(base), share)
+    if len(best.of.chosen) > 1:
+        best = _needed(plain, best, share)
+    if len(best.of.chosen) == 1:
+        return None
+    return Searched(plain, ranked([base, *(moved(f) for f in singles[1:])]), best)
+
+
+def _added(plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, share: float = SHARE) -> ExtendedFit:
+    """Causes added one by one: a further one where it is significant on what is left, and adds a share worth naming."""
+    best = worth[0]
+    for number in range(1, MOST_CAUSES):
+        bases = worth[:_BASES] if number == 1 else [best]
+        bases = [b for b in bases if b.chi2 < _HOPELESS * worth[0].chi2]
+        further: list[ExtendedFit] = []
+        for base in bases:
+            looked = signatures(changes, base)
+            found = scores(looked)
+            if not found or looked.p_value(found[0].statistic) > SECOND_LEVEL:
+                continue
+            further += tried(base, [s for s in found if _promising(plain, base, s, share)], looked, 2)
+        better = [f for f in further if worthwhile(plain, best, f, share)]
+        if not better:
+            break
+        best = confirmed(better)[0]
+    return best
+
+
+def _promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
+    """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice that."""
+    least = 0.5 * SECOND_SHARE * (share / SHARE) ** 2 if share > _EXACT else 0.0
+    return score.statistic > max(2 * CLOSE, least * min(plain.chi2 - base.chi2, base.chi2 - noise_chi2(plain)))
+
+
+def worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, share: float = SHARE) -> bool:
+    """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything."""
+    if more.log_evidence - best.log_evidence < CLOSE:
+        return False
+    before, so_far, now = (by_block(f) for f in (plain, best, more))
+    added = so_far - now
+    order = np.argsort(-added)
+    most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
+    where = order[: int(most.sum()) + 1]
+    noise = by_block(plain, noise=True)
+    form = (share / SHARE) ** 2 if share > _EXACT else 0.0
+    least = (
+        form * SECOND_OF_ALL * (plain.chi2 - best.chi2),
+        form * SECOND_SHARE * float((before - so_far)[where].sum()),
+        SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
+    )
+    return float(added[where].sum()) > max(least)
+
+
+def _needed(plain: ExtendedFit, final: ExtendedFit, share: float = SHARE) -> ExtendedFit:
+    """Causes that are no longer needed are dropped; those that stay are in the order of what each explains beside the others."""
+    while len(final.of.chosen) > 1:
+        fewer = [without(final, i) for i in range(len(final.of.chosen))]
+        best = max(fewer, key=lambda f: f.log_evidence)
+        if worthwhile(plain, best, final, share):
+            return _in_order(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
+        final = best
+    return final
+
+
+def _in_order(final: ExtendedFit, order: NDArray[np.int64]) -> ExtendedFit:
+    """The same fit with its causes in another order."""
+    if np.array_equal(order, np.arange(order.size)):
+        return final
+    of = replace(final.of, chosen=tuple(final.of.chosen[i] for i in order))
+    return finished(of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3))
