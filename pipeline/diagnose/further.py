@@ -29,6 +29,11 @@ SECOND_SHARE, SECOND_OF_LEFT = 0.08, 0.4
 anything: less is the form of those before it."""
 SECOND_OF_ALL = 0.06
 """The same of the misfit that the causes so far explain anywhere."""
+_LEAVING_NOISE = 0.2
+"""Part of these shares that a cause has to add which leaves nothing but noise, if none is like it: no other cause takes away all that
+a wrong form leaves."""
+_NOISE = 3.0
+"""χ² beyond its expectation, in standard deviations, up to which it is noise."""
 _WHERE = 0.9
 """Share of what a cause adds that counts as the place where it does."""
 SECOND_LEVEL = 1e-3
@@ -62,9 +67,8 @@ def several(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[Exten
 def _beside(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit]) -> Searched | None:
     """Causes beside the best single one, on the scale that its form is seen to need; None where that is no finer, or shows none."""
     alone = singles[0]
-    share = share_of_form(
-        untempered, alone.of.with_weight(np.ones(untempered.of.session.size)).fit(alone.x, most=_ROUGHLY)
-    )
+    raw = alone.of.with_weight(np.ones(untempered.of.session.size))
+    share = share_of_form(untempered, finished(raw.fit(alone.x, most=_ROUGHLY)))
     if share > _MUCH_BETTER * SHARE:
         return None
     weight = tempered(untempered.of.session, untempered.misfit, share)
@@ -104,8 +108,13 @@ def _added(plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, s
 
 def _promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
     """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice that."""
-    least = 0.5 * SECOND_SHARE * (share / SHARE) ** 2 if share > _EXACT else 0.0
+    least = 0.5 * _LEAVING_NOISE * SECOND_SHARE * _of_form(share)
     return score.statistic > max(2 * CLOSE, least * min(plain.chi2 - base.chi2, base.chi2 - noise_chi2(plain)))
+
+
+def _of_form(share: float) -> float:
+    """What is asked of a further cause where forms may be wrong by a share, over what is asked as long as nothing is known of that."""
+    return (share / SHARE) ** 2 if share > _EXACT else 0.0
 
 
 def worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, share: float = SHARE) -> bool:
@@ -118,13 +127,20 @@ def worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, share: 
     most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
     where = order[: int(most.sum()) + 1]
     noise = by_block(plain, noise=True)
-    form = (share / SHARE) ** 2 if share > _EXACT else 0.0
+    left, spread = more.chi2 - noise_chi2(plain), np.sqrt(2 * max(noise_chi2(plain), 1.0))
+    form = _of_form(share) * (_LEAVING_NOISE if left < _NOISE * spread and not _alike(more) else 1.0)
     least = (
         form * SECOND_OF_ALL * (plain.chi2 - best.chi2),
         form * SECOND_SHARE * float((before - so_far)[where].sum()),
         SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
     )
     return float(added[where].sum()) > max(least)
+
+
+def _alike(fit: ExtendedFit) -> bool:
+    """Whether one of the causes can be taken for another of them: both together may be the form of one."""
+    ids = {c.id for c in fit.of.chosen}
+    return any(ids & set(c.mechanism.confusable) for c in fit.of.chosen)
 
 
 def _needed(plain: ExtendedFit, final: ExtendedFit, share: float = SHARE) -> ExtendedFit:
