@@ -213,15 +213,17 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 
 def _schedule(arguments: argparse.Namespace) -> int:
-    from pipeline.schedule import crontab, units
+    from pipeline.schedule import Job, crontab, units
 
+    job = Job(arguments.raw, arguments.lab, arguments.rigs, arguments.jobs, arguments.cluster)
     if arguments.cron:
-        print(crontab(arguments.raw, arguments.lab, arguments.at), end="")
+        print(crontab(job, arguments.at), end="")
         return _DONE
-    for name, text in units(arguments.raw, arguments.lab, arguments.at).items():
+    for name, text in units(job, arguments.at).items():
         if arguments.out is None:
             print(f"# {name}\n{text}")
         else:
+            arguments.out.mkdir(parents=True, exist_ok=True)
             (arguments.out / name).write_text(text, encoding="utf-8")
             print(arguments.out / name)
     return _DONE
@@ -257,6 +259,8 @@ def _parser(wanted: str | None) -> argparse.ArgumentParser:
 
 
 _LAB = argument("--lab", type=Path, default=Path(DEFAULT_LAB), metavar="LAB", help="the lab (default ./lab)")
+_RAW = argument("raw", nargs="+", metavar="RAW", help="files, folders or URLs (s3://…) with recordings")
+_CLUSTER = argument("--cluster", metavar="ADDRESS", help="dask scheduler whose workers do the work (tcp://host:8786)")
 _RIGS = argument("--rigs", type=Path, help="folder with <rig_id>.toml (default: rigs/ beside the recordings)")
 _RECORDING = argument("recording", metavar="RECORDING", help="its recording_id")
 _REASON = argument("--why", required=True, metavar="TEXT", help="the reason, for those who come after")
@@ -266,7 +270,7 @@ _COMMANDS: Mapping[str, _Command] = {
         "the whole job over raw files and folders; what has not changed is not done again",
         ("raw/", "raw/ --lab /data/lab --jobs 8", "/mnt/rig1 /mnt/rig2 --rigs /data/rigs"),
         (
-            argument("raw", nargs="+", metavar="RAW", help="files, folders or URLs (s3://…) with recordings"),
+            _RAW,
             argument(
                 "--jobs",
                 type=jobs,
@@ -274,7 +278,7 @@ _COMMANDS: Mapping[str, _Command] = {
                 help="worker processes; 0 works in this process (default: one per processor)",
             ),
             _RIGS,
-            argument("--cluster", metavar="ADDRESS", help="dask scheduler whose workers do the work (tcp://host:8786)"),
+            _CLUSTER,
             _LAB,
         ),
         _nightly,
@@ -357,10 +361,13 @@ _COMMANDS: Mapping[str, _Command] = {
             "/data/raw --lab /data/lab --cron",
         ),
         (
-            argument("raw", nargs="+", type=Path, metavar="RAW", help="files and folders with recordings"),
+            _RAW,
             argument("--at", default="02:00", metavar="HH:MM", help="when, local time (default 02:00)"),
             argument("--cron", action="store_true", help="a line for crontab instead of units for systemd"),
             argument("--out", type=Path, metavar="FOLDER", help="write the units there instead of showing them"),
+            argument("--jobs", type=jobs, help="worker processes of the nightly (default: one per processor)"),
+            _RIGS,
+            _CLUSTER,
             _LAB,
         ),
         _schedule,

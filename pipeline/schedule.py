@@ -9,8 +9,10 @@ import shlex
 import shutil
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from ingest.remote import is_url
 from schemas.errors import UsageError
 
 NAME = "dealab-nightly"
@@ -23,9 +25,28 @@ def executable() -> Path:
     return Path(found or "dealab").absolute()
 
 
-def command(raw: Sequence[Path], lab: Path) -> list[str]:
-    """The nightly's words, every path absolute: neither cron nor systemd starts in the folder that was meant."""
-    return [str(executable()), "nightly", *(str(r.absolute()) for r in raw), "--lab", str(lab.absolute())]
+@dataclass(frozen=True)
+class Job:
+    """What is to run every night: raw files, folders and URLs, the lab, and those options of the nightly that were given."""
+
+    raw: Sequence[str]
+    lab: Path
+    rigs: Path | None = None
+    jobs: int | None = None
+    cluster: str | None = None
+
+    @property
+    def words(self) -> list[str]:
+        """The command, every path absolute: neither cron nor systemd starts in the folder that was meant."""
+        raw = [given if is_url(given) else str(Path(given).absolute()) for given in self.raw]
+        options = {
+            "--lab": str(self.lab.absolute()),
+            "--rigs": None if self.rigs is None else str(self.rigs.absolute()),
+            "--jobs": None if self.jobs is None else str(self.jobs),
+            "--cluster": self.cluster,
+        }
+        given = [word for name, value in options.items() if value is not None for word in (name, value)]
+        return [str(executable()), "nightly", *raw, *given]
 
 
 def clock(text: str) -> tuple[int, int]:
@@ -36,10 +57,10 @@ def clock(text: str) -> tuple[int, int]:
     return int(hour), int(minute)
 
 
-def units(raw: Sequence[Path], lab: Path, at: str) -> dict[str, str]:
+def units(job: Job, at: str) -> dict[str, str]:
     """The unit and its timer by file name."""
     hour, minute = clock(at)
-    start = " ".join(_systemd_word(word) for word in command(raw, lab))
+    start = " ".join(_systemd_word(word) for word in job.words)
     service = f"""# Status 3 is a night that is done, but in which recordings were refused or are damaged: no failure of the unit.
 [Unit]
 Description=dealab: the night over the laboratory's recordings
@@ -75,12 +96,15 @@ def _systemd_word(word: str) -> str:
     return f'"{escaped}"'
 
 
-def crontab(raw: Sequence[Path], lab: Path, at: str) -> str:
-    """Lines for `crontab -e`: the summary goes out as mail, progress and complaints to a file in the lab."""
+def crontab(job: Job, at: str) -> str:
+    """Lines for `crontab -e`: the summary goes out as mail, progress and complaints to a file in the lab.
+
+    The shell opens that file before the nightly runs, which makes the lab.
+    """
     hour, minute = clock(at)
-    words = shlex.join(command(raw, lab))
-    log = shlex.quote(str(lab.absolute() / "nightly.log"))
-    line = f"{words} 2>> {log}".replace("%", "\\%")
+    lab = job.lab.absolute()
+    log = shlex.quote(str(lab / "nightly.log"))
+    line = f"mkdir -p {shlex.quote(str(lab))} && {shlex.join(job.words)} 2>> {log}".replace("%", "\\%")
     return (
         f"# What the night printed, a paragraph, cron mails to you; refused and damaged recordings are named in {log}\n"
         f"{minute} {hour} * * * {line}\n"

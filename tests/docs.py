@@ -13,6 +13,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from schemas.protocols import PROTOCOLS
+from schemas.quantities import QUANTITIES
 from schemas.tables import reference
 from schemas.views import EXAMPLES, view_reference
 from tests.measured import measured
@@ -32,12 +34,26 @@ def study(name: str, *left_out: str) -> str:
         return "Not run yet."
     part = parts(RESULTS.read_text(encoding="utf-8")).get(about(HERE / f"study_{name}.py"), "Not run yet.")
     lines = [line for line in part.splitlines() if line.startswith("- ")]
-    return "\n".join(line for line in lines if not line.startswith(left_out)) or part
+    text = "\n".join(line for line in lines if not line.startswith(left_out)) or part
+    missed = [line.removeprefix("Missed: ") for line in part.splitlines() if line.startswith("Missed: ")]
+    return text + "".join(f"\n\n**Missed**: {names}" for names in missed if names != "nothing.")
+
+
+def channels() -> str:
+    """Which channels each protocol needs, and what the channels are."""
+    rows = ["| `protocol` | `loading` | channels | may have | what it is |", "| --- | --- | --- | --- | --- |"]
+    for p in PROTOCOLS.values():
+        needed = " or ".join(", ".join(f"`{name}`" for name in names) for names in p.required)
+        more = ", ".join(f"`{name}`" for name in p.optional) or "–"
+        rows.append(f"| `{p.name}` | {p.loading} | {needed} | {more} | {p.meaning} |")
+    rows += ["", "| channel | in SQL | what it is |", "| --- | --- | --- |"]
+    return "\n".join(rows + [f"| `{q.name}` | {q.unit} | {q.meaning} |" for q in QUANTITIES.values()])
 
 
 def generated() -> tuple[tuple[str, str], ...]:
     """The generated parts by name."""
     return (
+        ("channels", channels()),
         ("examples", examples()),
         ("fit study", study("fit", "- order test, ", "- likelihood ratio", "- …")),
         ("diagnosis study", study("diagnosis")),

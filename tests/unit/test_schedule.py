@@ -10,17 +10,17 @@ from pathlib import Path
 import pytest
 
 from pipeline.cli import _COMMANDS, main
-from pipeline.schedule import command, crontab, units
+from pipeline.schedule import Job, crontab, units
 from schemas.errors import UsageError
 
-AWKWARD = Path('/data/rig a/50 % "damp" $HOME\'s')
+AWKWARD = '/data/rig a/50 % "damp" $HOME\'s'
 
 
 def test_units_pass_systemds_own_check(tmp_path: Path) -> None:
     program = shutil.which("systemd-analyze")
     if program is None:
         pytest.skip("systemd-analyze is not here")
-    for name, text in units([AWKWARD, Path("/data/b")], tmp_path / "lab", "02:30").items():
+    for name, text in units(Job([AWKWARD, "/data/b"], tmp_path / "lab"), "02:30").items():
         (tmp_path / name).write_text(text)
     done = subprocess.run(
         [program, "verify", "--man=no", str(tmp_path / "dealab-nightly.timer"), str(tmp_path / "dealab-nightly.service")],
@@ -30,7 +30,7 @@ def test_units_pass_systemds_own_check(tmp_path: Path) -> None:
 
 
 def test_units_start_the_nightly_with_absolute_paths_and_status_3_is_no_failure() -> None:
-    made = units([Path("raw")], Path("lab"), "2:5")
+    made = units(Job(["raw"], Path("lab")), "2:5")
     service, timer = made["dealab-nightly.service"], made["dealab-nightly.timer"]
     start = next(line for line in service.splitlines() if line.startswith("ExecStart="))
     words = shlex.split(start.removeprefix("ExecStart="))
@@ -41,23 +41,40 @@ def test_units_start_the_nightly_with_absolute_paths_and_status_3_is_no_failure(
 
 
 def test_awkward_paths_survive_cron_and_its_shell() -> None:
-    line = crontab([AWKWARD], Path("/lab"), "02:30").splitlines()[-1]
+    job = Job([AWKWARD], Path("/lab of mine"))
+    line = crontab(job, "02:30").splitlines()[-1]
     schedule, rest = line.split(" * * * ")
     assert schedule == "30 2"
     assert "%" not in rest.replace("\\%", "")
     words = shlex.split(rest.replace("\\%", "%"))
-    assert words[: len(command([AWKWARD], Path("/lab")))] == command([AWKWARD], Path("/lab"))
+    assert words[:4] == ["mkdir", "-p", "/lab of mine", "&&"]
+    assert words[4 : 4 + len(job.words)] == job.words
+
+
+def test_the_line_for_cron_runs_where_there_is_no_lab_yet(tmp_path: Path) -> None:
+    """The shell opens the log before the nightly could make its folder."""
+    lab = tmp_path / "new" / "lab"
+    rest = crontab(Job([str(tmp_path)], lab), "02:30").splitlines()[-1].split(" * * * ")[1]
+    subprocess.run(["sh", "-c", rest], capture_output=True, timeout=120, check=False)
+    assert (lab / "nightly.log").exists()
+
+
+def test_urls_and_options_of_the_nightly_are_kept() -> None:
+    job = Job(["s3://rig-a/2026", "raw"], Path("/lab"), rigs=Path("/rigs"), jobs=3, cluster="tcp://head:8786")
+    assert job.words[2:4] == ["s3://rig-a/2026", str(Path("raw").absolute())]
+    assert job.words[4:] == ["--lab", "/lab", "--rigs", "/rigs", "--jobs", "3", "--cluster", "tcp://head:8786"]
 
 
 @pytest.mark.parametrize("text", ["25:00", "2", "02:60", "a:b", "-1:00"])
 def test_no_time_of_day_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="no time of day"):
-        units([Path("raw")], Path("lab"), text)
+        units(Job(["raw"], Path("lab")), text)
 
 
 def test_units_are_written_where_they_are_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["schedule", "raw", "--out", str(tmp_path)]) == 0
-    assert {p.name for p in tmp_path.iterdir()} == {"dealab-nightly.service", "dealab-nightly.timer"}
+    folder = tmp_path / "systemd" / "user"
+    assert main(["schedule", "raw", "--out", str(folder)]) == 0
+    assert {p.name for p in folder.iterdir()} == {"dealab-nightly.service", "dealab-nightly.timer"}
     assert "dealab-nightly.timer" in capsys.readouterr().out
 
 
