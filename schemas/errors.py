@@ -24,6 +24,11 @@ class DealabError(Exception):
         self.problem, self.where, self.expected, self.remedy = map(_encodable, (problem, where, expected, remedy))
         super().__init__(self.problem)
 
+    @property
+    def shortcoming(self) -> str:
+        """What is wrong and what is needed, where the text around it names the place."""
+        return f"{self.problem}; needed: {self.expected}" if self.expected else self.problem
+
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuild, (type(self), self.problem, self.where, self.expected, self.remedy)
 

@@ -99,5 +99,4 @@ def _asked(session: Sequence[RecordingFeatures], refused: Sequence[str]) -> Diag
     try:
         return diagnose(session)
     except NotIdentifiableError as error:
-        expected = f"; needed: {error.expected}" if error.expected else ""
-        return [f"{error.problem}{expected}", *refused]
+        return [error.shortcoming, *refused]

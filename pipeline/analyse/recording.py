@@ -58,7 +58,7 @@ def session_features(recording: Recording) -> SessionFeatures:
     try:
         return SessionFeatures(pack(reduce(recording)))
     except NotIdentifiableError as error:
-        return SessionFeatures("", error.problem)
+        return SessionFeatures("", error.shortcoming)
 
 
 def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Analysis:

@@ -74,7 +74,7 @@ def cyclic_blocks(
     rest = rest_samples(given, cycle=per_cycle)
     if rest < _FEWEST_REST or per_cycle < _FEWEST_PER_CYCLE:
         raise NotIdentifiableError(
-            f"{rest} samples of rest, {per_cycle:.3g} samples per cycle",
+            f"{rest} samples of rest before the first cycle, {per_cycle:.3g} in a cycle",
             where=where,
             expected=f"at least {_FEWEST_REST} and {_FEWEST_PER_CYCLE}",
         )

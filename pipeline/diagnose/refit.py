@@ -33,6 +33,8 @@ _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 _FORMS = 2
 _MOST_STARTS = 3
 """Starts beside the screen's own from which a mechanism is searched that the material can take the place of."""
+_LOW_STARTS = (1.0, 4.0)
+"""Severities in units of the lowest plausible one from which a mechanism is searched that begins at a load."""
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
 _TRIALS, _CONFIRMATIONS, _SETTLED, _SETTLED_SHARE = 20, 8, 0.1, 2e-4
@@ -83,6 +85,8 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
     far = score.chosen.id in _ABSORBED
     if far:
         starts = _best_starts(base, of, score.chosen, starts + _levels(score, signatures))
+    if score.chosen.mechanism.onset:
+        starts += _above_onset(score)
     fits = []
     for values in starts:
         x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
@@ -159,6 +163,12 @@ def without(fit: ExtendedFit, number: int) -> ExtendedFit:
     values = tuple(v for i, v in enumerate(fit.values) if i != number)
     of = replace(fit.of, chosen=chosen)
     return finished(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
+
+
+def _above_onset(score: Score) -> list[Mapping[str, float]]:
+    """The screen's point at low severities: its share of a high one may lie below where anything begins, and no slope leads out."""
+    names = {p.name: p.low for p in score.chosen.mechanism.severities}
+    return [{**score.values, **{name: times * low for name, low in names.items()}} for times in _LOW_STARTS]
 
 
 def _levels(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:

@@ -230,6 +230,8 @@ def _statement(
     points: Sequence[ForcePoint], estimate: Estimate, constancy: Constancy | None, stated: float | None
 ) -> str:
     text = f"relative permittivity {_interval(estimate)} over {len(points)} points"
+    if estimate.lower <= 0:
+        text = f"{len(points)} points, too far apart for one relative permittivity"
     if constancy is not None:
         proofs = []
         if not math.isnan(constancy.p_value):

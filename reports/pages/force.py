@@ -53,13 +53,18 @@ def _maps(fits: Sequence[Record]) -> Sequence[Record]:
 
 
 def finding(found: Sequence[Record], fits: Sequence[Record]) -> str:
-    """`static force reaches 361 ± 5 mN, with a relative permittivity of 2.59 (2.57–2.61)`; empty without any force."""
+    """`static force reaches 361 ± 5 mN, with a relative permittivity of 2.59 (2.57–2.61)`; empty without any force.
+
+    A permittivity that may as well be 0 is none.
+    """
     best = max((r for r in found if r["force_n"] is not None), key=lambda r: r["force_n"], default=None)
     if best is None:
         return ""
     text = f"static force reaches {_force(best)}"
     if len(fits) == 1 and fits[0]["relative_permittivity"] is not None:
         fit = fits[0]
+        if fit["relative_permittivity_lower"] is not None and fit["relative_permittivity_lower"] <= 0:
+            return f"{text}; no one permittivity explains it"
         value = bounds(*(fit[f"relative_permittivity{end}"] for end in ("", "_lower", "_upper")))
         text += f", with a relative permittivity of {value}"
         if fit["stated_permittivity"] is not None and not _agrees(fit):

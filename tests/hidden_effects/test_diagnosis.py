@@ -86,6 +86,12 @@ def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
     assert set(found.named) == {"rig_constants", "cyclic_softening"}
 
 
+def test_a_film_that_hardly_goes_slack_is_seen() -> None:
+    """A screen's share of a strong effect lies below the load at which a weak one begins: the search must not start there alone."""
+    found = judge(Case(973_670_012, effects=(("slack", 1.5),)))
+    assert found.named == ("slack",)
+
+
 def test_a_weak_effect_is_found_with_its_severity_whatever_the_order_and_the_names() -> None:
     """A delay of 40 µs at 1 kHz: 4 % of a sample, of either form; the interval holds the truth."""
     given = features("sensor_delay", share=0.1)

@@ -14,6 +14,7 @@ from pipeline.fit.force_map import fit_force_map, fit_force_maps
 from pipeline.fit.force_points import force_per_permittivity, force_points
 from pipeline.tabulate.force_maps import force_map_tables
 from pipeline.transform.force_map import ForceMapReadings, ForceReading, measure_force_map
+from reports.pages.force import finding
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
@@ -204,6 +205,27 @@ def test_falling_permittivity_is_found_with_its_slope() -> None:
     assert fit.constancy.p_value < 1e-3
     assert fit.constancy.slope.lower <= -0.4 <= fit.constancy.slope.upper < 0
     assert "per unit of area stretch" in fit.statement
+
+
+def test_two_directions_far_apart_have_no_one_permittivity() -> None:
+    """Two points that differ by far more than their repeats leave an interval that holds 0: nothing to be stated, or headlined."""
+    spread = 1e-3 * np.array([-1.2, -0.5, 0.1, 0.4, 1.2])
+    points, (fit,) = fit_force_maps([readings(list(0.25 + spread), list(0.20 + spread))])
+    assert fit.relative_permittivity.lower <= 0
+    assert fit.statement.startswith(
+        "2 points, too far apart for one relative permittivity; no one value serves the map"
+    )
+    record = {
+        "relative_permittivity": fit.relative_permittivity.value,
+        "relative_permittivity_lower": fit.relative_permittivity.lower,
+        "relative_permittivity_upper": fit.relative_permittivity.upper,
+        "stated_permittivity": 4.7,
+    }
+    forces = [{"force_n": p.force_n, "force_sd_n": p.force_sd_n} for p in points]
+    assert finding(forces, [record]).endswith("; no one permittivity explains it")
+    assert "permittivity of 2.4" in finding(
+        forces, [record | {"relative_permittivity": 2.4, "relative_permittivity_lower": 2.3}]
+    )
 
 
 def test_noise_free_map_is_exact() -> None:

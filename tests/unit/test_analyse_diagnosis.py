@@ -96,3 +96,11 @@ def test_recordings_without_features_for_one_reason_are_told_together(recorded: 
 
 def test_a_clamp_under_a_name_of_its_own_is_no_specimen(recorded: Any) -> None:
     assert analyse_diagnosis("clamp", [recorded["tap"]], []).joined() == {}
+
+
+def test_what_a_recording_lacks_is_said_with_what_is_needed(recorded: Any) -> None:
+    cycles = make_session(9, DESIGNS, material="silicone").recordings[2]
+    late = {q: replace(c, time_ns=c.time_ns[250:], values=c.values[250:]) for q, c in cycles.channels.items()}
+    (features,) = measured(replace(cycles, channels=late)).of(SessionFeatures)
+    assert "samples of rest before the first cycle" in features.refused
+    assert features.refused.endswith("needed: at least 8 and 10")
