@@ -17,7 +17,8 @@ from pipeline.fit.rig import RigPrior
 
 Float = NDArray[np.float64]
 
-_RIG_NAMES = ("clamp mass", "load-cell stiffness", "load-cell damping", "force gain")
+CLAMP_MASS = "clamp mass"
+_RIG_NAMES = (CLAMP_MASS, "load-cell stiffness", "load-cell damping", "force gain")
 
 
 @dataclass(frozen=True)

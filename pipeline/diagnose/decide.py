@@ -27,7 +27,7 @@ from pipeline.diagnose.tempering import explained, noise_chi2, tempered
 
 Float = NDArray[np.float64]
 
-LEVEL = 0.003
+LEVEL = 0.002
 """False-alarm level of the search over the listed mechanisms."""
 STRUCTURE_LEVEL = 1e-5
 """The same for patterns that no mechanism proposes; their noise is known less well than that of signatures."""
@@ -37,9 +37,9 @@ CLOSE_MISFIT = 1.3
 EXPLAINED = 0.6
 """Share of the misfit that the causes must explain together for their names to be said, where more than noise is left."""
 LEFT_LEVEL = 1e-3
-DEPARTED_LEVEL = 1e-3
+DEPARTED_LEVEL = 1e-4
 """Probability below which a quantity left free differs."""
-_ALL_OF_FORM, _OF_WEAK = 2000.0, 0.5
+_ALL_OF_FORM, _OF_WEAK = 1000.0, 0.5
 """χ² that causes explain from which all that forms differ by is tolerated, and the part of it that is of weak ones: what is small
 follows no other course than the first order of its form."""
 _CONFIRMED = 0.8
