@@ -99,7 +99,7 @@ def _added(plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, s
             if not found or looked.p_value(found[0].statistic) > SECOND_LEVEL:
                 continue
             further += tried(base, [s for s in found if _promising(plain, base, s, share)], looked, 2)
-        better = [f for f in further if worthwhile(plain, best, f, share)]
+        better = [f for f in further if _worthwhile(plain, best, f, share)]
         if not better:
             break
         best = confirmed(better)[0]
@@ -117,7 +117,7 @@ def _of_form(share: float) -> float:
     return (share / SHARE) ** 2 if share > _EXACT else 0.0
 
 
-def worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, share: float = SHARE) -> bool:
+def _worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, share: float = SHARE) -> bool:
     """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything."""
     if more.log_evidence - best.log_evidence < CLOSE:
         return False
@@ -148,7 +148,7 @@ def _needed(plain: ExtendedFit, final: ExtendedFit, share: float = SHARE) -> Ext
     while len(final.of.chosen) > 1:
         fewer = [without(final, i) for i in range(len(final.of.chosen))]
         best = max(fewer, key=lambda f: f.log_evidence)
-        if worthwhile(plain, best, final, share):
+        if _worthwhile(plain, best, final, share):
             return _in_order(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
         final = best
     return final

@@ -125,18 +125,24 @@ def _best(session: Session, simulation: Simulation, arms: int, lower: PlainFit |
     def residual(theta: Float) -> Float:
         return residual_of(session, simulation, model, theta)
 
-    best: Solution | None = None
+    def searched(starts: Sequence[Float]) -> list[Solution]:
+        """The finite ends of searches from these starts, up to the first that has found what there is."""
+        ends = []
+        for start in starts:
+            end = minimise(residual, start, low, high, most=_MOST)
+            if np.isfinite(end.chi2):
+                ends.append(end)
+                if end.converged and end.chi2 < _SOUND * session.size:
+                    break
+        return ends
+
     starts = _starts(session, model, lower)
-    for number, start in enumerate([*starts, *_with_other_clamps(model, starts[-1])]):
-        if number >= len(starts) and best is not None and best.chi2 < _ASTRAY * session.size:
-            break
-        found = minimise(residual, start, low, high, most=_MOST)
-        if np.isfinite(found.chi2) and (best is None or found.chi2 < best.chi2):
-            best = found
-        if best is not None and best.converged and best.chi2 < _SOUND * session.size:
-            break
-    if best is None:
+    found = searched(starts)
+    if min((end.chi2 for end in found), default=np.inf) >= _ASTRAY * session.size:
+        found += searched(_with_other_clamps(model, starts[-1]))
+    if not found:
         raise NotIdentifiableError("the plain model has no finite simulation", where=session.specimen_id)
+    best = min(found, key=lambda end: end.chi2)
     return PlainFit(model, best.x, best, best.chi2, best.residual[: session.size])
 
 

@@ -46,7 +46,7 @@ _MOST_ROUNDS, _STILL_FALLING = 20, 0.01
 """Rounds of further steps at most, and share of what a mechanism explains that a round must add for another to follow."""
 
 
-def proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
+def _proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
     """Best mechanisms of a screen, each with its best forms."""
     by_id: dict[str, list[Score]] = {}
     for score in found:
@@ -58,7 +58,7 @@ def proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
 
 def tried(base: ExtendedFit, found: Sequence[Score], looked: Signatures, mechanisms: int) -> list[ExtendedFit]:
     """The best form of each of the best mechanisms of a screen, fitted on top of `base`."""
-    forms = proposals(found, mechanisms)
+    forms = _proposals(found, mechanisms)
     return [max((refit(base, form, looked) for form in own), key=lambda f: f.log_evidence) for own in forms]
 
 

@@ -229,8 +229,9 @@ def _weights(value: Float, place: np.ndarray, absolute: Float) -> Float:
 def _statement(
     points: Sequence[ForcePoint], estimate: Estimate, constancy: Constancy | None, stated: float | None
 ) -> str:
-    text = f"relative permittivity {_interval(estimate)} over {len(points)} points"
-    if estimate.lower <= 0:
+    if estimate.lower > 0:
+        text = f"relative permittivity {_interval(estimate)} over {len(points)} points"
+    else:
         text = f"{len(points)} points, too far apart for one relative permittivity"
     if constancy is not None:
         proofs = []

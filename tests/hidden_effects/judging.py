@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.diagnosis import diagnose, film_of, main_key
-from pipeline.diagnose.extend import Extended, ExtendedFit
+from pipeline.diagnose.extend import Extended, ExtendedFit, orthonormal
 from pipeline.diagnose.features import REST_HUM, FeatureBlock
 from pipeline.diagnose.hum import with_hum
 from pipeline.diagnose.plain import bounds, fit_plain
@@ -219,7 +219,7 @@ def _trace(case: Case, effect: Effect) -> float:
     shared = np.concatenate([in_now & in_before, np.ones(rest, dtype=bool)])
     seen = np.concatenate([session.whiten(np.where(in_now & in_before, now - before, 0.0)), np.zeros(rest)]) * shared
     jacobian = plain.jacobian * shared[:, None]
-    absorb = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))[0]
+    absorb = orthonormal(jacobian)
     return float(np.linalg.norm(seen - absorb @ (absorb.T @ seen)))
 
 
