@@ -10,7 +10,7 @@ from pipeline.lab import Lab
 from pipeline.show import safe
 from pipeline.store.reader import Reader
 from schemas.errors import UsageError
-from schemas.mechanisms import amount, candidate, cause, main, nested, parameter_words, plain_name, severity
+from schemas.mechanisms import UNLISTED, amount, candidate, cause, main, nested, parameter_words, plain_name, severity
 from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, significant
 
 _JSON_COLUMNS = ("severity", "smallest_detectable", "held_out_parts", "next_design")
@@ -151,7 +151,7 @@ def _causes(row: Row) -> Iterator[str]:
     for mechanism, parameters in nested(row["severity"]).items():
         yield f"  {plain_name(mechanism)} ({mechanism}): {severity(mechanism, parameters)}"
     if row["also_possible"]:
-        yield f"  Cannot be told from it: {', '.join(row['also_possible'])}"
+        yield f"  Cannot be told from it: {', '.join(plain_name(m) if m == UNLISTED else m for m in row['also_possible'])}"
     if row["supported_by"]:
         yield f"  Shown by: {', '.join(row['supported_by'])}"
 

@@ -14,7 +14,7 @@ from reports.evidence import Standing, beyond_noise, no_relaxation
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
-from schemas.mechanisms import MECHANISMS, cause, model_name, plain_name
+from schemas.mechanisms import MECHANISMS, UNLISTED, cause, model_name, plain_name
 from schemas.numbers import NBSP, capital, compact, p_equals, percent, pm, significant, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
@@ -107,7 +107,7 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
             )
     elif d["verdict"] == "ambiguous":
         options = [m for m in dict.fromkeys([d["mechanism"], *(d["also_possible"] or [])]) if m]
-        text = listed([code(m) for m in options], " or ")
+        text = listed([plain_name(m) if m == UNLISTED else code(m) for m in options], " or ")
         sentences.append(flow(tag("ambiguous"), " · ", text, ": too close to tell apart with these recordings."))
     elif d["verdict"] == "unknown":
         sentences.append(

@@ -167,8 +167,14 @@ MECHANISMS: dict[str, Mechanism] = {
 }
 
 
+UNLISTED = "unlisted"
+"""Stands in `also_possible` where the cause may be none of those listed."""
+
+
 def plain_name(mechanism: str) -> str:
     """Everyday name of a cause; its id where it has none here."""
+    if mechanism == UNLISTED:
+        return "a cause in no list"
     known = MECHANISMS.get(mechanism)
     return known.name if known else mechanism.replace("_", " ")
 
@@ -232,6 +238,8 @@ def candidate(mechanism: str, value: float | None, sd: float | None) -> str:
 def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
     """The cause as a sentence without its subject, by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`."""
     known = MECHANISMS.get(mechanism)
+    if mechanism == UNLISTED:
+        return "something is wrong that is in no list"
     if known is None:
         return f"the cause is {plain_name(mechanism)}"
     main = next((key for key in known.parameters if key in parameters), None)

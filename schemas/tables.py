@@ -824,7 +824,9 @@ _ALL: tuple[Table, ...] = (
             _t("verdict", "none, named, ambiguous or unknown; NULL where nothing could be asked (see could_not_ask)"),
             _t("mechanism", "the strongest; NULL for none and unknown"),
             Column("mechanisms", LIST, "", "all that are named together"),
-            Column("also_possible", LIST, "", "alternatives that cannot be told apart from the strongest"),
+            Column(
+                "also_possible", LIST, "", "what cannot be told apart from the strongest; unlisted: a cause in no list"
+            ),
             _r("p_value", "", "of any discrepancy, calibrated under the null"),
             _t(
                 "severity",
@@ -846,7 +848,10 @@ _ALL: tuple[Table, ...] = (
             _r("chi2", "", "chi-squared of the plain model over all of them"),
             _r("chi2_extended", "", "the same of the extended model"),
             _t("held_out_parts", "JSON: part left out, {before, after}, root mean square error in SD of the noise"),
-            _t("next_design", "JSON: metadata keys of the recording that next_recording proposes"),
+            _t(
+                "next_design",
+                "JSON: metadata keys of each recording that next_recording proposes; warmer_k: room warmer by",
+            ),
             _r("next_separation", "", "expected difference in chi-squared of the two closest causes after it"),
         ),
         ("specimen_id",),

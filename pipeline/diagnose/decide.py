@@ -39,6 +39,9 @@ EXPLAINED = 0.6
 LEFT_LEVEL = 1e-3
 DEPARTED_LEVEL = 1e-4
 """Probability below which a quantity left free differs."""
+DOUBT_LEVEL, _DOUBTED, _IN_ITS_PLACE = 2e-3, 0.3, 0.5
+"""The same for a doubt whether the cause is in the list; the share for it, over that from which it surely is not; and that of what
+the causes explain which the quantity left free must explain in their place, for they stand for it then."""
 _ALL_OF_FORM, _OF_WEAK = 1000.0, 0.5
 """χ² that causes explain from which all that forms differ by is tolerated, and the part of it that is of weak ones: what is small
 follows no other course than the first order of its form."""
@@ -55,6 +58,7 @@ class Outcome:
     p_value : of the whole search; threshold : Λ at the false-alarm level
     explained : share of the misfit that the final model explains; looked : signatures that the plain model was searched with
     before, after : patterns that the plain and the final model leave; departed : what differs freely beside the final model
+    doubtful : what seems to
     """
 
     verdict: str
@@ -70,6 +74,7 @@ class Outcome:
     before: Structure
     after: Structure | None
     departed: tuple[Departure, ...] = ()
+    doubtful: tuple[Departure, ...] = ()
 
 
 def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcome:
@@ -150,8 +155,9 @@ def _decided(of: Extended, start: Float) -> Outcome:
     alternatives = _alternatives(plain, final, singles)
     share = explained(plain, final)
     after = structure(final)
-    beside = _departed(plain, final)
-    verdict = _verdict(alternatives, share, after, beside)
+    doubtful = _in_their_place(plain, final, _departed(plain, final, departures(final), DOUBT_LEVEL, _DOUBTED))
+    beside = _departed(plain, final, doubtful, DEPARTED_LEVEL, 1.0)
+    verdict = _verdict(bool(alternatives or doubtful), share, after, beside)
     return Outcome(
         verdict,
         untempered,
@@ -166,6 +172,7 @@ def _decided(of: Extended, start: Float) -> Outcome:
         before,
         after,
         beside,
+        doubtful,
     )
 
 
@@ -213,15 +220,25 @@ _ROUGHLY, _ON_THE_WAY = 6, 0.5
 """Steps after which an alternative must have come this near to what the causes explain, for it to be brought to an end."""
 
 
-def _verdict(alternatives: Sequence[ExtendedFit], share: float, after: Structure, departed: Sequence[Departure]) -> str:
+def _verdict(rivals: bool, share: float, after: Structure, departed: Sequence[Departure]) -> str:
     left = after.p_value < LEFT_LEVEL
     if (left and share < EXPLAINED) or departed:
         return UNKNOWN
-    return AMBIGUOUS if alternatives else NAMED
+    return AMBIGUOUS if rivals else NAMED
 
 
-def _departed(plain: ExtendedFit, final: ExtendedFit) -> tuple[Departure, ...]:
+def _in_their_place(plain: ExtendedFit, final: ExtendedFit, found: Sequence[Departure]) -> tuple[Departure, ...]:
+    """Of quantities left free those that explain much of the same without the causes."""
+    fall = plain.chi2 - final.chi2
+    alone = departures(plain, {d.text for d in found}) if found else ()
+    instead = {d.text for d in alone if d.excess > _IN_ITS_PLACE * fall}
+    return tuple(d for d in found if d.text in instead)
+
+
+def _departed(
+    plain: ExtendedFit, final: ExtendedFit, found: Sequence[Departure], level: float, of_tolerated: float
+) -> tuple[Departure, ...]:
     """Quantities that explain, left free, beside the causes a share that no form of theirs does."""
-    fall, found = plain.chi2 - final.chi2, departures(final)
-    part = _OF_WEAK + (1 - _OF_WEAK) * min(1.0, fall / _ALL_OF_FORM)
-    return tuple(d for d in found if d.p_value < DEPARTED_LEVEL and d.excess > part * d.tolerated * (fall + d.excess))
+    fall = plain.chi2 - final.chi2
+    part = of_tolerated * (_OF_WEAK + (1 - _OF_WEAK) * min(1.0, fall / _ALL_OF_FORM))
+    return tuple(d for d in found if d.p_value < level and d.excess > part * d.tolerated * (fall + d.excess))

@@ -2,13 +2,14 @@
 
 A listed cause that stands for an unlisted one leaves what it cannot follow: a stiffness that differs from recording to recording,
 a bend of the force over strain of any shape, a resonance that is not the clamp's. Smooth patterns of the residual hardly see
-that, spread over all recordings as it is; a few free numbers in the stage where it acts do. What material, rig and the causes in
-the model absorb is taken off, so that the sum of squares of the scores is χ² under the null.
+that, spread over all recordings as it is; a few free numbers in the stage where it acts do. Of forms of which one at a time is
+likely, the best is taken, and its probability multiplied by their number. What material, rig and the causes in the model absorb is
+taken off, so that the sum of squares of the scores is χ² under the null.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,8 @@ _KNOTS_HZ = np.geomspace(0.01, 160.0, 15), np.geomspace(5.0, 160.0, 26)
 _TOLERATED, _TOLERATED_BY_FREQUENCY = 0.08, 0.2
 """Shares that forms of right causes leave which are not quite the rig's own; over frequency the causes that begin at a load leave
 more, for they act where the resonance makes the load."""
-_CHARGING_S = (0.5, 5.0)
+_CHARGING_S = (0.0, 0.2, 1.5, 4.0, 12.0)
+_PERIODS_S = np.geomspace(600.0, 7200.0, 16)
 _RATE_S = 0.1
 
 
@@ -40,16 +42,18 @@ class Departure:
     """One quantity left free. `statistic` is χ² with `degrees_of_freedom` under the null; `text` says what differs.
 
     tolerated : share of what it and the causes explain together that it may have where the causes are right
+    forms : number of those of which this is the best
     """
 
     text: str
     statistic: float
     degrees_of_freedom: int
     tolerated: float
+    forms: int = 1
 
     @property
     def p_value(self) -> float:
-        return float(chdtrc(max(self.degrees_of_freedom, 1), self.statistic))
+        return min(1.0, self.forms * float(chdtrc(max(self.degrees_of_freedom, 1), self.statistic)))
 
     @property
     def excess(self) -> float:
@@ -57,61 +61,66 @@ class Departure:
         return self.statistic - self.degrees_of_freedom
 
 
-def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
-    """Every quantity left free beside a fitted model, the least probable first."""
+def departures(fit: ExtendedFit, only: Collection[str] | None = None) -> tuple[Departure, ...]:
+    """Every quantity left free beside a fitted model, or those of these texts, the least probable first."""
     of, session = fit.of, fit.of.session
     base, own, absorbed = of.predict(fit.x), of.effect(fit.x), absorbed_by(fit)
     found = []
-    for text, tolerated, effects in _free(session):
-        rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in effects]
-        rows = [row for row in rows if np.isfinite(row).all()]
-        if not rows:
+    for free in _free(session):
+        if not free.effects or (only is not None and free.text not in only):
             continue
-        seen = of.weight[:, None] * session.whiten(np.array(rows).T)
+        rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in free.effects]
+        seen = of.weight[:, None] * session.whiten(np.nan_to_num(np.array(rows)).T)
         length = np.linalg.norm(seen, axis=0)
-        visible = length > LEAST_VISIBLE  # what a change by the whole leaves less of is rounding
-        if visible.any():
-            seen = seen[:, visible] / length[visible]
-            found.append(Departure(text, *quadratic(*unabsorbed(fit, seen, absorbed)), tolerated))
+        # What a change by the whole leaves less of is rounding.
+        visible = (length > LEAST_VISIBLE) & np.isfinite(rows).all(axis=1)
+        if not visible.any():
+            continue
+        gram, score = unabsorbed(fit, seen / np.maximum(length, LEAST_VISIBLE), absorbed)
+        at_once = free.at_once or visible.size
+        forms = [i[visible[i]] for i in np.arange(visible.size).reshape(-1, at_once) if visible[i].any()]
+        tests = [
+            Departure(free.text, *quadratic(gram[np.ix_(i, i)], score[i]), free.tolerated, len(forms)) for i in forms
+        ]
+        found.append(min(tests, key=lambda d: d.p_value))
     return tuple(sorted(found, key=lambda d: d.p_value))
 
 
-def _free(session: Session) -> Iterator[tuple[str, float, list[Effect]]]:
-    """What is left free, in words, the share that it may have, and an effect of size `_STEP` for each number."""
+@dataclass(frozen=True)
+class _Free:
+    """What is left free, in words, an effect of size `_STEP` for each number, and the share that it may have.
+
+    at_once : numbers that are one form, of which the best is taken; 0: all are
+    """
+
+    text: str
+    effects: list[Effect]
+    at_once: int = 0
+    tolerated: float = _TOLERATED
+
+
+def _free(session: Session) -> Iterator[_Free]:
     spans = _spans(session)
-    yield (
-        "the stiffness differs from recording to recording",
-        _TOLERATED,
-        [Effect(film=(_film(_within(s)),)) for s in spans],
+    yield _Free("the stiffness differs from recording to recording", [_stiffer(_within(s)) for s in spans])
+    yield _Free("the stiffness changes for good", [_stiffer(_within((s[0], np.inf))) for s in spans[1:]], 1)
+    yield _Free(
+        "the stiffness comes and goes over the session",
+        [_stiffer(_swinging(period, turn)) for period in _PERIODS_S for turn in (0.0, 0.25)],
+        2,
     )
     if session.scale.voltage_kv > 0:
-        yield (
-            "the actuation differs from recording to recording",
-            _TOLERATED,
-            [Effect(actuation=(_factor(_within(s)),)) for s in spans],
-        )
-        yield (
-            "the actuation follows the voltage in another way",
-            _TOLERATED,
-            [Effect(actuation=(_factor(f),)) for f in _of_voltage(session.scale.voltage_kv)],
-        )
+        yield _Free("the actuation differs from recording to recording", [_acting(_within(s)) for s in spans])
+        ways = [_acting(f) for f in _of_voltage(session.scale.voltage_kv)]
+        yield _Free("the actuation follows the voltage in another way", ways, 1)
     for knots in _KNOTS_HZ:
-        yield (
+        yield _Free(
             "the stiffness under mechanical tests follows the frequency in another way",
-            _TOLERATED_BY_FREQUENCY,
-            [Effect(film=(_film(_near(knots, i, turn)),)) for i in range(knots.size) for turn in (1.0, 1j)],
+            [_stiffer(_near(knots, i, turn)) for i in range(knots.size) for turn in (1.0, 1j)],
+            tolerated=_TOLERATED_BY_FREQUENCY,
         )
     if session.scale.strain > 0:
-        yield (
-            "the force follows the strain in another way",
-            _TOLERATED,
-            [Effect(tension=(t,)) for t in _of_strain(session)],
-        )
-    yield (
-        "the reading follows the force in another way",
-        _TOLERATED,
-        [Effect(reading=(_bent(power),)) for power in (2, 3)],
-    )
+        yield _Free("the force follows the strain in another way", [Effect(tension=(t,)) for t in _of_strain(session)])
+    yield _Free("the reading follows the force in another way", [Effect(reading=(_bent(power),)) for power in (2, 3)])
 
 
 def _spans(session: Session) -> list[tuple[float, float]]:
@@ -125,16 +134,23 @@ def _spans(session: Session) -> list[tuple[float, float]]:
 Weight = Callable[[View], Float | Complex]
 
 
-def _film(weight: Weight) -> Callable[[Film, View], Film]:
-    return lambda film, view: Film(film.k * (1 + _STEP * weight(view)), film.share)
+def _stiffer(weight: Weight) -> Effect:
+    def stiffer(film: Film, view: View) -> Film:
+        return Film(film.k * (1 + _STEP * weight(view)), film.share)
+
+    return Effect(film=(stiffer,))
 
 
-def _factor(weight: Weight) -> Callable[[View], Float | Complex]:
-    return lambda view: 1 + _STEP * weight(view)
+def _acting(weight: Weight) -> Effect:
+    return Effect(actuation=(lambda view: 1 + _STEP * weight(view),))
 
 
 def _within(span: tuple[float, float]) -> Weight:
     return lambda view: np.asarray((view.session_s >= span[0]) & (view.session_s < span[1]), dtype=np.float64)
+
+
+def _swinging(period_s: float, turn: float) -> Weight:
+    return lambda view: np.sin(2 * np.pi * (view.session_s / period_s + turn))
 
 
 def _of_voltage(highest_kv: float) -> list[Weight]:
@@ -143,7 +159,7 @@ def _of_voltage(highest_kv: float) -> list[Weight]:
     def at(power: int, charging_s: float) -> Weight:
         return lambda view: (view.voltage_kv / highest_kv) ** power / (1 + 2j * np.pi * view.frequency_hz * charging_s)
 
-    return [at(power, charging_s) for power in (2, 4) for charging_s in (0.0, *_CHARGING_S)]
+    return [at(power, charging_s) for power in (1, 2, 4) for charging_s in _CHARGING_S]
 
 
 def _near(knots: Float, number: int, turn: complex) -> Weight:

@@ -8,13 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
-from pipeline.diagnose.features import SPHS_VOLTAGE, STEP_CAPACITANCE, STEP_VOLTAGE, RecordingFeatures
+from pipeline.diagnose.blocks import assembled
+from pipeline.diagnose.features import (
+    SPHS_VOLTAGE,
+    STEP_CAPACITANCE,
+    STEP_VOLTAGE,
+    TAP_RING,
+    WEIGHT_GAIN,
+    RecordingFeatures,
+)
 from pipeline.diagnose.mechanisms.mechanism import CYCLES, MULTISINE_FORCE, RAMPS, STEP_SENSED, SWEEPS, Mechanism
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.session import Session
@@ -37,6 +45,8 @@ _KINDS = {
     "relaxation": RAMPS,
     "sphs": MULTISINE_FORCE | {SPHS_VOLTAGE},
     "step": STEP_SENSED | {STEP_VOLTAGE},
+    "tap": {TAP_RING},
+    "weight": {WEIGHT_GAIN},
 }
 _SWEEP_S, _REST_S = 6.0, 2.0
 _SPHS: dict[str, Key] = {
@@ -47,15 +57,30 @@ _SPHS: dict[str, Key] = {
     "lines": "odd",
 }
 _USUAL_STRAIN = 0.02
-_LONG_REST_S = 7200.0
+_LONG_REST_S, _LONG_HOLD_S = 7200.0, 7200.0
+_WARMER, _TEMPERATURE = "warmer_k", "temperature_degc"
+_WARMER_K, _TO_WARM_S, _ROOM_DEGC = 10.0, 3600.0, 23.0
+_CARRIED = ("pre_strain", "actuation_n_per_kv2", "actuation_sd")
+"""What a recording tells of the specimen, and the next one would tell again."""
+_CALIBRATION_SD = {"tap": (7e-4, 3e-3), "weight": (1e-3,)}
+"""Standard deviations that calibrations have in a laboratory: of ln f and of the damping ratio; of the gain."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A recording to make: keys of the contract's `recording` block, and how a person would ask for it."""
+    """A recording to make: keys of the contract's `recording` block, and how a person would ask for it.
+
+    more : recordings of the same protocol to make after it, where one does not decide; `warmer_k` in a design: the room is that much
+    warmer than it is now, and its temperature recorded
+    """
 
     design: Mapping[str, Key]
     text: str
+    more: tuple[Mapping[str, Key], ...] = ()
+
+    @property
+    def designs(self) -> tuple[Mapping[str, Key], ...]:
+        return (self.design, *self.more)
 
     @property
     def test(self) -> str:
@@ -70,7 +95,8 @@ def showing(proposals: Sequence[Proposal], causes: Sequence[Mechanism]) -> list[
 
 
 def catalogue(session: Session) -> list[Proposal]:
-    """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity.
+    """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity;
+    and the calibrations of its rig.
 
     None is larger than what the session has: that could bring effects of its own, or the end of the film.
     """
@@ -107,12 +133,38 @@ def catalogue(session: Session) -> list[Proposal]:
             )
         )
     rested: dict[str, Key] = {"rest_before_s": _LONG_REST_S}
+    held: dict[str, Key] = {
+        "protocol": "step",
+        "loading": "mechanical",
+        "strain_pp": round(largest, 4),
+        "hold_s": _LONG_HOLD_S,
+    }
+    hold = f"of {100 * largest:.2g} % strain held for two hours"
     found += [
-        Proposal({**p.design, **rested}, f"{p.text}, after two hours of rest") for p in found if p.test == "chirp"
+        Proposal(held, f"a step {hold}"),
+        Proposal(
+            {**held, **rested}, f"three steps {hold}, with two hours of rest before each", 2 * ({**held, **rested},)
+        ),
+    ]
+    chirps = [p for p in found if p.test == "chirp"]
+    found += [Proposal({**p.design, **rested}, f"{p.text}, after two hours of rest") for p in chirps]
+    found += [
+        Proposal(
+            {**p.design, _WARMER: 0.0},
+            f"{p.text}, then again after an hour in a room {_WARMER_K:g} K warmer, the temperature recorded",
+            ({**p.design, _WARMER: _WARMER_K, "rest_before_s": _TO_WARM_S},),
+        )
+        for p in chirps
     ]
     if session.scale.voltage_kv > 0:
         found += _electrical(session.scale.voltage_kv)
-    return found
+    weight: dict[str, Key] = {"protocol": "weight", "loading": "calibration"}
+    tapped: dict[str, Key] = {"protocol": "tap", "loading": "calibration"}
+    return [
+        *found,
+        Proposal(weight, "known weights on the load cell, without film"),
+        Proposal(tapped, "taps on the clamp, without film"),
+    ]
 
 
 def _electrical(highest: float) -> list[Proposal]:
@@ -145,13 +197,51 @@ def _electrical(highest: float) -> list[Proposal]:
     return found
 
 
-def imagined(session: Session, physical: Physical, proposal: Proposal) -> RecordingFeatures:
-    """Features of the proposed recording after the session's last one, on its rig. Raises `NotIdentifiableError` as `reduce`."""
+def imagined(session: Session, physical: Physical, proposal: Proposal) -> list[RecordingFeatures]:
+    """Features of the proposed recordings after the session's last one, on its rig. Raises `NotIdentifiableError` as `reduce`."""
+    made: list[RecordingFeatures] = []
+    for number, design in enumerate(proposal.designs):
+        last = made[-1] if made else session.recordings[-1]
+        pause_s = float(design.get("rest_before_s", _PAUSE_S))
+        started_at = last.started_at + timedelta(seconds=last.duration_s + pause_s)
+        make = _calibrated if design["loading"] == "calibration" else _tested
+        made.append(make(session, physical, proposal, number, started_at))
+    return made
+
+
+def _calibrated(
+    session: Session, physical: Physical, proposal: Proposal, place: int, started_at: datetime
+) -> RecordingFeatures:
+    """A calibration of the rig; what it would read is predicted later, its noise is what laboratories reach."""
+    sd = np.array(_CALIBRATION_SD[proposal.test])
+    kind = TAP_RING if proposal.test == "tap" else WEIGHT_GAIN
+    value = np.zeros(sd.size) if kind == TAP_RING else np.ones(1)
+    block = assembled(kind, proposal.text, value, ("unit/0",), np.diag(sd**2)[None], is_complex=False)
+    last = session.recordings[-1]
+    return replace(
+        last,
+        recording_id=f"next-{place + 1}",
+        protocol=proposal.test,
+        loading="calibration",
+        started_at=started_at,
+        duration_s=_PAUSE_S,
+        blocks=(block,),
+        noise=(),
+        values={k: v for k, v in last.values.items() if k in _CARRIED},
+        warnings=(),
+    )
+
+
+def _tested(
+    session: Session, physical: Physical, proposal: Proposal, place: int, started_at: datetime
+) -> RecordingFeatures:
+    """A test of the specimen, with the output that the plain model gives for its input."""
     last = session.recordings[-1]
     number = int(session.rig[-1])
-    rng = np.random.default_rng(_SEED)
-    time, given = _INPUTS[proposal.test](proposal.design, session.scale.length_mm, 1 / _RATE_HZ[proposal.test])
-    electrical = proposal.design["loading"] == "electrical"
+    design = proposal.designs[place]
+    rng = np.random.default_rng(_SEED + place)
+    time, given = _INPUTS[proposal.test](design, session.scale.length_mm, 1 / _RATE_HZ[proposal.test])
+    electrical = design["loading"] == "electrical"
     channels: dict[str, Float] = {"voltage" if electrical else "displacement": given}
     frequency = np.asarray(np.fft.rfftfreq(2 * given.size, 1 / _RATE_HZ[proposal.test]), dtype=np.float64)
     drive = given**2 if electrical else given
@@ -163,27 +253,30 @@ def imagined(session: Session, physical: Physical, proposal: Proposal) -> Record
         k = physical.film.stiffness(frequency)
         sensed = _response(physical, number, frequency, True) * (physical.film.k0 / k) * physical.pf_per_n
         channels["capacitance"] = _filtered(drive, sensed)
-    pause_s = float(proposal.design.get("rest_before_s", _PAUSE_S))
-    started_at = last.started_at + timedelta(seconds=last.duration_s + pause_s)
     begin = int(started_at.timestamp() * _NS)
     stamps = begin + np.rint(time * _NS).astype(np.int64)
     made = {
         quantity: Channel(quantity, stamps, values + rng.normal(0.0, _noise(session, number, quantity), values.size))
         for quantity, values in channels.items()
     }
-    extra = ("polarity", "hold_s")
-    keys = {k: v for k, v in proposal.design.items() if k not in extra}
+    extra = ("polarity", "hold_s", _WARMER)
+    keys = {k: v for k, v in design.items() if k not in extra}
     metadata = RecordingMetadata.parse(
         {
             **{k: (f"{v:g}" if isinstance(v, float) else v) for k, v in keys.items()},
-            "recording_id": "next",
+            "recording_id": f"next-{place + 1}",
             "specimen_id": session.specimen_id,
             "started_at": started_at.isoformat(),
             "total_length_mm": f"{session.scale.length_mm:g}",
         }
     )
     found = reduce(Recording(metadata=metadata, rig=last.rig, channels=made))
-    carried = {k: v for k, v in last.values.items() if k in ("pre_strain", "actuation_n_per_kv2", "actuation_sd")}
+    carried = {k: v for k, v in last.values.items() if k in _CARRIED}
+    if _WARMER in design:
+        now = next(
+            filter(np.isfinite, (r.values.get(_TEMPERATURE, np.nan) for r in session.recordings[::-1])), _ROOM_DEGC
+        )
+        carried[_TEMPERATURE] = now + float(design[_WARMER])
     return replace(found, values={**found.values, **carried})
 
 

@@ -39,6 +39,7 @@ from pipeline.diagnose.session import Session, make_session
 from pipeline.diagnose.structure import Structure, words
 from pipeline.diagnose.tempering import explained
 from pipeline.fit.model import RelaxationModel
+from schemas.mechanisms import UNLISTED
 
 Float = NDArray[np.float64]
 
@@ -68,7 +69,10 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     gain = None if final is None else held_out(outcome.plain, final)
     verdict = _checked(outcome, gain)
     named = () if final is None else tuple(c.id for c in final.of.chosen)
-    alternatives = tuple(fit.of.chosen[0].id for fit in outcome.alternatives)
+    alternatives = (
+        *(fit.of.chosen[0].id for fit in outcome.alternatives),
+        *((UNLISTED,) if outcome.doubtful else ()),
+    )
     return Diagnosis(
         specimen_id=session.specimen_id,
         verdict=verdict,
@@ -84,7 +88,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         smallest_detectable=reported(smallest, context),
         invisible=invisible(session.kinds),
         could_not_ask=could_not_ask(session),
-        unexplained=_unexplained(outcome) if verdict == UNKNOWN else (),
+        unexplained=_unexplained(outcome) if verdict == UNKNOWN else _doubted(outcome) if verdict == AMBIGUOUS else (),
         plain_film=outcome.untempered.of.model.physical(outcome.untempered.theta).film,
         residuals=_residuals(session, outcome),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
@@ -256,6 +260,10 @@ def _unexplained(outcome: Outcome) -> tuple[str, ...]:
     if depends:
         found.append(f"What stays depends on {', '.join(depends)}.")
     return tuple(found)
+
+
+def _doubted(outcome: Outcome) -> tuple[str, ...]:
+    return tuple(f"It may be a cause that is in no list: beside the one named, {d.text}." for d in outcome.doubtful[:1])
 
 
 def _residuals(session: Session, outcome: Outcome) -> tuple[Residuals, ...]:

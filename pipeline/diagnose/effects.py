@@ -42,7 +42,8 @@ class View:
     recording_s, session_s : time since the start of the recording and of the session
     voltage_kv : largest voltage of the state; `exposure_kv2_s`: ∫V²dt until then, over the session;
         `exposure_start_kv2_s`: until the recording began
-    temperature_k : measured temperature less that of the first recording, NaN where not recorded
+    temperature_k : measured temperature less that of the first recording with one, NaN where not recorded;
+        `first_temperature_s`: session's time when that began, NaN where none has one
     rest_force_n : tension before the recording, NaN where not known
     k0 : N/mm, main spring of the plain film
     test : `sweep`, `cyclic`, `ramp`, `step` (of voltage) or `multisine`
@@ -60,6 +61,7 @@ class View:
     exposure_kv2_s: Float
     exposure_start_kv2_s: Float
     temperature_k: Float
+    first_temperature_s: Float
     rest_force_n: Float
     scale: Scale
     test: str

@@ -130,6 +130,7 @@ def state_view(session: Session, number: Int, frequency: Float, test: str, *, st
         exposure_kv2_s=column(states.exposure_kv2_s),
         exposure_start_kv2_s=column(states.exposure_start_kv2_s),
         temperature_k=column(states.temperature_k),
+        first_temperature_s=column(states.first_temperature_s),
         rest_force_n=column(states.rest_force_n),
         scale=session.scale,
         test=test,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pipeline.diagnose.designs import Proposal, catalogue, imagined, showing
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.further import CLOSE
+from pipeline.diagnose.noise_density import NoiseLaw
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.results import NextRecording
 from pipeline.diagnose.session import Session, make_session
@@ -37,18 +38,17 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
         return None
     session = final.of.session
     physical = final.of.model.physical(final.theta)
-    laws = {key: replace(law, white=np.append(law.white, np.median(law.white))) for key, law in session.laws.items()}
     best: tuple[float, float, Proposal] | None = None
     causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
     for proposal in showing(catalogue(session), causes):
         try:
             new = imagined(session, physical, proposal)
-            later = make_session([*session.recordings, new], laws)
+            later = make_session([*session.recordings, *new], _laws(session, len(new)))
         except NotIdentifiableError:
             continue
         number = len(session.recordings)
         # What severities are relative to stays that of the session at hand, however large the new recording is.
-        part = replace(later.part([p.recording == number for p in later.places]), scale=session.scale)
+        part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
         separations = [_separation(part, final, rival) for rival in alternatives]
         surely = min(_nearly_surely(s) + r.chi2 - final.chi2 for s, r in zip(separations, alternatives, strict=True))
         if best is None or surely > best[0]:
@@ -57,7 +57,15 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
         return None
     _, separation, proposal = best
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
-    return NextRecording(proposal.design, f"{proposal.text}: tells {rivals} apart", separation)
+    return NextRecording(proposal.designs, f"{proposal.text}: tells {rivals} apart", separation)
+
+
+def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
+    """Noise of a session's channels, with that of so many further recordings: as loud as that of the others."""
+    return {
+        key: replace(law, white=np.append(law.white, np.full(number, np.median(law.white))))
+        for key, law in session.laws.items()
+    }
 
 
 def _nearly_surely(separation: float) -> float:

@@ -101,10 +101,11 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class NextRecording:
-    """A recording that would tell causes apart. `design`: keys of the contract's `recording` block; `text` for people;
-    `separation`: expected difference of χ² between the two closest causes."""
+    """A recording, or a few, that would tell causes apart. `designs`: keys of the contract's `recording` block of each, and
+    `warmer_k`, how much warmer than now the room is; `text` for people; `separation`: expected difference of χ² between the two
+    closest causes."""
 
-    design: Mapping[str, str | float]
+    designs: tuple[Mapping[str, str | float], ...]
     text: str
     separation: float
 
@@ -153,14 +154,14 @@ class Diagnosis:
 
     verdict : none, named, ambiguous or unknown
     mechanisms : all that are named together, the strongest first; empty for none; for `unknown` those that explain a part
-    also_possible : alternatives to the strongest that the recordings cannot tell from it
+    also_possible : alternatives to the strongest that the recordings cannot tell from it; `unlisted` where it may be none of the list
     p_value : of the whole search under the noise alone
     supported_by : protocols in which the extension lowers the misfit clearly
     smallest_detectable : mechanism → key → severity that would be found with 80 % probability; smallest_parameters the same in
         the extension's own parameters (onset types: largest load over onset, less 1)
     invisible : mechanisms that leave no trace in these recordings
     could_not_ask : questions that these recordings cannot answer, in words
-    unexplained : what is left where the verdict is unknown, in words
+    unexplained : what is left where the verdict is unknown, or what speaks for a cause that is in no list, in words
     explained : share of the plain model's misfit that the mechanisms explain together; NaN for none
     left_p_value : of smooth patterns that they leave, on the scale that allows their form to be a little wrong; NaN for none
     """

@@ -69,6 +69,7 @@ class States:
     exposure_kv2_s: Float
     exposure_start_kv2_s: Float
     temperature_k: Float
+    first_temperature_s: Float
     rest_force_n: Float
 
     @property
@@ -306,7 +307,10 @@ def _states(ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Fl
     rows: list[dict[str, float]] = []
     places: list[Place] = []
     largest, exposed, at = 0.0, 0.0, 0
-    first_temperature = next((r.values["temperature_degc"] for r in ordered if "temperature_degc" in r.values), np.nan)
+    first_temperature, since = next(
+        ((r.values["temperature_degc"], start[i]) for i, r in enumerate(ordered) if "temperature_degc" in r.values),
+        (np.nan, np.nan),
+    )
     for i, r in enumerate(ordered):
         own = r.values.get("largest_strain", 0.0)
         known: dict[tuple[float, float], int] = {}
@@ -332,6 +336,7 @@ def _states(ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Fl
                         + r.values.get("exposure_kv2_s", 0.0) * min(time / max(r.duration_s, 1e-9), 1.0),
                         "exposure_start_kv2_s": exposed,
                         "temperature_k": r.values.get("temperature_degc", np.nan) - first_temperature,
+                        "first_temperature_s": since,
                         "rest_force_n": r.values.get("rest_force_n", np.nan),
                     }
                 )

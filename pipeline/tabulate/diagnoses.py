@@ -123,7 +123,7 @@ def _diagnosis_row(d: Diagnosis) -> dict[str, Any]:
     if d.next_recording is not None:
         row |= {
             "next_recording": d.next_recording.text,
-            "next_design": json.dumps(dict(d.next_recording.design)),
+            "next_design": json.dumps([dict(design) for design in d.next_recording.designs]),
             "next_separation": d.next_recording.separation,
         }
     return row

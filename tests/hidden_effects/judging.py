@@ -29,6 +29,7 @@ from pipeline.diagnose.session import Place
 from pipeline.diagnose.session import Session as FeatureSession
 from pipeline.diagnose.session import make_session as session_of
 from pipeline.diagnose.solve import central
+from pipeline.fit.model import RelaxationModel
 from tests.hidden_effects.truth import (
     KINDS,
     Effect,
@@ -79,6 +80,8 @@ class Judgement:
     bias : largest change of the plain film's parameters by what is hidden, from the specimen's clean session with the same noise, in
         standard deviations
     curve_before, curve_after : mean relative error of k(jω) over 1–100 Hz of the plain and of the extended film
+    apart_before, apart_after : largest deviation of their parameters from the truth, in standard deviations of the plain film's; NaN
+        where the truth has another number of arms
     off : deviation of that severity from the truth in standard deviations; NaN where not defined
     split : whether the recording that an ambiguous diagnosis proposes, made and diagnosed with the others, leaves one cause, the
         right one; False where it proposes none, None where the diagnosis is not ambiguous
@@ -104,6 +107,15 @@ class Judgement:
     off: float = float("nan")
     split: bool | None = None
     proposed: bool = False
+    apart_before: float = float("nan")
+    apart_after: float = float("nan")
+
+    @property
+    def nearer(self) -> bool:
+        """Whether the extended film is nearer to the truth than the plain one, in what its bias is told by."""
+        if np.isnan(self.apart_before) or np.isnan(self.apart_after):
+            return self.curve_after < self.curve_before
+        return self.apart_after < self.apart_before
 
     @property
     def hidden(self) -> tuple[str, ...]:
@@ -315,6 +327,7 @@ def _held_out(held: HeldOut, truth: Session) -> tuple[float, float, int]:
 
 def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[Effect, ...]) -> Judgement:
     bias = before = after = float("nan")
+    apart = [float("nan")] * 2
     covered, off, split = None, float("nan"), None
     if session is not None:
         film = session.truth.specimen.film
@@ -323,6 +336,7 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
             float(np.mean(np.abs(f.stiffness(_BAND) - truth) / np.abs(truth))) for f in (d.plain_film, film_of(d))
         )
         bias = _bias(d, clean(case.seed, case.size, case.material))
+        apart = [_apart(d, f, film) for f in (d.plain_film, film_of(d))]
         covered, off = _covered(d, session, effects)
         split = _split(d, session, effects)
     error, left, size = float("nan"), float("nan"), 0
@@ -348,16 +362,22 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
         off=off,
         split=split,
         proposed=d.next_recording is not None,
+        apart_before=apart[0],
+        apart_after=apart[1],
     )
 
 
 def _bias(d: Diagnosis, without: Diagnosis) -> float:
     """Largest difference of the plain film's parameters with and without an effect, in standard deviations; NaN where not defined."""
-    films = d.plain_film, without.plain_film
-    if d.extension is None or len(films[0].k) != len(films[1].k):
+    return _apart(d, d.plain_film, without.plain_film)
+
+
+def _apart(d: Diagnosis, one: RelaxationModel, other: RelaxationModel) -> float:
+    """Largest difference of two films' parameters in standard deviations of the plain one; NaN for other numbers of arms."""
+    if d.extension is None or not len(one.k) == len(other.k) == len(d.plain_film.k):
         return float("nan")
-    now, before = (np.array([film.k0, *film.k, *film.tau]) for film in films)
-    return float(np.max(np.abs(now - before) / np.array(d.extension.plain_film_sd)))
+    found, expected = (np.array([film.k0, *film.k, *film.tau]) for film in (one, other))
+    return float(np.max(np.abs(found - expected) / np.array(d.extension.plain_film_sd)))
 
 
 def _covered(d: Diagnosis, session: Session, effects: tuple[Effect, ...]) -> tuple[bool | None, float]:
@@ -387,8 +407,8 @@ def _split(d: Diagnosis, session: Session, effects: tuple[Effect, ...]) -> bool 
     if d.next_recording is None:
         return False
     whole = ("repeats", "periods", "cycles")
-    design = {k: int(v) if k in whole else v for k, v in d.next_recording.design.items()}
-    again = observe(session.extended(design))
+    designs = [{k: int(v) if k in whole else v for k, v in design.items()} for design in d.next_recording.designs]
+    again = observe(session.extended(*designs))
     return again.verdict == NAMED and set(again.mechanisms) == {e.id for e in effects}
 
 

@@ -156,6 +156,14 @@ def test_a_session_without_any_response_is_refused_with_a_reason() -> None:
         diagnose([])
 
 
+def test_a_warmer_room_tells_warming_from_cycles() -> None:
+    """No recording at the same temperature would, once both have come to their end; none of the session has a temperature."""
+    found = judge(Case(706_000_008, "compact", (("thermal_softening", 1.5),)))
+    assert found.verdict == "ambiguous"
+    assert {found.named[0], *found.possible} == {"thermal_softening", "cyclic_softening"}
+    assert found.split
+
+
 def test_the_proposed_recording_tells_the_causes_apart() -> None:
     """A voltage that is offset and a permittivity that falls with the field look alike until the polarity is turned."""
     found = judge(Case(202_610_009, "compact", (("field_dependent_permittivity", 2.0),)))

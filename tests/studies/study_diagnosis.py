@@ -137,7 +137,7 @@ def rates(sorts: Sorts) -> list[Rate]:
         Rate("causes ambiguous: a recording that could tell them apart exists and is proposed", [j.proposed for j in ambiguous]),
         Rate("… the recording proposed, once made, leaves the right cause alone", [bool(j.split) for j in ambiguous if j.proposed], "≥ 90 %", 0.9),
         Rate("severity within its 90 % interval (forms that define it)", [bool(j.covered) for j in seen if j.covered is not None], "85–95 %", 0.85, 0.95),
-        Rate("material nearer to the truth where it was biased by more than 2 σ", [j.curve_after < j.curve_before for j in biased], "≥ 95 %", 0.95),
+        Rate("material nearer to the truth where it was biased by more than 2 σ", [j.nearer for j in biased], "≥ 95 %", 0.95),
         Rate("two effects at 4 ×: both named", [set(j.hidden) <= {*j.named} for j in sorts.pairs], "≥ 80 %", 0.8),
         Rate("two effects at 4 ×: both named or possible", [set(j.hidden) <= {*j.named, *j.possible} for j in sorts.pairs]),
         Rate("effects in no list at 4 ×: unknown, ambiguous or nothing found", [j.verdict != "named" for j in unlisted], "≥ 70 %", 0.7),

@@ -101,7 +101,7 @@ def test_programs_get_everything_as_objects(lab: Lab) -> None:
     assert first["candidates"][0]["mechanism"] == "gain_error"
     assert first["discrepancies"][0]["recording_id"] == "r-1"
     assert {p["parameter"] for p in first["parameters"]} >= {"k0", "k1", "tau1"}
-    assert first["next_design"] == {"protocol": "weight"}
+    assert first["next_design"] == [{"protocol": "weight"}]
     assert [o["verdict"] for o in others] == ["ambiguous", "none", None]
 
 

@@ -78,7 +78,7 @@ NAMED = Diagnosis(
     ),
     candidates=(Candidate("gain_error", 880.0, 870.0, 0.99, 0.1, 0.01, 0.98, NAN, "force", "one channel × (1 + g)"),),
     discrepancies=(Discrepancy("r-1", "sweep 1, 1 to 3 Hz", 800.0, 8, 1e-12, "The response is missed by 3 %."),),
-    next_recording=NextRecording({"protocol": "weight"}, "Hang 50 g on the cell", 40.0),
+    next_recording=NextRecording(({"protocol": "weight"},), "Hang 50 g on the cell", 40.0),
     smallest_detectable={"leakage": {"droop": 0.02}, "slack": {"overload": float("inf")}},
     invisible=("wrinkling",),
     could_not_ask=("no temperature",),
@@ -104,7 +104,7 @@ def test_rows_of_a_named_diagnosis() -> None:
     assert severity["cyclic_softening"]["loss"] == {"value": 0.2, "sd": None, "lower": None, "upper": None}
     assert json.loads(row["smallest_detectable"]) == {"leakage": {"droop": 0.02}, "slack": {}}
     assert json.loads(row["held_out_parts"]) == {"chirp": {"before": 5.0, "after": 1.2}}
-    assert json.loads(row["next_design"]) == {"protocol": "weight"}
+    assert json.loads(row["next_design"]) == [{"protocol": "weight"}]
     assert (row["gain"], row["gain_lower"], row["chi2"], row["chi2_extended"]) == (0.97, 0.94, 900.0, 20.0)
     assert row["could_not_ask"] == ["no temperature"]
     (candidate,) = tables["diagnosis_candidates"].to_pylist()

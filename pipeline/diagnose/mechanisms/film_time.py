@@ -47,8 +47,9 @@ def _warm(values: Values, variant: str) -> Effect:
     per_kelvin, rise, tau = values["per_kelvin"], values["rise_k"], values["time_constant_s"]
 
     def softer(film: Film, view: View) -> Film:
-        supposed = rise * -np.expm1(-view.session_s / tau)
-        warming = np.where(np.isfinite(view.temperature_k), view.temperature_k, supposed)
+        supposed, until = (rise * -np.expm1(-t / tau) for t in (view.session_s, view.first_temperature_s))
+        # A temperature that is recorded from the middle on counts from what was supposed until then.
+        warming = np.where(np.isfinite(view.temperature_k), view.temperature_k + until, supposed)
         return Film(film.k * np.exp(-per_kelvin * warming), film.share)
 
     return Effect(film=(softer,)) if per_kelvin else Effect()

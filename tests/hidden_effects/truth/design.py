@@ -22,6 +22,7 @@ COMMON: Mapping[str, Any] = {
     "pre_extension_mm": 0.0,
     "sample_rate_hz": None,
     "temperature": False,
+    "warmer_k": None,
 }
 TESTS: Mapping[str, Mapping[str, Any]] = {
     "chirp": {

@@ -109,7 +109,7 @@ class TruthRig:
         time_s: Float = np.arange(plan.samples) * plan.sample_interval_s
         values["temperature"] = (
             ROOM_C
-            + self._warming(memory.clock_s + time_s)
+            + self._warming(plan, memory.clock_s + time_s)
             + np.linspace(memory.film[mechanics.HEAT], film[mechanics.HEAT], plan.samples)
         )
         self._electronics(plan, values, time_s, memory.clock_s, rng)
@@ -181,13 +181,13 @@ class TruthRig:
         scale_s = exposure_scale(degradation, self.plain)
         return actuation.degraded(exposure_s, degradation.severity, scale_s, degradation.number("stretch"))
 
-    def _warming(self, time_s: Float) -> Float:
-        """Warming of the room at the film since the session began, K."""
-        thermal = self.hidden.get("thermal_softening")
+    def _warming(self, plan: Plan, time_s: Float) -> Float:
+        """Warming of the room at the film since the session began, K: by itself and as the design says."""
+        thermal, set_k = self.hidden.get("thermal_softening"), float(plan.design["warmer_k"] or 0.0)
         if thermal is None:
-            return np.zeros(time_s.size)
+            return np.full(time_s.size, set_k)
         fast, slow = (-np.expm1(-time_s / thermal.number(name)) for name in ("fast_s", "slow_s"))
-        return np.asarray(thermal.number("rise_k") * (0.5 * fast + 0.5 * slow))
+        return np.asarray(set_k + thermal.number("rise_k") * (0.5 * fast + 0.5 * slow))
 
     def _room(self, plan: Plan, memory: Memory) -> Float:
         """Stiffness of the film over its nominal one by what the room does, per step or (1,)."""
@@ -198,7 +198,7 @@ class TruthRig:
         time_s: Float = memory.clock_s + (np.arange(steps) + 0.5) * plan.step_s
         gain = np.ones(steps)
         if thermal is not None:
-            gain *= np.exp(-thermal.severity * self._warming(time_s))
+            gain *= np.exp(-thermal.severity * self._warming(plan, time_s))
         if humidity is not None:
             turns = time_s / humidity.number("period_s") + humidity.number("phase")
             gain *= 1 + humidity.severity * np.sin(2 * np.pi * turns)

@@ -235,7 +235,7 @@ def _recordings(
     span = _force_range(specimen, plain)
     noise_sd = {**_NOISE, "force": specimen.noise_share * span}
     names = list(_CHANNELS[p.test])
-    if session.temperature or p.design["temperature"]:
+    if session.temperature or p.design["temperature"] or p.design["warmer_k"] is not None:
         names.append("temperature")
     if p.design.get("leakage_current"):
         names.append("leakage_current")
