@@ -39,7 +39,7 @@ EXPLAINED = 0.6
 LEFT_LEVEL = 1e-3
 DEPARTED_LEVEL = 1e-4
 """Probability below which a quantity left free differs."""
-DOUBT_LEVEL, _DOUBTED, _IN_ITS_PLACE = 2e-3, 0.3, 0.5
+DOUBT_LEVEL, _DOUBTED, _IN_ITS_PLACE = 2e-3, 0.6, 0.5
 """The same for a doubt whether the cause is in the list; the share for it, over that from which it surely is not; and that of what
 the causes explain which the quantity left free must explain in their place, for they stand for it then."""
 _ALL_OF_FORM, _OF_WEAK = 1000.0, 0.5
