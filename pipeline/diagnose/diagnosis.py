@@ -20,10 +20,11 @@ from pipeline.diagnose.held_out import held_out, supported_by
 from pipeline.diagnose.hum import with_hum
 from pipeline.diagnose.intervals import NORMAL_90, ends, linear
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
-from pipeline.diagnose.next_recording import next_recording
+from pipeline.diagnose.next_recording import next_recording, proving_recording
 from pipeline.diagnose.plain import fit_plain
 from pipeline.diagnose.power import beyond_arms, reported, smallest_parameters
 from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.refit import settled
 from pipeline.diagnose.results import (
     AMBIGUOUS,
     NAMED,
@@ -33,6 +34,7 @@ from pipeline.diagnose.results import (
     Estimate,
     Extension,
     HeldOut,
+    NextRecording,
     Residuals,
 )
 from pipeline.diagnose.session import Session, make_session
@@ -69,6 +71,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     gain = None if final is None else held_out(outcome.plain, final)
     verdict = _checked(outcome, gain)
     named = () if final is None else tuple(c.id for c in final.of.chosen)
+    extended = None if final is None else settled(final)
     alternatives = (
         *(fit.of.chosen[0].id for fit in outcome.alternatives),
         *((UNLISTED,) if outcome.doubtful else ()),
@@ -81,16 +84,16 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         p_value=outcome.p_value,
         supported_by=() if final is None else supported_by(outcome.plain, final),
         held_out=gain,
-        extension=None if final is None else _extension(outcome, final, context, gain),
+        extension=None if extended is None else _extension(outcome, extended, context, gain),
         candidates=_candidates(outcome, context, gain),
         discrepancies=discrepancies(outcome.untempered),
-        next_recording=next_recording(final, outcome.alternatives) if verdict == AMBIGUOUS and final else None,
+        next_recording=_next(outcome) if verdict == AMBIGUOUS else None,
         smallest_detectable=reported(smallest, context),
         invisible=invisible(session.kinds),
         could_not_ask=could_not_ask(session),
         unexplained=_unexplained(outcome) if verdict == UNKNOWN else _doubted(outcome) if verdict == AMBIGUOUS else (),
         plain_film=outcome.untempered.of.model.physical(outcome.untempered.theta).film,
-        residuals=_residuals(session, outcome),
+        residuals=_residuals(session, outcome.untempered, extended),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
         explained=outcome.explained,
         left_p_value=float("nan") if outcome.after is None else outcome.after.p_value,
@@ -262,13 +265,22 @@ def _unexplained(outcome: Outcome) -> tuple[str, ...]:
     return tuple(found)
 
 
+def _next(outcome: Outcome) -> NextRecording | None:
+    """What to measure: to tell the causes apart, or, where one stands alone that may be none of the list, to see it again."""
+    if outcome.final is None:
+        return None
+    if outcome.alternatives:
+        return next_recording(outcome.final, outcome.alternatives)
+    return proving_recording(outcome.plain, outcome.final)
+
+
 def _doubted(outcome: Outcome) -> tuple[str, ...]:
     return tuple(f"It may be a cause that is in no list: beside the one named, {d.text}." for d in outcome.doubtful[:1])
 
 
-def _residuals(session: Session, outcome: Outcome) -> tuple[Residuals, ...]:
-    plain = outcome.untempered.of.predict(outcome.untempered.x)
-    extended = plain if outcome.final is None else outcome.final.of.predict(outcome.final.x)
+def _residuals(session: Session, fitted: ExtendedFit, believed: ExtendedFit | None) -> tuple[Residuals, ...]:
+    plain = fitted.of.predict(fitted.x)
+    extended = plain if believed is None else believed.of.predict(believed.x)
     kind, frequency, time = session.kind, session.covariate("frequency_hz"), session.covariate("time_s")
     label = np.concatenate([np.full(p.block.size, p.block.label) for p in session.places])
     found = []

@@ -8,7 +8,7 @@ covariance from the recordings at hand.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,17 +29,43 @@ _MODEL_ERROR = 0.15
 """Share of a predicted difference that counts as noise: neither cause has exactly its form."""
 _ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
+_OVER_WHAT_IS_SEEN = 2.0
 _NORMAL_80 = 1.282
 
 
 def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
-    if not alternatives:
+    best = _best(final, alternatives) if alternatives else None
+    if best is None or best.surely < _ENOUGH:
         return None
+    rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
+    return NextRecording(best.proposal.designs, f"{best.proposal.text}: tells {rivals} apart", best.separation)
+
+
+def proving_recording(plain: ExtendedFit, final: ExtendedFit) -> NextRecording | None:
+    """The test in which the causes believed would show most, where they may be none of the list; None where it is less than twice
+    what they have shown so far: what is in no list goes another way there."""
+    best = _best(final, [plain])
+    if best is None or best.separation < _OVER_WHAT_IS_SEEN * (plain.chi2 - final.chi2):
+        return None
+    names = " and ".join(c.id for c in final.of.chosen)
+    return NextRecording(best.proposal.designs, f"{best.proposal.text}: shows whether {names} goes on", best.separation)
+
+
+@dataclass(frozen=True)
+class _Best:
+    """A proposal, its least `separation` from any rival, and the least difference of χ² that then is nearly sure."""
+
+    proposal: Proposal
+    separation: float
+    surely: float
+
+
+def _best(final: ExtendedFit, rivals: Sequence[ExtendedFit]) -> _Best | None:
     session = final.of.session
     physical = final.of.model.physical(final.theta)
-    best: tuple[float, float, Proposal] | None = None
-    causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
+    best: _Best | None = None
+    causes = [c.mechanism for f in (final, *rivals) for c in f.of.chosen[:1]]
     for proposal in showing(catalogue(session), causes):
         try:
             new = imagined(session, physical, proposal)
@@ -49,15 +75,11 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
         number = len(session.recordings)
         # What severities are relative to stays that of the session at hand, however large the new recording is.
         part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
-        separations = [_separation(part, final, rival) for rival in alternatives]
-        surely = min(_nearly_surely(s) + r.chi2 - final.chi2 for s, r in zip(separations, alternatives, strict=True))
-        if best is None or surely > best[0]:
-            best = surely, min(separations), proposal
-    if best is None or best[0] < _ENOUGH:
-        return None
-    _, separation, proposal = best
-    rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
-    return NextRecording(proposal.designs, f"{proposal.text}: tells {rivals} apart", separation)
+        separations = [_separation(part, final, rival) for rival in rivals]
+        surely = min(_nearly_surely(s) + r.chi2 - final.chi2 for s, r in zip(separations, rivals, strict=True))
+        if best is None or surely > best.surely:
+            best = _Best(proposal, min(separations), surely)
+    return best
 
 
 def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.screen import Score, Signatures, absorbed_by, scaled
+from pipeline.diagnose.tempering import outweighed
 
 Float = NDArray[np.float64]
 
@@ -42,6 +43,8 @@ _TRIALS, _CONFIRMATIONS, _SETTLED, _SETTLED_SHARE = 20, 8, 0.1, 2e-4
 of it, below which there is no other: along a bent valley each round gains a little."""
 _CLOSE_CALL = 12.0
 """Difference of log evidence from the best within which a search is brought to an end."""
+_SETTLING, _SAME_WEIGHT = 4, 0.05
+"""Rounds of weighing the blocks anew at most, and change of the weights that is none."""
 _MOST_ROUNDS, _STILL_FALLING = 20, 0.01
 """Rounds of further steps at most, and share of what a mechanism explains that a round must add for another to follow."""
 
@@ -155,6 +158,18 @@ def finished(fit: ExtendedFit) -> ExtendedFit:
         if fall < _SETTLED_SHARE * found.chi2:
             break
     return found
+
+
+def settled(fit: ExtendedFit) -> ExtendedFit:
+    """The optimum with blocks that it does not describe counted for less: the film is where the others agree."""
+    tempered = fit.of.weight
+    for _ in range(_SETTLING):
+        weight = outweighed(fit, tempered)
+        if np.allclose(weight, fit.of.weight, rtol=_SAME_WEIGHT):
+            break
+        of = fit.of.with_weight(weight)
+        fit = of.refined(of.fit(fit.x, most=_THOROUGHLY))
+    return fit
 
 
 def without(fit: ExtendedFit, number: int) -> ExtendedFit:

@@ -17,6 +17,8 @@ SHARE = 0.15
 """Share of a block's misfit that a form which is not quite right may leave."""
 _OF_MEDIAN = 2.0
 """Share that is allowed over the median of those that the blocks have."""
+_MISSED = 3.0
+"""Misfit of a block in standard deviations of its χ² that is no noise."""
 _CLEARLY, _FEWEST = 10.0, 4
 """Misfit of a block in standard deviations of its χ² from which it has a share, and number of such blocks from which theirs counts."""
 
@@ -28,6 +30,19 @@ def tempered(session: Session, misfit: Float, share: float = SHARE) -> Float:
         own = misfit[p.first : p.stop]
         weight[p.first : p.stop] = 1 / np.sqrt(1 + share**2 * max(0.0, float(own @ own) / own.size - 1))
     return weight
+
+
+def outweighed(fit: ExtendedFit, weight: Float) -> Float:
+    """(N,) weights, lowered in blocks that a fit misses by more than the noise until it misses them by as much: what no model
+    describes says little of the film. `weight` (N,): what they would be without."""
+    found = weight.copy()
+    for p in fit.of.session.places:
+        own = slice(p.first, p.stop)
+        size = p.block.size
+        missed = float(np.sum((fit.misfit[own] * weight[own] / fit.of.weight[own]) ** 2))
+        if missed > size + _MISSED * np.sqrt(2 * size):
+            found[own] *= np.sqrt(size / missed)
+    return found
 
 
 def noise_chi2(plain: ExtendedFit) -> float:
