@@ -7,6 +7,7 @@
 # make faults  kills, full disks, readers and rivals of the nightly, many times; writes tests/faults/results.md
 # make docs    renews the generated parts of the README and its pictures (those with Chromium, from the demonstration)
 # make lint    formatting, lint, types, the import rule
+# make audit   asks the advisories of PyPI about every pinned release (needs a network)
 # make pins    writes the hashes of the pinned requirements anew, for every supported Python (needs uv)
 # make clean   removes environments, caches and the demonstration
 #
@@ -16,6 +17,7 @@ PYTHON ?= python3
 VENV := .venv
 PEERS := .venv-peers
 FUZZ := .venv-fuzz
+AUDIT := .venv-audit
 BIN := $(VENV)/bin
 DEMO := demo
 
@@ -28,7 +30,7 @@ SUPPORTED := 3.11 3.12 3.13 3.14
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements/$(1)-$(VERSION).txt,-r $(2))
 
-.PHONY: demo test bench study fuzz faults docs lint pins clean
+.PHONY: demo test bench study fuzz faults docs lint audit pins clean
 .DEFAULT_GOAL := demo
 
 demo: $(RUNTIME)
@@ -70,6 +72,12 @@ lint: $(DEVELOPMENT)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# A release that the advisories do not know is as bad as one with an advisory: nothing is said to be clean that was not asked.
+audit: $(AUDIT)/.ready
+	for version in $(SUPPORTED); do \
+	  $(AUDIT)/bin/pip-audit --strict --disable-pip --require-hashes --requirement requirements/runtime-$$version.txt || exit 1; \
+	done
+
 pins:
 	for version in $(SUPPORTED); do \
 	  uv pip compile --quiet --generate-hashes --only-binary :all: --no-annotate --no-header --python-version $$version \
@@ -79,7 +87,7 @@ pins:
 	done
 
 clean:
-	rm -rf $(VENV) $(PEERS) $(FUZZ) $(DEMO) build dist artifacts
+	rm -rf $(VENV) $(PEERS) $(FUZZ) $(AUDIT) $(DEMO) build dist artifacts
 	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find schemas ingest pipeline reports tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -112,4 +120,9 @@ $(PEERS)/.ready: requirements.txt requirements-dev.txt requirements-peers.txt py
 $(FUZZ)/.ready: requirements.txt requirements-dev.txt pyproject.toml
 	$(call environment,$(FUZZ),$(call HASHED,development,requirements-dev.txt))
 	$(FUZZ)/bin/python -m pip install $(PIP_FLAGS) atheris==3.0.0 || echo "atheris does not install here"
+	@touch $@
+
+$(AUDIT)/.ready:
+	$(PYTHON) -m venv $(AUDIT)
+	$(AUDIT)/bin/python -m pip install $(PIP_FLAGS) pip-audit==2.10.1
 	@touch $@
