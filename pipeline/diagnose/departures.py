@@ -28,6 +28,7 @@ Complex = NDArray[np.complex128]
 _STEP = 1e-4
 _MOST_RECORDINGS = 12
 """Free numbers over the recordings of a session; of a longer one neighbours share theirs."""
+_MOST_MOMENTS = 80
 _KNOTS_HZ = np.geomspace(0.01, 160.0, 15), np.geomspace(5.0, 160.0, 26)
 _TOLERATED, _TOLERATED_BY_FREQUENCY = 0.08, 0.2
 """Shares that forms of right causes leave which are not quite the rig's own; over frequency the causes that begin at a load leave
@@ -102,7 +103,7 @@ class _Free:
 def _free(session: Session) -> Iterator[_Free]:
     spans = _spans(session)
     yield _Free("the stiffness differs from recording to recording", [_stiffer(_within(s)) for s in spans])
-    yield _Free("the stiffness changes for good", [_stiffer(_within((s[0], np.inf))) for s in spans[1:]], 1)
+    yield _Free("the stiffness changes for good", [_stiffer(_within((t, np.inf))) for t in _moments(session)], 1)
     yield _Free(
         "the stiffness comes and goes over the session",
         [_stiffer(_swinging(period, turn)) for period in _PERIODS_S for turn in (0.0, 0.25)],
@@ -129,6 +130,14 @@ def _spans(session: Session) -> list[tuple[float, float]]:
     first = np.array([g[0] for g in groups])
     edges = np.concatenate([[-np.inf], first[1:] - 1e-3, [np.inf]])
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+def _moments(session: Session) -> Float:
+    """Times in the session between its states, recordings, sweeps and cycles, at which something may have happened."""
+    times = np.unique(session.states.session_s)
+    between = (times[:-1] + times[1:]) / 2
+    chosen = np.unique(np.linspace(0, between.size - 1, min(between.size, _MOST_MOMENTS)).astype(np.int64))
+    return np.asarray(between[chosen], dtype=np.float64)
 
 
 Weight = Callable[[View], Float | Complex]
