@@ -239,7 +239,7 @@ def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
     """The cause as a sentence without its subject, by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`."""
     known = MECHANISMS.get(mechanism)
     if mechanism == UNLISTED:
-        return "something is wrong that is in no list"
+        return "the cause is in no list"
     if known is None:
         return f"the cause is {plain_name(mechanism)}"
     main = next((key for key in known.parameters if key in parameters), None)

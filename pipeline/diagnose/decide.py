@@ -27,6 +27,24 @@ from pipeline.diagnose.tempering import explained, noise_chi2, tempered
 
 Float = NDArray[np.float64]
 
+
+@dataclass(frozen=True)
+class Demand:
+    """What a quantity left free beside the causes must be, for them to be none or in doubt.
+
+    level : probability below which it differs
+    share : of what it and the causes explain together, over the share that forms of right causes leave
+    of_weak : the part of it for causes that explain next to nothing; what is small follows no other course than the first order of
+        its form
+    """
+
+    level: float
+    share: float
+    of_weak: float
+
+
+SURE, DOUBT, DOUBT_OF_MANY = Demand(1e-4, 1.0, 0.5), Demand(0.03, 0.6, 0.25), Demand(2e-3, 0.6, 0.5)
+"""For `unknown`, and for a doubt by quantities of a few numbers and of many."""
 LEVEL = 0.002
 """False-alarm level of the search over the listed mechanisms."""
 STRUCTURE_LEVEL = 1e-5
@@ -37,14 +55,15 @@ CLOSE_MISFIT = 1.3
 EXPLAINED = 0.6
 """Share of the misfit that the causes must explain together for their names to be said, where more than noise is left."""
 LEFT_LEVEL = 1e-3
-DEPARTED_LEVEL = 1e-4
-"""Probability below which a quantity left free differs."""
-DOUBT_LEVEL, _DOUBTED, _IN_ITS_PLACE = 2e-3, 0.6, 0.5
-"""The same for a doubt whether the cause is in the list; the share for it, over that from which it surely is not; and that of what
-the causes explain which the quantity left free must explain in their place, for they stand for it then."""
-_ALL_OF_FORM, _OF_WEAK = 1000.0, 0.5
-"""χ² that causes explain from which all that forms differ by is tolerated, and the part of it that is of weak ones: what is small
-follows no other course than the first order of its form."""
+_FEW = 12
+"""Numbers up to which a quantity left free stands for one thing; with more it follows a little of everything."""
+_IN_ITS_PLACE = 0.5
+"""Share of what the causes explain that a quantity left free must explain in their place: they stand for it then."""
+_BETTER, _FEWEST = 2.0, 3
+"""χ² by which a quantity left free, alone, must explain more than the causes for a doubt, for a listed cause is likelier from the
+start; and its numbers at most: more imitate, with a number for each recording, whatever comes with time."""
+_ALL_OF_FORM = 1000.0
+"""χ² that causes explain from which all that forms differ by is tolerated."""
 _CONFIRMED = 0.8
 """Share of the threshold Λ that a fitted cause must reach, which the screen only promised."""
 
@@ -58,7 +77,7 @@ class Outcome:
     p_value : of the whole search; threshold : Λ at the false-alarm level
     explained : share of the misfit that the final model explains; looked : signatures that the plain model was searched with
     before, after : patterns that the plain and the final model leave; departed : what differs freely beside the final model
-    doubtful : what seems to
+    doubtful : what seems to; instead : what explains more than the causes, alone
     """
 
     verdict: str
@@ -75,6 +94,7 @@ class Outcome:
     after: Structure | None
     departed: tuple[Departure, ...] = ()
     doubtful: tuple[Departure, ...] = ()
+    instead: tuple[Departure, ...] = ()
 
 
 def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcome:
@@ -155,9 +175,18 @@ def _decided(of: Extended, start: Float) -> Outcome:
     alternatives = _alternatives(plain, final, singles)
     share = explained(plain, final)
     after = structure(final)
-    doubtful = _in_their_place(plain, final, _departed(plain, final, departures(final), DOUBT_LEVEL, _DOUBTED))
-    beside = _departed(plain, final, doubtful, DEPARTED_LEVEL, 1.0)
-    verdict = _verdict(bool(alternatives or doubtful), share, after, beside)
+    alone = departures(plain)
+    seeming = [
+        d
+        for d in departures(final)
+        if _departs(plain, final, d, DOUBT if d.degrees_of_freedom <= _FEW else DOUBT_OF_MANY)
+    ]
+    doubtful = _in_their_place(plain, final, alone, seeming)
+    beside = tuple(d for d in doubtful if _departs(plain, final, d, SURE))
+    instead = tuple(
+        d for d in alone if d.degrees_of_freedom <= _FEWEST and d.evidence > plain.chi2 - final.chi2 + _BETTER
+    )
+    verdict = _verdict(bool(alternatives or doubtful or instead), share, after, beside)
     return Outcome(
         verdict,
         untempered,
@@ -173,6 +202,7 @@ def _decided(of: Extended, start: Float) -> Outcome:
         after,
         beside,
         doubtful,
+        instead,
     )
 
 
@@ -227,18 +257,17 @@ def _verdict(rivals: bool, share: float, after: Structure, departed: Sequence[De
     return AMBIGUOUS if rivals else NAMED
 
 
-def _in_their_place(plain: ExtendedFit, final: ExtendedFit, found: Sequence[Departure]) -> tuple[Departure, ...]:
+def _in_their_place(
+    plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure], found: Sequence[Departure]
+) -> tuple[Departure, ...]:
     """Of quantities left free those that explain much of the same without the causes."""
     fall = plain.chi2 - final.chi2
-    alone = departures(plain, {d.text for d in found}) if found else ()
     instead = {d.text for d in alone if d.excess > _IN_ITS_PLACE * fall}
     return tuple(d for d in found if d.text in instead)
 
 
-def _departed(
-    plain: ExtendedFit, final: ExtendedFit, found: Sequence[Departure], level: float, of_tolerated: float
-) -> tuple[Departure, ...]:
-    """Quantities that explain, left free, beside the causes a share that no form of theirs does."""
+def _departs(plain: ExtendedFit, final: ExtendedFit, found: Departure, demand: Demand) -> bool:
+    """Whether a quantity explains, left free, beside the causes a share that no form of theirs does."""
     fall = plain.chi2 - final.chi2
-    part = of_tolerated * (_OF_WEAK + (1 - _OF_WEAK) * min(1.0, fall / _ALL_OF_FORM))
-    return tuple(d for d in found if d.p_value < level and d.excess > part * d.tolerated * (fall + d.excess))
+    share = demand.share * (demand.of_weak + (1 - demand.of_weak) * min(1.0, fall / _ALL_OF_FORM))
+    return found.p_value < demand.level and found.excess > share * found.tolerated * (fall + found.excess)

@@ -9,7 +9,7 @@ taken off, so that the sum of squares of the scores is χ² under the null.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,14 +61,19 @@ class Departure:
         """χ² that it explains beyond what its free numbers take of the noise."""
         return self.statistic - self.degrees_of_freedom
 
+    @property
+    def evidence(self) -> float:
+        """The same, less what choosing among its forms takes of it."""
+        return self.excess - 2 * float(np.log(self.forms))
 
-def departures(fit: ExtendedFit, only: Collection[str] | None = None) -> tuple[Departure, ...]:
-    """Every quantity left free beside a fitted model, or those of these texts, the least probable first."""
+
+def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
+    """Every quantity left free beside a fitted model, the least probable first."""
     of, session = fit.of, fit.of.session
     base, own, absorbed = of.predict(fit.x), of.effect(fit.x), absorbed_by(fit)
     found = []
     for free in _free(session):
-        if not free.effects or (only is not None and free.text not in only):
+        if not free.effects:
             continue
         rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in free.effects]
         seen = of.weight[:, None] * session.whiten(np.nan_to_num(np.array(rows)).T)

@@ -74,7 +74,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     extended = None if final is None else settled(final)
     alternatives = (
         *(fit.of.chosen[0].id for fit in outcome.alternatives),
-        *((UNLISTED,) if outcome.doubtful else ()),
+        *((UNLISTED,) if outcome.doubtful or outcome.instead else ()),
     )
     return Diagnosis(
         specimen_id=session.specimen_id,
@@ -275,7 +275,15 @@ def _next(outcome: Outcome) -> NextRecording | None:
 
 
 def _doubted(outcome: Outcome) -> tuple[str, ...]:
-    return tuple(f"It may be a cause that is in no list: beside the one named, {d.text}." for d in outcome.doubtful[:1])
+    """What speaks for a cause that is in no list: the most telling of what differs beside those named, or alone explains more."""
+    if outcome.doubtful:
+        return (f"It may be a cause that is in no list: beside the one named, {outcome.doubtful[0].text}.",)
+    best = max(outcome.instead, key=lambda d: d.evidence, default=None)
+    return (
+        ()
+        if best is None
+        else (f"It may be a cause that is in no list: all would be explained as well if {best.text}.",)
+    )
 
 
 def _residuals(session: Session, fitted: ExtendedFit, believed: ExtendedFit | None) -> tuple[Residuals, ...]:

@@ -32,6 +32,7 @@ _EXACT_Z = 4.0
 _EXACT_RATIO = float(fdtri(2, _FREEDOM, ndtr(_EXACT_Z)))
 _HIGHEST_Z = 300.0
 _BEFORE_S = 0.05
+_ROUNDING = 1e-12
 
 
 def hum_block(recording: Recording) -> FeatureBlock | None:
@@ -46,7 +47,10 @@ def hum_block(recording: Recording) -> FeatureBlock | None:
     if not np.isfinite(y).all() or y.size * sampled.interval_s < _SHORTEST_S:
         return None
     n = np.arange(y.size) * sampled.interval_s
+    largest = float(np.abs(y).max())
     y = y - np.polynomial.polynomial.polyval(n, np.polynomial.polynomial.polyfit(n, y, 2))
+    if float(np.abs(y).max()) <= _ROUNDING * largest:
+        return None  # a rest without noise has no neighbourhood to hold the mains against
     z, variance = [], []
     for f in HUM_HZ:
         # Off-centre bins on both sides of the mains' own: the same transform, moved by whole bins.

@@ -118,6 +118,20 @@ def test_named_mains_leave_nothing_but_noise() -> None:
         assert getattr(loud.laws[(0, "force")], law) == pytest.approx(getattr(calm.laws[(0, "force")], law), rel=0.25)
 
 
+def test_a_rest_without_noise_says_nothing_of_mains() -> None:
+    """There is no neighbourhood to hold them against, and no warning of a division by zero."""
+    (recording,) = true_session(104, ({"protocol": "chirp"},), ()).recordings
+    force, moved = recording.channels["force"], recording.channels["displacement"]
+    rest = moved.time_ns < recording.start_ns + 1_000_000_000
+    still = replace(recording, channels=dict(recording.channels))
+    for channel in (force, moved):
+        still.channels[channel.quantity] = replace(channel, values=np.where(rest, 0.3, channel.values))
+    assert any(b.kind == REST_HUM for b in reduce(recording).blocks)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not any(b.kind == REST_HUM for b in reduce(still).blocks)
+
+
 def samples_of(values: list[Float], interval_s: float = 1e-2) -> list[tuple[int, NoiseSample]]:
     found = [noise_sample("force", v, interval_s) for v in values]
     return [(i, s) for i, s in enumerate(found) if s is not None]

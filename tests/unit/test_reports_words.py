@@ -106,9 +106,7 @@ def test_ambiguous_names_all_and_unknown_names_none() -> None:
     assert "slack" in text
     assert "stiffens" in text
     doubtful = diagnosis("ambiguous", mechanism="slack", mechanisms=["slack"], also_possible=["unlisted"])
-    assert "or something is wrong that is in no list" in plain(
-        findings.headline(Standing("P-12", None, None, None, doubtful))
-    )
+    assert "or the cause is in no list" in plain(findings.headline(Standing("P-12", None, None, None, doubtful)))
     unknown = plain(findings.headline(Standing("G-03", None, None, None, diagnosis("unknown"))))
     assert "none of the 23 listed causes" in unknown
 
