@@ -48,7 +48,7 @@ demo: $(RUNTIME)
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab \"SELECT source_path, problem FROM recordings WHERE status = 'quarantined'\""
 
 test: $(DEVELOPMENT)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 bench: $(PEERS)/.ready
 	$(PEERS)/bin/python -m tests.benchmarks
@@ -57,7 +57,7 @@ study: $(DEVELOPMENT)
 	$(BIN)/python -m tests.studies
 
 fuzz: $(DEVELOPMENT) $(FUZZ)/.ready
-	DEALAB_HYPOTHESIS=new $(BIN)/python -m pytest -n 2 $(PROPERTIES)
+	DEALAB_HYPOTHESIS=new $(BIN)/python -m pytest -n 2 --dist worksteal $(PROPERTIES)
 	$(BIN)/python -m tests.bad_files.fuzz
 
 faults: $(DEVELOPMENT)

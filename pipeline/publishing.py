@@ -39,7 +39,6 @@ from schemas.errors import RefusedError
 from schemas.version import software_version
 
 _Complete = Callable[[Row, Mapping[str, Any]], dict[str, Any]]
-_ROWS_AT_ONCE = 1000
 
 
 @dataclass(frozen=True)
@@ -201,23 +200,20 @@ def _insertions(context: Context, night: Night, changed: Sequence[Row]) -> Itera
         left.setdefault(item_id(RECORDING, row.source_sha256 or ""), []).append(row)
     standing = _contents(night) | night.derived
     made = [outcome for item, outcome in sorted(context.done.items()) if item in standing]
-    waiting: list[dict[str, Any]] = []
     for outcome in made:
         tables = read_tables(entry_path(context.lab.journal, outcome.item_id))
         read = tables.pop("recordings", None)
         if read is not None:
             (full,) = recordings_rows(read)
-            waiting += [complete(row, full) for row in left.pop(outcome.item_id, ())]
+            yield {"recordings": [complete(row, full) for row in left.pop(outcome.item_id, ())]}
         if outcome.item_id in accepted:
             yield tables
-        if len(waiting) >= _ROWS_AT_ONCE:
-            yield {"recordings": waiting}
-            waiting = []
-    waiting += _as_published(context, [row for rows in left.values() for row in rows], complete)
-    yield {"recordings": waiting}
+    yield {"recordings": _as_published(context, [row for rows in left.values() for row in rows], complete)}
+    for outcome in made:
+        yield {"items": [_item_row(outcome, night.run_id)]}
+    for path, seen in night.read.found.seen.items():
+        yield {"files": [{"path": path, **asdict(seen)}]}
     yield {
-        "items": [_item_row(outcome, night.run_id) for outcome in made],
-        "files": [{"path": path, **asdict(seen)} for path, seen in night.read.found.seen.items()],
         "annotations": [{**asdict(one), "at": datetime.fromisoformat(one.at)} for one in night.annotations],
         "runs": [_run_row(context, night)],
     }

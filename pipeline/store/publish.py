@@ -26,7 +26,8 @@ from schemas.views import VIEWS, fingerprint
 
 _BATCH_BYTES = 32 << 20
 BATCH_PIECES = 1000
-"""What is inserted at once. A small arrow table holds ten times the bytes of its rows, so their number counts as well."""
+"""What is inserted at once. A small arrow table, or a row as a dictionary, holds ten times the bytes of its values, so their number
+counts as well."""
 _MEMORY = "256MB"
 """What DuckDB may keep in memory while it edits the copy, however many rows there are; the rest goes to its file."""
 READABLE_FROM = {"storage_compatibility_version": "v1.2.0"}
@@ -222,7 +223,7 @@ def batched(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows
         for name, rows in part.items():
             waiting.setdefault(name, []).append(rows)
             size += rows.nbytes if isinstance(rows, pa.Table) else 0
-            pieces += 1
+            pieces += 1 if isinstance(rows, pa.Table) else len(rows)
         if size >= _BATCH_BYTES or pieces >= BATCH_PIECES:
             yield waiting
             waiting, size, pieces = {}, 0, 0

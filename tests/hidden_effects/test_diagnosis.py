@@ -19,9 +19,10 @@ from pipeline.diagnose.features import RecordingFeatures
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.errors import NotIdentifiableError
+from schemas.mechanisms import UNLISTED
 from schemas.recording import Recording
-from tests.hidden_effects.judging import Case, judge
-from tests.hidden_effects.truth import KINDS, compact_session
+from tests.hidden_effects.judging import Case, judge, observe
+from tests.hidden_effects.truth import KINDS, Effect, compact_session
 from tests.session_files import write_recordings
 
 SEED = 103
@@ -137,6 +138,22 @@ def test_verdicts_do_not_depend_on_units_and_sampling(tmp_path: Path) -> None:
     assert (as_they_are.verdict, as_they_are.mechanisms[0]) == ("named", "cyclic_softening")
     assert (converted.verdict, converted.mechanisms) == (as_they_are.verdict, as_they_are.mechanisms)
     assert (slower.verdict, slower.mechanisms) == (as_they_are.verdict, as_they_are.mechanisms)
+
+
+@pytest.mark.parametrize(
+    ("seed", "effect", "what"),
+    [
+        (717_170_018, Effect("humidity", 1.24e-3, {"period_s": 1104.0}), "the stiffness comes and goes over the session"),
+        (717_170_032, Effect("edge_tear", 1.26e-3, {"jumps": 3.5}), "the stiffness changes for good"),
+    ],
+    ids=["alone explains more", "beside explains the rest"],
+)  # fmt: skip
+def test_a_faint_cause_of_no_list_is_not_named_without_doubt(seed: int, effect: Effect, what: str) -> None:
+    """Causes of the list follow it nearly to the noise; a quantity left free does so better, or follows what they leave."""
+    found = observe(compact_session(seed, (effect,)))
+    assert found.verdict == "ambiguous"
+    assert UNLISTED in found.also_possible
+    assert what in found.unexplained[0]
 
 
 def test_what_cannot_be_asked_is_said() -> None:
