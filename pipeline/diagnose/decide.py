@@ -57,11 +57,13 @@ EXPLAINED = 0.6
 LEFT_LEVEL = 1e-3
 _FEW = 12
 """Numbers up to which a quantity left free stands for one thing; with more it follows a little of everything."""
-_IN_ITS_PLACE = 0.5
-"""Share of what the causes explain that a quantity left free must explain in their place: they stand for it then."""
+_IN_ITS_PLACE, _ALL_OF_IT = 0.5, 1.0
+"""Share of what the causes explain that a quantity left free, of few numbers and of many, must explain in their place: they stand
+for it then."""
 _BETTER, _FEWEST = 2.0, 3
-"""χ² by which a quantity left free, alone, must explain more than the causes for a doubt, for a listed cause is likelier from the
-start; and its numbers at most: more imitate, with a number for each recording, whatever comes with time."""
+"""χ² by which a quantity left free, alone, must explain more than one cause for a doubt, for a listed one is likelier from the start;
+and its numbers at most: more imitate, with a number for each recording, whatever comes with time. Two causes that happen to be
+there at once are less likely, by as much as parts causes, and what explains all of both has any number of numbers."""
 _ALL_OF_FORM = 1000.0
 """χ² that causes explain from which all that forms differ by is tolerated."""
 _CONFIRMED = 0.8
@@ -176,16 +178,10 @@ def _decided(of: Extended, start: Float) -> Outcome:
     share = explained(plain, final)
     after = structure(final)
     alone = departures(plain)
-    seeming = [
-        d
-        for d in departures(final)
-        if _departs(plain, final, d, DOUBT if d.degrees_of_freedom <= _FEW else DOUBT_OF_MANY)
-    ]
-    doubtful = _in_their_place(plain, final, alone, seeming)
+    demands = ((d, DOUBT if d.degrees_of_freedom <= _FEW else DOUBT_OF_MANY) for d in departures(final))
+    doubtful = _in_their_place(plain, final, alone, [d for d, demand in demands if _departs(plain, final, d, demand)])
     beside = tuple(d for d in doubtful if _departs(plain, final, d, SURE))
-    instead = tuple(
-        d for d in alone if d.degrees_of_freedom <= _FEWEST and d.evidence > plain.chi2 - final.chi2 + _BETTER
-    )
+    instead = _instead(plain, final, alone)
     verdict = _verdict(bool(alternatives or doubtful or instead), share, after, beside)
     return Outcome(
         verdict,
@@ -262,8 +258,17 @@ def _in_their_place(
 ) -> tuple[Departure, ...]:
     """Of quantities left free those that explain much of the same without the causes."""
     fall = plain.chi2 - final.chi2
-    instead = {d.text for d in alone if d.excess > _IN_ITS_PLACE * fall}
-    return tuple(d for d in found if d.text in instead)
+    stands = {
+        d.text for d in alone if d.excess > (_IN_ITS_PLACE if d.degrees_of_freedom <= _FEW else _ALL_OF_IT) * fall
+    }
+    return tuple(d for d in found if d.text in stands)
+
+
+def _instead(plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure]) -> tuple[Departure, ...]:
+    """Quantities left free that explain, alone, more than the causes do."""
+    others = len(final.of.chosen) - 1
+    least = plain.chi2 - final.chi2 + _BETTER - others * 2 * CLOSE
+    return tuple(d for d in alone if d.evidence > least and (others or d.degrees_of_freedom <= _FEWEST))
 
 
 def _departs(plain: ExtendedFit, final: ExtendedFit, found: Departure, demand: Demand) -> bool:

@@ -279,11 +279,9 @@ def _doubted(outcome: Outcome) -> tuple[str, ...]:
     if outcome.doubtful:
         return (f"It may be a cause that is in no list: beside the one named, {outcome.doubtful[0].text}.",)
     best = max(outcome.instead, key=lambda d: d.evidence, default=None)
-    return (
-        ()
-        if best is None
-        else (f"It may be a cause that is in no list: all would be explained as well if {best.text}.",)
-    )
+    if best is None:
+        return ()
+    return (f"It may be a cause that is in no list: that {best.text} would explain all of it as well.",)
 
 
 def _residuals(session: Session, fitted: ExtendedFit, believed: ExtendedFit | None) -> tuple[Residuals, ...]:

@@ -151,11 +151,13 @@ def _parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
     parts: list[_Part] = []
     for name in shows:
         whole = _Part(name, tuple(by_protocol[name]))
-        parts += [whole] if len(shows) > 1 and _predictable(extended, whole) else _split(extended, whole)
+        parts += (
+            [whole] if len(shows) > 1 and _predictable(extended, whole, touched) else _split(extended, whole, touched)
+        )
     return parts
 
 
-def _split(extended: ExtendedFit, part: _Part) -> list[_Part]:
+def _split(extended: ExtendedFit, part: _Part, touched: Float) -> list[_Part]:
     """A protocol's recordings dealt into parts, those in turn into blocks where needed; what cannot be predicted is left in."""
     session = extended.of.session
     recordings: dict[int, list[int]] = {}
@@ -169,13 +171,13 @@ def _split(extended: ExtendedFit, part: _Part) -> list[_Part]:
     found = []
     for names, blocks in dealt:
         smaller = _Part(", ".join(names), tuple(blocks))
-        if len(dealt) > 1 and _predictable(extended, smaller):
+        if len(dealt) > 1 and _predictable(extended, smaller, touched):
             found.append(smaller)
             continue
         units = _units(extended, blocks)
         for side in (0, 1):
             half = _Part(f"{smaller.name}, {('odd', 'even')[side]} blocks", tuple(i for u in units[side::2] for i in u))
-            if half.blocks and len(half.blocks) < len(blocks) and _predictable(extended, half):
+            if half.blocks and len(half.blocks) < len(blocks) and _predictable(extended, half, touched):
                 found.append(half)
     return found
 
@@ -188,15 +190,22 @@ def _units(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int]]:
     return list(by_state.values()) if len(by_state) > 1 else [[i] for i in blocks]
 
 
-def _predictable(extended: ExtendedFit, part: _Part) -> bool:
-    """Whether the rest of the session determines what the part is predicted with: mean variance of the prediction below the noise."""
-    session = extended.of.session
+def _predictable(extended: ExtendedFit, part: _Part, touched: Float) -> bool:
+    """Whether the rest of the session determines what the part is predicted with: mean variance of the prediction below the noise,
+    over what the mechanisms touch."""
+    places = extended.of.session.places
     jacobian = extended.solution.jacobian
-    left = np.concatenate([np.arange(session.places[i].first, session.places[i].stop) for i in part.blocks])
+
+    def features(blocks: Sequence[int]) -> Int:
+        return np.concatenate([np.arange(places[i].first, places[i].stop) for i in blocks])
+
     keep = np.ones(jacobian.shape[0], dtype=bool)
-    keep[left] = False
+    keep[features(part.blocks)] = False
+    counted = [i for i in part.blocks if touched[i] >= _CARRIES_NOTHING]
+    if not counted:
+        return True
     scale = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300))
     normal = (jacobian[keep] / scale).T @ (jacobian[keep] / scale)
     spread = np.linalg.pinv(normal + _RIDGE * np.eye(scale.size), hermitian=True)
-    rows = jacobian[left] / scale
+    rows = jacobian[features(counted)] / scale
     return float(np.mean(np.sum((rows @ spread) * rows, axis=1))) < _MOST_VARIANCE

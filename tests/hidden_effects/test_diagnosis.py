@@ -143,7 +143,7 @@ def test_verdicts_do_not_depend_on_units_and_sampling(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("seed", "effect", "what"),
     [
-        (717_170_018, Effect("humidity", 1.24e-3, {"period_s": 1104.0}), "the stiffness comes and goes over the session"),
+        (717_170_018, Effect("humidity", 1.24e-3, {"period_s": 1104.0}), "the stiffness differs from recording to recording would explain all"),
         (717_170_032, Effect("edge_tear", 1.26e-3, {"jumps": 3.5}), "the stiffness changes for good"),
     ],
     ids=["alone explains more", "beside explains the rest"],
