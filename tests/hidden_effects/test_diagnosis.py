@@ -140,6 +140,16 @@ def test_verdicts_do_not_depend_on_units_and_sampling(tmp_path: Path) -> None:
     assert (slower.verdict, slower.mechanisms) == (as_they_are.verdict, as_they_are.mechanisms)
 
 
+def test_held_out_is_what_the_rest_can_predict() -> None:
+    """Of a drift that begins with the session, what is without its first recording says nothing of how it began."""
+    session = compact_session(859_740_007, (Effect("baseline_drift", 0.01335, {"form": "session", "onset_s": 0.5786}),))
+    found = observe(session)
+    assert found.mechanisms == ("baseline_drift",)
+    assert found.held_out is not None
+    assert found.held_out.lower > 0.3
+    assert not any(session.recordings[0].metadata.recording_id in name for name in found.held_out.parts)
+
+
 @pytest.mark.parametrize(
     ("seed", "effect", "what"),
     [
