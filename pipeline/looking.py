@@ -20,6 +20,8 @@ from pipeline.store.manifest import SeenFile
 from schemas.errors import DealabError, LabError, PendingError, RefusedError
 
 _YOUNG_NS = 60_000_000_000
+_AT_ONCE = 500
+"""Files that wait to be hashed; of each, the pool holds more than what is remembered."""
 _SETTLED_NS = 2_000_000_000
 """A file that changed less than this before it was hashed could change again without getting a new time. An object's
 mark changes with its content, however soon."""
@@ -82,8 +84,11 @@ def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, known: Mapping[str, Se
     still_growing = {id(source) for source in growing(source for source in new if source.remote is None)}
     to_hash = [source for source in new if id(source) not in still_growing]
     room = _Room(lab.remote)
+    hashes: dict[int, str | DealabError] = {}
     with ThreadPoolExecutor(max_workers=min(8, 2 * (os.cpu_count() or 1))) as pool:
-        hashes = dict(zip((id(s) for s in to_hash), pool.map(room.hashed, to_hash), strict=True))
+        for first in range(0, len(to_hash), _AT_ONCE):
+            some = to_hash[first : first + _AT_ONCE]
+            hashes.update(zip(map(id, some), pool.map(room.hashed, some), strict=True))
     looks, seen = [], {}
     hashed_at = time.time_ns()
     for source in sources:

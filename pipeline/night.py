@@ -16,7 +16,7 @@ from pipeline.freshness import code_version, digest
 from pipeline.lab import Lab
 from pipeline.settings import Settings
 from pipeline.stages.tasks import MODULES, perform, rig_hash
-from pipeline.store.journal import Freshness, Outcome
+from pipeline.store.journal import Freshness, Outcome, held_once
 from pipeline.store.manifest import Manifest
 
 Track = Callable[[Iterable[Any], int, str], Iterable[Any]]
@@ -80,4 +80,5 @@ class Context:
     def run(self, tasks: Iterable[Any], count: int, what: str) -> Iterator[tuple[Any, Outcome | Casualty]]:
         """Runs a stage's tasks in workers; results as they are ready."""
         results = run_all(tasks, perform, self.open_executor, jobs=self.jobs)
-        yield from self.track(results, count, what)
+        for task, result in self.track(results, count, what):
+            yield task, held_once(result) if isinstance(result, Outcome) else result

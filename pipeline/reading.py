@@ -89,7 +89,7 @@ def included(context: Context, read_now: Read, excluded: frozenset[str]) -> list
         outcome = context.done.get(item)
         if outcome is not None:
             facts = outcome.facts
-            kinds, made_from = frozenset(facts["carried"]), outcome.freshness
+            kinds, made_from = _kinds(facts["carried"]), outcome.freshness
             specimen_id, rig_id = facts["specimen_id"], facts["rig_id"]
         else:
             row = rows[sha256]
@@ -99,6 +99,12 @@ def included(context: Context, read_now: Read, excluded: frozenset[str]) -> list
         entry = None if outcome is None else entry_path(context.lab.journal, item)
         chosen.append(Included(name, specimen_id, rig_id, kinds, made_from, entry))
     return sorted(chosen, key=lambda one: one.recording_id)
+
+
+@functools.cache
+def _kinds(carried: tuple[str, ...]) -> frozenset[str]:
+    """One set for all recordings that carry the same."""
+    return frozenset(carried)
 
 
 def _is_fresh(context: Context, content: Content, known: Mapping[str | None, KnownRecording]) -> bool:
@@ -120,7 +126,7 @@ def _expected(context: Context, look: Look, rig_id: str | None) -> Freshness:
 def _read_contents(context: Context, stale: Sequence[Content]) -> frozenset[str]:
     """Reads contents in workers; returns those that could not be read because they change."""
     code, settings = context.version(RECORDING)
-    tasks = [
+    tasks = (
         RecordingTask(
             source=(content.primary or content.looks[0]).source,
             sha256=content.sha256,
@@ -132,9 +138,9 @@ def _read_contents(context: Context, stale: Sequence[Content]) -> frozenset[str]
             settings_hash=settings,
         )
         for content in stale
-    ]
+    )
     changing = set()
-    for task, result in context.run(tasks, len(tasks), "recordings"):
+    for task, result in context.run(tasks, len(stale), "recordings"):
         if isinstance(result, Casualty):
             result = recording_casualty(replace(task, settings_hash=context.limits_hash), result.reason)
         if result.outcome == PENDING:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 import zlib
 from collections.abc import Container, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from schemas.errors import LabError
 OK, DAMAGED, QUARANTINED, PENDING, FAILED = "ok", "damaged", "quarantined", "pending", "failed"
 USABLE = (OK, DAMAGED)
 _MAGIC = b"dealab-journal-2\n"
+_COMMON = ("status", "protocol", "rig_id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,30 @@ class Outcome:
     seconds: float = 0.0
     error: str | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def held_once(outcome: Outcome) -> Outcome:
+    """The same outcome, with texts that thousands have in common held once for all of them.
+
+    What comes out of another process or a file brings its own copy of each.
+    """
+    made = outcome.freshness
+    facts: dict[str, Any] = {}
+    for name, value in outcome.facts.items():
+        key = sys.intern(name)
+        if isinstance(value, str) and name in _COMMON:
+            facts[key] = sys.intern(value)
+        elif isinstance(value, list | tuple) and all(isinstance(one, str) for one in value):
+            facts[key] = tuple(map(sys.intern, value))
+        else:
+            facts[key] = value
+    return replace(
+        outcome,
+        stage=sys.intern(outcome.stage),
+        freshness=Freshness(made.input_hash, sys.intern(made.code_version), sys.intern(made.settings_hash)),
+        outcome=sys.intern(outcome.outcome),
+        facts=facts,
+    )
 
 
 def entry_path(folder: Path, item_id: str) -> Path:
@@ -147,7 +173,7 @@ def _header(content: bytes) -> tuple[dict[str, Any], int]:
 def _outcome(content: bytes) -> Outcome:
     values, _ = _header(content)
     del values["tables"]
-    return Outcome(**{**values, "freshness": Freshness(**values["freshness"])})
+    return held_once(Outcome(**{**values, "freshness": Freshness(**values["freshness"])}))
 
 
 def _stream(table: pa.Table) -> pa.Buffer:

@@ -9,10 +9,13 @@ import contextlib
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from pipeline.lab import Lab
 from pipeline.store.journal import Freshness
 from pipeline.store.reader import Reader
+
+_COMMON = ("source_sha256", "protocol", "rig_id", "status", "run_id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +80,28 @@ def load(lab: Lab) -> Manifest:
                 sys.intern(row["outcome"]),
                 row["error"],
             )
-            for row in reader.rows("items")
+            for row in reader.each("items")
         }
         fields = tuple(KnownRecording.__dataclass_fields__)
-        recordings = tuple(KnownRecording(**row) for row in reader.rows("recordings", fields))
-        files = {row.pop("path"): SeenFile(**row) for row in reader.rows("files")}
+        recordings = tuple(_known(row) for row in reader.each("recordings", fields))
+        files = {
+            row.pop("path"): SeenFile(**{**row, "sha256": sys.intern(row["sha256"])}) for row in reader.each("files")
+        }
         carried: dict[str, set[str]] = {}
-        for row in reader.rows("carried", ("recording_id", "kind")):
-            carried.setdefault(row["recording_id"], set()).add(row["kind"])
-        runs = [int(row["run_id"]) for row in reader.rows("runs", ("run_id",)) if str(row["run_id"]).isdigit()]
-    return Manifest(items, recordings, files, {k: frozenset(v) for k, v in carried.items()}, max(runs, default=0))
+        for row in reader.each("carried", ("recording_id", "kind")):
+            carried.setdefault(row["recording_id"], set()).add(sys.intern(row["kind"]))
+        runs = [int(row["run_id"]) for row in reader.each("runs", ("run_id",)) if str(row["run_id"]).isdigit()]
+    sets = {kinds: kinds for kinds in map(frozenset, carried.values())}  # few, for many recordings
+    same = {recording_id: sets[frozenset(kinds)] for recording_id, kinds in carried.items()}
+    return Manifest(items, recordings, files, same, max(runs, default=0))
+
+
+def _known(row: dict[str, Any]) -> KnownRecording:
+    """A row with texts that many have in common held once for all of them; the content's hash is also that of its file."""
+    for name in _COMMON:
+        if row[name] is not None:
+            row[name] = sys.intern(row[name])
+    return KnownRecording(**row)
 
 
 def known_recordings(lab: Lab) -> frozenset[str]:

@@ -5,7 +5,7 @@ Light on purpose, since stages depend on it: the lab's paths and queries do not 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import pyarrow as pa
 
 from schemas.errors import LabError
 from schemas.tables import TABLES, Column
+
+_AT_ONCE = 2000
 
 
 class Reader:
@@ -62,11 +64,22 @@ class Reader:
         where: str = "true",
     ) -> list[dict[str, Any]]:
         """The same as dictionaries; `where` is a condition of ours on the columns."""
-        query = self._query(name, columns, key, among, where)
+        return list(self._each(name, columns, self._query(name, columns, key, among, where)))
+
+    def each(self, name: str, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+        """All rows one by one, for what has many; nothing else may be asked meanwhile."""
+        return self._each(name, columns, self._query(name, columns, None, ()))
+
+    def _each(
+        self, name: str, columns: Sequence[str] | None, query: tuple[str, list[list[str]]] | None
+    ) -> Iterator[dict[str, Any]]:
         if query is None:
-            return []
+            return
         names = [column.name for column in self._wanted(name, columns)]
-        return [dict(zip(names, row, strict=True)) for row in self._connection.execute(*query).fetchall()]
+        found = self._connection.execute(*query)
+        while some := found.fetchmany(_AT_ONCE):
+            for row in some:
+                yield dict(zip(names, row, strict=True))
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> list[Column]:
         return [c for c in TABLES[name].columns if columns is None or c.name in columns]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,7 +18,7 @@ from pipeline.analyse.carried import carried_table, results_of
 from pipeline.lab import Lab
 from pipeline.store.carry import Codec
 from pipeline.store.checks import violations
-from pipeline.store.journal import Freshness, Outcome, entries, read_outcome, read_tables, write_entry
+from pipeline.store.journal import Freshness, Outcome, entries, held_once, read_outcome, read_tables, write_entry
 from pipeline.store.manifest import load
 from pipeline.store.publish import BATCH_PIECES, Changes, Deletion, batched, publish
 from pipeline.tabulate.recordings import recordings_rows
@@ -171,6 +172,32 @@ def test_journal_keeps_outcome_and_rows(tmp_path: Path) -> None:
     assert read_outcome(path) == OUTCOME
     assert read_tables(path) == {"lifetimes": tables["lifetimes"]}
     assert list(entries(tmp_path)) == [(path, OUTCOME)]
+
+
+def test_texts_that_outcomes_have_in_common_are_held_once() -> None:
+    """Each comes out of its own process with its own copies: of 10 000 recordings that is a tenth of a night's memory."""
+    about = Outcome("recording:1", "recording", Freshness("a", "code", "settings"), "ok", 1.5, None,
+                    {"status": "ok", "carried": ("Step", "Chirp"), "problem": None, "refusal": {"message": "no"}})  # fmt: skip
+    one, other = (held_once(pickle.loads(pickle.dumps(about))) for _ in range(2))
+    assert one == other == about
+    assert one.freshness.code_version is other.freshness.code_version
+    assert one.facts["status"] is other.facts["status"]
+    assert all(a is b for a, b in zip(one.facts["carried"], other.facts["carried"], strict=True))
+    assert all(a is b for a, b in zip(one.facts, other.facts, strict=True))
+
+
+def test_the_manifest_holds_what_recordings_have_in_common_once(lab: Lab) -> None:
+    rows = [recording(name, protocol="chirp", rig_id="rig-a") for name in "abc"]
+    files = [{"path": f"/raw/{name}", "size": 1, "mtime_ns": 2, "inode": 3, "sha256": name * 8} for name in "abc"]
+    carried = [{"recording_id": name, "kind": kind} for name in "ab" for kind in ("x", "y")]
+    publish(lab, added(*rows, files=files, carried=TABLES["carried"].rows(carried)))
+    known = load(lab)
+    first, second, _ = known.recordings
+    assert (first.protocol, first.rig_id) == ("chirp", "rig-a")
+    assert first.protocol is second.protocol
+    assert first.source_sha256 is known.files[first.source_path].sha256
+    assert known.carried == {"a": frozenset("xy"), "b": frozenset("xy")}
+    assert known.carried["a"] is known.carried["b"]
 
 
 def test_of_an_entry_only_the_tables_that_are_wanted_are_read(tmp_path: Path) -> None:
