@@ -16,7 +16,7 @@ from pipeline.stages.tasks import RECORDING, RecordingTask, input_hash, item_id,
 from pipeline.store.checks import ANALYSED
 from pipeline.store.inputs import Included
 from pipeline.store.journal import OK, PENDING, QUARANTINED, USABLE, Freshness, entries, entry_path
-from pipeline.store.manifest import KnownRecording
+from pipeline.store.manifest import KnownRecording, one_set
 from schemas.errors import DealabError, PendingError
 
 
@@ -89,7 +89,7 @@ def included(context: Context, read_now: Read, excluded: frozenset[str]) -> list
         outcome = context.done.get(item)
         if outcome is not None:
             facts = outcome.facts
-            kinds, made_from = _kinds(facts["carried"]), outcome.freshness
+            kinds, made_from = one_set(frozenset(facts["carried"])), outcome.freshness
             specimen_id, rig_id = facts["specimen_id"], facts["rig_id"]
         else:
             row = rows[sha256]
@@ -99,12 +99,6 @@ def included(context: Context, read_now: Read, excluded: frozenset[str]) -> list
         entry = None if outcome is None else entry_path(context.lab.journal, item)
         chosen.append(Included(name, specimen_id, rig_id, kinds, made_from, entry))
     return sorted(chosen, key=lambda one: one.recording_id)
-
-
-@functools.cache
-def _kinds(carried: tuple[str, ...]) -> frozenset[str]:
-    """One set for all recordings that carry the same."""
-    return frozenset(carried)
 
 
 def _is_fresh(context: Context, content: Content, known: Mapping[str | None, KnownRecording]) -> bool:

@@ -6,16 +6,15 @@ Read from the published snapshot. An older release's database may lack tables an
 from __future__ import annotations
 
 import contextlib
+import functools
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from pipeline.lab import Lab
 from pipeline.store.journal import Freshness
 from pipeline.store.reader import Reader
-
-_COMMON = ("source_sha256", "protocol", "rig_id", "status", "run_id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,33 +74,39 @@ def load(lab: Lab) -> Manifest:
         items = {
             row["item_id"]: BookedItem(
                 row["item_id"],
-                sys.intern(row["stage"]),
-                Freshness(row["input_hash"], sys.intern(row["code_version"]), sys.intern(row["settings_hash"])),
-                sys.intern(row["outcome"]),
+                row["stage"],
+                Freshness(row["input_hash"], row["code_version"], row["settings_hash"]),
+                row["outcome"],
                 row["error"],
             )
-            for row in reader.each("items")
+            for row in _shared(reader.each("items"), "stage", "code_version", "settings_hash", "outcome")
         }
-        fields = tuple(KnownRecording.__dataclass_fields__)
-        recordings = tuple(_known(row) for row in reader.each("recordings", fields))
-        files = {
-            row.pop("path"): SeenFile(**{**row, "sha256": sys.intern(row["sha256"])}) for row in reader.each("files")
-        }
+        known = reader.each("recordings", tuple(KnownRecording.__dataclass_fields__))
+        recordings = tuple(
+            KnownRecording(**row) for row in _shared(known, "source_sha256", "protocol", "rig_id", "status", "run_id")
+        )
+        files = {row.pop("path"): SeenFile(**row) for row in _shared(reader.each("files"), "sha256")}
         carried: dict[str, set[str]] = {}
-        for row in reader.each("carried", ("recording_id", "kind")):
-            carried.setdefault(row["recording_id"], set()).add(sys.intern(row["kind"]))
+        for row in _shared(reader.each("carried", ("recording_id", "kind")), "kind"):
+            carried.setdefault(row["recording_id"], set()).add(row["kind"])
         runs = [int(row["run_id"]) for row in reader.each("runs", ("run_id",)) if str(row["run_id"]).isdigit()]
-    sets = {kinds: kinds for kinds in map(frozenset, carried.values())}  # few, for many recordings
-    same = {recording_id: sets[frozenset(kinds)] for recording_id, kinds in carried.items()}
-    return Manifest(items, recordings, files, same, max(runs, default=0))
+    sets = {recording_id: one_set(frozenset(kinds)) for recording_id, kinds in carried.items()}
+    return Manifest(items, recordings, files, sets, max(runs, default=0))
 
 
-def _known(row: dict[str, Any]) -> KnownRecording:
-    """A row with texts that many have in common held once for all of them; the content's hash is also that of its file."""
-    for name in _COMMON:
-        if row[name] is not None:
-            row[name] = sys.intern(row[name])
-    return KnownRecording(**row)
+def _shared(rows: Iterable[dict[str, Any]], *names: str) -> Iterator[dict[str, Any]]:
+    """Rows with the texts of these columns, which many have in common, held once for all of them."""
+    for row in rows:
+        for name in names:
+            if row[name] is not None:
+                row[name] = sys.intern(row[name])
+        yield row
+
+
+@functools.cache
+def one_set(kinds: frozenset[str]) -> frozenset[str]:
+    """The same set for all recordings that carry the same kinds of results, of which there are few."""
+    return kinds
 
 
 def known_recordings(lab: Lab) -> frozenset[str]:

@@ -175,7 +175,7 @@ def test_journal_keeps_outcome_and_rows(tmp_path: Path) -> None:
 
 
 def test_texts_that_outcomes_have_in_common_are_held_once() -> None:
-    """Each comes out of its own process with its own copies: of 10 000 recordings that is a tenth of a night's memory."""
+    """Each comes out of its own process with its own copies."""
     about = Outcome("recording:1", "recording", Freshness("a", "code", "settings"), "ok", 1.5, None,
                     {"status": "ok", "carried": ("Step", "Chirp"), "problem": None, "refusal": {"message": "no"}})  # fmt: skip
     one, other = (held_once(pickle.loads(pickle.dumps(about))) for _ in range(2))
