@@ -36,14 +36,16 @@ class Demand:
     share : of what it and the causes explain together, over the share that forms of right causes leave
     of_weak : the part of it for causes that explain next to nothing; what is small follows no other course than the first order of
         its form
+    in_place : share of what the causes explain that it must explain in their place: it stands for them then
     """
 
     level: float
     share: float
     of_weak: float
+    in_place: float
 
 
-SURE, DOUBT, DOUBT_OF_MANY = Demand(1e-4, 1.0, 0.5), Demand(0.03, 0.6, 0.25), Demand(2e-3, 0.6, 0.5)
+SURE, DOUBT, DOUBT_OF_MANY = Demand(1e-4, 1.0, 0.5, 0.5), Demand(0.03, 0.6, 0.25, 0.5), Demand(2e-3, 0.6, 0.5, 1.0)
 """For `unknown`, and for a doubt by quantities of a few numbers and of many."""
 LEVEL = 0.002
 """False-alarm level of the search over the listed mechanisms."""
@@ -57,9 +59,6 @@ EXPLAINED = 0.6
 LEFT_LEVEL = 1e-3
 _FEW = 12
 """Numbers up to which a quantity left free stands for one thing; with more it follows a little of everything."""
-_IN_ITS_PLACE, _ALL_OF_IT = 0.5, 1.0
-"""Share of what the causes explain that a quantity left free, of few numbers and of many, must explain in their place: they stand
-for it then."""
 _BETTER, _FEWEST = 2.0, 3
 """χ² by which a quantity left free, alone, must explain more than one cause for a doubt, for a listed one is likelier from the start;
 and its numbers at most: more imitate, with a number for each recording, whatever comes with time. Two causes that happen to be
@@ -178,8 +177,9 @@ def _decided(of: Extended, start: Float) -> Outcome:
     share = explained(plain, final)
     after = structure(final)
     alone = departures(plain)
-    demands = ((d, DOUBT if d.degrees_of_freedom <= _FEW else DOUBT_OF_MANY) for d in departures(final))
-    doubtful = _in_their_place(plain, final, alone, [d for d, demand in demands if _departs(plain, final, d, demand)])
+    doubtful = _in_their_place(
+        plain, final, alone, [d for d in departures(final) if _departs(plain, final, d, _doubt(d))]
+    )
     beside = tuple(d for d in doubtful if _departs(plain, final, d, SURE))
     instead = _instead(plain, final, alone)
     verdict = _verdict(bool(alternatives or doubtful or instead), share, after, beside)
@@ -253,14 +253,16 @@ def _verdict(rivals: bool, share: float, after: Structure, departed: Sequence[De
     return AMBIGUOUS if rivals else NAMED
 
 
+def _doubt(found: Departure) -> Demand:
+    return DOUBT if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
+
+
 def _in_their_place(
     plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure], found: Sequence[Departure]
 ) -> tuple[Departure, ...]:
     """Of quantities left free those that explain much of the same without the causes."""
     fall = plain.chi2 - final.chi2
-    stands = {
-        d.text for d in alone if d.excess > (_IN_ITS_PLACE if d.degrees_of_freedom <= _FEW else _ALL_OF_IT) * fall
-    }
+    stands = {d.text for d in alone if d.excess > _doubt(d).in_place * fall}
     return tuple(d for d in found if d.text in stands)
 
 

@@ -38,7 +38,9 @@ _NS = 1_000_000_000
 _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
-_CHIRP: dict[str, Key] = {"frequency_start_hz": 1.0, "frequency_stop_hz": 100.0, "sweep": "log", "repeats": 2.0}
+_CHIRP: dict[str, Key] = {"frequency_start_hz": 1.0, "sweep": "log", "repeats": 2.0}
+_USUAL_HZ, _WIDE_HZ = 100.0, 300.0
+"""Ends of the band of a test, and of one that has the resonance of most load cells in it."""
 _KINDS = {
     "chirp": SWEEPS,
     "cyclic": CYCLES,
@@ -53,13 +55,14 @@ _SPHS: dict[str, Key] = {
     "period_s": 2.0,
     "periods": 100.0,
     "frequency_start_hz": 0.5,
-    "frequency_stop_hz": 100.0,
     "lines": "odd",
 }
 _USUAL_STRAIN = 0.02
 _LONG_REST_S, _LONG_HOLD_S = 7200.0, 7200.0
 _WARMER, _TEMPERATURE = "warmer_k", "temperature_degc"
-_WARMER_K, _TO_WARM_S, _ROOM_DEGC = 10.0, 3600.0, 23.0
+_TO_WARM_S, _ROOM_DEGC = 3600.0, 23.0
+WARMER_K, LITTLE_WARMER_K = 10.0, 3.0
+"""How much warmer a room is made to tell causes apart, and to see one again: far from what is known, its form may be another."""
 _CARRIED = ("pre_strain", "actuation_n_per_kv2", "actuation_sd")
 """What a recording tells of the specimen, and the next one would tell again."""
 _CALIBRATION_SD = {"tap": (7e-4, 3e-3), "weight": (1e-3,)}
@@ -94,23 +97,31 @@ def showing(proposals: Sequence[Proposal], causes: Sequence[Mechanism]) -> list[
     return [p for p in proposals if any(_KINDS[p.test] & m.shows and p.test not in m.faint for m in causes)]
 
 
-def catalogue(session: Session) -> list[Proposal]:
-    """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity;
-    and the calibrations of its rig.
+def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
+    """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity,
+    faster; and the calibrations of its rig.
 
-    None is larger than what the session has: that could bring effects of its own, or the end of the film.
+    None is larger than what the session has: that could bring effects of its own, or the end of the film. `warmer_k`: how much
+    warmer a room is made.
     """
     largest = session.scale.strain if session.scale.strain > 0 else _USUAL_STRAIN
     swings = [2 * r.values.get("largest_strain", 0.0) for r in session.recordings if r.protocol == "chirp"]
     swing = max(swings, default=0.0) or largest / 2
     found: list[Proposal] = []
     for level in (round(0.3 * swing, 4), round(swing, 4)):
-        found.append(
-            Proposal(
-                {"protocol": "chirp", "loading": "mechanical", "strain_pp": level, **_CHIRP},
-                f"a chirp from 1 to 100 Hz at {100 * level:.2g} % strain (peak to peak), twice",
+        for stop_hz in (_USUAL_HZ, _WIDE_HZ):
+            found.append(
+                Proposal(
+                    {
+                        "protocol": "chirp",
+                        "loading": "mechanical",
+                        "strain_pp": level,
+                        "frequency_stop_hz": stop_hz,
+                        **_CHIRP,
+                    },
+                    f"a chirp from 1 to {stop_hz:g} Hz at {100 * level:.2g} % strain (peak to peak), twice",
+                )
             )
-        )
     for level in (round(0.2 * largest, 4), round(0.5 * largest, 4), round(largest, 4)):
         for frequency, cycles in ((0.02, 4.0), (1.0, 30.0)):
             found.append(
@@ -146,13 +157,13 @@ def catalogue(session: Session) -> list[Proposal]:
             {**held, **rested}, f"three steps {hold}, with two hours of rest before each", 2 * ({**held, **rested},)
         ),
     ]
-    chirps = [p for p in found if p.test == "chirp"]
+    chirps = [p for p in found if p.test == "chirp" and p.design["frequency_stop_hz"] == _USUAL_HZ]
     found += [Proposal({**p.design, **rested}, f"{p.text}, after two hours of rest") for p in chirps]
     found += [
         Proposal(
             {**p.design, _WARMER: 0.0},
-            f"{p.text}, then again after an hour in a room {_WARMER_K:g} K warmer, the temperature recorded",
-            ({**p.design, _WARMER: _WARMER_K, "rest_before_s": _TO_WARM_S},),
+            f"{p.text}, then again after an hour in a room {warmer_k:g} K warmer, the temperature recorded",
+            ({**p.design, _WARMER: warmer_k, "rest_before_s": _TO_WARM_S},),
         )
         for p in chirps
     ]
@@ -174,12 +185,17 @@ def _electrical(highest: float) -> list[Proposal]:
             kv = round(share * highest, 2)
             side = "" if polarity > 0 else " of the opposite polarity"
             sign: dict[str, Key] = {} if polarity > 0 else {"polarity": -1.0}
-            found.append(
-                Proposal(
-                    {"protocol": "sphs", "loading": "electrical", "drive_kv": kv, **_SPHS, **sign},
-                    f"an SPHS with a peak of {kv:g} kV{side}, a hundred periods of 2 s",
-                )
-            )
+            sphs = {
+                "protocol": "sphs",
+                "loading": "electrical",
+                "drive_kv": kv,
+                "frequency_stop_hz": _USUAL_HZ,
+                **_SPHS,
+            }
+            text = f"an SPHS with a peak of {kv:g} kV{side}, a hundred periods of 2 s"
+            found.append(Proposal({**sphs, **sign}, text))
+            if polarity > 0 and share == 1.0:
+                found.append(Proposal({**sphs, "frequency_stop_hz": _WIDE_HZ}, f"{text}, to {_WIDE_HZ:g} Hz"))
             found.append(
                 Proposal(
                     {
@@ -312,8 +328,8 @@ def _chirp(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tu
     for repeat in range(repeats):
         one = excitation.sweep(
             time - _REST_S - repeat * (_SWEEP_S + _REST_S),
-            start_hz=1.0,
-            stop_hz=100.0,
+            start_hz=float(design["frequency_start_hz"]),
+            stop_hz=float(design["frequency_stop_hz"]),
             duration_s=_SWEEP_S,
             amplitude=float(design["strain_pp"]) * length_mm / 2,
             exponent=-0.3,
@@ -338,7 +354,7 @@ def _relaxation(design: Mapping[str, Key], length_mm: float, interval_s: float) 
 
 def _sphs(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
     period = round(float(design["period_s"]) / interval_s)
-    lines = excitation.excited_lines("odd", int(100 * float(design["period_s"])))
+    lines = excitation.excited_lines("odd", int(float(design["frequency_stop_hz"]) * float(design["period_s"])))
     wave = excitation.square_root_drive(0.95 * excitation.schroeder_multisine(period, lines), float(design["drive_kv"]))
     rest = np.zeros(round(0.5 / interval_s))
     given = np.concatenate([rest, np.tile(wave, int(float(design["periods"])))]) * float(design.get("polarity", 1.0))

@@ -24,10 +24,10 @@ _BASES = 2
 """Best single causes on which a second one is tried."""
 _HOPELESS = 3.0
 """χ² over that of the best beyond which a single cause is no base."""
-SECOND_SHARE, SECOND_OF_LEFT = 0.08, 0.4
+SECOND_SHARE, SECOND_OF_LEFT = 0.05, 0.4
 """Least shares of the misfit explained so far, and of what it leaves, that a further cause must add in the blocks in which it adds
 anything: less is the form of those before it."""
-SECOND_OF_ALL = 0.06
+SECOND_OF_ALL = 0.045
 """The same of the misfit that the causes so far explain anywhere."""
 _LEAVING_NOISE = 0.2
 """Part of these shares that a cause has to add which leaves nothing but noise, if none is like it: no other cause takes away all that
@@ -98,7 +98,8 @@ def _added(plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, s
             found = scores(looked)
             if not found or looked.p_value(found[0].statistic) > SECOND_LEVEL:
                 continue
-            further += tried(base, [s for s in found if _promising(plain, base, s, share)], looked, 2)
+            promising = [s for s in found if _promising(plain, base, s, share)]
+            further += tried(base, promising, looked, 2, goal=best.chi2)
         better = [f for f in further if _worthwhile(plain, best, f, share)]
         if not better:
             break

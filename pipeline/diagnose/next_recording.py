@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.designs import Proposal, catalogue, imagined, showing
+from pipeline.diagnose.designs import LITTLE_WARMER_K, WARMER_K, Proposal, catalogue, imagined, showing
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.further import CLOSE
 from pipeline.diagnose.noise_density import NoiseLaw
@@ -29,13 +29,14 @@ _MODEL_ERROR = 0.15
 """Share of a predicted difference that counts as noise: neither cause has exactly its form."""
 _ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
-_OVER_WHAT_IS_SEEN = 2.0
+_OF_WHAT_IS_SEEN = 0.15
+"""Share of what the causes explain so far that a recording must show of them, for a doubt that came by chance to pass."""
 _NORMAL_80 = 1.282
 
 
 def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
-    best = _best(final, alternatives) if alternatives else None
+    best = _best(final, alternatives, WARMER_K) if alternatives else None
     if best is None or best.surely < _ENOUGH:
         return None
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
@@ -43,10 +44,10 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
 
 
 def proving_recording(plain: ExtendedFit, final: ExtendedFit) -> NextRecording | None:
-    """The test in which the causes believed would show most, where they may be none of the list; None where it is less than twice
-    what they have shown so far: what is in no list goes another way there."""
-    best = _best(final, [plain])
-    if best is None or best.separation < _OVER_WHAT_IS_SEEN * (plain.chi2 - final.chi2):
+    """The test in which the causes believed would show most, where they may be none of the list: what is in no list goes another way
+    there, and a doubt that came by chance does not come again. None where they would show next to nothing."""
+    best = _best(final, [plain], LITTLE_WARMER_K)
+    if best is None or best.separation < max(_ENOUGH, _OF_WHAT_IS_SEEN * (plain.chi2 - final.chi2)):
         return None
     names = " and ".join(c.id for c in final.of.chosen)
     return NextRecording(best.proposal.designs, f"{best.proposal.text}: shows whether {names} goes on", best.separation)
@@ -61,12 +62,12 @@ class _Best:
     surely: float
 
 
-def _best(final: ExtendedFit, rivals: Sequence[ExtendedFit]) -> _Best | None:
+def _best(final: ExtendedFit, rivals: Sequence[ExtendedFit], warmer_k: float) -> _Best | None:
     session = final.of.session
     physical = final.of.model.physical(final.theta)
     best: _Best | None = None
     causes = [c.mechanism for f in (final, *rivals) for c in f.of.chosen[:1]]
-    for proposal in showing(catalogue(session), causes):
+    for proposal in showing(catalogue(session, warmer_k), causes):
         try:
             new = imagined(session, physical, proposal)
             later = make_session([*session.recordings, *new], _laws(session, len(new)))

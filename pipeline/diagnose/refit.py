@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.screen import Score, Signatures, absorbed_by, scaled
-from pipeline.diagnose.tempering import outweighed
+from pipeline.diagnose.tempering import noise_chi2, outweighed
 
 Float = NDArray[np.float64]
 
@@ -47,6 +47,10 @@ _SETTLING, _SAME_WEIGHT = 4, 0.05
 """Rounds of weighing the blocks anew at most, and change of the weights that is none."""
 _MOST_ROUNDS, _STILL_FALLING = 20, 0.01
 """Rounds of further steps at most, and share of what a mechanism explains that a round must add for another to follow."""
+_FAR_MORE = 10.0
+"""What a fit finds, or a search still will, is less than so many times what its screen, or its last round, promised."""
+_RIVAL, _RIVAL_LEFT = 0.3, 0.7
+"""χ² above the best cause's, as shares of what that explains and of what it leaves, from which another is no rival whatever it is."""
 
 
 def _proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
@@ -59,10 +63,26 @@ def _proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
     return list(by_id.values())[:mechanisms]
 
 
-def tried(base: ExtendedFit, found: Sequence[Score], looked: Signatures, mechanisms: int) -> list[ExtendedFit]:
-    """The best form of each of the best mechanisms of a screen, fitted on top of `base`."""
-    forms = _proposals(found, mechanisms)
-    return [max((refit(base, form, looked) for form in own), key=lambda f: f.log_evidence) for own in forms]
+def tried(
+    base: ExtendedFit, found: Sequence[Score], looked: Signatures, mechanisms: int, goal: float = np.inf
+) -> list[ExtendedFit]:
+    """The best form of each of the best mechanisms of a screen, fitted on top of `base`.
+
+    Those are left out of which the screen promises so little that they could not come near both the best of those fitted so far and
+    `goal`, a χ²; but never those that the material can take the place of: of a strong one a screen sees next to nothing.
+    """
+    kept: list[ExtendedFit] = []
+    for own in _proposals(found, mechanisms):
+        reach = min([goal, *(_rivals(base, f) for f in kept)])
+        hopeful = [s for s in own if s.chosen.id in _ABSORBED or base.chi2 - _FAR_MORE * s.statistic < reach]
+        fits = [refit(base, form, looked, reach) for form in hopeful]
+        kept += [max(fits, key=lambda f: f.log_evidence)] if fits else []
+    return kept
+
+
+def _rivals(base: ExtendedFit, best: ExtendedFit) -> float:
+    """χ² up to which a fit may be as good as this one once more is known."""
+    return best.chi2 + max(_RIVAL * (base.chi2 - best.chi2), _RIVAL_LEFT * (best.chi2 - noise_chi2(base)), 0.0)
 
 
 def ranked(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
@@ -76,10 +96,11 @@ def confirmed(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
     return ranked([finished(f) if f.log_evidence > top - _CLOSE_CALL - 0.02 * abs(top) else f for f in fits])
 
 
-def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFit:
+def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float = np.inf) -> ExtendedFit:
     """The optimum with one mechanism more, from the screen's point and from others where the material can take its place.
 
-    Never worse than `base` but for the mechanism's priors: a start at a vanishing severity is among them.
+    Never worse than `base` but for the mechanism's priors: a start at a vanishing severity is among them. The search ends early where
+    it will not come down to a χ² of `reach`.
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
     starts: list[Mapping[str, float]] = [
@@ -97,7 +118,7 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
             # The material first: it must make room before the severity may move.
             x = of.room(x, _ROUGHLY, base)
         fits.append(of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False))
-    best = _to_its_end(base, min(fits, key=lambda f: f.chi2))
+    best = _to_its_end(base, min(fits, key=lambda f: f.chi2), reach)
     if not best.chi2 <= base.chi2:
         faint = of.entries(base.theta, (*base.values, scaled(score.chosen.mechanism, score.values, _SMALL)))
         again = of.fit(faint, most=_ROUGHLY, near=base, thorough=False)
@@ -105,14 +126,14 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures) -> ExtendedFi
     return best
 
 
-def _to_its_end(base: ExtendedFit, fit: ExtendedFit) -> ExtendedFit:
+def _to_its_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:
     """On from a rough optimum as long as that adds to what it explains: a strong effect is far from where a screen sees it."""
     for _ in range(_MOST_ROUNDS):
         if fit.solution.converged:
             break
         again = fit.of.fit(fit.x, most=_ROUGHLY, jacobian=fit.solution.jacobian, thorough=False)
         fall, fit = fit.chi2 - again.chi2, again
-        if not fall > _STILL_FALLING * abs(base.chi2 - again.chi2):
+        if not fall > _STILL_FALLING * abs(base.chi2 - again.chi2) or fit.chi2 - _FAR_MORE * fall > reach:
             break
     return fit
 

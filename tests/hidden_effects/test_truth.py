@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Recording
 from tests.hidden_effects import truth
-from tests.hidden_effects.truth import KINDS, MECHANISMS, UNLISTED, Film, Rig, Session, Specimen, hide
+from tests.hidden_effects.truth import KINDS, MECHANISMS, UNLISTED, Film, Rig, Session, Specimen, hide, sensors
 from tests.hidden_effects.truth import design as designs
 from tests.hidden_effects.truth.hidden import resolve
 from tests.hidden_effects.truth.rig import TruthRig
@@ -267,6 +267,18 @@ def test_severity_zero_is_the_plain_session_to_the_last_bit(id: str) -> None:
         assert a.rig == b.rig
         for name in a.channels:
             np.testing.assert_array_equal(values(a, name), values(b, name))
+
+
+@pytest.mark.parametrize("form", ["shift", "two_pole"])
+@pytest.mark.parametrize("delay_s", [5e-6, 2.8e-5, 4e-4])
+def test_delay_shorter_than_a_step_is_one(form: str, delay_s: float) -> None:
+    step, hz = 1e-4, 100.0
+    time = np.arange(0.0, 1.0, step)
+    seen = sensors.delayed(np.sin(2 * np.pi * hz * time), step, delay_s, form)[time >= 0.5]
+    s = 2j * np.pi * hz
+    found = 2j * np.mean(seen * np.exp(-s * time[time >= 0.5]))
+    expected = np.exp(-s * delay_s) if form == "shift" else 1 / (1 + s * delay_s / 2) ** 2
+    assert abs(found - expected) < 1e-3 * abs(1 - expected)
 
 
 def test_effects_compose() -> None:

@@ -238,7 +238,7 @@ class TruthRig:
             )
         crosstalk = self.hidden.get("voltage_crosstalk")
         if crosstalk is not None:
-            smooth = sensors.delayed(on_film[::2], plan.step_s, _CROSSTALK_S, "two_pole")
+            smooth = sensors.smoothed(on_film[::2], plan.step_s, _CROSSTALK_S)
             reading = reading + crosstalk.severity * np.gradient(smooth, plan.step_s)
         return reading
 

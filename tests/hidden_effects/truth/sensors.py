@@ -9,7 +9,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
+from scipy.special import roots_genlaguerre
 
 from tests.hidden_effects.truth.jit import kernel
 
@@ -19,6 +21,8 @@ _PLAYS = np.array([0.01, 0.04, 0.12, 0.3])
 CELL_MEMORY = _PLAYS.size + 1
 _CONVERTER_BITS = 16
 _MAINS_HZ = 50.0
+_SHIFTS = 12
+"""Shifts that stand for two poles, exact for polynomials of degree 23."""
 
 
 @kernel
@@ -43,19 +47,32 @@ def remembering(force: Float, step: float, share: float, peak: float, creep_s: f
 
 
 def delayed(values: Float, step: float, delay_s: float, form: str) -> Float:
-    """The signal through two equal poles of total delay `delay_s`, or shifted by it. At rest before the first sample."""
-    start = values[0]
+    """The signal through two equal poles of total delay `delay_s`, or shifted by it. At rest before the first sample.
+
+    Between samples it is a cubic spline: a delay much shorter than a step must not become a difference of neighbours. Two poles are
+    the mean of shifts by s with the density s e^{−s/τ}/τ².
+    """
+    t = np.arange(values.size) * step
+    signal = CubicSpline(t, values)
     if form == "shift":
-        t = np.arange(values.size) * step
-        return np.asarray(np.interp(t - delay_s, t, values))
+        return np.asarray(signal(np.maximum(t - delay_s, 0.0)))
+    shifts, shares = roots_genlaguerre(_SHIFTS, 1.0)
+    out = np.zeros(values.size)
+    for shift, share in zip(shifts * delay_s / 2, shares, strict=True):
+        out += share * signal(np.maximum(t - shift, 0.0))
+    return out
+
+
+def smoothed(values: Float, step: float, delay_s: float) -> Float:
+    """The signal, with jumps or without, through two equal poles of total delay `delay_s`; linear within a step. At rest before."""
     decay = math.exp(-2 * step / delay_s)
     # One pole 1/(1 + s τ), exact for a signal that is linear within a step.
     ratio = delay_s / 2 / step
     new, old = 1 - ratio * (1 - decay), ratio * (1 - decay) - decay
-    out = values - start
+    out = values - values[0]
     for _ in range(2):
         out = lfilter([new, old], [1, -decay], out)
-    return np.asarray(out + start)
+    return np.asarray(out + values[0])
 
 
 def hum(time_s: Float, amplitude_n: float, second: float, rng: np.random.Generator) -> Float:
