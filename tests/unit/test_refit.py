@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
+from pipeline.diagnose import refit
+from pipeline.diagnose.extend import Chosen
 from pipeline.diagnose.refit import _to_its_end
+from pipeline.diagnose.screen import Score
 
 
 class Falling:
@@ -25,19 +29,43 @@ class Falling:
 
 
 @pytest.mark.parametrize(
-    ("chi2", "fall", "least", "found", "rounds"),
+    ("chi2", "fall", "least", "reach", "found", "rounds"),
     [
-        (900.0, 0.0, 0.0, 900.0, 1),  # stands still below the base
-        (1100.0, 0.0, 0.0, 1100.0, 1),  # stands still above it
-        (1000.0, 0.0, 0.0, 1000.0, 1),
-        (900.0, 100.0, 500.0, 500.0, 5),  # falls, and stands still then
-        (900.0, 1e-9, 0.0, 900.0, 1),
-        (900.0, 40.0, -1e9, 100.0, 20),  # never ends
+        (900.0, 0.0, 0.0, np.inf, 900.0, 1),  # stands still below the base
+        (1100.0, 0.0, 0.0, np.inf, 1100.0, 1),  # stands still above it
+        (1000.0, 0.0, 0.0, np.inf, 1000.0, 1),
+        (900.0, 100.0, 500.0, np.inf, 500.0, 5),  # falls, and stands still then
+        (900.0, 1e-9, 0.0, np.inf, 900.0, 1),
+        (900.0, 40.0, -1e9, np.inf, 100.0, 20),  # never ends
+        (900.0, 40.0, -1e9, 500.0, 100.0, 20),  # may come down to that
+        (900.0, 40.0, -1e9, 100.0, 860.0, 1),  # will not come down to that
     ],
 )
-def test_a_search_ends(chi2: float, fall: float, least: float, found: float, rounds: int) -> None:
+def test_a_search_ends(chi2: float, fall: float, least: float, reach: float, found: float, rounds: int) -> None:
     taken: list[int] = []
     base: Any = SimpleNamespace(chi2=1000.0)
     fit: Any = Falling(chi2, fall, least, taken)
-    assert _to_its_end(base, fit).chi2 == pytest.approx(found)
+    assert _to_its_end(base, fit, reach).chi2 == pytest.approx(found)
     assert len(taken) == rounds
+
+
+def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted: list[str] = []
+
+    def fit(base: object, score: Score, *_: object) -> Any:
+        fitted.append(score.chosen.id)
+        chi2 = 1000.0 - 1.2 * score.statistic
+        return SimpleNamespace(chi2=chi2, log_evidence=-chi2 / 2)
+
+    monkeypatch.setattr(refit, "refit", fit)
+    monkeypatch.setattr(refit, "noise_chi2", lambda _: 390.0)
+    ids = {"slack": 500.0, "clamp_slip": 45.0, "gain_error": 5.0, "wrinkling": 5.0}
+    found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
+    base: Any = SimpleNamespace(chi2=1000.0)
+    kept = refit.tried(base, found, cast(Any, None), 8)
+    # Of what the material can take the place of, a screen's promise says nothing.
+    assert fitted == ["slack", "clamp_slip", "gain_error"]
+    assert [f.chi2 for f in kept] == pytest.approx([400.0, 946.0, 994.0])
+    fitted.clear()
+    assert [f.chi2 for f in refit.tried(base, found, cast(Any, None), 8, goal=450.0)] == pytest.approx([400.0, 994.0])
+    assert fitted == ["slack", "gain_error"]
