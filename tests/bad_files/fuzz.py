@@ -40,11 +40,10 @@ from tests.bad_files.promises import (
     Truth,
     Verdict,
     examined,
-    peak_mb,
     truth,
 )
 from tests.bad_files.seeds import READERS, Seed
-from tests.machine import machine, today
+from tests.machine import machine, peak_mb, today
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent

@@ -8,8 +8,6 @@ where each part has its own checksum.
 from __future__ import annotations
 
 import os
-import resource
-import sys
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -83,12 +81,6 @@ def _processor_s() -> float:
     """Processor time of this process and of the children that it has waited for: other programs do not count."""
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
-
-
-def peak_mb() -> float:
-    """Most memory that this process has had, in MB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1024)
 
 
 def _read(seed: Seed, path: Path) -> Any:

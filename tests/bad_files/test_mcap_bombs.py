@@ -36,20 +36,17 @@ LIMIT_MB = 300
 MIB = 1 << 20
 
 _CHILD = """
-import json, re, resource, sys
+import json, sys
 from pathlib import Path
 from ingest.mcap_reader import read_mcap
 from schemas.errors import DealabError
+from tests.machine import peak_mb
 try:
     found = read_mcap(Path(sys.argv[1]))
     told = {"problems": found.problems, "values": {c.quantity: c.values.size for c in found.channels}}
 except DealabError as error:
     told = {"refused": str(error)}
-try:  # the peak of this program alone: ru_maxrss begins with what the parent had
-    kilobytes = int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text()).group(1))
-except OSError:
-    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-print(json.dumps({**told, "megabytes": kilobytes / 1024}))
+print(json.dumps({**told, "megabytes": peak_mb()}))
 """
 
 

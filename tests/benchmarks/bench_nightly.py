@@ -29,11 +29,11 @@ SIZES = tuple(int(n) for n in os.environ.get("DEALAB_BENCH_SIZES", "100,1000,100
 ROOT = Path(__file__).resolve().parents[2]
 _START = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
 _RATE_HZ = 20.0
-# The peak is that of the address space: `ru_maxrss` would hand on what the process that started this one has used.
 _NIGHT = """
 import json, sys, time
 import pipeline.run
 from pipeline import Lab
+from tests.machine import peak_mb
 if sys.argv[4] == "no pages":
     pipeline.run._report = lambda *_: None
 begin, used = time.monotonic(), time.process_time()
@@ -41,7 +41,7 @@ summary = pipeline.run.nightly([sys.argv[1]], Lab(sys.argv[2]), jobs=int(sys.arg
 print(json.dumps({
     "seconds": time.monotonic() - begin,
     "parent_s": time.process_time() - used,
-    "peak_mb": int(next(x for x in open("/proc/self/status") if x.startswith("VmHWM")).split()[1]) / 1024,
+    "peak_mb": peak_mb(),
     "exit": summary.exit_status,
     "analysed": summary.analysed,
 }))
