@@ -36,16 +36,21 @@ class Demand:
     share : of what it and the causes explain together, over the share that forms of right causes leave
     of_weak : the part of it for causes that explain next to nothing; what is small follows no other course than the first order of
         its form
-    in_place : share of what the causes explain that it must explain in their place: it stands for them then
     """
 
     level: float
     share: float
     of_weak: float
+
+
+@dataclass(frozen=True)
+class Doubt(Demand):
+    """The same for a doubt. `in_place` : share of what the causes explain that it must explain in their place: it stands for them then."""
+
     in_place: float
 
 
-SURE, DOUBT, DOUBT_OF_MANY = Demand(1e-4, 1.0, 0.5, 0.5), Demand(0.03, 0.6, 0.25, 0.5), Demand(2e-3, 0.6, 0.5, 1.0)
+SURE, DOUBT, DOUBT_OF_MANY = Demand(1e-4, 1.0, 0.5), Doubt(0.03, 0.6, 0.25, 0.5), Doubt(2e-3, 0.6, 0.5, 1.0)
 """For `unknown`, and for a doubt by quantities of a few numbers and of many."""
 LEVEL = 0.002
 """False-alarm level of the search over the listed mechanisms."""
@@ -253,7 +258,7 @@ def _verdict(rivals: bool, share: float, after: Structure, departed: Sequence[De
     return AMBIGUOUS if rivals else NAMED
 
 
-def _doubt(found: Departure) -> Demand:
+def _doubt(found: Departure) -> Doubt:
     return DOUBT if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
 
 

@@ -38,7 +38,9 @@ _NS = 1_000_000_000
 _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
-_CHIRP: dict[str, Key] = {"frequency_start_hz": 1.0, "sweep": "log", "repeats": 2.0}
+OFTEN = 10
+"""How many times as many sweeps are made where a few do not decide."""
+_TIMES = {2: "twice", 2 * OFTEN: "twenty times"}
 _USUAL_HZ, _WIDE_HZ = 100.0, 300.0
 """Ends of the band of a test, and of one that has the resonance of most load cells in it."""
 _KINDS = {
@@ -110,18 +112,7 @@ def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
     found: list[Proposal] = []
     for level in (round(0.3 * swing, 4), round(swing, 4)):
         for stop_hz in (_USUAL_HZ, _WIDE_HZ):
-            found.append(
-                Proposal(
-                    {
-                        "protocol": "chirp",
-                        "loading": "mechanical",
-                        "strain_pp": level,
-                        "frequency_stop_hz": stop_hz,
-                        **_CHIRP,
-                    },
-                    f"a chirp from 1 to {stop_hz:g} Hz at {100 * level:.2g} % strain (peak to peak), twice",
-                )
-            )
+            found.append(_sweeps(level, stop_hz, 2))
     for level in (round(0.2 * largest, 4), round(0.5 * largest, 4), round(largest, 4)):
         for frequency, cycles in ((0.02, 4.0), (1.0, 30.0)):
             found.append(
@@ -176,6 +167,30 @@ def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
         Proposal(weight, "known weights on the load cell, without film"),
         Proposal(tapped, "taps on the clamp, without film"),
     ]
+
+
+def repeated(proposal: Proposal) -> Proposal | None:
+    """The same sweeps `OFTEN` times as often; None for other tests, and for those with a rest or another room."""
+    design = proposal.design
+    if proposal.test != "chirp" or {_WARMER, "rest_before_s"} & set(design):
+        return None
+    number = int(float(design["repeats"])) * OFTEN
+    return _sweeps(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
+
+
+def _sweeps(level: float, stop_hz: float, number: int) -> Proposal:
+    return Proposal(
+        {
+            "protocol": "chirp",
+            "loading": "mechanical",
+            "strain_pp": level,
+            "frequency_start_hz": 1.0,
+            "frequency_stop_hz": stop_hz,
+            "sweep": "log",
+            "repeats": float(number),
+        },
+        f"a chirp from 1 to {stop_hz:g} Hz at {100 * level:.2g} % strain (peak to peak), {_TIMES[number]}",
+    )
 
 
 def _electrical(highest: float) -> list[Proposal]:

@@ -90,6 +90,14 @@ Edge = Callable[[View, float], Complex | Float | float]
 
 
 @dataclass(frozen=True)
+class Cracks:
+    """Cracks of an electrode that open as a power of the strain; `share` of the capacitance is lost at the session's largest one."""
+
+    share: Factor
+    power: float
+
+
+@dataclass(frozen=True)
 class Film:
     """Dynamic stiffness k N/mm and the share of the actuation force that reaches the ends, both (1 or S, J)."""
 
@@ -180,7 +188,7 @@ class Effect:
         edges
     squared : what acts in place of the square of the voltage
     actuation, electrode : factors of the actuation force; those of the electrode act on the capacitance as well
-    opening : share of the capacitance lost at the session's largest strain, where cracks of the electrode open with the strain
+    opening : what is lost of the capacitance where cracks of the electrode open with the strain
     film : stiffness and the share of the actuation force that reaches the ends
     tension : tension of the film over time, of a sinusoid or along a course
     rig, clamp : constants, and the clamp's dynamic stiffness over kL, given the film's stiffness on it
@@ -206,7 +214,7 @@ class Effect:
     voltage: tuple[Factor, ...] = ()
     capacitance: tuple[Factor, ...] = ()
     electrode: tuple[Factor, ...] = ()
-    opening: tuple[Factor, ...] = ()
+    opening: tuple[Cracks, ...] = ()
     reading: tuple[Callable[[Reading], Float], ...] = ()
     drift: tuple[Callable[[Float, Float, float], Float], ...] = ()
     hum_n: tuple[tuple[float, float], ...] = ()

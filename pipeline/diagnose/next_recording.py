@@ -1,19 +1,19 @@
 """What to measure next: the recording in which two causes that fit alike would differ most.
 
-Were one cause true and the other fitted to all recordings, the new one included, Dᵀ (I + J C Jᵀ)⁻¹ D is what χ² would say against
-the fitted one; D is the difference of the two predictions in standard deviations, J the fitted cause's derivatives there, C its
-covariance from the recordings at hand.
+Were one cause true and the other fitted to all recordings, the new one included, Dᵀ (N + J C Jᵀ)⁻¹ D is what χ² would say against
+the fitted one; D is the difference of the two predictions in standard deviations, N the noise with what the forms may be wrong by, J
+the fitted cause's derivatives there, C its covariance from the recordings at hand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.designs import LITTLE_WARMER_K, WARMER_K, Proposal, catalogue, imagined, showing
+from pipeline.diagnose.designs import LITTLE_WARMER_K, OFTEN, WARMER_K, Proposal, catalogue, imagined, repeated, showing
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.further import CLOSE
 from pipeline.diagnose.noise_density import NoiseLaw
@@ -32,12 +32,14 @@ _ENOUGH = 2 * CLOSE
 _OF_WHAT_IS_SEEN = 0.15
 """Share of what the causes explain so far that a recording must show of them, for a doubt that came by chance to pass."""
 _NORMAL_80 = 1.282
+_STEPS = 10
+"""Steps of a fit in which a cause is tried in its other forms."""
 
 
 def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
-    best = _best(final, alternatives, WARMER_K) if alternatives else None
-    if best is None or best.surely < _ENOUGH:
+    best = _best(final, alternatives, WARMER_K, lambda found: found.surely >= _ENOUGH) if alternatives else None
+    if best is None:
         return None
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
     return NextRecording(best.proposal.designs, f"{best.proposal.text}: tells {rivals} apart", best.separation)
@@ -46,41 +48,84 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
 def proving_recording(plain: ExtendedFit, final: ExtendedFit) -> NextRecording | None:
     """The test in which the causes believed would show most, where they may be none of the list: what is in no list goes another way
     there, and a doubt that came by chance does not come again. None where they would show next to nothing."""
-    best = _best(final, [plain], LITTLE_WARMER_K)
-    if best is None or best.separation < max(_ENOUGH, _OF_WHAT_IS_SEEN * (plain.chi2 - final.chi2)):
+    least = max(_ENOUGH, _OF_WHAT_IS_SEEN * (plain.chi2 - final.chi2))
+    best = _best(final, [plain], LITTLE_WARMER_K, lambda found: found.separation >= least)
+    if best is None:
         return None
     names = " and ".join(c.id for c in final.of.chosen)
-    return NextRecording(best.proposal.designs, f"{best.proposal.text}: shows whether {names} goes on", best.separation)
+    goes = "goes" if len(final.of.chosen) == 1 else "go"
+    return NextRecording(
+        best.proposal.designs, f"{best.proposal.text}: shows whether {names} {goes} on", best.separation
+    )
 
 
 @dataclass(frozen=True)
-class _Best:
-    """A proposal, its least `separation` from any rival, and the least difference of χ² that then is nearly sure."""
+class _Judged:
+    """A proposal; of each pair of a form believed and a rival the separation there, and the χ² by which the form is ahead so far."""
 
     proposal: Proposal
-    separation: float
-    surely: float
+    apart: tuple[tuple[float, float], ...]
+
+    @property
+    def separation(self) -> float:
+        return min(separation for separation, _ in self.apart)
+
+    @property
+    def surely(self) -> float:
+        """Least difference of χ² from any rival that then is nearly sure."""
+        return min(_nearly_surely(separation) + ahead for separation, ahead in self.apart)
+
+    def times(self, often: float) -> _Judged:
+        """What so many times the data would say at most."""
+        return replace(self, apart=tuple((often * separation, ahead) for separation, ahead in self.apart))
 
 
-def _best(final: ExtendedFit, rivals: Sequence[ExtendedFit], warmer_k: float) -> _Best | None:
-    session = final.of.session
-    physical = final.of.model.physical(final.theta)
-    best: _Best | None = None
+def _best(
+    final: ExtendedFit, rivals: Sequence[ExtendedFit], warmer_k: float, enough: Callable[[_Judged], bool]
+) -> _Judged | None:
+    """Of the catalogue what separates best; where that is not `enough`, the best of what can be repeated often, if that is."""
+    believed = _forms(final)
     causes = [c.mechanism for f in (final, *rivals) for c in f.of.chosen[:1]]
-    for proposal in showing(catalogue(session, warmer_k), causes):
-        try:
-            new = imagined(session, physical, proposal)
-            later = make_session([*session.recordings, *new], _laws(session, len(new)))
-        except NotIdentifiableError:
-            continue
-        number = len(session.recordings)
-        # What severities are relative to stays that of the session at hand, however large the new recording is.
-        part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
-        separations = [_separation(part, final, rival) for rival in rivals]
-        surely = min(_nearly_surely(s) + r.chi2 - final.chi2 for s, r in zip(separations, rivals, strict=True))
-        if best is None or surely > best.surely:
-            best = _Best(proposal, min(separations), surely)
-    return best
+
+    def best(proposals: Iterable[Proposal]) -> list[_Judged]:
+        """Best first."""
+        judged = [_judged(p, believed, rivals) for p in proposals]
+        return sorted((j for j in judged if j is not None), key=lambda j: -j.surely)
+
+    once = best(showing(catalogue(final.of.session, warmer_k), causes))
+    if any(enough(j) for j in once[:1]):
+        return once[0]
+    hopeful = [repeated(j.proposal) for j in once if enough(j.times(OFTEN))]
+    often = best([p for p in hopeful if p is not None][:1])
+    return often[0] if often and enough(often[0]) else None
+
+
+def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]) -> _Judged | None:
+    """What a proposal would say; None where its recording would have no features."""
+    final = believed[0]
+    session = final.of.session
+    try:
+        new = imagined(session, final.of.model.physical(final.theta), proposal)
+        later = make_session([*session.recordings, *new], _laws(session, len(new)))
+    except NotIdentifiableError:
+        return None
+    number = len(session.recordings)
+    # What severities are relative to stays that of the session at hand, however large the new recording is.
+    part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
+    apart = [(_separation(part, form, rival), rival.chi2 - form.chi2) for form in believed for rival in rivals]
+    return _Judged(proposal, tuple(apart))
+
+
+def _forms(fit: ExtendedFit) -> list[ExtendedFit]:
+    """A fit, and those with other forms of its first cause that do as well: whichever is true, a recording has to tell."""
+    first, *others = fit.of.chosen
+    found = [fit]
+    for variant in first.mechanism.variants:
+        if variant != first.variant:
+            of = replace(fit.of, chosen=(replace(first, variant=variant), *others))
+            other = of.fit(fit.x, most=_STEPS)
+            found += [other] if other.chi2 < fit.chi2 + 2 * CLOSE else []
+    return found
 
 
 def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
@@ -103,10 +148,11 @@ def _separation(part: Session, one: ExtendedFit, other: ExtendedFit) -> float:
     difference = part.whiten(first.predict(one.x) - second.predict(other.x))
     if not np.isfinite(difference).all():
         return 0.0
-    difference = difference / np.sqrt(1 + _MODEL_ERROR**2 * difference**2)
+    # What forms may be wrong by is weighed down for the fit as well: it takes less of the difference up.
+    noise = np.diag(1 + (_MODEL_ERROR * difference) ** 2)
     found = []
     for of, fit in ((first, one), (second, other)):
         rows = central(of.data_residual, fit.x, *of.limits)
-        inside = np.eye(part.size) + rows @ fit.covariance @ rows.T
+        inside = noise + rows @ fit.covariance @ rows.T
         found.append(float(difference @ np.linalg.solve(inside, difference)))
     return min(found)

@@ -10,18 +10,16 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
 from pipeline.diagnose.describing import Loads
-from pipeline.diagnose.effects import Effect
+from pipeline.diagnose.effects import Cracks, Effect
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of
 
 Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-_CRACK_POWER = 1.5
-"""Cracks open faster than in proportion to the strain."""
 _PHASE = 2 * np.pi * np.arange(64) / 64
-_CRACK_HARMONICS = np.array(
-    [np.mean(2 * ((1 + np.cos(_PHASE)) / 2) ** _CRACK_POWER * np.cos(m * _PHASE)) for m in (1, 2)]
-)
-"""Harmonics 1 and 2 of that power of a sinusoid between 0 and 1, phase as that of the strain."""
+_SINUSOID = (1 + np.cos(_PHASE)) / 2
+_ORDERS = np.array([1, 2])
+_FIRST_AND_SECOND = 2 * np.cos(np.outer(_ORDERS, _PHASE)) / _PHASE.size
 
 
 class CapacitanceFamily(Family):
@@ -35,24 +33,31 @@ class CapacitanceFamily(Family):
         rig, view = rig_of(physical, self.rig, effect), self.view
         k = film_at(physical, effect, view).k
         own = dynamic(rig, view, effect, k)
-        response = physical.pf_per_mm * own / (own + k * rig.compliance)
-        response = response * channel(effect.capacitance, view) * channel(effect.electrode, view)
+        strained = np.atleast_2d(own / (own + k * rig.compliance))
+        response = physical.pf_per_mm * strained * channel(effect.capacitance, view) * channel(effect.electrode, view)
         values = self.apply(np.atleast_2d(response / channel(effect.displacement, view)))
-        if effect.opening:
-            self._opened(values, effect)
+        for cracks in effect.opening:
+            self._opened(values, cracks, strained, physical.pf_per_mm)
         return values
 
-    def _opened(self, values: Float, effect: Effect) -> None:
-        """Cracks that open as a power of the strain, above that of the rest: less capacitance towards the peak of each cycle."""
-        total: Float = np.zeros((self.states.size, 1))
-        for function in effect.opening:
-            total = total + np.asarray(np.real(function(self.view)))
+    def _opened(self, values: Float, cracks: Cracks, strained: Complex, pf_per_mm: float) -> None:
+        """Cracks that open as a power of the film's strain, above that of the rest: less capacitance towards the peak of each cycle.
+
+        `strained` (1 or S, J) is the film's extension over the displacement.
+        """
+        open_wide = np.broadcast_to(np.asarray(np.real(cracks.share(self.view))), (self.states.size, 1))
+        opened = _SINUSOID**cracks.power
         at = 0
         for p in self.places:
             rest = self.session.recordings[p.recording].values.get("capacitance_rest_pf", 0.0)
             amplitude = float(p.block.support["input_mm"][0])
-            peak = 2 * amplitude / self.session.scale.length_mm
-            share = min(peak / max(self.session.scale.strain, 1e-12), 1.0) ** _CRACK_POWER
-            lost = rest * float(total[self.state_of[id(p)], 0]) * share / amplitude
-            values[at : at + 2] -= lost * _CRACK_HARMONICS
+            state = self.state_of[id(p)]
+            film = np.interp(p.block.frequency_hz[0], self.frequency, strained[min(state, len(strained) - 1)])
+            peak = 2 * amplitude * abs(film)
+            strain = peak / self.session.scale.length_mm / max(self.session.scale.strain, 1e-12)
+            # Of the capacitance that the film has at that strain, a share is lost.
+            grown = rest + pf_per_mm * peak * _SINUSOID
+            lost = float(open_wide[state, 0]) * min(strain, 1.0) ** cracks.power * grown * opened / amplitude
+            turned = (_FIRST_AND_SECOND @ lost) * np.exp(1j * np.angle(film) * _ORDERS)
+            values[at : at + 4] -= np.concatenate([turned.real, turned.imag])
             at += p.block.size

@@ -21,7 +21,7 @@ from pipeline.diagnose.results import Diagnosis
 from schemas.errors import NotIdentifiableError
 from schemas.mechanisms import UNLISTED
 from schemas.recording import Recording
-from tests.hidden_effects.judging import Case, judge, observe
+from tests.hidden_effects.judging import Case, judge, made, observe
 from tests.hidden_effects.truth import KINDS, Effect, compact_session
 from tests.session_files import write_recordings
 
@@ -191,9 +191,38 @@ def test_a_warmer_room_tells_warming_from_cycles() -> None:
     assert found.split
 
 
-def test_the_proposed_recording_tells_the_causes_apart() -> None:
-    """A voltage that is offset and a permittivity that falls with the field look alike until the polarity is turned."""
-    found = judge(Case(202_610_009, "compact", (("field_dependent_permittivity", 2.0),)))
+def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
+    """A voltage that is offset and a permittivity that falls with the field look alike until the polarity is turned; an offset that is
+    rectified, which the session cannot tell from one that is not, shows at a low voltage alone."""
+    found = judge(Case(140_430_039, "compact", (("drive_offset", 2.0),)))
     assert found.verdict == "ambiguous"
     assert {*found.named, *found.possible} == {"field_dependent_permittivity", "drive_offset"}
     assert found.split
+
+
+@pytest.mark.parametrize(
+    ("seed", "effect", "rivals", "proposed"),
+    [
+        (
+            140_430_015,
+            Effect("gain_error", 0.29, {"channel": "force"}),
+            {"gain_error", "rig_constants"},
+            "known weights",
+        ),
+        (
+            140_430_014,
+            Effect("sensor_delay", 3.5e-6, {"channel": "force", "form": "shift"}),
+            {"sensor_delay", "drive_lag"},
+            "to 300 Hz at 5 % strain (peak to peak), twenty times",
+        ),
+    ],
+)
+def test_what_the_session_cannot_decide_is_asked_of_the_right_recording(
+    seed: int, effect: Effect, rivals: set[str], proposed: str
+) -> None:
+    """A calibration where material and rig take up what differs; many sweeps where a few are too noisy."""
+    found = observe(made(Case(seed), (effect,)))
+    assert found.verdict == "ambiguous"
+    assert {*found.mechanisms, *found.also_possible} == rivals
+    assert found.next_recording is not None
+    assert proposed in found.next_recording.text

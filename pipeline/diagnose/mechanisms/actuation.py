@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose import features
-from pipeline.diagnose.effects import Effect, View, Wave
+from pipeline.diagnose.effects import Cracks, Effect, View, Wave
 from pipeline.diagnose.mechanisms.mechanism import (
     BENT,
     ELECTRICAL,
@@ -58,7 +58,7 @@ def _degraded(values: Values, variant: str) -> Effect:
     def opened(view: View) -> Float:
         return np.asarray(values["opening"] * (1 - left(view)))
 
-    return Effect(electrode=(left,), opening=(opened,))
+    return Effect(electrode=(left,), opening=(Cracks(opened, values["opening_power"]),))
 
 
 def _wrinkled(values: Values, variant: str) -> Effect:
@@ -177,6 +177,17 @@ ELECTRODE_DEGRADATION = Mechanism(
             3.0,
             SHAPE,
             log=False,
+        ),
+        Parameter(
+            "opening_power",
+            "1",
+            "power of the strain by which cracks open",
+            1.0,
+            3.0,
+            SHAPE,
+            log=False,
+            least=0.5,
+            most=4.0,
         ),
     ),
     shows=ELECTRICAL | {features.CYCLIC_CAPACITANCE},

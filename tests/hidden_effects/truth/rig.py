@@ -23,7 +23,9 @@ Float = NDArray[np.float64]
 ROOM_C = 23.0
 _TONNES_PER_KG = 1e-3
 _GRAVITY_M_PER_S2 = 9.80665
-_CRACKS = 0.3
+_CRACKS, _OPEN_EARLY = 0.3, 0.5
+"""Share of the capacitance, over that of the electrode lost, that cracks take at the largest strain; strain, as a share of that, from
+which they open in proportion to it instead of with its square."""
 _CROSSTALK_S = 1e-3
 _DRIFT_TRUE_AT_S = 20.0
 _CALIBRATIONS = ("tap", "weight")
@@ -254,8 +256,11 @@ class TruthRig:
         held = float(plan.design["pre_extension_mm"])
         strain = (extension - creep) / self.specimen.length_mm
         left = electrodes if electrodes.size == 1 else electrodes[::2]
-        open_cracks = _CRACKS * (1 - left) * ((extension - held) / max(self.plain.extension, 1e-9)) ** 2
-        return np.asarray(self.specimen.rest_capacitance_pf * (1 + strain) * left * (1 - open_cracks))
+        stretched = np.abs(extension - held) / max(self.plain.extension, 1e-9)
+        open_cracks = stretched**2 * (1 + _OPEN_EARLY) / (stretched + _OPEN_EARLY)
+        return np.asarray(
+            self.specimen.rest_capacitance_pf * (1 + strain) * left * (1 - _CRACKS * (1 - left) * open_cracks)
+        )
 
     def _electronics(
         self, plan: Plan, values: dict[str, Float], time_s: Float, clock_s: float, rng: np.random.Generator
