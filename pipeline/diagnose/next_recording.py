@@ -61,7 +61,7 @@ def proving_recording(plain: ExtendedFit, final: ExtendedFit) -> NextRecording |
 
 @dataclass(frozen=True)
 class _Judged:
-    """A proposal; of each pair of a form believed and a rival the separation there, and the χ² by which the form is ahead so far."""
+    """A proposal; of each pair of a form believed and a rival the separation there, and what puts the form ahead so far."""
 
     proposal: Proposal
     apart: tuple[tuple[float, float], ...]
@@ -112,7 +112,7 @@ def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequenc
     number = len(session.recordings)
     # What severities are relative to stays that of the session at hand, however large the new recording is.
     part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
-    apart = [(_separation(part, form, rival), rival.chi2 - form.chi2) for form in believed for rival in rivals]
+    apart = [(_separation(part, form, rival), _ahead(form, rival)) for form in believed for rival in rivals]
     return _Judged(proposal, tuple(apart))
 
 
@@ -126,6 +126,12 @@ def _forms(fit: ExtendedFit) -> list[ExtendedFit]:
             other = of.fit(fit.x, most=_STEPS)
             found += [other] if other.chi2 < fit.chi2 + 2 * CLOSE else []
     return found
+
+
+def _ahead(form: ExtendedFit, rival: ExtendedFit) -> float:
+    """Twice the log evidence of a form over a rival's; nothing where what both leave, not the evidence, makes it a rival."""
+    ahead = 2 * (form.log_evidence - rival.log_evidence)
+    return ahead if ahead < 2 * CLOSE else 0.0
 
 
 def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:

@@ -1,7 +1,8 @@
 """Judgements kept while a study runs: one that was interrupted goes on where it stopped, on the same code alone.
 
-A line of JSON per judgement, with the study's seed and a digest of the code that made it. What other code judged is no part of
-a study: its lines are ignored, and gone once a study with new code begins.
+A line of JSON per judgement, with the study's seed and digests of the code that made it. What other code judged is no part of
+a study: its lines are ignored, and gone once a study with new code begins. What proposes recordings is asked of ambiguous
+verdicts alone: with other code for that, all other judgements stand.
 """
 
 from __future__ import annotations
@@ -10,20 +11,34 @@ import ast
 import hashlib
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.diagnose.results import AMBIGUOUS
 from tests.hidden_effects.judging import Case, Judgement
 
 _JUDGING = ("pipeline", "schemas", "ingest", "tests.hidden_effects")
+_PROPOSING = ("pipeline.diagnose.designs", "pipeline.diagnose.next_recording")
 _DIGITS = 5
 
 
-def digest() -> str:
-    """Of the code that makes and judges sessions, without comments and layout."""
+@dataclass(frozen=True)
+class Code:
+    """Digests of code: `judging` makes and judges sessions, `proposing` says which recording an ambiguous verdict asks for."""
+
+    judging: str
+    proposing: str
+
+
+def digest() -> Code:
+    """Of the code that is loaded, without comments and layout."""
     names = sorted(name for name in sys.modules if name.startswith(_JUDGING))
+    return Code(_digest(n for n in names if n not in _PROPOSING), _digest(n for n in names if n in _PROPOSING))
+
+
+def _digest(names: Iterable[str]) -> str:
     found = hashlib.sha256()
     for name in names:
         path = getattr(sys.modules[name], "__file__", None)
@@ -35,10 +50,10 @@ def digest() -> str:
 
 @dataclass(frozen=True)
 class Kept:
-    """A file of judgements; None: nothing is kept. `code` is the digest that its lines must have."""
+    """A file of judgements; None: nothing is kept. `code` is what its lines must have been made by."""
 
     path: Path | None
-    code: str
+    code: Code
 
     def _lines(self) -> Iterator[dict[str, Any]]:
         if self.path is None or not self.path.exists():
@@ -48,8 +63,14 @@ class Kept:
                 found = json.loads(line)
             except json.JSONDecodeError:  # the study was stopped as it wrote
                 continue
-            if found["code"] == self.code:
+            if self._stands(found):
                 yield found
+
+    def _stands(self, line: dict[str, Any]) -> bool:
+        if line["code"] != self.code.judging:
+            return False
+        proposed = any(judgement["verdict"] == AMBIGUOUS for judgement in line["found"])
+        return not proposed or line["proposing"] == self.code.proposing
 
     def seed(self) -> int | None:
         """Of the study that was begun."""
@@ -84,7 +105,8 @@ class Kept:
         if self.path is None:
             return
         judged = [{name: _short(value) for name, value in asdict(j).items()} for j in found]
-        line = {"code": self.code, "seed": seed, "asked": asdict(asked), "found": judged, **more}
+        code = {"code": self.code.judging, "proposing": self.code.proposing}
+        line = {**code, "seed": seed, "asked": asdict(asked), "found": judged, **more}
         with self.path.open("a", encoding="utf-8") as out:
             out.write(json.dumps(line) + "\n")
 

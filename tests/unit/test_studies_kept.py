@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.hidden_effects.judging import Case, Judgement
 from tests.studies import study_diagnosis
-from tests.studies.kept import Kept, digest
+from tests.studies.kept import Code, Kept, digest
 
 NAN = float("nan")
 ASKED = Case(7, "compact", (("slack", 1.5),))
@@ -20,7 +21,7 @@ NOTHING = Judgement(Case(7), (), "none", (), (), None, NAN, NAN, 0, NAN, 0.1, 0.
 
 
 def test_a_judgement_comes_back_as_it_was_kept(tmp_path: Path) -> None:
-    kept = Kept(tmp_path / "log.jsonl", "a")
+    kept = Kept(tmp_path / "log.jsonl", Code("a", "b"))
     kept.add(5, ASKED, (NOTHING, JUDGEMENT))
     kept.add(6, Case(8), (NOTHING,))
     (found,) = kept.judgements(5).items()
@@ -35,8 +36,8 @@ def test_a_judgement_comes_back_as_it_was_kept(tmp_path: Path) -> None:
 
 def test_lines_of_other_code_and_half_a_line_count_for_nothing(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
-    Kept(path, "old").add(5, ASKED, (JUDGEMENT,))
-    kept = Kept(path, "new")
+    Kept(path, Code("old", "b")).add(5, ASKED, (JUDGEMENT,))
+    kept = Kept(path, Code("new", "b"))
     assert kept.seed() is None
     kept.begin()
     assert path.read_text(encoding="utf-8") == ""
@@ -46,6 +47,16 @@ def test_lines_of_other_code_and_half_a_line_count_for_nothing(tmp_path: Path) -
     assert list(kept.judgements(9)) == [ASKED]
     kept.begin()
     assert path.read_text(encoding="utf-8").count("\n") == 1
+
+
+def test_other_code_for_proposals_makes_ambiguous_verdicts_again_alone(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    doubted = replace(JUDGEMENT, verdict="ambiguous", case=Case(8))
+    before = Kept(path, Code("a", "old"))
+    before.add(5, ASKED, (NOTHING, JUDGEMENT))
+    before.add(5, doubted.case, (NOTHING, doubted))
+    assert set(before.judgements(5)) == {ASKED, doubted.case}
+    assert set(Kept(path, Code("a", "new")).judgements(5)) == {ASKED}
 
 
 def test_a_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
