@@ -6,7 +6,8 @@ actuation constant, the amplifier's gain and the sensing constants, as far as th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from pipeline.fit.rig import RigPrior
 Float = NDArray[np.float64]
 
 CLAMP_MASS = "clamp mass"
+_NEAR, _FARTHEST = 8.0, 60.0
+"""Standard deviations within which a rig's constants are searched, and those for its clamp where nothing so near comes close
+to the data: what a clamp carries changes, and nobody writes it down."""
 _RIG_NAMES = (CLAMP_MASS, "load-cell stiffness", "load-cell damping", "force gain")
 
 
@@ -125,6 +129,42 @@ class BaseModel:
         return theta
 
     @property
+    def widened(self) -> BaseModel:
+        """The model with clamps as far from their files as these are wrong by a factor, whatever error they claim."""
+        entries = (replace(e, low=-_FARTHEST, high=_FARTHEST) if CLAMP_MASS in e.name else e for e in self.entries)
+        return replace(self, entries=tuple(entries))
+
+    @property
+    def is_widened(self) -> bool:
+        return any(e.high == _FARTHEST for e in self.entries)
+
+    def with_clamps(self, theta: Float, ratio: float) -> Float:
+        """θ with every clamp's mass `ratio` times that of its file, as far as it is known with an error at all."""
+        moved = theta.copy()
+        for prior, places in self._of_rigs:
+            for i in places:
+                if CLAMP_MASS in self.names[i]:
+                    moved[i] = np.log(ratio) * prior.nominal[0] / prior.factor[0, i - places.start]
+        return moved
+
+    def with_rigs_as_filed(self, theta: Float) -> Float:
+        """θ with every clamp's mass and load cell's stiffness as their files say."""
+        moved = theta.copy()
+        for _, places in self._of_rigs:
+            for i in places:
+                if any(name in self.names[i] for name in _RIG_NAMES[:2]):
+                    moved[i] = 0.0
+        return moved
+
+    @property
+    def _of_rigs(self) -> Iterator[tuple[RigPrior, range]]:
+        """Every rig that has constants, with their places in θ."""
+        at = self.film.stop
+        for prior in filter(None, self.rigs):
+            yield prior, range(at, at + prior.size)
+            at += prior.size
+
+    @property
     def prior_mean(self) -> Float:
         return np.array([e.mean for e in self.entries])
 
@@ -150,4 +190,4 @@ def rig_entries(number: int, prior: RigPrior | None) -> list[Entry]:
         strongest = int(np.argmax(np.abs(column) / np.maximum(np.abs(prior.nominal), 1e-300)))
         names.append(f"rig {number} {_RIG_NAMES[strongest]}")
     unique = [n if names.count(n) == 1 else f"{n} ({i})" for i, n in enumerate(names)]
-    return [Entry(n, 0.0, 1.0, -8.0, 8.0) for n in unique]
+    return [Entry(n, 0.0, 1.0, -_NEAR, _NEAR) for n in unique]

@@ -102,6 +102,12 @@ class Outcome:
     doubtful: tuple[Departure, ...] = ()
     instead: tuple[Departure, ...] = ()
 
+    @property
+    def pattern_stays(self) -> bool:
+        """Whether the final model leaves a pattern. Where the plain one shows none, a weak one is of what is not known of the noise."""
+        level = LEFT_LEVEL if self.before.p_value < STRUCTURE_LEVEL else STRUCTURE_LEVEL
+        return self.after is not None and self.after.p_value < level
+
 
 def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcome:
     """Verdict for a session whose plain model is fitted."""
@@ -187,9 +193,8 @@ def _decided(of: Extended, start: Float) -> Outcome:
     )
     beside = tuple(d for d in doubtful if _departs(plain, final, d, SURE))
     instead = _instead(plain, final, alone)
-    verdict = _verdict(bool(alternatives or doubtful or instead), share, after, beside)
-    return Outcome(
-        verdict,
+    outcome = Outcome(
+        AMBIGUOUS if alternatives or doubtful or instead else NAMED,
         untempered,
         plain,
         singles,
@@ -205,6 +210,8 @@ def _decided(of: Extended, start: Float) -> Outcome:
         doubtful,
         instead,
     )
+    unexplained = beside or (outcome.pattern_stays and share < EXPLAINED)
+    return replace(outcome, verdict=UNKNOWN) if unexplained else outcome
 
 
 def _better_single(final: ExtendedFit, single: ExtendedFit) -> bool:
@@ -249,13 +256,6 @@ def _as_good(plain: ExtendedFit, best: ExtendedFit, other: ExtendedFit) -> bool:
 _MUCH_LEFT = 6.0
 _ROUGHLY, _ON_THE_WAY = 6, 0.5
 """Steps after which an alternative must have come this near to what the causes explain, for it to be brought to an end."""
-
-
-def _verdict(rivals: bool, share: float, after: Structure, departed: Sequence[Departure]) -> str:
-    left = after.p_value < LEFT_LEVEL
-    if (left and share < EXPLAINED) or departed:
-        return UNKNOWN
-    return AMBIGUOUS if rivals else NAMED
 
 
 def _doubt(found: Departure) -> Doubt:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose import features as kinds
-from pipeline.diagnose.decide import LEFT_LEVEL, Outcome, decide
+from pipeline.diagnose.decide import Outcome, decide
 from pipeline.diagnose.discrepancies import described, discrepancies
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.features import RecordingFeatures
@@ -50,6 +50,9 @@ _LEFT = 1e-3
 """Probability below which a pattern that stays is mentioned."""
 _GAIN_WITH_PATTERN = 0.4
 """Held-out gain that a cause which leaves a pattern has to be able to have: the upper end of its interval."""
+_OF_FEATURES = 0.2
+"""Share of what the causes explain that is in the features, below which they need not predict any better: a rig that fits with other
+constants than its file's predicts as well with them."""
 _STRONG, _GAIN_OF_STRONG = 9.0, 0.1
 """Λ over its threshold from which a cause has to predict what it was not fitted to, and the held-out gain that it has to have, if
 it does not predict most parts better. A cause that strong which does not carry over at all is another's look; weaker evidence is
@@ -136,42 +139,57 @@ def _checked(outcome: Outcome, gain: HeldOut | None) -> str:
     """A name needs a held-out gain, and a large one where a pattern stays: else it explains what it was fitted to and no more."""
     if outcome.verdict not in (NAMED, AMBIGUOUS) or gain is None:
         return outcome.verdict
-    left = outcome.after is not None and outcome.after.p_value < LEFT_LEVEL
+    left = outcome.pattern_stays
     if np.isnan(gain.gain):
         return outcome.verdict if gain.after < gain.before or not left else UNKNOWN
-    fall = 0.0 if outcome.final is None else outcome.plain.chi2 - outcome.final.chi2
+    fall, of_features = _falls(outcome)
+    if of_features < _OF_FEATURES * fall:
+        return outcome.verdict
     better = sum(after < before for before, after in gain.parts.values())
     if fall > _STRONG * outcome.threshold and gain.gain < _GAIN_OF_STRONG and 2 * better <= len(gain.parts):
         return UNKNOWN
     return UNKNOWN if gain.upper <= (_GAIN_WITH_PATTERN if left else 0.0) else outcome.verdict
 
 
+def _falls(outcome: Outcome) -> tuple[float, float]:
+    """χ² that the causes explain, and how much of it in the features; the rest is what the files say of the rig."""
+    if outcome.final is None:
+        return 0.0, 0.0
+    plain, final = outcome.plain, outcome.final
+    return plain.chi2 - final.chi2, float(plain.misfit @ plain.misfit - final.misfit @ final.misfit)
+
+
 def _extension(outcome: Outcome, final: ExtendedFit, context: Context, gain: HeldOut | None) -> Extension:
     model, plain = final.of.model, outcome.untempered
     interval = ends(final, final.spread(None if gain is None else gain.entries))
     raw = final.of.data_residual(final.x)
+    film_sd, damper_sd = _film_sd(final)
     return Extension(
         severities={c.id: _estimates(final, i, interval, context) for i, c in enumerate(final.of.chosen)},
         variants={c.id: c.variant for c in final.of.chosen},
         film=model.physical(final.theta).film,
-        film_sd=_film_sd(final),
+        film_sd=film_sd,
+        damper_sd=damper_sd,
         plain_film=model.physical(plain.theta).film,
-        plain_film_sd=_film_sd(plain),
+        plain_film_sd=_film_sd(plain)[0],
         chi2=float(raw @ raw),
         plain_chi2=float(plain.misfit @ plain.misfit),
         size=final.of.session.size,
     )
 
 
-def _film_sd(fit: ExtendedFit) -> tuple[float, ...]:
-    """Standard deviations of k0, k…, tau… in the order of the film's arms."""
+def _film_sd(fit: ExtendedFit) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Standard deviations of k0, k…, tau…, and of the dampers c = k tau, in the order of the film's arms."""
     model = fit.of.model
-    values = np.exp(fit.theta[model.film])
-    sd = values * np.sqrt(np.maximum(np.diag(fit.covariance)[model.film], 0.0))
-    n = model.arms
+    n, values = model.arms, np.exp(fit.theta[model.film])
     order = np.argsort(-values[1 + n : 1 + 2 * n])
-    own = np.concatenate([sd[:1], sd[1 : 1 + n][order], sd[1 + n : 1 + 2 * n][order], sd[1 + 2 * n :]])
-    return tuple(float(v) for v in own)
+    springs, times = 1 + order, 1 + n + order
+    covariance = fit.covariance[model.film, model.film]
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    places = np.concatenate([[0], springs, times, np.arange(1 + 2 * n, values.size)])
+    log_c = spread[springs] ** 2 + spread[times] ** 2 + 2 * covariance[springs, times]
+    dampers = values[springs] * values[times] * np.sqrt(np.maximum(log_c, 0.0))
+    return tuple(float(v) for v in (values * spread)[places]), tuple(float(v) for v in dampers)
 
 
 def _estimates(fit: ExtendedFit, number: int, interval: tuple[Float, Float], context: Context) -> dict[str, Estimate]:

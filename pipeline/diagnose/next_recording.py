@@ -112,7 +112,9 @@ def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequenc
     number = len(session.recordings)
     # What severities are relative to stays that of the session at hand, however large the new recording is.
     part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
-    apart = [(_separation(part, form, rival), _ahead(form, rival)) for form in believed for rival in rivals]
+    simulation = Simulation(part, final.of.simulation)
+    seen = [[_Seen.of(part, simulation, fit) for fit in fits] for fits in (believed, rivals)]
+    apart = [(_separation(one, other), _ahead(one.fit, other.fit)) for one in seen[0] for other in seen[1]]
     return _Judged(proposal, tuple(apart))
 
 
@@ -147,18 +149,28 @@ def _nearly_surely(separation: float) -> float:
     return separation - _NORMAL_80 * 2 * float(np.sqrt(separation))
 
 
-def _separation(part: Session, one: ExtendedFit, other: ExtendedFit) -> float:
-    simulation = Simulation(part, one.of.simulation)
-    weight = np.ones(part.size)
-    first, second = (replace(f.of, session=part, simulation=simulation, weight=weight) for f in (one, other))
-    difference = part.whiten(first.predict(one.x) - second.predict(other.x))
+@dataclass(frozen=True)
+class _Seen:
+    """What a fit says of recordings that were not made, and how surely; whitened.
+
+    values : (N,) features; moves : (N, N) covariance that its own uncertainty gives them
+    """
+
+    fit: ExtendedFit
+    values: Float
+    moves: Float
+
+    @classmethod
+    def of(cls, part: Session, simulation: Simulation, fit: ExtendedFit) -> _Seen:
+        of = fit.of.on(part, simulation, np.ones(part.size))
+        rows = central(of.data_residual, fit.x, *of.limits)
+        return cls(fit, part.whiten(of.predict(fit.x)), rows @ fit.covariance @ rows.T)
+
+
+def _separation(one: _Seen, other: _Seen) -> float:
+    difference = one.values - other.values
     if not np.isfinite(difference).all():
         return 0.0
     # What forms may be wrong by is weighed down for the fit as well: it takes less of the difference up.
     noise = np.diag(1 + (_MODEL_ERROR * difference) ** 2)
-    found = []
-    for of, fit in ((first, one), (second, other)):
-        rows = central(of.data_residual, fit.x, *of.limits)
-        inside = noise + rows @ fit.covariance @ rows.T
-        found.append(float(difference @ np.linalg.solve(inside, difference)))
-    return min(found)
+    return min(float(difference @ np.linalg.solve(noise + seen.moves, difference)) for seen in (one, other))

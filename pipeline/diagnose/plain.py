@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from pipeline.diagnose.base import CLAMP_MASS, BaseModel
+from pipeline.diagnose.base import BaseModel
 from pipeline.diagnose.features import (
     CHIRP_RESPONSE,
     CYCLE_FORCE,
@@ -46,8 +46,10 @@ _MOST = 30
 _PLACES = 6
 _SOUND = 1.3
 """χ² per value at which a search has found what there is: no other start can do clearly better."""
-_ASTRAY, _OTHER_CLAMPS = 1000.0, (3.0, -3.0)
-"""χ² per value from which a search has gone astray, and the clamps' deviations, in units of their files', with which it is tried anew."""
+_ASTRAY = 1000.0
+"""χ² per value from which a search has gone astray, and is tried anew with other clamps."""
+_OTHER_CLAMPS, _TRIED = tuple(float(v) for v in np.exp(np.arange(-10, 11) / 10)), 3
+"""Masses over those of the rigs' files for which the film is looked at, and how many of them are tried."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
     part = session.part(chosen)
     found = _searched(part, Simulation(part), order)
     model = session.base_model(found.model.arms)
+    if found.model.is_widened:
+        model = model.widened
     start = _theta(session, model, found.model.physical(found.theta).film)
     for i, name in enumerate(found.model.names):
         place = model.index(name)
@@ -89,10 +93,19 @@ def refit(session: Session, simulation: Simulation, model: BaseModel, start: Flo
 
 
 def _searched(session: Session, simulation: Simulation, order: int | None) -> PlainFit:
+    """The search near the rigs' files, or that farther away where only it comes near to the data."""
+    found = _of_all_orders(session, simulation, order)
+    if found.chi2 < _ASTRAY * session.size:
+        return found
+    farther = _of_all_orders(session, simulation, order, widened=True)
+    return farther if farther.chi2 < _ASTRAY * session.size else found
+
+
+def _of_all_orders(session: Session, simulation: Simulation, order: int | None, *, widened: bool = False) -> PlainFit:
     """Orders one after the other, each from the optimum of that below and from rough ladders."""
-    found = _best(session, simulation, 1)
+    found = _best(session, simulation, 1, widened=widened)
     for arms in range(2, (order or ORDERS[-1]) + 1):
-        more = _best(session, simulation, arms, found)
+        more = _best(session, simulation, arms, found, widened=widened)
         dispersion = max(1.0, more.chi2 / max(session.size - more.theta.size, 1))
         if order is None and found.chi2 - more.chi2 <= ARM_WORTH * dispersion:
             break
@@ -118,9 +131,12 @@ def bounds(model: BaseModel) -> tuple[Float, Float]:
     return low, high
 
 
-def _best(session: Session, simulation: Simulation, arms: int, lower: PlainFit | None = None) -> PlainFit:
+def _best(
+    session: Session, simulation: Simulation, arms: int, lower: PlainFit | None = None, *, widened: bool = False
+) -> PlainFit:
     model = session.base_model(arms)
-    low, high = bounds(model)
+    if widened:
+        model = model.widened
 
     def residual(theta: Float) -> Float:
         return residual_of(session, simulation, model, theta)
@@ -129,7 +145,7 @@ def _best(session: Session, simulation: Simulation, arms: int, lower: PlainFit |
         """The finite ends of searches from these starts, up to the first that has found what there is."""
         ends = []
         for start in starts:
-            end = minimise(residual, start, low, high, most=_MOST)
+            end = minimise(residual, start, *bounds(model), most=_MOST)
             if np.isfinite(end.chi2):
                 ends.append(end)
                 if end.converged and end.chi2 < _SOUND * session.size:
@@ -139,7 +155,7 @@ def _best(session: Session, simulation: Simulation, arms: int, lower: PlainFit |
     starts = _starts(session, model, lower)
     found = searched(starts)
     if min((end.chi2 for end in found), default=np.inf) >= _ASTRAY * session.size:
-        found += searched(_with_other_clamps(model, starts[-1]))
+        found += searched(_with_other_clamps(session, model))
     if not found:
         raise NotIdentifiableError("the plain model has no finite simulation", where=session.specimen_id)
     best = min(found, key=lambda end: end.chi2)
@@ -152,21 +168,20 @@ def _starts(session: Session, model: BaseModel, lower: PlainFit | None) -> list[
     starts = []
     if lower is not None:
         starts = [_grown(model, lower, tau) for tau in np.geomspace(*_places(f), _PLACES)[::-1]]
-    starts += [_theta(session, model, film) for film in (_clustered(f, k, model.arms), _spread(f, k, model.arms))]
+    films = _clustered(f, k, model.arms)[0], _spread(f, k, model.arms)
+    starts += [_theta(session, model, film) for film in films]
     return starts
 
 
-def _with_other_clamps(model: BaseModel, start: Float) -> list[Float]:
-    """A start with all clamps heavier or lighter than their files say: from the wrong side of a resonance no slope leads over it."""
-    places = [i for i, name in enumerate(model.names) if name.startswith("rig ") and name.endswith(CLAMP_MASS)]
-    if not places:
-        return []
-    found = []
-    for off in _OTHER_CLAMPS:
-        moved = start.copy()
-        moved[places] = off
-        found.append(moved)
-    return found
+def _with_other_clamps(session: Session, model: BaseModel) -> list[Float]:
+    """Starts with clamps of the masses that leave the film smoothest: from the wrong side of a resonance no slope leads over it."""
+    tried = []
+    for ratio in _OTHER_CLAMPS:
+        f, k = rough_stiffness(session, ratio)
+        film, misfit = _clustered(f, k, model.arms)
+        tried.append((misfit, model.with_clamps(_theta(session, model, film), ratio)))
+    tried.sort(key=lambda pair: pair[0])
+    return [start for _, start in tried[:_TRIED]]
 
 
 def _places(f: Float) -> tuple[float, float]:
@@ -201,8 +216,8 @@ def _sensing(session: Session) -> float:
     return float(np.median(change) / np.median(force)) if force and change else 0.0
 
 
-def rough_stiffness(session: Session) -> tuple[Float, Complex]:
-    """Frequencies Hz (m,) and k(jω) N/mm (m,) as the responses have it with the rig as its file says.
+def rough_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Complex]:
+    """Frequencies Hz (m,) and k(jω) N/mm (m,) as the responses have it with the rig as its file says, its clamp `ratio` times as heavy.
 
     Raises `NotIdentifiableError` where no response of the film is among the features.
     """
@@ -212,12 +227,12 @@ def rough_stiffness(session: Session) -> tuple[Float, Complex]:
             continue
         n = p.block.size // 2
         f, g = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]
-        own, compliance = _clamp(session, int(session.rig[p.recording]), f)
+        own, compliance = _clamp(session, int(session.rig[p.recording]), f, ratio)
         clear = np.abs(own) > _CLEAR
         frequencies.append(f[clear])
         stiffness.append((own * g / (1 - g * compliance))[clear])
     if sum(f.size for f in frequencies) == 0:
-        _from_electrical(session, frequencies, stiffness)
+        _from_electrical(session, frequencies, stiffness, ratio)
     f, k = np.concatenate(frequencies), np.concatenate(stiffness)
     sound = np.isfinite(k) & (f > 0)
     if sound.sum() < 2:
@@ -229,43 +244,43 @@ def rough_stiffness(session: Session) -> tuple[Float, Complex]:
     return f[sound], k[sound]
 
 
-def _from_electrical(session: Session, frequencies: list[Float], stiffness: list[Complex]) -> None:
+def _from_electrical(session: Session, frequencies: list[Float], stiffness: list[Complex], ratio: float) -> None:
     """k = kL (a/H − 1 − …) with the actuation that the geometry promises; the order of magnitude is what counts."""
     for p in session.places:
         if p.block.kind != SPHS_RESPONSE:
             continue
         n = p.block.size // 2
         f, h = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]
-        own, compliance = _clamp(session, int(session.rig[p.recording]), f)
+        own, compliance = _clamp(session, int(session.rig[p.recording]), f, ratio)
         drive = session.recordings[p.recording].values.get("actuation_n_per_kv2", float(np.abs(h).max()))
         k = (drive / h - own) / compliance if compliance > 0 else np.ones(f.size, dtype=complex)
         frequencies.append(f)
         stiffness.append(np.where(k.real > 0.02 / max(compliance, 1e-9), k, 0.1 / max(compliance, 1e-9)))
 
 
-def _clamp(session: Session, rig: int, f: Float) -> tuple[Complex, float]:
+def _clamp(session: Session, rig: int, f: Float, ratio: float) -> tuple[Complex, float]:
     prior = session.priors[rig]
     if prior is None:
         return np.ones(f.size, dtype=complex), 0.0
     mass, stiffness, damping, _ = prior.nominal
     omega = 2 * np.pi * f
-    return np.asarray(1 + (-mass * omega**2 + 1j * omega * damping) / stiffness), 1 / float(stiffness)
+    return np.asarray(1 + (-ratio * mass * omega**2 + 1j * omega * damping) / stiffness), 1 / float(stiffness)
 
 
-def _ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float]:
-    """Springs ≥ 0 of arms at `times` under k, least squares relative to |k|: k0 and (len(times),)."""
+def _ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float, float]:
+    """Springs ≥ 0 of arms at `times` under k, least squares relative to |k|: k0, (len(times),) and the misfit, root mean square."""
     s = 2j * np.pi * f[:, None] * times
     design = np.column_stack([np.ones(f.size, dtype=complex), s / (1 + s)]) / np.abs(k)[:, None]
     target = k / np.abs(k)
-    springs, _ = nnls(np.vstack([design.real, design.imag]), np.concatenate([target.real, target.imag]))
-    return max(float(springs[0]), 0.02 * float(np.abs(k).min())), springs[1:]
+    springs, left = nnls(np.vstack([design.real, design.imag]), np.concatenate([target.real, target.imag]))
+    return max(float(springs[0]), 0.02 * float(np.abs(k).min())), springs[1:], float(left) / np.sqrt(f.size)
 
 
-def _clustered(f: Float, k: Complex, arms: int) -> RelaxationModel:
-    """As many arms as asked for out of a fine ladder, neighbours merged, nearest first."""
+def _clustered(f: Float, k: Complex, arms: int) -> tuple[RelaxationModel, float]:
+    """As many arms as asked for out of a fine ladder, neighbours merged, nearest first; with the ladder's misfit."""
     low, high = 0.1 / (2 * np.pi * f.max()), 10 / (2 * np.pi * f.min())
     times = np.geomspace(low, high, int(np.log10(high / low) * _PER_DECADE) + 1)
-    k0, springs = _ladder(f, k, times)
+    k0, springs, misfit = _ladder(f, k, times)
     groups = [(float(np.log(t)), float(v)) for t, v in zip(times, springs, strict=True) if v > 1e-4 * k0]
     while len(groups) > arms:
         gap = int(np.argmin(np.diff([g[0] for g in groups])))
@@ -275,14 +290,14 @@ def _clustered(f: Float, k: Complex, arms: int) -> RelaxationModel:
         taken = np.array([g[0] for g in groups] or [0.0])
         places = np.linspace(np.log(low), np.log(high), 25)
         groups.append((float(places[np.argmax(np.min(np.abs(places[:, None] - taken), axis=1))]), 0.05 * k0))
-    return _film(k0, groups)
+    return _film(k0, groups), misfit
 
 
 def _spread(f: Float, k: Complex, arms: int) -> RelaxationModel:
     """Arms evenly spread over the band."""
     ends = np.log([0.3 / (2 * np.pi * f.max()), 3 / (2 * np.pi * f.min())])
     places = np.linspace(ends[0], ends[1], arms + 2)[1:-1]
-    k0, springs = _ladder(f, k, np.exp(places))
+    k0, springs, _ = _ladder(f, k, np.exp(places))
     return _film(k0, [(float(t), max(float(v), 0.05 * k0)) for t, v in zip(places, springs, strict=True)])
 
 

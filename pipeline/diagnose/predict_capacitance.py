@@ -59,5 +59,5 @@ class CapacitanceFamily(Family):
             grown = rest + pf_per_mm * peak * _SINUSOID
             lost = float(open_wide[state, 0]) * min(strain, 1.0) ** cracks.power * grown * opened / amplitude
             turned = (_FIRST_AND_SECOND @ lost) * np.exp(1j * np.angle(film) * _ORDERS)
-            values[at : at + 4] -= np.concatenate([turned.real, turned.imag])
+            values[at : at + p.block.size] -= np.concatenate([turned.real, turned.imag])
             at += p.block.size

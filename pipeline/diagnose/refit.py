@@ -118,6 +118,8 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
             # The material first: it must make room before the severity may move.
             x = of.room(x, _ROUGHLY, base)
         fits.append(of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False))
+    if score.chosen.id == "rig_constants" and base.of.model.is_widened:
+        fits.append(of.fit(_as_the_files_say(of, base), most=_ROUGHLY, thorough=False))
     best = _to_its_end(base, min(fits, key=lambda f: f.chi2), reach)
     if not best.chi2 <= base.chi2:
         faint = of.entries(base.theta, (*base.values, scaled(score.chosen.mechanism, score.values, _SMALL)))
@@ -165,6 +167,16 @@ def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -
     if actuation is not None:
         theta[actuation] += more
     return theta
+
+
+def _as_the_files_say(of: Extended, base: ExtendedFit) -> Float:
+    """Entries with the rig's deviations handed to the mechanism: far from the files no slope leads along that exchange."""
+    model, theta = base.of.model, base.of.model.with_rigs_as_filed(base.theta)
+    pairs = zip(model.physical(base.theta).rigs, model.physical(theta).rigs, model.rigs, strict=True)
+    known = [(here, filed) for here, filed, prior in pairs if prior is not None]
+    mass = float(np.mean([(here.mass / filed.mass).item() for here, filed in known]))
+    stiffness = float(np.mean([(filed.compliance / here.compliance).item() for here, filed in known]))
+    return of.entries(theta, (*base.values, {"mass_error": mass - 1, "stiffness_error": stiffness - 1}))
 
 
 def finished(fit: ExtendedFit) -> ExtendedFit:

@@ -115,6 +115,7 @@ class Extension:
     """The model with the named mechanisms.
 
     film, film_sd : relaxation model of the film in it, and standard deviations (k0, k…, tau…); `plain_film` without them
+    damper_sd : standard deviations of the arms' dampers, whose springs and times err together
     severities : mechanism → key → estimate; `variants` mechanism → form
     chi2, plain_chi2 : of all features; `size` their number
     """
@@ -123,6 +124,7 @@ class Extension:
     variants: Mapping[str, str]
     film: RelaxationModel
     film_sd: tuple[float, ...]
+    damper_sd: tuple[float, ...]
     plain_film: RelaxationModel
     plain_film_sd: tuple[float, ...]
     chi2: float

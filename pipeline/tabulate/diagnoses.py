@@ -153,7 +153,7 @@ def _finite(value: float) -> float | None:
 
 
 def _fit_row(d: Diagnosis, extension: Extension) -> dict[str, Any]:
-    """The extended model as a row of `model_fits`. Dampers have no SD: springs and times are what was estimated."""
+    """The extended model as a row of `model_fits`."""
     film, sd = extension.film, _named(extension.film, extension.film_sd)
     fitted = len(_film(film)) + sum(len(s) for s in extension.severities.values())
     row: dict[str, Any] = {
@@ -169,10 +169,16 @@ def _fit_row(d: Diagnosis, extension: Extension) -> dict[str, Any]:
         "selected": False,
         "warnings": "",
     }
-    for i, (k, tau) in enumerate(zip(film.k, film.tau, strict=True), 1):
-        row |= {f"k{i}_n_per_mm": k, f"k{i}_n_per_mm_sd": sd.get(f"k{i}"), f"c{i}_n_s_per_mm": k * tau}
+    for i, (k, c, c_sd) in enumerate(zip(film.k, film.c, extension.damper_sd, strict=True), 1):
+        row |= {
+            f"k{i}_n_per_mm": k,
+            f"k{i}_n_per_mm_sd": sd.get(f"k{i}"),
+            f"c{i}_n_s_per_mm": c,
+            f"c{i}_n_s_per_mm_sd": c_sd,
+        }
     if film.c_inf > 0:
-        row[f"c{len(film.k) + 1}_n_s_per_mm"] = film.c_inf
+        row[f"c{film.order}_n_s_per_mm"] = film.c_inf
+        row[f"c{film.order}_n_s_per_mm_sd"] = sd.get("c_inf")
     return row
 
 

@@ -74,7 +74,7 @@ NAMED = Diagnosis(
     extension=Extension(
         {"gain_error": {"gain": Estimate(0.1, 0.01, 0.08, 0.12)}, "cyclic_softening": {"loss": Estimate(0.2, NAN)}},
         {"gain_error": "force", "cyclic_softening": ""},
-        FILM, (0.01, 0.1, 0.001, 1e-4), PLAIN, (0.02, 0.2, 0.002), 20.0, 900.0, 30,
+        FILM, (0.01, 0.1, 0.001, 1e-4), (0.005,), PLAIN, (0.02, 0.2, 0.002), 20.0, 900.0, 30,
     ),
     candidates=(Candidate("gain_error", 880.0, 870.0, 0.99, 0.1, 0.01, 0.98, NAN, "force", "one channel × (1 + g)"),),
     discrepancies=(Discrepancy("r-1", "sweep 1, 1 to 3 Hz", 800.0, 8, 1e-12, "The response is missed by 3 %."),),
@@ -119,6 +119,9 @@ def test_the_extended_model_is_a_fit_of_its_own() -> None:
     assert (fit["loading"], fit["method"], fit["selected"], fit["model_order"]) == ("joint", "forward", False, 2)
     assert fit["k1_n_per_mm"] == 4.2
     assert fit["c1_n_s_per_mm"] == pytest.approx(4.2 * 0.03)
+    assert fit["c1_n_s_per_mm_sd"] == 0.005
+    assert fit["c2_n_s_per_mm_sd"] == 1e-4
+    assert fit["c3_n_s_per_mm_sd"] is None
     assert fit["k2_n_per_mm"] is None, "a pure dashpot"
     assert fit["c2_n_s_per_mm"] == 0.002
     assert fit["reduced_chi2"] == pytest.approx(20.0 / (30 - 4 - 2))
