@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -338,5 +338,11 @@ def effect_of_all(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float]
     total = NONE
     order = list(MECHANISMS)
     for c, own in sorted(zip(chosen, values, strict=True), key=lambda pair: order.index(pair[0].id)):
-        total = total | c.mechanism.effect(own, c.variant)
+        total = total | _effect_of(c, tuple(own.items()))
     return total
+
+
+@lru_cache(maxsize=256)
+def _effect_of(chosen: Chosen, values: tuple[tuple[str, float], ...]) -> Effect:
+    """The effect of one mechanism: the same object for the same parameters, so that predictions from it are known again."""
+    return chosen.mechanism.effect(dict(values), chosen.variant)

@@ -40,6 +40,7 @@ from pipeline.diagnose.predict_capacitance import CapacitanceFamily
 from pipeline.diagnose.predict_electrical import CAPACITANCE, FORCE, VOLTAGE, MultisineFamily, StepFamily
 from pipeline.diagnose.predict_mechanical import CYCLIC, RAMP, CyclicFamily, MechanicalFamily, RampFamily
 from pipeline.diagnose.predict_sweeps import SWEEP, SweepFamily
+from pipeline.diagnose.remembered import Remembered
 from pipeline.diagnose.session import Place, Session
 from schemas.metadata import RigConstants
 
@@ -56,7 +57,7 @@ _DRIFT_SIGN = {STEP_FORCE: -1.0, STEP_CAPACITANCE: 0.0, STEP_VOLTAGE: 0.0}
 
 
 class Simulation:
-    """Predicts the features of a session. Built once per session (tens of milliseconds); `predict` does not change it."""
+    """Predicts the features of a session. Built once per session (tens of milliseconds); `predict` changes nothing of what it says."""
 
     def __init__(self, session: Session, whole: Simulation | None = None) -> None:
         """`whole`: the simulation of the session that this one is a part of; its loads are what onsets are measured against."""
@@ -79,6 +80,7 @@ class Simulation:
                 self._families.append(MultisineFamily(session, places))
             elif key[1] == CYCLIC_CAPACITANCE:
                 self._families.append(CapacitanceFamily(session, places, nodes, CYCLIC))
+        self._predictions = [Remembered(f.predict, f.inputs, f.rig) for f in self._families]
         self._single = [p for p in session.places if p.block.kind in (REST_HUM, TAP_RING, WEIGHT_GAIN)]
         self._known: tuple[Physical, Loads] | None = None
         self._drifting = [(p, _drift(session, p)) for p in session.places if "drift_s" in p.block.support]
@@ -88,8 +90,8 @@ class Simulation:
         physical = model.physical(theta)
         values = np.zeros(self.session.size)
         loads = self.loads(physical) if effect.tension or effect.reading else None
-        for family in self._families:
-            values[family.rows] = family.predict(physical, effect, loads)
+        for family, predicted in zip(self._families, self._predictions, strict=True):
+            values[family.rows] = predicted(physical, effect, loads)
         for place in self._single:
             values[place.first : place.stop] = self._one(place, physical, effect)
         for drift in effect.drift:

@@ -12,6 +12,7 @@ from pipeline.diagnose.base import Physical
 from pipeline.diagnose.describing import Loads
 from pipeline.diagnose.effects import Cracks, Effect
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of
+from pipeline.diagnose.remembered import Inputs
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -27,6 +28,8 @@ class CapacitanceFamily(Family):
 
     A film of one material strains evenly; a capacitance linear in the stretch has no second harmonic of its own.
     """
+
+    inputs = Inputs.named("film rigs pf_per_mm", "film rig clamp displacement capacitance electrode opening")
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family."""

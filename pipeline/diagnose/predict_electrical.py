@@ -19,6 +19,7 @@ from pipeline.diagnose.describing import Loads, along
 from pipeline.diagnose.effects import NONE, Course, Edge, Effect, View, Wave, bent
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of, state_view
 from pipeline.diagnose.features import SPHS_CAPACITANCE, SPHS_DETECTION, SPHS_VOLTAGE
+from pipeline.diagnose.remembered import Inputs
 from pipeline.diagnose.session import Place, Session
 
 Float = NDArray[np.float64]
@@ -27,6 +28,17 @@ Int = NDArray[np.int64]
 
 FORCE, CAPACITANCE, VOLTAGE = "force", "capacitance", "voltage"
 STEP, MULTISINE = "step", "multisine"
+_INPUTS = {
+    FORCE: Inputs.named(
+        "film rigs actuation",
+        "film_voltage film_edges squared actuation electrode film tension rig clamp force voltage reading",
+    ),
+    CAPACITANCE: Inputs.named(
+        "film rigs actuation pf_per_n",
+        "film_voltage film_edges squared actuation electrode film rig clamp voltage capacitance",
+    ),
+    VOLTAGE: Inputs.named("amplifier", "monitor monitor_wave monitor_edges voltage"),
+}
 
 
 def electrical_response(physical: Physical, effect: Effect, rig_number: int, view: View, output: str) -> Complex:
@@ -61,7 +73,7 @@ class StepFamily(Family):
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, output: str) -> None:
         super().__init__(session, places, nodes, STEP)
-        self.output = output
+        self.output, self.inputs = output, _INPUTS[output]
         self._on = np.concatenate([p.block.support["side"] > 0 for p in self.places])
         level = np.zeros(self.states.size)
         for p in self.places:
@@ -151,6 +163,8 @@ class MultisineFamily:
     def __init__(self, session: Session, places: Sequence[Place]) -> None:
         self.session, self.places = session, tuple(places)
         self.kind = places[0].block.kind
+        self.output = {SPHS_CAPACITANCE: CAPACITANCE, SPHS_VOLTAGE: VOLTAGE}.get(self.kind, FORCE)
+        self.inputs = _INPUTS[self.output]
         self.rig = int(session.rig[places[0].recording])
         self.rows = np.concatenate([np.arange(p.first, p.stop) for p in places])
         n = places[0].block.size // 2
@@ -168,14 +182,13 @@ class MultisineFamily:
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family."""
         shape = len(self.places), self._lines.size
-        output = {SPHS_CAPACITANCE: CAPACITANCE, SPHS_VOLTAGE: VOLTAGE}.get(self.kind, FORCE)
-        if output == VOLTAGE:
+        if self.output == VOLTAGE:
             return self._amplified(physical, effect)
         nonlinear = bool(effect.film_voltage or effect.squared)
-        bent = loads is not None and bool(effect.tension or effect.reading) and output == FORCE
+        bent = loads is not None and bool(effect.tension or effect.reading) and self.output == FORCE
         if self.kind == SPHS_DETECTION and not nonlinear and not bent:
             return np.zeros(self.rows.size)
-        response = np.broadcast_to(electrical_response(physical, effect, self.rig, self.view, output), shape)
+        response = np.broadcast_to(electrical_response(physical, effect, self.rig, self.view, self.output), shape)
         acting = self._measured
         if nonlinear:
             interval = self._period / self._wave.shape[1]

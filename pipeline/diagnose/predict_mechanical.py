@@ -19,6 +19,7 @@ from pipeline.diagnose.describing import PHASES, Loads, Loop, along, describe, h
 from pipeline.diagnose.effects import NONE, Course, Effect, Rig, View, bent
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of
 from pipeline.diagnose.features import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
+from pipeline.diagnose.remembered import Inputs
 from pipeline.diagnose.session import Place, Session
 
 Float = NDArray[np.float64]
@@ -39,6 +40,8 @@ class Linear:
 
 class MechanicalFamily(Family, ABC):
     """Blocks of mechanical tests of one kind."""
+
+    inputs = Inputs.named("film rigs", "film tension rig clamp force displacement reading")
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, kind: str) -> None:
         super().__init__(session, places, nodes, kind)
