@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,11 @@ _SLOPES = 0.05, 1.5
 _GRID = np.array([
     0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.93, 0.96, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.35, 1.6, 2.2, 3.2,
 ])  # fmt: skip
-"""Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies."""
+"""Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies; whole hundredths."""
+_CELLS = 100
+_ROW = np.clip(np.searchsorted(_GRID, (np.arange(int(_GRID[-1] * _CELLS) + 1) + 0.5) / _CELLS) - 1, 0, _GRID.size - 2)
+"""Number of the grid's amplitude below each hundredth."""
+_GAP = np.diff(_GRID)
 _ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
 _COSINES, _SINES = np.cos(np.outer(np.arange(4), _ANGLE)), np.sin(np.outer(np.arange(4), _ANGLE))
 _TURNS = np.exp(-1j * np.outer(_ANGLE, np.arange(4))) * 2 / PHASES
@@ -111,7 +116,7 @@ def describe(
 
 @dataclass(frozen=True)
 class Places:
-    """Places (T,) among the frequencies of a table: the two columns about each, and how far it is to the second."""
+    """Places (..., T) among the frequencies of a table: the two columns about each, and how far it is to the second."""
 
     column: Int
     beside: Int
@@ -119,10 +124,19 @@ class Places:
 
     @classmethod
     def among(cls, known: Float, wanted: Float) -> Places:
-        """Where log frequencies (T,) lie among those of a table (C,)."""
+        """Where log frequencies (..., T) lie among those of a table (C,)."""
         along = np.interp(wanted, known, np.arange(known.size, dtype=float))
         column = np.minimum(along.astype(np.int64), max(known.size - 2, 0))
         return cls(column, np.minimum(column + 1, known.size - 1), along - column)
+
+    def rows(self, number: Int) -> Places:
+        """Those of some rows."""
+        return Places(self.column[number], self.beside[number], self.share[number])
+
+    def interpolated(self, values: Float) -> Float:
+        """(..., T) of values (C,) at the frequencies of a table."""
+        low = values[self.column]
+        return np.asarray(low + self.share * (values[self.beside] - low))
 
 
 @dataclass(frozen=True)
@@ -138,29 +152,41 @@ class SweepTable:
     stiffness: Float
 
     def stiff(self, at: Places) -> Float:
-        """(T,) |k| of the film, N/mm."""
-        return np.asarray((1 - at.share) * self.stiffness[at.column] + at.share * self.stiffness[at.beside])
+        """(..., T) |k| of the film, N/mm."""
+        return at.interpolated(self.stiffness)
+
+    @cached_property
+    def _flat(self) -> tuple[Complex, Complex]:
+        """Factors (grid C,) and waves (grid C, 4), grid by grid."""
+        flat = self.values.reshape(-1, self.values.shape[-1])
+        return np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1:])
 
     def factor(self, strain: Float, at: Places) -> Complex:
-        """(T,) factor of k at strain amplitudes (T,)."""
-        return self._at(strain, at, slice(0, 1))[..., 0]
+        """(..., T) factor of k at strain amplitudes (..., T)."""
+        return self._at(self._flat[0], strain, at, at.share)
 
     def waves(self, strain: Float, at: Places) -> Complex:
-        """(T, 4) mean and harmonics of the tension that the elements add, N, the strain being a cosine."""
-        return self._at(strain, at, slice(1, 5)) * strain[..., None]
+        """(..., T, 4) mean and harmonics of the tension that the elements add, N, the strain being a cosine."""
+        return self._at(self._flat[1], strain, at, at.share[..., None]) * strain[..., None]
 
-    def _at(self, strain: Float, at: Places, which: slice) -> Complex:
+    def _at(self, values: Complex, strain: Float, at: Places, share: Float) -> Complex:
         # Both columns are asked at the same strain: between them lies a resonance, and what begins at a load is a bend.
-        v = np.ascontiguousarray(self.values[..., which])
-        low, high = (self._of_column(v, strain, column) for column in (at.column, at.beside))
-        return np.asarray(low + at.share[:, None] * (high - low))
+        low, high = (self._of_column(values, strain, column) for column in (at.column, at.beside))
+        return np.asarray(low + share * (high - low))
 
     def _of_column(self, values: Complex, strain: Float, column: Int) -> Complex:
-        """(T, …) values of columns (T,) at strain amplitudes (T,)."""
-        up = np.interp(strain / self.top[column], _GRID, np.arange(_GRID.size, dtype=float))
-        row = np.minimum(up.astype(np.int64), _GRID.size - 2)
-        share = (up - row)[:, None]
-        return np.asarray(values[row, column] * (1 - share) + values[row + 1, column] * share)
+        """(..., T, …) values of columns (..., T) at strain amplitudes (..., T)."""
+        up = np.clip(strain / self.top[column], _GRID[0], _GRID[-1])
+        row = _ROW[(up * _CELLS).astype(np.int64)]
+        share = (up - _GRID[row]) / _GAP[row]
+        place = row * self.top.size + column
+        low = values.take(place, axis=0)
+        return np.asarray(low + _beside(share, values) * (values.take(place + self.top.size, axis=0) - low))
+
+
+def _beside(share: Float, values: Complex) -> Float:
+    """Shares (...) that broadcast against what values (n, …) have at each place."""
+    return share.reshape(share.shape + (1,) * (values.ndim - 1))
 
 
 def sweep_table(

@@ -14,16 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
-from pipeline.diagnose.describing import Loads, Places, SweepTable, sweep_table
+from pipeline.diagnose.describing import Loads, Places, sweep_table
 from pipeline.diagnose.effects import NONE, BySize, Effect, View, bent
 from pipeline.diagnose.families import rig_of
 from pipeline.diagnose.features import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE
 from pipeline.diagnose.predict_mechanical import Linear, MechanicalFamily, channels
 from pipeline.diagnose.session import Place, Session
 from pipeline.diagnose.sweep_course import SweepCourse
+from pipeline.diagnose.sweep_courses import SweepCourses
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Int = NDArray[np.int64]
 
 SWEEP = "sweep"
 _COARSE = 24
@@ -32,14 +34,23 @@ _COARSE = 24
 
 @dataclass(frozen=True)
 class _Sweep:
-    """A sweep's course, where its instants lie among the coarse frequencies, its response, the other features that it makes, number of
-    its state."""
+    """A sweep's course, its response, the other features that it makes, number of its state; places (n,) of its samples among the
+    coarse frequencies."""
 
     course: SweepCourse
-    places: Places
     response: Place
     others: tuple[Place, ...]
     state: int
+    samples: Places
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """Sweeps that are simulated at once: their numbers and states (W,), their courses."""
+
+    number: Int
+    state: Int
+    courses: SweepCourses
 
 
 @dataclass(frozen=True)
@@ -48,7 +59,7 @@ class _Seen:
 
     mean: Float | None
     harmonic: Float
-    order: NDArray[np.int64]
+    order: Int
 
 
 @dataclass(frozen=True)
@@ -84,35 +95,66 @@ class SweepFamily(MechanicalFamily):
         for own in self.places:
             if own.block.kind != CHIRP_RESPONSE:
                 continue
-            others = [p for p in self.places if p.recording == own.recording and _of_sweep(p, own)]
+            others = tuple(p for p in self.places if p.recording == own.recording and _of_sweep(p, own))
             course = SweepCourse(own.block, self.frequency)
-            found.append(
-                _Sweep(course, Places.among(self._log_hz, course.log_hz), own, tuple(others), self.state_of[id(own)])
-            )
+            samples = Places.among(self._log_hz, course.log_hz_of_samples())
+            found.append(_Sweep(course, own, others, self.state_of[id(own)], samples))
         return found
+
+    @cached_property
+    def _alike(self) -> list[_Alike]:
+        """The sweeps by what they have alike."""
+        groups: dict[object, list[int]] = {}
+        for number, sweep in enumerate(self._sweeps):
+            groups.setdefault(sweep.course.sizes, []).append(number)
+        return [
+            _Alike(
+                np.array(numbers),
+                np.array([self._sweeps[i].state for i in numbers]),
+                SweepCourses([self._sweeps[i].course for i in numbers], self._log_hz),
+            )
+            for numbers in groups.values()
+        ]
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
         linear = self.linear(physical, effect)
         values = self.apply(linear.response)
-        if loads is None or not (effect.tension or effect.reading) or not self._sweeps:
+        if loads is None or not (effect.tension or effect.reading):
             return values
-        passed = self._passed(linear, physical, effect, loads) if effect.tension else [None] * len(self._sweeps)
-        for sweep, added in zip(self._sweeps, passed, strict=True):
-            course = sweep.course
-            change = np.zeros(course.piece.input.size)
-            if added is not None:
-                change = course.wave(added.force)
-                self._shift(values, sweep, added)
+        passed = self._passed(linear, physical, effect, loads) if effect.tension else []
+        for sweep, added in zip(self._sweeps, passed, strict=False):
+            self._shift(values, sweep, added)
+        for alike in self._alike:
+            course = alike.courses.course
+            change = course.wave(np.array([passed[i].force for i in alike.number])) if passed else None
             if effect.reading:
-                rest, largest = self.rest_of(sweep.response), loads.reading_n
-                wave = change + course.wave(course.at_bins(_row(linear.response, sweep.state))[0] * course.input)
-                if added is not None:
-                    wave = wave + np.interp(course.log_hz_of_samples(), self._log_hz, added.mean)
-                at_rest = bent(np.array([rest]), largest, effect.reading)
-                change = change + bent(rest + wave, largest, effect.reading) - at_rest
-            self._read(values, sweep, change)
+                (response,) = alike.courses.at_bins(_rows(linear.response, alike.state))
+                wave = course.wave(response * alike.courses.input)
+                change = self._bent(alike, wave, change, passed, effect, loads.reading_n)
+            if change is not None:
+                for number, own in zip(alike.number, change, strict=True):
+                    self._read(values, self._sweeps[number], own)
         return values
+
+    def _bent(
+        self,
+        alike: _Alike,
+        wave: Float,
+        change: Float | None,
+        passed: Sequence[_Passed],
+        effect: Effect,
+        largest: float,
+    ) -> Float:
+        """What elements, `change`, and readings add over time to the linear force `wave`, (W, n) each, N."""
+        found = []
+        for row, (number, own) in enumerate(zip(alike.number, wave, strict=True)):
+            sweep, rest = self._sweeps[number], self.rest_of(self._sweeps[number].response)
+            added = 0.0 if change is None else change[row]
+            mean = sweep.samples.interpolated(passed[number].mean) if passed else 0.0
+            at_rest = bent(np.array([rest]), largest, effect.reading)
+            found.append(added + bent(rest + added + own + mean, largest, effect.reading) - at_rest)
+        return np.array(found)
 
     def _passed(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> list[_Passed]:
         """What elements add to each sweep."""
@@ -125,38 +167,31 @@ class SweepFamily(MechanicalFamily):
         by_size, mean = any(isinstance(element, BySize) for element in effect.tension), loop.mean()
         stiffness = mean.k[1, 0] if by_size else np.ones(self._log_hz.size, dtype=complex)
 
-        def strain(course: SweepCourse, k: Complex, e: Complex) -> Complex:
-            """(C,) strain amplitude, with its phase against the input, of an elongation e (B,): that of its tension if by size."""
-            signal = course.signal(k * e if by_size else e)
-            return np.asarray(course.passing(signal, self._log_hz) / stiffness / length)
+        def strain(courses: SweepCourses, k: Complex, e: Complex) -> Complex:
+            """(W, C) strain amplitudes, with their phase against the input, of elongations e (W, B): those of their tension if by size."""
+            signal = courses.course.signal(k * e if by_size else e)
+            return np.asarray(courses.passing(signal) / stiffness / length)
 
         parts, tops = [], []
-        for sweep in self._sweeps:
-            course = sweep.course
-            own, k, outer = course.at_bins(*(_row(v, sweep.state) for v in (linear.dynamic, linear.k, outside)))
-            tops.append(np.abs(strain(course, k, course.elongation(own, k, compliance))))
+        for alike in self._alike:
+            at = (_rows(v, alike.state) for v in (linear.dynamic, linear.k, outside))
+            own, k, outer = alike.courses.at_bins(*at)
+            tops.append(np.abs(strain(alike.courses, k, alike.courses.elongation(own, k, compliance))))
             parts.append((own, k, outer))
         rest = float(np.mean(view.rest_force_n))
-        table = sweep_table(effect.tension, mean, np.max(tops, axis=0), rest, loads, view.scale)
-        found = []
-        for sweep, (own, k, outer) in zip(self._sweeps, parts, strict=True):
-            e, added = sweep.course.strained(own, k, compliance, table, sweep.places, length, by_size)
-            force = outer * float(rig.gain[0, 0]) * added / (own + k * compliance)
-            found.append(_Passed(force, *self._waves(sweep, strain(sweep.course, k, e), table, passing, still)))
-        return found
-
-    def _waves(
-        self, sweep: _Sweep, at: Complex, table: SweepTable, passing: Sequence[Complex], still: float
-    ) -> tuple[Float, Complex]:
-        """Mean (C,) and harmonics (2, C) of the force that elements add as the sweep passes the coarse frequencies.
-
-        `at` (C,): strain amplitude there, with its phase against the input.
-        """
-        waves = table.waves(np.abs(at), self._at_log_hz)
-        unit = at / np.maximum(np.abs(at), 1e-300)
-        return waves[:, 0].real / still, np.array(
-            [waves[:, m] * unit**m * _row(passing[m - 2], sweep.state) for m in (2, 3)]
-        )
+        table = sweep_table(effect.tension, mean, np.max(np.concatenate(tops), axis=0), rest, loads, view.scale)
+        found: dict[int, _Passed] = {}
+        for alike, (own, k, outer) in zip(self._alike, parts, strict=True):
+            e, added = alike.courses.strained(own, k, compliance, table, length, by_size)
+            force = outer * float(rig.gain[0, 0]) / (own + k * compliance) * added
+            at_coarse = strain(alike.courses, k, e)
+            waves = table.waves(np.abs(at_coarse), self._at_log_hz)
+            unit = at_coarse / np.maximum(np.abs(at_coarse), 1e-300)
+            harmonic = [waves[..., m] * unit**m * _rows(passing[m - 2], alike.state) for m in (2, 3)]
+            level = waves[..., 0].real / still
+            for row, number in enumerate(alike.number):
+                found[int(number)] = _Passed(force[row], level[row], np.array([h[row] for h in harmonic]))
+        return [found[number] for number in range(len(self._sweeps))]
 
     def _shift(self, values: Float, sweep: _Sweep, added: _Passed) -> None:
         """Mean and harmonics that elements add, into the features of a sweep."""
@@ -207,14 +242,14 @@ class SweepFamily(MechanicalFamily):
         """Largest loads of the family as the plain film has them: what onsets are measured against."""
         linear, compliance = self.linear(physical, NONE), float(physical.rigs[self.rig].compliance[0, 0])
         swing = reading = 0.0
-        for sweep in self._sweeps:
-            course = sweep.course
-            parts = (linear.dynamic, linear.k, linear.response)
-            own, k, response = course.at_bins(*(_row(v, sweep.state) for v in parts))
-            tension = course.signal(k * course.elongation(own, k, compliance))
+        for alike in self._alike:
+            courses, parts = alike.courses, (linear.dynamic, linear.k, linear.response)
+            own, k, response = courses.at_bins(*(_rows(v, alike.state) for v in parts))
+            tension = courses.course.signal(k * courses.elongation(own, k, compliance))
             swing = max(swing, float(np.abs(tension).max()))
-            force = course.signal(response * course.input)
-            reading = max(reading, self.rest_of(sweep.response) + float(np.abs(force).max()))
+            force = np.abs(courses.course.signal(response * courses.input)).max(axis=1)
+            rest = [self.rest_of(self._sweeps[number].response) for number in alike.number]
+            reading = max(reading, float(np.max(rest + force)))
         return Loads(swing, swing, reading)
 
 
@@ -228,8 +263,9 @@ def _moving(p: Place, sweep: _Sweep) -> NDArray[np.bool_]:
     return np.asarray((p.block.amplitude > 0) & (p.block.cycle == sweep.response.block.cycle[0]))
 
 
-def _row(values: Complex, state: int) -> Complex:
-    return np.asarray(values[min(state, len(values) - 1)])
+def _rows(values: Complex, state: Int) -> Complex:
+    """(1 or W, J) of values (1 or S, J): those of all states, or of these (W,)."""
+    return values if len(values) == 1 else np.asarray(values[state])
 
 
 def _hann(count: int) -> Float:

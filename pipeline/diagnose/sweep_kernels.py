@@ -122,6 +122,7 @@ class SweepReader:
     def __init__(self, piece: Piece, moment: Float, frequency: Float) -> None:
         """`moment`, `frequency`: of the bands."""
         self._cut = _cut(piece)
+        self._conjugate = self._cut.spectrum[: self._cut.edges[-1]].conj()
         self._windows = _windows(piece, moment, frequency)
         self._taper = _taper(piece)
         slow = polynomials(piece.input.size, _DEGREE)
@@ -145,10 +146,8 @@ class SweepReader:
 
     def _raw(self, force: Float) -> tuple[Complex, Complex]:
         cut, n = self._cut, force.size
-        product = cut.spectrum.conj() * scipy.fft.fft(self._taper * force)
-        response: Complex = np.asarray(
-            np.add.reduceat(product[: cut.edges[-1]], cut.edges[:-1])[cut.kept] / n, dtype=complex
-        )
+        product = self._conjugate * scipy.fft.rfft(self._taper * force)[: self._conjugate.size]
+        response: Complex = np.asarray(np.add.reduceat(product, cut.edges[:-1])[cut.kept] / n, dtype=complex)
         found = self._windows
         if found is None:
             return response, np.zeros(0, dtype=complex)

@@ -77,7 +77,7 @@ def test_the_force_over_time_is_that_of_a_time_domain_rig() -> None:
     force = force - force[:100].mean()
     for sweep in family._sweeps:
         course = sweep.course
-        wave = course.wave(course.at_bins(linear.response[0])[0] * course.input)
+        wave = course.wave(course.at_bins(linear.response[:1])[0] * course.input)
         moving = wave[course.piece.start : course.piece.end]
         places = np.lib.stride_tricks.sliding_window_view(force, moving.size)
         # The record is thinned to where the sweep ends; the truth is not.
