@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ class BaseModel:
     def size(self) -> int:
         return len(self.entries)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         return tuple(e.name for e in self.entries)
 
@@ -164,11 +165,11 @@ class BaseModel:
             yield prior, range(at, at + prior.size)
             at += prior.size
 
-    @property
+    @cached_property
     def prior_mean(self) -> Float:
         return np.array([e.mean for e in self.entries])
 
-    @property
+    @cached_property
     def prior_sd(self) -> Float:
         return np.array([e.sd for e in self.entries])
 

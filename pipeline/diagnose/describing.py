@@ -34,7 +34,15 @@ _ROW = np.clip(np.searchsorted(_GRID, (np.arange(int(_GRID[-1] * _CELLS) + 1) + 
 """Number of the grid's amplitude below each hundredth."""
 _GAP = np.diff(_GRID)
 _ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
-_COSINES, _SINES = np.cos(np.outer(np.arange(4), _ANGLE)), np.sin(np.outer(np.arange(4), _ANGLE))
+_WAVES = (
+    np.exp(1j * np.outer(np.arange(4), _ANGLE))
+    .conj()
+    .view(np.float64)
+    .reshape(4, PHASES, 2)
+    .transpose(0, 2, 1)
+    .reshape(8, PHASES)
+)
+"""Re and Im of c_m, one below the other, make Σ Re c_m e^{jmθ} of this: real products cost a quarter of complex ones."""
 _TURNS = np.exp(-1j * np.outer(_ANGLE, np.arange(4))) * 2 / PHASES
 _TURNS[:, 0] /= 2
 
@@ -63,7 +71,7 @@ class Loads:
 
 def harmonics(wave: Float) -> Complex:
     """(..., 4) mean and harmonics 1 … 3 of a wave (..., PHASES): Σ Re c_m e^{jmθ}."""
-    return np.asarray(wave @ _TURNS)
+    return _flat(np.asarray(wave, dtype=np.float64), _TURNS.view(np.float64)).view(np.complex128)
 
 
 @dataclass(frozen=True)
@@ -156,18 +164,18 @@ class SweepTable:
         return at.interpolated(self.stiffness)
 
     @cached_property
-    def _flat(self) -> tuple[Complex, Complex]:
+    def _lists(self) -> tuple[Complex, Complex]:
         """Factors (grid C,) and waves (grid C, 4), grid by grid."""
         flat = self.values.reshape(-1, self.values.shape[-1])
         return np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1:])
 
     def factor(self, strain: Float, at: Places) -> Complex:
         """(..., T) factor of k at strain amplitudes (..., T)."""
-        return self._at(self._flat[0], strain, at, at.share)
+        return self._at(self._lists[0], strain, at, at.share)
 
     def waves(self, strain: Float, at: Places) -> Complex:
         """(..., T, 4) mean and harmonics of the tension that the elements add, N, the strain being a cosine."""
-        return self._at(self._flat[1], strain, at, at.share[..., None]) * strain[..., None]
+        return self._at(self._lists[1], strain, at, at.share[..., None]) * strain[..., None]
 
     def _at(self, values: Complex, strain: Float, at: Places, share: Float) -> Complex:
         # Both columns are asked at the same strain: between them lies a resonance, and what begins at a load is a bend.
@@ -271,7 +279,12 @@ def _one_amplitude(
 
 def _wave(coefficients: Complex) -> Float:
     """(..., PHASES) wave of mean and harmonics 1 … 3 (..., 4)."""
-    return np.asarray(coefficients.real @ _COSINES - coefficients.imag @ _SINES)
+    return _flat(np.ascontiguousarray(coefficients).view(np.float64), _WAVES)
+
+
+def _flat(values: Float, matrix: Float) -> Float:
+    """(..., m) product of values (..., n) with a matrix (n, m), all rows at once."""
+    return (values.reshape(-1, values.shape[-1]) @ matrix).reshape(*values.shape[:-1], matrix.shape[1])
 
 
 def along(elements: Sequence[Callable[[Course], Float]], course: Course) -> Float:
