@@ -1,7 +1,7 @@
 """Families of blocks that are linear functionals of a record: one rig, one kind of test, one set of nodes.
 
 The response of a family is computed at the nodes once, or once per state where an effect depends on the state, and passes
-through all operators in one sparse product. What the response is, and what is not linear, is in `predict_mechanical` and
+through all operators in one product. What the response is, and what is not linear, is in `predict_mechanical` and
 `predict_electrical`.
 """
 
@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 
 from pipeline.diagnose.base import Physical
@@ -45,19 +44,15 @@ class Family:
         self.states, number = np.unique([p.state for p in self.places], return_inverse=True)
         self.state_of = dict(zip((id(p) for p in self.places), number.tolist(), strict=True))
         self.rows = np.concatenate([np.arange(p.first, p.stop) for p in self.places])
-        one, many = [], []
-        j, s = columns.size, self.states.size
-        for found, state in zip(operators, number, strict=True):
+        ends = np.cumsum([0, *(p.block.size for p in self.places)])
+        self._parts = [(slice(int(a), int(b)), int(n)) for a, b, n in zip(ends[:-1], ends[1:], number, strict=True)]
+        # Dense: most functionals see so many nodes that their places would be more to read than the zeros between.
+        self._operator: Float = np.zeros((int(ends[-1]), 2 * columns.size))
+        for (rows, _), found in zip(self._parts, operators, strict=True):
             if found is None:
                 raise ValueError("a block without operator")
-            re, im = found.re[:, columns].tocoo(), found.im[:, columns].tocoo()
-            shape = re.shape[0]
-            one.append(scipy.sparse.hstack([re, im]).tocsr())
-            data = np.concatenate([re.data, im.data])
-            row = np.concatenate([re.row, im.row])
-            column = np.concatenate([re.col + state * j, im.col + (s + state) * j])
-            many.append(scipy.sparse.csr_array((data, (row, column)), shape=(shape, 2 * s * j)))
-        self._one, self._many = scipy.sparse.vstack(one).tocsr(), scipy.sparse.vstack(many).tocsr()
+            self._operator[rows, : columns.size] = found.re[:, columns].toarray()
+            self._operator[rows, columns.size :] = found.im[:, columns].toarray()
         self.rig = int(session.states.rig[self.states[0]])
         self.view = self._view()
 
@@ -105,9 +100,10 @@ class Family:
 
     def apply(self, response: Complex) -> Float:
         """Features (rows,) of a response (1 or S, J) at the nodes."""
-        if response.shape[0] == 1:
-            return np.asarray(self._one @ np.concatenate([response[0].real, response[0].imag]))
-        return np.asarray(self._many @ np.concatenate([response.real.ravel(), response.imag.ravel()]))
+        seen = np.concatenate([response.real, response.imag], axis=1)
+        if len(seen) == 1:
+            return np.asarray(self._operator @ seen[0])
+        return np.concatenate([self._operator[rows] @ seen[state] for rows, state in self._parts])
 
 
 def state_view(session: Session, number: Int, frequency: Float, test: str, *, strain: Float | None = None) -> View:
