@@ -174,6 +174,9 @@ class MultisineFamily:
         self._period = float(support["period_s"][0])
         self._wave = np.array([p.block.support["wave"] for p in places])
         self._measured = _lines(self._wave**2)
+        if self.output == VOLTAGE:
+            self._command = np.array([p.block.support["command"] for p in places])
+            self._asked = _lines(self._command)
         self._squares = session.recordings[places[0].recording].loading == "electrical"
         number = np.array([p.state for p in places])
         frequency = places[0].block.frequency_hz[None, :n]
@@ -215,12 +218,11 @@ class MultisineFamily:
         n = self.view.frequency_hz.shape[1]
         value = np.full((len(self.places), n), physical.amplifier[self.rig], dtype=complex)
         if effect.monitor_wave:
-            command = np.array([p.block.support["command"] for p in self.places])
-            asked = physical.amplifier[self.rig] * command
-            wave = Wave(asked, asked**2, self._period / command.shape[1], self.session.scale)
+            asked = physical.amplifier[self.rig] * self._command
+            wave = Wave(asked, asked**2, self._period / asked.shape[1], self.session.scale)
             for change in effect.monitor_wave:
                 wave = change(wave)
-            value = (_lines(wave.film_kv) / _lines(command))[:, self._lines]
+            value = (_lines(wave.film_kv) / self._asked)[:, self._lines]
         value = value * channel(effect.voltage, self.view)
         return np.concatenate([value.real, value.imag], axis=1).ravel()
 
