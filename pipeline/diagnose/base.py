@@ -88,8 +88,8 @@ class BaseModel:
         order = np.argsort(-x[1 + n : 1 + 2 * n])
         film = RelaxationModel(
             float(x[0]),
-            tuple(float(v) for v in x[1 : 1 + n][order]),
-            tuple(float(v) for v in x[1 + n : 1 + 2 * n][order]),
+            tuple(x[1 : 1 + n][order].tolist()),
+            tuple(x[1 + n : 1 + 2 * n][order].tolist()),
             float(x[-1]) if self.dashpot else 0.0,
         )
         at = self.film.stop
@@ -102,7 +102,7 @@ class BaseModel:
                 compliance = 1 / stiffness
                 at += prior.size
             rigs.append(Rig(*(np.array([[v]], dtype=float) for v in (mass, compliance, damping, gain))))
-        named = dict(zip(self.names[at:], theta[at:], strict=True))
+        named = dict(zip(self.names[at:], theta[at:].tolist(), strict=True))
         return Physical(
             film=film,
             rigs=tuple(rigs),

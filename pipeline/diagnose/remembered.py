@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ Predict = Callable[[Physical, Effect, Loads | None], Float]
 
 _KEPT = 32
 """Predictions kept of a family: those at one point of a search and beside it in each direction."""
+_MATERIAL = "actuation", "pf_per_n", "pf_per_mm"
 
 
 @dataclass(frozen=True)
@@ -41,17 +42,22 @@ class Remembered:
     """Predictions of a family from its inputs alone: all else is hidden from it, so that none can be missing unnoticed."""
 
     def __init__(self, predict: Predict, inputs: Inputs, rig: int) -> None:
-        self._predict, self._inputs, self._rig = predict, inputs, rig
+        self._predict, self._rig = predict, rig
+        self._numbers, self._functions = tuple(inputs.physical), tuple(inputs.effect)
+        self._bends = bool(inputs.effect & {"tension", "reading"})
+        self._hidden = {name: float("nan") for name in _MATERIAL if name not in inputs.physical}
         self._known: OrderedDict[tuple[object, ...], Float] = OrderedDict()
 
     def __call__(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family, not to be changed; `loads` where the effect has elements or readings."""
-        seen: dict[str, Any] = {name: own for name in self._inputs.effect if (own := getattr(effect, name))}
-        loads = loads if "tension" in seen or "reading" in seen else None
-        key = (self._numbers(physical), frozenset(seen.items()), loads)
+        seen = tuple([getattr(effect, name) for name in self._functions])
+        loads = loads if self._bends else None
+        key = (*[self._number(physical, name) for name in self._numbers], seen, loads)
         values = self._known.get(key)
         if values is None:
-            values = self._predict(self._visible(physical), Effect(**seen), loads)
+            functions: dict[str, Any] = dict(zip(self._functions, seen, strict=True))
+            visible = Physical(**{**vars(physical), **self._hidden})
+            values = self._predict(visible, Effect(**functions), loads)
             self._known[key] = values
             if len(self._known) > _KEPT:
                 self._known.popitem(last=False)
@@ -59,20 +65,10 @@ class Remembered:
             self._known.move_to_end(key)
         return values
 
-    def _numbers(self, physical: Physical) -> tuple[object, ...]:
-        found: list[object] = []
-        for name in sorted(self._inputs.physical):
-            value = getattr(physical, name)
-            if name == "rigs":
-                rig = value[self._rig]
-                found += [float(v[0, 0]) for v in (rig.mass, rig.compliance, rig.damping, rig.gain)]
-            else:
-                found.append(value[self._rig] if name == "amplifier" else value)
-        return tuple(found)
-
-    def _visible(self, physical: Physical) -> Physical:
-        actuation, pf_per_n, pf_per_mm = (
-            getattr(physical, name) if name in self._inputs.physical else float("nan")
-            for name in ("actuation", "pf_per_n", "pf_per_mm")
-        )
-        return replace(physical, actuation=actuation, pf_per_n=pf_per_n, pf_per_mm=pf_per_mm)
+    def _number(self, physical: Physical, name: str) -> object:
+        """What is told of one of the inputs: the same where it is the same."""
+        value = getattr(physical, name)
+        if name == "rigs":
+            rig = value[self._rig]
+            return rig.mass.item(), rig.compliance.item(), rig.damping.item(), rig.gain.item()
+        return value[self._rig] if name == "amplifier" else value
