@@ -29,7 +29,7 @@ class Scale:
     pre_strain: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """States (a sweep, a group of cycles, ...) by frequencies; arrays broadcast to (S, J).
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from pipeline.diagnose.blocks import operator_of
 from pipeline.diagnose.effects import Effect, Factor, Film, Rig, View
 from pipeline.diagnose.features import CHIRP_RESPONSE
 from pipeline.diagnose.session import Place, Session
+from pipeline.fit.model import RelaxationModel
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -161,9 +163,20 @@ def channel(functions: Sequence[Factor], view: View) -> Complex | Float | float:
 
 def film_at(physical: Physical, effect: Effect, view: View) -> Film:
     """The film at the frequencies of a view, (1 or S, J)."""
-    film = Film(physical.film.stiffness(view.frequency_hz))
+    film = Film(_stiffness(physical.film, view))
     if effect.film:
         view = replace(view, k0=physical.film.k0)
     for change in effect.film:
         film = change(film, view)
     return film
+
+
+@lru_cache(maxsize=128)
+def _stiffness(film: RelaxationModel, view: View) -> Complex:
+    """Stiffness N/mm of the linear film at the frequencies of a view, (1 or S, J), not to be changed.
+
+    Kept for some films and views: whatever else than the film is moved, it is the same.
+    """
+    found = film.stiffness(view.frequency_hz)
+    found.flags.writeable = False
+    return found
