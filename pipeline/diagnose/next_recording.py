@@ -2,7 +2,8 @@
 
 Were one cause true and the other fitted to all recordings, the new one included, Dᵀ (N + J C Jᵀ)⁻¹ D is what χ² would say against
 the fitted one; D is the difference of the two predictions in standard deviations, N the noise with what the forms may be wrong by, J
-the fitted cause's derivatives there, C its covariance from the recordings at hand.
+the fitted cause's derivatives there, C its covariance from the recordings at hand. Which of them is true is as likely as the
+recordings at hand make it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_expit, log_ndtr
 
 from pipeline.diagnose.designs import LITTLE_WARMER_K, OFTEN, WARMER_K, Proposal, catalogue, imagined, repeated, showing
 from pipeline.diagnose.extend import ExtendedFit
@@ -31,73 +33,100 @@ _ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
 _OF_WHAT_IS_SEEN = 0.15
 """Share of what the causes explain so far that a recording must show of them, for a doubt that came by chance to pass."""
-_NORMAL_80 = 1.282
+_UNDECIDED = 0.1
+"""Probability that a recording leaves two causes undecided, above which it is not proposed."""
+_LITTLE = 1e-9
+"""χ² that says nothing."""
 _STEPS = 10
 """Steps of a fit in which a cause is tried in its other forms."""
 
 
 def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
-    best = _best(final, alternatives, WARMER_K, lambda found: found.surely >= _ENOUGH) if alternatives else None
+    if not alternatives:
+        return None
+    best = _best(final, alternatives, WARMER_K, _Judged.sureness, -np.log(_UNDECIDED))
     if best is None:
         return None
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
-    return NextRecording(best.proposal.designs, f"{best.proposal.text}: tells {rivals} apart", best.separation)
+    return NextRecording(best.proposal.designs, f"{best.proposal.text}: tells {rivals} apart", best.separation())
 
 
 def proving_recording(plain: ExtendedFit, final: ExtendedFit) -> NextRecording | None:
     """The test in which the causes believed would show most, where they may be none of the list: what is in no list goes another way
     there, and a doubt that came by chance does not come again. None where they would show next to nothing."""
     least = max(_ENOUGH, _OF_WHAT_IS_SEEN * (plain.chi2 - final.chi2))
-    best = _best(final, [plain], LITTLE_WARMER_K, lambda found: found.separation >= least)
+    best = _best(final, [plain], LITTLE_WARMER_K, _Judged.separation, least)
     if best is None:
         return None
     names = " and ".join(c.id for c in final.of.chosen)
     goes = "goes" if len(final.of.chosen) == 1 else "go"
     return NextRecording(
-        best.proposal.designs, f"{best.proposal.text}: shows whether {names} {goes} on", best.separation
+        best.proposal.designs, f"{best.proposal.text}: shows whether {names} {goes} on", best.separation()
     )
 
 
 @dataclass(frozen=True)
+class _Apart:
+    """A form believed and a rival in a recording that was not made: what χ² would say against the rival were the form true, and
+    against the form were the rival true; and what puts the form ahead so far."""
+
+    if_form: float
+    if_rival: float
+    ahead: float
+
+    @property
+    def log_undecided(self) -> float:
+        """Logarithm of the probability that not the true one of the two is ahead by enough once the recording is made.
+
+        What χ² says has four times itself as variance.
+        """
+        either = ((self.if_form, self.ahead), (self.if_rival, -self.ahead))
+        margins = [(says + ahead - _ENOUGH) / (2 * np.sqrt(max(says, _LITTLE))) for says, ahead in either]
+        true = log_expit([self.ahead / 2, -self.ahead / 2])
+        return float(np.logaddexp(*(true + log_ndtr(np.negative(margins)))))
+
+    def times(self, often: float) -> _Apart:
+        return replace(self, if_form=often * self.if_form, if_rival=often * self.if_rival)
+
+
+@dataclass(frozen=True)
 class _Judged:
-    """A proposal; of each pair of a form believed and a rival the separation there, and what puts the form ahead so far."""
+    """A proposal, and how far apart each pair of a form believed and a rival is in it."""
 
     proposal: Proposal
-    apart: tuple[tuple[float, float], ...]
+    apart: tuple[_Apart, ...]
 
-    @property
     def separation(self) -> float:
-        return min(separation for separation, _ in self.apart)
+        return min(min(pair.if_form, pair.if_rival) for pair in self.apart)
 
-    @property
-    def surely(self) -> float:
-        """Least difference of χ² from any rival that then is nearly sure."""
-        return min(_nearly_surely(separation) + ahead for separation, ahead in self.apart)
+    def sureness(self) -> float:
+        """Of a pair that it decides, the least sure one: −ln of the probability that it does not."""
+        return -max(pair.log_undecided for pair in self.apart)
 
     def times(self, often: float) -> _Judged:
         """What so many times the data would say at most."""
-        return replace(self, apart=tuple((often * separation, ahead) for separation, ahead in self.apart))
+        return replace(self, apart=tuple(pair.times(often) for pair in self.apart))
 
 
 def _best(
-    final: ExtendedFit, rivals: Sequence[ExtendedFit], warmer_k: float, enough: Callable[[_Judged], bool]
+    final: ExtendedFit, rivals: Sequence[ExtendedFit], warmer_k: float, merit: Callable[[_Judged], float], least: float
 ) -> _Judged | None:
-    """Of the catalogue what separates best; where that is not `enough`, the best of what can be repeated often, if that is."""
+    """Of the catalogue what has the most merit; where that is not the `least`, the best of what can be repeated often, if that has it."""
     believed = _forms(final)
     causes = [c.mechanism for f in (final, *rivals) for c in f.of.chosen[:1]]
 
     def best(proposals: Iterable[Proposal]) -> list[_Judged]:
         """Best first."""
         judged = [_judged(p, believed, rivals) for p in proposals]
-        return sorted((j for j in judged if j is not None), key=lambda j: -j.surely)
+        return sorted((j for j in judged if j is not None), key=merit, reverse=True)
 
     once = best(showing(catalogue(final.of.session, warmer_k), causes))
-    if any(enough(j) for j in once[:1]):
+    if any(merit(j) >= least for j in once[:1]):
         return once[0]
-    hopeful = [repeated(j.proposal) for j in once if enough(j.times(OFTEN))]
+    hopeful = [repeated(j.proposal) for j in once if merit(j.times(OFTEN)) >= least]
     often = best([p for p in hopeful if p is not None][:1])
-    return often[0] if often and enough(often[0]) else None
+    return often[0] if often and merit(often[0]) >= least else None
 
 
 def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]) -> _Judged | None:
@@ -114,7 +143,7 @@ def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequenc
     part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
     simulation = Simulation(part, final.of.simulation)
     seen = [[_Seen.of(part, simulation, fit) for fit in fits] for fits in (believed, rivals)]
-    apart = [(_separation(one, other), _ahead(one.fit, other.fit)) for one in seen[0] for other in seen[1]]
+    apart = [_apart(one, other) for one in seen[0] for other in seen[1]]
     return _Judged(proposal, tuple(apart))
 
 
@@ -144,11 +173,6 @@ def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
     }
 
 
-def _nearly_surely(separation: float) -> float:
-    """Difference of χ² that noise leaves with a probability of 90 % where this one is expected: its variance is four times it."""
-    return separation - _NORMAL_80 * 2 * float(np.sqrt(separation))
-
-
 @dataclass(frozen=True)
 class _Seen:
     """What a fit says of recordings that were not made, and how surely; whitened.
@@ -167,10 +191,14 @@ class _Seen:
         return cls(fit, part.whiten(of.predict(fit.x)), rows @ fit.covariance @ rows.T)
 
 
-def _separation(one: _Seen, other: _Seen) -> float:
-    difference = one.values - other.values
+def _apart(form: _Seen, rival: _Seen) -> _Apart:
+    difference = form.values - rival.values
     if not np.isfinite(difference).all():
-        return 0.0
+        return _Apart(0.0, 0.0, _ahead(form.fit, rival.fit))
     # What forms may be wrong by is weighed down for the fit as well: it takes less of the difference up.
     noise = np.diag(1 + (_MODEL_ERROR * difference) ** 2)
-    return min(float(difference @ np.linalg.solve(noise + seen.moves, difference)) for seen in (one, other))
+
+    def against(fitted: _Seen) -> float:
+        return float(difference @ np.linalg.solve(noise + fitted.moves, difference))
+
+    return _Apart(against(rival), against(form), _ahead(form.fit, rival.fit))

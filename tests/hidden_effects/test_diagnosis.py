@@ -215,12 +215,19 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
             {"sensor_delay", "drive_lag"},
             "to 300 Hz at 5 % strain (peak to peak), twenty times",
         ),
+        (
+            895_730_029,
+            Effect("power_law_relaxation", 2.52e-3, {"exponent": 0.199}),
+            {"power_law_relaxation", "missing_relaxation"},
+            "held for two hours",
+        ),
     ],
 )
 def test_what_the_session_cannot_decide_is_asked_of_the_right_recording(
     seed: int, effect: Effect, rivals: set[str], proposed: str
 ) -> None:
-    """A calibration where material and rig take up what differs; many sweeps where a few are too noisy."""
+    """A calibration where material and rig take up what differs; many sweeps where a few are too noisy; what decides if the likelier
+    one is true where it is much likelier already."""
     found = observe(made(Case(seed), (effect,)))
     assert found.verdict == "ambiguous"
     assert {*found.mechanisms, *found.also_possible} == rivals
