@@ -30,8 +30,10 @@ anything: less is the form of those before it."""
 SECOND_OF_ALL = 0.045
 """The same of the misfit that the causes so far explain anywhere."""
 _LEAVING_NOISE = 0.2
-"""Part of these shares that a cause has to add which leaves nothing but noise, if none is like it: no other cause takes away all that
-a wrong form leaves."""
+"""Part of these shares that a cause has to add which leaves nothing but noise, if none is like it where it adds: no other cause takes
+away all that a wrong form leaves."""
+_NOTHING = 0.05
+"""Share of what a cause adds somewhere that those before it explain there, below which it is not their form."""
 _NOISE = 3.0
 """χ² beyond its expectation, in standard deviations, up to which it is noise."""
 _WHERE = 0.9
@@ -58,9 +60,9 @@ def several(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[Exten
     worth = [f for f in singles if f.log_evidence > plain.log_evidence]
     if not worth:
         return Searched(plain, tuple(singles), None)
-    best = _added(plain, worth, changes)
+    best, shown = _added(plain, worth, changes)
     if len(best.of.chosen) > 1:
-        return Searched(plain, tuple(singles), _needed(plain, best))
+        return Searched(plain, tuple(singles), _needed(plain, best, shown))
     return _beside(untempered, plain, singles) or Searched(plain, tuple(singles), best)
 
 
@@ -78,17 +80,23 @@ def _beside(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[Exten
         return of.refined(of.fit(fit.x, most=_ROUGHLY))
 
     plain, base = moved(plain), finished(moved(alone))
-    best = _added(plain, [base], secants(base), share)
+    best, shown = _added(plain, [base], secants(base), share)
     if len(best.of.chosen) > 1:
-        best = _needed(plain, best, share)
+        best = _needed(plain, best, shown, share)
     if len(best.of.chosen) == 1:
         return None
     return Searched(plain, ranked([base, *(moved(f) for f in singles[1:])]), best)
 
 
-def _added(plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, share: float = SHARE) -> ExtendedFit:
-    """Causes added one by one: a further one where it is significant on what is left, and adds a share worth naming."""
-    best = worth[0]
+def _added(
+    plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, share: float = SHARE
+) -> tuple[ExtendedFit, bool]:
+    """Causes added one by one: a further one where it is significant on what is left, and adds a share worth naming.
+
+    That there is one a cause shows that is like none of those before it; which it is the evidence says, whatever they are like. True
+    where one was chosen in this way.
+    """
+    best, shown = worth[0], False
     for number in range(1, MOST_CAUSES):
         bases = worth[:_BASES] if number == 1 else [best]
         bases = [b for b in bases if b.chi2 < _HOPELESS * worth[0].chi2]
@@ -100,11 +108,14 @@ def _added(plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, s
                 continue
             promising = [s for s in found if _promising(plain, base, s, share)]
             further += tried(base, promising, looked, 2, goal=best.chi2)
-        better = [f for f in further if _worthwhile(plain, best, f, share)]
+        better = [f for f in further if _worthwhile(plain, best, f, shown, share)]
         if not better:
             break
-        best = confirmed(better)[0]
-    return best
+        sure = max(f.log_evidence for f in better) + CLOSE
+        likelier = [f for f in further if f.log_evidence > sure and _worthwhile(plain, best, f, True, share)]
+        shown = shown or bool(likelier)
+        best = confirmed(likelier or better)[0]
+    return best, shown
 
 
 def _promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
@@ -118,8 +129,13 @@ def _of_form(share: float) -> float:
     return (share / SHARE) ** 2 if share > _EXACT else 0.0
 
 
-def _worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, share: float = SHARE) -> bool:
-    """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything."""
+def _worthwhile(
+    plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, shown: bool = False, share: float = SHARE
+) -> bool:
+    """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything.
+
+    shown : there is one, whatever it is like
+    """
     if more.log_evidence - best.log_evidence < CLOSE:
         return False
     before, so_far, now = (by_block(f) for f in (plain, best, more))
@@ -129,13 +145,15 @@ def _worthwhile(plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, share:
     where = order[: int(most.sum()) + 1]
     noise = by_block(plain, noise=True)
     left, spread = more.chi2 - noise_chi2(plain), np.sqrt(2 * max(noise_chi2(plain), 1.0))
-    form = _of_form(share) * (_LEAVING_NOISE if left < _NOISE * spread and not _alike(more) else 1.0)
+    adds, explained = float(added[where].sum()), float((before - so_far)[where].sum())
+    of_another = shown or explained < _NOTHING * adds or not _alike(more)
+    form = _of_form(share) * (_LEAVING_NOISE if left < _NOISE * spread and of_another else 1.0)
     least = (
         form * SECOND_OF_ALL * (plain.chi2 - best.chi2),
-        form * SECOND_SHARE * float((before - so_far)[where].sum()),
+        form * SECOND_SHARE * explained,
         SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
     )
-    return float(added[where].sum()) > max(least)
+    return adds > max(least)
 
 
 def _alike(fit: ExtendedFit) -> bool:
@@ -144,12 +162,12 @@ def _alike(fit: ExtendedFit) -> bool:
     return any(ids & set(c.mechanism.confusable) for c in fit.of.chosen)
 
 
-def _needed(plain: ExtendedFit, final: ExtendedFit, share: float = SHARE) -> ExtendedFit:
+def _needed(plain: ExtendedFit, final: ExtendedFit, shown: bool = False, share: float = SHARE) -> ExtendedFit:
     """Causes that are no longer needed are dropped; those that stay are in the order of what each explains beside the others."""
     while len(final.of.chosen) > 1:
         fewer = [without(final, i) for i in range(len(final.of.chosen))]
         best = max(fewer, key=lambda f: f.log_evidence)
-        if _worthwhile(plain, best, final, share):
+        if _worthwhile(plain, best, final, shown, share):
             return _in_order(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
         final = best
     return final
