@@ -19,7 +19,10 @@ from typing import Any
 from pipeline.diagnose.results import AMBIGUOUS
 from tests.hidden_effects.judging import Case, Judgement
 
-_JUDGING = ("pipeline", "schemas", "ingest", "tests.hidden_effects")
+_JUDGING = (
+    "pipeline.diagnose", "pipeline.fit", "pipeline.simulate", "pipeline.transform", "schemas", "ingest", "tests.hidden_effects",
+)  # fmt: skip
+"""The science, and what it is made of; not the nightly, which `import pipeline` brings along."""
 _PROPOSING = ("pipeline.diagnose.designs", "pipeline.diagnose.next_recording")
 _DIGITS = 5
 
