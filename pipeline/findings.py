@@ -133,18 +133,10 @@ def _wrong(row: Row) -> Iterator[str]:
 def _causes(row: Row) -> Iterator[str]:
     if row["verdict"] in (None, "none") or not row["candidates"]:
         return
-    ranked = sorted(row["candidates"], key=lambda c: (-(c["probability"] or 0.0), -(c["likelihood_ratio"] or 0.0)))
-    cells = [("", "2Δ ln L", "probability", "explains", "severity")]
-    for c in ranked[:_SHOWN]:
-        mark = "●" if c["mechanism"] in (row["mechanisms"] or ()) else " "
-        cells.append(
-            (
-                f"{mark} {c['mechanism']}", significant(c["likelihood_ratio"]), percent(c["probability"]),
-                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"]),
-            )
-        )  # fmt: skip
+    alone = all(c["likelihood_ratio"] is None for c in row["candidates"])
+    cells = _by_what_they_predict(row) if alone else _by_what_they_explain(row)
     widths = [max(len(line[i]) for line in cells) for i in range(4)]
-    yield "  Causes, each alone in the model, refitted together with the film"
+    yield "  Causes, each alone in the model, refitted together with the rest of it"
     for name, *numbers, size in cells:
         columns = "  ".join(text.rjust(width) for text, width in zip(numbers, widths[1:], strict=True))
         yield f"    {name.ljust(widths[0])}  {columns}  {size}"
@@ -154,6 +146,44 @@ def _causes(row: Row) -> Iterator[str]:
         yield f"  Cannot be told from it: {', '.join(plain_name(m) if m == UNLISTED else m for m in row['also_possible'])}"
     if row["supported_by"]:
         yield f"  Shown by: {', '.join(row['supported_by'])}"
+
+
+_Cells = list[tuple[str, str, str, str, str]]
+
+
+def _by_what_they_explain(row: Row) -> _Cells:
+    """The causes of a session, likeliest first."""
+    ranked = sorted(row["candidates"], key=lambda c: (-(c["probability"] or 0.0), -(c["likelihood_ratio"] or 0.0)))
+    return [
+        ("", "2Δ ln L", "probability", "explains", "severity"),
+        *(
+            (
+                f"{_mark(row, c)} {c['mechanism']}", significant(c["likelihood_ratio"]), percent(c["probability"]),
+                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"]),
+            )
+            for c in ranked[:_SHOWN]
+        ),
+    ]  # fmt: skip
+
+
+def _by_what_they_predict(row: Row) -> _Cells:
+    """The causes of a record that was asked alone, by their error on the part left out."""
+    ranked = sorted(row["candidates"], key=lambda c: c["held_out_error"])
+    return [
+        ("", "gain", "95 % interval", "explains", "severity"),
+        *(
+            (
+                f"{_mark(row, c)} {c['mechanism']}" + (f", {c['form']}" if c["form"] else ""), percent(c["gain"]),
+                f"{percent(c['gain_lower'])} to {percent(c['gain_upper'])}",
+                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"]),
+            )
+            for c in ranked
+        ),
+    ]  # fmt: skip
+
+
+def _mark(row: Row, cause: Row) -> str:
+    return "●" if cause["mechanism"] in (row["mechanisms"] or ()) else " "
 
 
 def _film(row: Row) -> Iterator[str]:

@@ -31,10 +31,10 @@ class Kind:
     line: bool = False
 
 
-_RESPONSE, _HARMONICS, _LEVEL, _FORCE, _CAPACITANCE, _DRIVE, _REST = (
-    "response", "harmonics", "mean force", "force", "capacitance", "drive", "rest",
+_RESPONSE, _HARMONICS, _LEVEL, _FORCE, _CAPACITANCE, _DRIVE, _REST, _UNSEEN = (
+    "response", "harmonics", "mean force", "force", "capacitance", "drive", "rest", "left out",
 )  # fmt: skip
-COLUMNS = (_RESPONSE, _HARMONICS, _LEVEL, _FORCE, _CAPACITANCE, _DRIVE, _REST, "calibration")
+COLUMNS = (_RESPONSE, _HARMONICS, _LEVEL, _FORCE, _CAPACITANCE, _DRIVE, _REST, _UNSEEN, "calibration")
 
 KINDS = {
     "chirp.response": Kind("response in the sweep", "Response |F/x|, N/mm", _RESPONSE, 1.0, True),
@@ -55,6 +55,8 @@ KINDS = {
     "step.voltage": Kind("voltage after the edges of the command", "Voltage over command, kV/V", _DRIVE, 1.0, True),
     "relaxation.force": Kind("force after the step of displacement", "Force against rest, mN", _FORCE, 1e3, True),
     "cycle.force": Kind("force over the large cycle", "Force against rest, mN", _FORCE, 1e3, True),
+    "cycle.stress": Kind("stress over the large cycle", "Stress, kPa", _FORCE, 1.0, True),
+    "cycle.unseen": Kind("stress as the fit to the loading alone predicts it", "Stress, kPa", _UNSEEN, 1.0, True),
     "rest.hum": Kind("mains in the rest", "Mains in the rest, SD", _REST),
     "tap.ring": Kind("ringing of the clamp", "Ringing of the clamp", "calibration"),
     "weight.gain": Kind("weights", "Recorded force over weight", "calibration"),

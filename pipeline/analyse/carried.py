@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pipeline.analyse.session_features import SessionFeatures
+from pipeline.analyse.session_features import Alone, SessionFeatures
 from pipeline.fit.time_domain import CycleFit, CycleFits
 from pipeline.store.carry import Codec
 from pipeline.transform.breakdown_life import Lifetime
@@ -41,6 +41,7 @@ KINDS: tuple[type, ...] = (
     ForceMapReadings,
     ForceReading,
     SessionFeatures,
+    Alone,
 )
 _CODEC = Codec(KINDS)
 

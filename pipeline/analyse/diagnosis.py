@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pipeline.analyse.alone import diagnosed_alone
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import SessionFeatures
@@ -12,7 +13,7 @@ from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features import RecordingFeatures
 from pipeline.diagnose.features_io import unpack
 from pipeline.diagnose.results import Diagnosis
-from pipeline.tabulate.diagnoses import diagnosis_tables, undiagnosed_tables
+from pipeline.tabulate.diagnoses import contest_tables, diagnosis_tables, undiagnosed_tables
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.protocols import CALIBRATION
@@ -25,6 +26,10 @@ def analyse_diagnosis(specimen_id: str, recordings: Sequence[Measured], calibrat
     analysis.note([f"diagnosis: {reason}" for reason in refused])
     if all(isinstance(r.metadata, RecordingMetadata) and r.metadata.loading == CALIBRATION for r in recordings):
         return analysis  # a clamp under its own name is no specimen
+    alone = analysis.attempt("diagnosis", diagnosed_alone, specimen_id, recordings)
+    if alone is not None:
+        analysis.add(contest_tables(*alone))
+        return analysis
     found = analysis.attempt("diagnosis", _asked, session, refused)
     if isinstance(found, Diagnosis):
         whole = replace(found, could_not_ask=(*found.could_not_ask, *refused))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
+from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.cycle import cycle_fits
 from pipeline.analyse.session_features import SessionFeatures
@@ -24,7 +25,7 @@ from pipeline.transform.loop import measure_loop
 from pipeline.transform.respond import respond
 from pipeline.transform.step import measure_steps
 from schemas.errors import NotIdentifiableError
-from schemas.protocols import CALIBRATION, ELECTRICAL
+from schemas.protocols import CALIBRATION, ELECTRICAL, OTHER
 from schemas.recording import Recording
 
 
@@ -46,7 +47,7 @@ def analyse_recording(recording: Recording) -> Analysis:
         _coat(analysis, recording)
     else:
         _responses(analysis, recording)
-    if reducible(about.protocol, about.loading):
+    if reducible(about.protocol, about.loading) or about.loading == OTHER:
         features = analysis.attempt("features for the diagnosis", session_features, recording)
         if features is not None:
             analysis.carry(features)
@@ -55,10 +56,11 @@ def analyse_recording(recording: Recording) -> Analysis:
 
 def session_features(recording: Recording) -> SessionFeatures:
     """The recording's features for the diagnosis of its specimen, or why there are none."""
+    alone = alone_of(recording)
     try:
-        return SessionFeatures(pack(reduce(recording)))
+        return SessionFeatures(pack(reduce(recording)), alone=alone)
     except NotIdentifiableError as error:
-        return SessionFeatures("", error.shortcoming)
+        return SessionFeatures("", error.shortcoming, alone)
 
 
 def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Analysis:

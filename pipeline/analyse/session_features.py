@@ -5,12 +5,33 @@ Apart from `pipeline.diagnose` so that the other stages, which carry it along, d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+CYCLE, SYSTEM = "cycle", "system"
+
+
+@dataclass(frozen=True)
+class Alone:
+    """A record that can be asked without others: a large cycle, or a system of another kind.
+
+    channels : (m,) each: time_s, stretch, stress (kPa) of a cycle; time_s, input, output of a system
+    given : what the recording says of it; empty for nothing
+    """
+
+    kind: str
+    channels: Mapping[str, NDArray[np.float64]]
+    given: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class SessionFeatures:
-    """`content` as `pipeline.diagnose.features_io` packs it; empty where `refused` says why there is none."""
+    """`content` as `pipeline.diagnose.features_io` packs it; empty where `refused` says why there is none. `alone`: the record itself,
+    where it says something without a session."""
 
     content: str
     refused: str = ""
+    alone: Alone | None = None

@@ -20,7 +20,6 @@ Float = NDArray[np.float64]
 EXPLAINED = 0.6
 """Share of the misfit that a cause must explain for its name to be said."""
 _LEVEL = 0.95
-_SEED = 5
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Entrant:
     severity : key → estimate, from the fit to everything
     whole : (N,) simulation of everything, fitted to everything
     unseen : (H,) prediction of the part left out, fitted to the rest
-    drawn : (B, H) the same with parameters drawn from what the fit to the rest leaves open
+    drawn : (B or 1, H) the same with parameters drawn from what the fit to the rest leaves open
     parameters : number of parameters beyond the plain model's
     """
 
@@ -78,32 +77,29 @@ class Contest:
         return tuple(p for p in self.places if p.lower > 0 and not p.beaten)
 
 
-def contest(
-    plain: Entrant, entrants: Sequence[Entrant], measured: Float, left_out: Float, sd: float, memory: int
-) -> Contest:
+def contest(plain: Entrant, entrants: Sequence[Entrant], measured: Float, left_out: Float, sd: float) -> Contest:
     """Places of the entrants, and what they let one say.
 
-    measured, left_out : (N,) everything, and (H,) the part left out; sd : of the noise of one value; memory : values over which what
-    is left remembers, the length of the blocks that are drawn anew
+    The part left out is one, and is no sample of anything, and the plain model's prediction of it is the one that was made: intervals
+    are of what the fits to the rest leave open about the entrants.
+
+    measured, left_out : (N,) everything, and (H,) the part left out; sd : of the noise of one value
     """
-    rng = np.random.default_rng(_SEED)
-    chosen = _blocks(left_out.size, memory, len(plain.drawn), rng)
     size = left_out.size
 
     def error(entrant: Entrant) -> tuple[float, Float]:
         """Mean square over the noise, and (B,) drawn."""
-        square = ((entrant.drawn - left_out) / sd) ** 2
-        drawn = np.take_along_axis(square, chosen, axis=1).mean(axis=1)
+        drawn = np.mean(((entrant.drawn - left_out) / sd) ** 2, axis=1)
         return float(np.mean(((entrant.unseen - left_out) / sd) ** 2)), drawn
 
-    before, drawn_before = error(plain)
-    removable = np.maximum(drawn_before - 1, 1 / size)
+    before, _ = error(plain)
+    removable = max(before - 1, 1 / size)
     misfit = float(np.mean(((plain.whole - measured) / sd) ** 2)) - 1
     found = [(entrant, *error(entrant)) for entrant in entrants]
     found.sort(key=lambda one: one[1])
     places = []
     for entrant, after, drawn in found:
-        lower, upper = _interval((drawn_before - drawn) / removable)
+        lower, upper = _interval((before - drawn) / removable)
         left = float(np.mean(((entrant.whole - measured) / sd) ** 2)) - 1
         worse, _ = _interval(drawn - found[0][2])
         places.append(
@@ -111,7 +107,7 @@ def contest(
                 entrant,
                 float(np.sqrt(before)),
                 float(np.sqrt(after)),
-                (before - after) / max(before - 1, 1 / size),
+                (before - after) / removable,
                 lower,
                 upper,
                 1 - left / max(misfit, 1 / size),

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.diagnose.contest import Contest, Place
 from pipeline.diagnose.features import FeatureBlock, RecordingFeatures
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import Diagnosis, Extension, Residuals
 from pipeline.fit.model import RelaxationModel
+from schemas.protocols import MECHANICAL
 from schemas.tables import ARMS, TABLES
 
 if TYPE_CHECKING:
@@ -80,6 +82,35 @@ def diagnosis_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures]
     if diagnosis.extension is not None and diagnosis.extension.severities:
         tables["model_fits"] = TABLES["model_fits"].rows([_fit_row(diagnosis, diagnosis.extension)])
     return tables
+
+
+def contest_tables(diagnosis: Diagnosis, contest: Contest) -> dict[str, pa.Table]:
+    """The same of a record that was asked alone, whose causes have each their own gain."""
+    tables = diagnosis_tables(diagnosis, ())
+    rows = [_place_row(diagnosis, place) for place in contest.places]
+    tables["diagnosis_candidates"] = TABLES["diagnosis_candidates"].rows(rows)
+    if "model_fits" in tables:
+        own = {"loading": MECHANICAL, "method": "time_domain"}
+        tables["model_fits"] = TABLES["model_fits"].rows([{**row, **own} for row in tables["model_fits"].to_pylist()])
+    return tables
+
+
+def _place_row(d: Diagnosis, place: Place) -> dict[str, Any]:
+    entrant = place.entrant
+    main = next(iter(entrant.severity.values()), None)
+    return {
+        "specimen_id": d.specimen_id,
+        "mechanism": entrant.mechanism,
+        "severity": None if main is None else main.value,
+        "severity_sd": None if main is None else _finite(main.sd),
+        "gain": place.gain,
+        "gain_lower": place.lower,
+        "gain_upper": place.upper,
+        "held_out_error": place.after,
+        "explained": place.explained,
+        "form": entrant.form or None,
+        "equation": entrant.equation,
+    }
 
 
 def undiagnosed_tables(specimen_id: str, reasons: Sequence[str]) -> dict[str, pa.Table]:

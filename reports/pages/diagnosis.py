@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
@@ -64,7 +65,7 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     blocks += _film(draft, d)
     following = what_next(d)
     if following:
-        blocks.append(Next(following.title, flow(following.body, _separation(d))))
+        blocks.append(Next(following.title, flow(_sentence(capital(str(following.body))), _separation(d))))
     blocks += _visible(draft, d)
     return Section("diagnosis", _heading(d), "Diagnosis", tuple(blocks))
 
@@ -182,11 +183,11 @@ def _common_start(names: list[str]) -> str:
     return first[: cut + 1]
 
 
-_CANDIDATES_SQL = """SELECT mechanism, likelihood_ratio, max(likelihood_ratio) OVER () - likelihood_ratio AS behind, probability,
+_CANDIDATES_SQL = """SELECT mechanism, gain_lower, gain_upper, held_out_error, likelihood_ratio, max(likelihood_ratio) OVER () - likelihood_ratio AS behind, probability,
        explained, severity, severity_sd, gain, form, equation
 FROM diagnosis_candidates
 WHERE specimen_id = $specimen
-ORDER BY probability DESC, likelihood_ratio DESC, mechanism"""
+ORDER BY probability DESC, likelihood_ratio DESC, held_out_error, mechanism, form"""
 
 
 def _candidates(draft: Draft, d: Record) -> list[Block]:
@@ -194,6 +195,8 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
     found = draft.results.rows(query)
     if not found or d["verdict"] == "none":
         return []
+    if all(r["likelihood_ratio"] is None for r in found):
+        return _places(d, found, query)
     near = sum(r["behind"] is not None and r["behind"] < _DECISIVE for r in found)
     rows = []
     for r in found:
@@ -230,6 +233,47 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
     for text in d["unexplained"] or ():
         blocks.append(Text(flow(bold("Not explained: "), visible(text))))
     return blocks
+
+
+def _places(d: Record, found: Sequence[Record], query: Query) -> list[Block]:
+    """Causes that were judged by what they predict of a part that they were not fitted to, best first."""
+    possible = {d["mechanism"], *(d["also_possible"] or ())}
+    rows = []
+    for r in found:
+        chosen = r["mechanism"] in possible and r["gain_lower"] is not None and r["gain_lower"] > 0
+        rows.append(
+            Row(
+                (
+                    flow(plain_name(r["mechanism"]), Markup("<br>"), visible(r["form"]) if r["form"] else code(r["mechanism"])),
+                    significant(r["held_out_error"], 3), percent(r["gain"]),
+                    f"{percent(r['gain_lower'])} to {percent(r['gain_upper'])}",
+                    ABSENT if r["explained"] is None else bar(r["explained"], chosen=chosen),
+                    candidate(r["mechanism"], r["severity"], r["severity_sd"]),
+                ),
+                "sel" if chosen else "dim",
+            )
+        )  # fmt: skip
+    heads = (
+        Head("Cause"), Head("Held-out error, SD", "n"), Head("Gain", "n"), Head("95 % interval", "n"),
+        Head("Share of the misfit explained", "barcell"), Head("Severity"),
+    )  # fmt: skip
+    below = (
+        "Each cause was fitted to a part of the record and had to predict the rest; the gain is the share of the removable error"
+        " there. The last two columns are of fits to everything: what follows what it has seen explains nothing yet."
+    )
+    note = f"the plain model errs by {significant(d['held_out_error_before'], 3)} times the noise"
+    return [
+        Heading("Why: the causes, by what they predict"),
+        Table(
+            "Each cause alone, refitted together with the rest of the model",
+            heads,
+            tuple(rows),
+            query.shown(),
+            note,
+            below,
+        ),
+        *(Text(flow(bold("Left: "), visible(_sentence(capital(text))))) for text in d["unexplained"] or ()),
+    ]
 
 
 def _gain(draft: Draft, d: Record) -> list[Block]:

@@ -108,6 +108,14 @@ def test_triangle_cycle_on_its_published_law(real_folder: Layout, tmp_path: Path
             "SELECT law_given, model_order, rmse_kpa, held_out_rmse_kpa, selected FROM cycle_fits ORDER BY 1 DESC, 2"
         ).fetchall()
         model = db.execute("SELECT model_order, method FROM best_models").fetchall()
+        verdict = db.execute(
+            "SELECT verdict, mechanism, also_possible, gain_lower, held_out_error_before / held_out_error_after, next_recording"
+            " FROM diagnoses"
+        ).fetchone()
+        causes = db.execute(
+            "SELECT coalesce(form, mechanism), gain, gain_lower, gain_upper FROM diagnosis_candidates"
+        ).fetchall()
+        wrong = db.execute("SELECT where_found, p_value FROM discrepancies").fetchall()
     given, fitted = rows[:3], rows[3:]
     assert [row[:2] for row in given] == [(True, 1), (True, 2), (True, 3)]
     assert given[0][2] == pytest.approx(9.655, abs=1e-3)
@@ -117,9 +125,25 @@ def test_triangle_cycle_on_its_published_law(real_folder: Layout, tmp_path: Path
     assert [row[4] for row in given] == [False, True, False]
     assert fitted[1][2] < 0.5 * given[1][2]
     assert model == [(2, "time_domain")]
+    # fitted to the loading, another law, a further branch, a power law and softening predict the unloading alike: one rate cannot tell
+    assert verdict is not None
+    assert verdict[:2] == ("ambiguous", "strain_stiffening")
+    assert {"missing_relaxation", "power_law_relaxation"} <= set(verdict[2])
+    assert verdict[3] > 0.5
+    assert verdict[4] > 2
+    assert "held at the largest stretch" in verdict[5]
+    gains = {form: ends for form, *ends in causes}
+    assert {"a second branch", "a second and a third branch", "power_law_relaxation", "beyond the law"} <= set(gains)
+    assert all(lower <= gain <= upper for gain, lower, upper in gains.values())
+    assert gains["a second branch"][1] > 0.5
+    assert gains["a second and a third branch"][0] - gains["a second branch"][0] < 0.01  # a third branch brings nothing
+    assert len(wrong) == 8
+    assert all(p < 1e-16 for _, p in wrong)
     page = text_of(lab / "reports" / "specimens" / "vhb4910.html")
     assert "first order 9.655 kPa; second order 5.235 kPa; third order 5.232 kPa" in page
     assert "that is no noise" in page
+    assert "Why: the causes, by what they predict" in page
+    assert "Stress as the fit to the loading alone predicts it" in page
 
 
 def test_one_period_of_the_silverbox(real_folder: Layout, tmp_path: Path) -> None:
