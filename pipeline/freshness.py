@@ -26,6 +26,18 @@ def digest(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
+def digest_of_lists(lists: Iterable[Iterable[Any]]) -> str:
+    """The digest of a list of lists, which may be longer than fits in memory."""
+    hasher = hashlib.sha256(b"[")
+    for number, members in enumerate(lists):
+        hasher.update(b", [" if number else b"[")
+        for place, member in enumerate(members):
+            hasher.update((", " if place else "").encode() + json.dumps(member, sort_keys=True, default=str).encode())
+        hasher.update(b"]")
+    hasher.update(b"]")
+    return hasher.hexdigest()
+
+
 @functools.cache
 def code_version(module: str) -> str:
     """Hash over the source of a module, of everything of ours that it imports, and of the numerical libraries' versions.

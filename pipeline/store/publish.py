@@ -50,9 +50,9 @@ class Deletion:
 
 @dataclass(frozen=True)
 class Changes:
-    """What a night changes: deletions, then insertions, which may be many and are streamed."""
+    """What a night changes: deletions, then insertions; both may be many and are streamed."""
 
-    deletions: Sequence[Deletion] = ()
+    deletions: Iterable[Deletion] = ()
     insertions: Iterable[Mapping[str, Rows]] = field(default_factory=tuple)
 
 

@@ -18,10 +18,14 @@ _AT_ONCE = 2000
 
 
 class Reader:
-    """Rows of a published snapshot under today's column names; a context manager."""
+    """Rows of a published snapshot under today's column names; a context manager.
 
-    def __init__(self, database: Path) -> None:
+    `memory` is what DuckDB may use, None for what it likes: it keeps what it has read.
+    """
+
+    def __init__(self, database: Path, *, memory: str | None = None) -> None:
         self._database = database
+        self._memory = memory
         self._connection: Any = None
         self._columns: dict[str, set[str]] = {}
 
@@ -30,6 +34,9 @@ class Reader:
 
         try:
             self._connection = duckdb.connect(str(self._database), read_only=True)
+            if self._memory is not None:
+                self._connection.execute("SET threads = 1")
+                self._connection.execute(f"SET memory_limit = '{self._memory}'")
             found = self._connection.execute("SELECT table_name, column_name FROM duckdb_columns()").fetchall()
         except duckdb.Error as error:
             raise LabError(
@@ -66,9 +73,11 @@ class Reader:
         """The same as dictionaries; `where` is a condition of ours on the columns."""
         return list(self._each(name, columns, self._query(name, columns, key, among, where)))
 
-    def each(self, name: str, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
-        """All rows one by one, for what has many; nothing else may be asked meanwhile."""
-        return self._each(name, columns, self._query(name, columns, None, ()))
+    def each(
+        self, name: str, columns: Sequence[str] | None = None, *, ordered: bool = True
+    ) -> Iterator[dict[str, Any]]:
+        """All rows one by one, for what has many; nothing else may be asked meanwhile. In order they are all sorted first."""
+        return self._each(name, columns, self._query(name, columns, None, (), ordered=ordered))
 
     def _each(
         self, name: str, columns: Sequence[str] | None, query: tuple[str, list[list[str]]] | None
@@ -91,6 +100,8 @@ class Reader:
         key: str | None,
         among: Iterable[str],
         where: str = "true",
+        *,
+        ordered: bool = True,
     ) -> tuple[str, list[list[str]]] | None:
         """The SELECT and its parameters; None where there are no such rows."""
         present = self._columns.get(name, set())
@@ -100,6 +111,7 @@ class Reader:
             f'"{c.name}"' if c.name in present else f'CAST(NULL AS {c.type}) AS "{c.name}"'
             for c in self._wanted(name, columns)
         )
-        order = ", ".join(f'"{c}"' for c in TABLES[name].order if c in present)
+        order = ", ".join(f'"{c}"' for c in TABLES[name].order if ordered and c in present)
         condition = f"WHERE {where}" if key is None else f'WHERE "{key}" IN (SELECT unnest(?::VARCHAR[])) AND {where}'
-        return f"SELECT {selected} FROM {name} {condition} ORDER BY {order}", [] if key is None else [list(among)]
+        sort = f"ORDER BY {order}" if order else ""
+        return f"SELECT {selected} FROM {name} {condition} {sort}", [] if key is None else [list(among)]
