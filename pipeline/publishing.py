@@ -35,7 +35,7 @@ from pipeline.stages.tasks import (
 from pipeline.store.journal import DAMAGED, FAILED, PENDING, QUARANTINED, entry_path, read_tables, unwritable
 from pipeline.store.ledger import batches
 from pipeline.store.manifest import published as snapshot
-from pipeline.store.publish import Changes, Deletion, Rows, publish
+from pipeline.store.publish import Changes, Deletion, Rows, Streamed, publish
 from pipeline.store.reader import Reader
 from pipeline.tabulate.recordings import as_json, recordings_rows
 from schemas.errors import DealabError, RefusedError
@@ -144,7 +144,7 @@ def publish_night(context: Context, night: Night) -> None:
     """
     _place_samples(context)
     _place_refused(context, night)
-    publish(context.lab, Changes(_deletions(context, night), _insertions(context, night)))
+    publish(context.lab, Changes(Streamed(_deletions, context, night), Streamed(_insertions, context, night)))
     _remove_old_samples(context)
 
 

@@ -18,7 +18,7 @@ from schemas.errors import LabError
 
 _AT_ONCE = 500
 """Rows that are in memory at a time, on their way in or out."""
-_CACHE_KB = 8192
+_CACHE_KB = 4096
 
 TABLES: Mapping[str, str] = {
     # What the lab knew before tonight: from the published snapshot.
