@@ -56,7 +56,11 @@ class _Item:
 
 def derive(context: Context) -> None:
     """Makes what is not fresh of the recordings that are included; books all items that there have to be as `derived`."""
-    context.ledger.add("derived", _items(context))
+    ledger = context.ledger
+    ledger.add("derived", _items(context))
+    ledger.run("INSERT INTO expected SELECT item_id, stage, input_hash FROM derived")
+    for stage in _FIRST:
+        context.leave_out_fresh(stage)
     _make(context)
 
 
@@ -77,32 +81,29 @@ def _rigs(recordings: Iterable[Included]) -> frozenset[str]:
 
 
 def _items(context: Context) -> Iterator[tuple[Any, ...]]:
-    """All items for the ledger, each with how many recordings it has and whether it has to be made."""
+    """All items, each with its stage, what it is made from and how many recordings that is."""
     of_rigs = _of_rigs(context)
     with_specimen = _included(context, f"{_INCLUDED} specimen_id IS NOT NULL ORDER BY specimen_id, recording_id")
     for specimen_id, members in itertools.groupby(with_specimen, attrgetter("specimen_id")):
         for item in items_of(specimen_id, members, of_rigs):
-            yield _booked(context, item.item_id, item.stage, item.input_hash, len(item.recordings))
+            yield item.item_id, item.stage, item.input_hash, len(item.recordings)
     for name in GROUPS:
         count = itertools.count()
         identities = (_identity(one) for one, _ in zip(_members(context, name), count, strict=False))
         input_hash = digest_of_lists((identities, ()))
         if number := next(count):
-            yield _booked(context, item_id(GROUP, name), GROUP, input_hash, number)
-
-
-def _booked(context: Context, item: str, stage: str, input_hash: str, members: int) -> tuple[Any, ...]:
-    fresh = context.is_fresh(item, Freshness(input_hash, *context.version(stage)))
-    return item, stage, input_hash, members, not fresh
+            yield item_id(GROUP, name), GROUP, input_hash, number
 
 
 def _make(context: Context) -> None:
     ledger = context.ledger
-    count = ledger.number("SELECT count(*) FROM derived WHERE stale")
+    count = ledger.number("SELECT count(*) FROM expected JOIN derived USING (item_id)")
     if not count:
         return
     # Groups fetch what they need themselves.
-    alone = not ledger.number("SELECT count(*) FROM derived WHERE stale AND stage <> ?", [GROUP])
+    alone = not ledger.number(
+        "SELECT count(*) FROM expected JOIN derived d USING (item_id) WHERE d.stage <> ?", [GROUP]
+    )
     with (
         contextlib.nullcontext() if alone else published(context.lab) as reader,
         tempfile.TemporaryDirectory(prefix="members-", dir=context.lab.work) as folder,
@@ -119,8 +120,8 @@ def _tasks(context: Context, reader: Reader | None, folder: Path) -> Iterator[De
     of_rigs = _of_rigs(context)
     place = " ".join(f"WHEN '{stage}' THEN {number}" for stage, number in _FIRST.items())
     stale = context.ledger.each(
-        "SELECT item_id, stage, input_hash FROM derived WHERE stale"
-        f" ORDER BY CASE stage {place} END, CASE stage WHEN '{DIAGNOSIS}' THEN -members END, item_id"
+        "SELECT item_id, d.stage, d.input_hash FROM expected JOIN derived d USING (item_id)"
+        f" ORDER BY CASE d.stage {place} END, CASE d.stage WHEN '{DIAGNOSIS}' THEN -members END, item_id"
     )
     for item, stage, input_hash in stale:
         task = DerivedTask(item, stage, Freshness(input_hash, *context.version(stage)), (), context.lab.journal)

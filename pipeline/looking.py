@@ -25,7 +25,7 @@ SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, ver
 _YOUNG_NS = 60_000_000_000
 _AT_ONCE = 500
 """Files that wait to be hashed."""
-_ASKED_AT_ONCE = 5000
+_ASKED_AT_ONCE = 1000
 """Files that are asked together whether they grow, which may take a second."""
 _SETTLED_NS = 2_000_000_000
 """A file that changed less than this before it was hashed could change again without getting a new time. An object's

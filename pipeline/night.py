@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from pipeline.freshness import code_version, digest
 from pipeline.lab import Lab
 from pipeline.settings import Settings
 from pipeline.stages.tasks import MODULES, perform, rig_hash
-from pipeline.store.journal import Freshness, Outcome, entry_name
+from pipeline.store.journal import Outcome, entry_name
 from pipeline.store.ledger import Ledger
 from pipeline.tabulate.recordings import joined
 
@@ -61,16 +61,21 @@ class Context:
         """Stands for the settings in what a casualty was made from: with other limits it is tried again."""
         return digest([self.settings.deadline_s, self.settings.memory_mb])
 
-    def is_fresh(self, item_id: str, expected: Freshness) -> bool:
-        """Whether an item's results, published or left in the journal, are what making it again would give."""
-        good = (expected, replace(expected, settings_hash=self.limits_hash))
-        made_from = "SELECT input_hash, code_version, settings_hash FROM"
-        left = self.ledger.row(f"{made_from} outcomes WHERE item_id = ?", [item_id])
-        if left is not None and Freshness(*left) in good:
-            self.ledger.run("UPDATE outcomes SET done = 1 WHERE item_id = ?", [item_id])
-            return True
-        booked = self.ledger.row(f"{made_from} items WHERE item_id = ?", [item_id])
-        return booked is not None and Freshness(*booked) in good
+    def leave_out_fresh(self, stage: str) -> None:
+        """Of the items of a stage that are `expected`, leaves those that have to be made.
+
+        Fresh is one whose results, published or left in the journal, are what making it again would give.
+        """
+        code, settings = self.version(stage)
+        same = (
+            "made.item_id = e.item_id AND made.input_hash = e.input_hash AND made.code_version = ?"
+            " AND made.settings_hash IN (?, ?) WHERE e.stage = ?"
+        )
+        good = [code, settings, self.limits_hash, stage]
+        fresh = f"IN (SELECT e.item_id FROM expected e CROSS JOIN {{}} made ON {same})"
+        self.ledger.run(f"UPDATE outcomes SET done = 1 WHERE item_id {fresh.format('outcomes')}", good)
+        self.ledger.run(f"DELETE FROM expected WHERE item_id {fresh.format('items')}", good)
+        self.ledger.run("DELETE FROM expected WHERE item_id IN (SELECT item_id FROM outcomes WHERE done)")
 
     def rig_hash(self, source: SourceFile, rig_id: str | None) -> str:
         """Hash of the file of a recording's rig; looked up once per rig and folder, as far as there are not very many."""

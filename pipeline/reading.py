@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ingest.discover import SourceFile, with_mapping
+from ingest.discover import with_mapping
 from pipeline.execute import Casualty
 from pipeline.looking import SOURCE, Found, source_of
 from pipeline.night import Context
@@ -25,7 +25,7 @@ from pipeline.stages.tasks import (
     recording_casualty,
 )
 from pipeline.store.inputs import kinds_of
-from pipeline.store.journal import PENDING, Freshness, entries, entry_name
+from pipeline.store.journal import PENDING, entries, entry_name
 
 _CONTENT = ", ".join(f"l.{name.strip()}" for name in SOURCE.split(","))
 """Columns of the file that a content is read from."""
@@ -58,7 +58,12 @@ def read(context: Context, found: Found) -> None:
     """Reads what is new, and again what a verdict turns out to need. Files that change meanwhile become pending."""
     ledger = context.ledger
     place_contents(ledger, functools.partial(is_there, roots=found.roots))
-    ledger.add("stale", _stale(context))
+    ledger.add("expected", _expected(context))
+    context.leave_out_fresh(RECORDING)
+    prefix = len(item_id(RECORDING, ""))
+    ledger.run(
+        "INSERT INTO stale SELECT DISTINCT substr(item_id, ?) FROM expected WHERE stage = ?", [prefix + 1, RECORDING]
+    )
     while True:
         set_aside(ledger, _read_contents(context))
         take_readings(ledger)
@@ -97,8 +102,8 @@ def include(context: Context, excluded: frozenset[str]) -> None:
     ledger.add("included", included())
 
 
-def _stale(context: Context) -> Iterator[tuple[str]]:
-    """The contents whose results are not what reading them again would give."""
+def _expected(context: Context) -> Iterator[tuple[str, str, str | None]]:
+    """The contents, each with what reading it now would make its results from; its rig is that of an earlier reading."""
     found = context.ledger.each(
         f"SELECT c.sha256, l.mapping, o.item_id, o.rig_id, k.rowid, k.rig_id, {_CONTENT}"
         " FROM contents c JOIN looks l ON l.id = c.look"
@@ -107,15 +112,13 @@ def _stale(context: Context) -> Iterator[tuple[str]]:
         " WHERE c.at_home"
     )
     for sha256, mapping, left, left_rig, row, known_rig, *where in found:
-        source, item = source_of(*where), item_id(RECORDING, sha256)
-        rigs = [rig for there, rig in ((left, left_rig), (row, known_rig)) if there is not None]
-        if not any(context.is_fresh(item, _expected(context, source, mapping, sha256, rig)) for rig in rigs):
-            yield (sha256,)
-
-
-def _expected(context: Context, source: SourceFile, mapping: str, sha256: str, rig_id: str | None) -> Freshness:
-    made_from = input_hash(mapping, sha256, context.rig_hash(source, rig_id))
-    return Freshness(made_from, *context.version(RECORDING))
+        item = item_id(RECORDING, sha256)
+        rigs = {rig for there, rig in ((left, left_rig), (row, known_rig)) if there is not None}
+        for rig_id in rigs:
+            rig = "" if rig_id is None else context.rig_hash(source_of(*where), rig_id)
+            yield item, RECORDING, input_hash(mapping, sha256, rig)
+        if not rigs:
+            yield item, RECORDING, None
 
 
 def _read_contents(context: Context) -> list[str]:

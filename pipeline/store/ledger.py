@@ -18,13 +18,13 @@ from schemas.errors import LabError
 
 _AT_ONCE = 500
 """Rows that are in memory at a time, on their way in or out."""
-_CACHE_KB = 4096
+_CACHE_KB = 2048
 
 TABLES: Mapping[str, str] = {
     # What the lab knew before tonight: from the published snapshot.
     "known": (
-        "source_path TEXT, source_sha256 TEXT, recording_id TEXT, specimen_id TEXT, rig_id TEXT, status TEXT,"
-        " problem TEXT, samples_path TEXT, source_present INTEGER, run_id TEXT"
+        "recording_id TEXT, specimen_id TEXT, rig_id TEXT, source_path TEXT, source_sha256 TEXT, samples_path TEXT,"
+        " status TEXT, problem TEXT, run_id TEXT, source_present INTEGER"
     ),
     "items": (
         "item_id TEXT PRIMARY KEY, stage TEXT, input_hash TEXT, code_version TEXT, settings_hash TEXT, outcome TEXT,"
@@ -46,6 +46,8 @@ TABLES: Mapping[str, str] = {
         " size INTEGER, mtime_ns INTEGER, inode INTEGER, sha256 TEXT, problem TEXT, refusal TEXT,"
         " pending INTEGER, settled INTEGER"
     ),
+    # Items and what making them now would make them from, until it is found which of them are fresh.
+    "expected": "item_id TEXT, stage TEXT, input_hash TEXT",
     # The plan. `look` is tonight's look to read a content from, NULL for one that was not looked at; `at_home` where that
     # look is at the place which counts. Contents come in the order of `length` and `first`, those not looked at before all.
     "contents": "sha256 TEXT PRIMARY KEY, path TEXT, look INTEGER, at_home INTEGER, length INTEGER, first TEXT",
@@ -64,7 +66,7 @@ TABLES: Mapping[str, str] = {
         "recording_id TEXT PRIMARY KEY, specimen_id TEXT, rig_id TEXT, kinds TEXT, calibrates INTEGER, input_hash TEXT,"
         " code_version TEXT, settings_hash TEXT, entry TEXT"
     ),
-    "derived": "item_id TEXT PRIMARY KEY, stage TEXT, input_hash TEXT, members INTEGER, stale INTEGER",
+    "derived": "item_id TEXT PRIMARY KEY, stage TEXT, input_hash TEXT, members INTEGER",
 }
 """Every table by name. All but `looks`, whose ids are given out by it, take rows as wide as they are."""
 
@@ -121,42 +123,41 @@ class Ledger:
 
     def run(self, statement: str, values: Sequence[Any] = ()) -> int:
         """Executes a statement; the number of rows that it changed."""
-        with self._told():
-            return self._connection.execute(statement, values).rowcount
+        return self._execute(statement, values).rowcount
 
     def add(self, table: str, rows: Iterable[Sequence[Any]]) -> None:
         """Puts rows into a table, whole ones in the order of its columns; of the same key the later one stays."""
         for some in batches(rows):
             marks = ", ".join("?" * len(some[0]))
-            with self._told():
+            try:
                 self._connection.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", some)
+            except sqlite3.Error as error:
+                raise self._unwritable(error) from error
 
     def each(self, query: str, values: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
         """The rows of a query, one by one. Rows that it has yet to come to must not be changed meanwhile."""
-        with self._told():
-            cursor = self._connection.execute(query, values)
+        cursor = self._execute(query, values)
         while True:
-            with self._told():
+            try:
                 some = cursor.fetchmany(_AT_ONCE)
+            except sqlite3.Error as error:
+                raise self._unwritable(error) from error
             if not some:
                 return
             yield from some
 
     def row(self, query: str, values: Sequence[Any] = ()) -> tuple[Any, ...] | None:
         """The first row of a query."""
-        with self._told():
-            found: tuple[Any, ...] | None = self._connection.execute(query, values).fetchone()
-        return found
+        return next(self._execute(query, values), None)
 
     def number(self, query: str, values: Sequence[Any] = ()) -> int:
         """The one number that a query gives."""
         found = self.row(query, values)
         return 0 if found is None or found[0] is None else int(found[0])
 
-    @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _execute(self, statement: str, values: Sequence[Any]) -> sqlite3.Cursor:
         try:
-            yield
+            return self._connection.execute(statement, values)
         except sqlite3.Error as error:
             raise self._unwritable(error) from error
 

@@ -19,22 +19,22 @@ from pipeline.store.reader import Reader
 
 _LEARNT: Mapping[str, tuple[str, ...]] = {
     "recordings": (
-        "source_path",
-        "source_sha256",
         "recording_id",
         "specimen_id",
         "rig_id",
+        "source_path",
+        "source_sha256",
+        "samples_path",
         "status",
         "problem",
-        "samples_path",
-        "source_present",
         "run_id",
+        "source_present",
     ),
     "items": ("item_id", "stage", "input_hash", "code_version", "settings_hash", "outcome", "error"),
     "files": ("path", "size", "mtime_ns", "inode", "sha256"),
     "carried": ("recording_id", "kind"),
 }
-"""Tables of the snapshot that a night wants, and their columns in the order of the ledger's."""
+"""Tables of the snapshot that a night wants, and their columns in the order that the ledger has as well."""
 _MEMORY = "64MB"
 """What DuckDB may use to read for a night."""
 _BOOKED = {"recordings": "known"}
@@ -120,8 +120,7 @@ def learn(lab: Lab, ledger: Ledger) -> int:
         return 0
     with Reader(lab.database, memory=_MEMORY) as reader:
         for name, columns in _LEARNT.items():
-            rows = reader.each(name, columns, ordered=False)
-            ledger.add(_BOOKED.get(name, name), (tuple(row[column] for column in columns) for row in rows))
+            ledger.add(_BOOKED.get(name, name), reader.values(name, columns))
         runs = [int(row["run_id"]) for row in reader.each("runs", ("run_id",)) if str(row["run_id"]).isdigit()]
     return max(runs, default=0)
 

@@ -14,7 +14,7 @@ import pyarrow as pa
 from schemas.errors import LabError
 from schemas.tables import TABLES, Column
 
-_AT_ONCE = 2000
+_AT_ONCE = 500
 
 
 class Reader:
@@ -73,22 +73,26 @@ class Reader:
         """The same as dictionaries; `where` is a condition of ours on the columns."""
         return list(self._each(name, columns, self._query(name, columns, key, among, where)))
 
-    def each(
-        self, name: str, columns: Sequence[str] | None = None, *, ordered: bool = True
-    ) -> Iterator[dict[str, Any]]:
-        """All rows one by one, for what has many; nothing else may be asked meanwhile. In order they are all sorted first."""
-        return self._each(name, columns, self._query(name, columns, None, (), ordered=ordered))
+    def each(self, name: str, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+        """All rows one by one, for what has many; nothing else may be asked meanwhile."""
+        return self._each(name, columns, self._query(name, columns, None, ()))
+
+    def values(self, name: str, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
+        """The same without names and in no order; the columns are given in that of the table."""
+        return self._values(self._query(name, columns, None, (), ordered=False))
 
     def _each(
         self, name: str, columns: Sequence[str] | None, query: tuple[str, list[list[str]]] | None
     ) -> Iterator[dict[str, Any]]:
+        names = [column.name for column in self._wanted(name, columns)]
+        return (dict(zip(names, row, strict=True)) for row in self._values(query))
+
+    def _values(self, query: tuple[str, list[list[str]]] | None) -> Iterator[tuple[Any, ...]]:
         if query is None:
             return
-        names = [column.name for column in self._wanted(name, columns)]
         found = self._connection.execute(*query)
         while some := found.fetchmany(_AT_ONCE):
-            for row in some:
-                yield dict(zip(names, row, strict=True))
+            yield from some
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> list[Column]:
         return [c for c in TABLES[name].columns if columns is None or c.name in columns]
