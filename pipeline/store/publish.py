@@ -173,8 +173,8 @@ def _opened(database: Path, memory: str) -> Any:
     import duckdb
 
     connection = _bounded(duckdb.connect(), database, memory)
-    version = READABLE_FROM["storage_compatibility_version"]
-    options = f"STORAGE_VERSION '{version}', ROW_GROUP_SIZE {_ROW_GROUP}"
+    new = f", STORAGE_VERSION '{READABLE_FROM['storage_compatibility_version']}'"
+    options = f"ROW_GROUP_SIZE {_ROW_GROUP}{'' if database.exists() else new}"
     connection.execute(f"ATTACH '{_quoted(str(database))}' AS building ({options})")
     connection.execute("USE building")
     return connection
