@@ -55,7 +55,7 @@ _RESULTS = f"EXISTS (SELECT 1 FROM standing s WHERE s.results AND s.item_id = {I
 _WITHOUT_RESULTS = f"FROM known WHERE status {ANALYSED_SQL} AND (NOT {_RESULTS} OR {_AGAIN})"
 """Published recordings whose rows go: read again, no longer accepted, or forgotten."""
 _ITEMS_GONE = (
-    "SELECT item_id FROM items i WHERE (EXISTS (SELECT 1 FROM outcomes o WHERE o.done AND o.item_id = i.item_id)"
+    "FROM items i WHERE (EXISTS (SELECT 1 FROM outcomes o WHERE o.done AND o.item_id = i.item_id)"
     " OR NOT EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id))"
 )
 """Items whose entry goes: made again tonight, or about something that is no longer there."""
@@ -153,23 +153,27 @@ def publish_night(context: Context, night: Night) -> None:
 
 def _deletions(context: Context, night: Night) -> Iterator[Deletion]:
     """What goes, in parts that fit in memory."""
-    each = context.ledger.each
+    ledger, each = context.ledger, context.ledger.each
+    ledger.run("DELETE FROM going")
+    ledger.run(f"INSERT INTO going SELECT DISTINCT 'recording_id', recording_id {_WITHOUT_RESULTS}")
+    ledger.run(f"INSERT INTO going SELECT stage, item_id {_ITEMS_GONE}")
+    named = "SELECT name FROM going WHERE what = ?"
     gone = each(
         "SELECT source_path, source_sha256 FROM known k WHERE NOT EXISTS (SELECT 1 FROM rows r"
         " WHERE r.source_path = k.source_path AND r.source_sha256 IS k.source_sha256 AND NOT r.changed)"
     )
     yield from _parts("recordings", ("source_path", "source_sha256"), gone)
     for table, where in RECORDING_TABLES.items():
-        yield from _parts(table, ("recording_id",), each(f"SELECT DISTINCT recording_id {_WITHOUT_RESULTS}"), where)
+        yield from _parts(table, ("recording_id",), each(named, ["recording_id"]), where)
     for stage, tables in ((SPECIMEN, SPECIMEN_TABLES), (DIAGNOSIS, DIAGNOSIS_TABLES)):
         begin = len(item_id(stage, ""))
         for table, where in tables.items():
-            specimens = ((item[begin:],) for (item,) in each(f"{_ITEMS_GONE} AND stage = ?", [stage]))
+            specimens = ((item[begin:],) for (item,) in each(named, [stage]))
             yield from _parts(table, ("specimen_id",), specimens, where)
     for name, group in GROUPS.items():
-        if context.ledger.row(f"{_ITEMS_GONE} AND item_id = ?", [item_id(GROUP, name)]) is not None:
+        if ledger.row("SELECT 1 FROM going WHERE name = ?", [item_id(GROUP, name)]) is not None:
             yield from (Deletion(table) for table in group.tables)
-    yield from _parts("items", ("item_id",), each(_ITEMS_GONE))
+    yield from _parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
     yield from _parts("files", ("path",), ((path,) for path in _files_gone(context, night)))
     yield Deletion("annotations")
 

@@ -61,6 +61,8 @@ TABLES: Mapping[str, str] = {
     ),
     # Items that there have to be after tonight, and whether their results are in the lab.
     "standing": "item_id TEXT PRIMARY KEY, results INTEGER",
+    # What goes from the snapshot: results of recordings by id (`what` is recording_id), items by stage.
+    "going": "what TEXT, name TEXT",
     # The later stages.
     "included": (
         "recording_id TEXT PRIMARY KEY, specimen_id TEXT, rig_id TEXT, kinds TEXT, calibrates INTEGER, input_hash TEXT,"
