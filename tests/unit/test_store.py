@@ -330,3 +330,23 @@ def test_small_tables_are_inserted_in_parts_however_few_bytes_they_have() -> Non
         row for part in parts for row in part["recordings"]
     ]
     assert max(sum(map(len, batch.values())) for batch in batches) <= BATCH_PIECES + 1
+
+
+def test_long_texts_get_the_memory_that_they_ask_for(lab: Lab) -> None:
+    """DuckDB holds all long texts of a row group at once: more than what it may use at first."""
+    rows = [{"recording_id": "a", "kind": "x", "position": i, "payload": str(i % 10) * 1_000_000} for i in range(60)]
+    publish(lab, Changes(insertions=[{"recordings": TABLES["recordings"].rows([recording("a")])}, {"carried": rows}]))
+    assert select(lab, "SELECT count(*), min(length(payload)) FROM carried") == [(60, 1_000_000)]
+    assert list(lab.work.iterdir()) == []
+
+
+def test_a_file_of_large_row_groups_is_made_anew(lab: Lab) -> None:
+    publish(lab, added(recording("a")))
+    with duckdb.connect(str(lab.database)) as connection:
+        connection.execute("DELETE FROM lab WHERE key = 'row_group'")
+        connection.execute("INSERT INTO previews (recording_id, time_s) SELECT 'a', i FROM range(20000) AS t(i)")
+    publish(lab, added(recording("b")))
+    assert select(lab, "SELECT count(*) FROM previews") == [(20_000,)]
+    groups = select(lab, "SELECT max(count) FROM pragma_storage_info('previews')")
+    assert groups[0][0] <= 4096
+    assert select(lab, "SELECT value FROM lab WHERE key = 'row_group'") == [("4096",)]
