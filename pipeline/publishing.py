@@ -335,10 +335,13 @@ def _remove_old_samples(context: Context) -> None:
 
 
 def discard_work(context: Context) -> None:
-    """Removes the journal and what is half done: all of it is published. The ledger removes itself."""
-    for folder in (context.lab.journal, context.lab.staging):
-        with suppress(OSError), os.scandir(folder) as found:  # one by one: to remove a folder lists all of it first
+    """Removes the journal and what is half done, also by a killed night: all of it is published. The ledger removes itself."""
+    for place in (path for path in context.lab.work.iterdir() if path != context.lab.ledger):
+        with suppress(OSError), os.scandir(place) as found:  # one by one: to remove a folder lists all of it first
             for one in found:
                 os.unlink(one.path)
-        shutil.rmtree(folder, ignore_errors=True)
+        if place.is_dir():
+            shutil.rmtree(place, ignore_errors=True)
+        else:
+            place.unlink(missing_ok=True)
     forget(context.lab.remote)
