@@ -7,13 +7,14 @@ Does not belong here: reading recordings; the lab's bookkeeping of what is new (
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import stat
 import time
 import zipfile
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
@@ -28,6 +29,8 @@ _UNFINISHED = (".part", ".partial", ".tmp", ".crdownload", ".filepart", ".swp", 
 _DOCUMENTS = ("readme", "licence", "license", "changes", "changelog", "notes", "copying", "citation")
 """Beginnings of names of text files that are no data."""
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
+_FOLDERS_AT_ONCE = 64
+"""Folders whose listing is remembered: those on the way down to the one that is walked, mostly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,36 +54,45 @@ class SourceFile:
     remote: RemoteFile | None = None
 
 
-@dataclass(frozen=True)
-class Discovery:
-    """Files in the order of their paths, and notes on what was passed over."""
-
-    files: tuple[SourceFile, ...]
-    notes: tuple[str, ...]
-
-
-def discover(paths: Iterable[Path], *, skip: Sequence[Path] = (), mirrors: Iterable[Mirror] = ()) -> Discovery:
-    """The data files among files and folders; folders are walked in sorted order.
+def discover(
+    paths: Iterable[Path],
+    note: Callable[[str], object],
+    *,
+    skip: Sequence[Path] = (),
+    mirrors: Iterable[Mirror] = (),
+    first_time: Callable[[str], bool] | None = None,
+) -> Iterator[SourceFile]:
+    """The data files among files and folders, as they are found; folders are walked in sorted order.
 
     Hidden and unfinished files, documents, TOML files and folders under `skip` (the lab itself) are passed over; links
-    that lead nowhere or in a circle, pipes, devices and unreadable folders too, with a note. A file that is reached
-    twice counts once. The files of `mirrors` are taken as they are listed. Raises `UsageError` for a given path that does
-    not exist.
+    that lead nowhere or in a circle, pipes, devices and unreadable folders too, each with a `note`. A file that is reached
+    twice counts once: `first_time` says whether a place is new to it, where so many are met that memory must not hold
+    them. The files of `mirrors` are taken as they are listed. Raises `UsageError` for a given path that does not exist.
     """
-    walk = _Walk([s.resolve() for s in skip])
+    walk = _Walk([s.resolve() for s in skip], note, first_time or _Met())
     for given in paths:
         if not os.path.lexists(given):
             raise UsageError(
                 "there is no such file or folder", where=str(given), expected="recordings or folders of them"
             )
-        walk.take(given, given)
+        yield from walk.take(given, given)
     for mirror in mirrors:
-        walk.notes += mirror.notes
+        for told in mirror.notes:
+            note(told)
         for path, file in mirror.files:
             if not any(part.startswith((".", "~$")) for part in file.name.split("/")):
-                walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
-    files = tuple(sorted(walk.files, key=lambda f: os.fspath(f.path)))
-    return Discovery(files, tuple(walk.notes))
+                yield from walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
+
+
+def with_mapping(source: SourceFile) -> SourceFile:
+    """A file that was found, known by its place and state alone, with the mapping that lies beside it now."""
+    try:
+        mapping = find_mapping(source.path)
+    except DealabError as error:
+        return replace(source, error=error)
+    if (mapping is not None) != (source.state == MAPPED) or (mapping is not None and mapping.kind == IGNORE):
+        return replace(source, error=PendingError("its mapping changed since it was found", where=source.path.name))
+    return replace(source, mapping=mapping)
 
 
 def file_sha256(path: Path, *, chunk: int = 1 << 20) -> str:
@@ -150,65 +162,79 @@ def lacks_end(path: Path, found: str | None) -> bool:
 
 @dataclass(frozen=True)
 class _Folder:
-    """A folder's path without links, the names in it, and those of them that are links; None where it cannot be listed."""
+    """A folder's path without links, the TOML files in it, and the names that are links; None where it cannot be listed."""
 
     place: str
-    names: frozenset[str] | None
+    instructions: frozenset[str] | None
     links: frozenset[str] | None
 
 
-class _Walk:
-    def __init__(self, skip: Sequence[Path]) -> None:
-        self.skip = skip
-        self.files: list[SourceFile] = []
-        self.notes: list[str] = []
-        self.seen: set[str | tuple[int, int]] = set()
-        self._folders: dict[str, _Folder] = {}
+class _Met:
+    """Says of each place whether it is met for the first time."""
 
-    def take(self, path: Path, root: Path) -> None:
+    def __init__(self) -> None:
+        self._places: set[str] = set()
+
+    def __call__(self, place: str) -> bool:
+        new = place not in self._places
+        self._places.add(place)
+        return new
+
+
+class _Walk:
+    def __init__(self, skip: Sequence[Path], note: Callable[[str], object], first_time: Callable[[str], bool]) -> None:
+        self.skip = skip
+        self.note = note
+        self.first_time = first_time
+        self._beside = functools.lru_cache(maxsize=_FOLDERS_AT_ONCE)(_folder)
+
+    def take(self, path: Path, root: Path) -> Iterator[SourceFile]:
         """One path: a file or a folder with all that is below it."""
         try:
             info = path.stat()
         except OSError as error:
             what = "a link that leads nowhere or in a circle" if path.is_symlink() else error.strerror or "unreadable"
-            self.notes.append(f"{shown(path)}: {what}: passed over")
+            self.note(f"{shown(path)}: {what}: passed over")
             return
         if stat.S_ISDIR(info.st_mode):
-            self._folder(path, root, info)
+            yield from self._folder(path, root, info)
         elif stat.S_ISREG(info.st_mode):
-            self.file(path, root, info.st_size, info.st_mtime_ns)
+            yield from self.file(path, root, info.st_size, info.st_mtime_ns)
         else:
-            self.notes.append(f"{shown(path)}: a pipe, socket or device: passed over")
+            self.note(f"{shown(path)}: a pipe, socket or device: passed over")
 
-    def _folder(self, path: Path, root: Path, info: os.stat_result) -> None:
-        if any(path.resolve() == s for s in self.skip) or not self._first_time((info.st_dev, info.st_ino)):
+    def _folder(self, path: Path, root: Path, info: os.stat_result) -> Iterator[SourceFile]:
+        if any(path.resolve() == s for s in self.skip) or not self.first_time(f"{info.st_dev}:{info.st_ino}"):
             return
         if path.suffix.lower() == ".mcap":
-            self.notes.append(f"{shown(path)}: a folder with the name of a recording")
+            self.note(f"{shown(path)}: a folder with the name of a recording")
         try:
             names = sorted(os.listdir(path))
         except OSError as error:
-            self.notes.append(f"{shown(path)}: {error.strerror}: passed over")
+            self.note(f"{shown(path)}: {error.strerror}: passed over")
             return
         for name in names:
             if not name.startswith((".", "~$")):
-                self.take(path / name, root)
+                yield from self.take(path / name, root)
 
-    def file(self, path: Path, root: Path, size: int, mtime_ns: int, remote: RemoteFile | None = None) -> None:
+    def file(
+        self, path: Path, root: Path, size: int, mtime_ns: int, remote: RemoteFile | None = None
+    ) -> Iterator[SourceFile]:
         """One file, also one that is not here yet: nothing but what lies beside it is read."""
         if path.suffix.lower() == ".toml":
             return
         if path.name.lower().endswith(_UNFINISHED):
-            self.notes.append(f"{shown(path)}: an unfinished file: passed over")
+            self.note(f"{shown(path)}: an unfinished file: passed over")
             return
+        beside = self._beside(os.path.dirname(path))
         mapping, error = None, None
         try:
-            mapping = find_mapping(path, self._beside(path).names)
+            mapping = find_mapping(path, beside.instructions)
         except DealabError as found:
             error = found
         file_format = format_of(path, mapping)
         if mapping is not None and mapping.kind == IGNORE:
-            self.notes.append(f"{shown(path)}: passed over, as {mapping.source} says")
+            self.note(f"{shown(path)}: passed over, as {mapping.source} says")
             return
         if file_format is None and mapping is None and not own_mapping(path).is_file():
             return
@@ -218,31 +244,23 @@ class _Walk:
             state = NATIVE if file_format == "mcap" else UNMAPPED
         else:
             state = NATIVE if file_format == "mcap" and mapping is None else MAPPED
-        if self._first_time(self._real(path)):
-            self.files.append(SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote))
+        plain = beside.links is not None and path.name not in beside.links
+        place = os.path.join(beside.place, path.name) if plain else os.path.realpath(path)
+        if self.first_time(place):
+            yield SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote)
 
-    def _beside(self, path: Path) -> _Folder:
-        """The folder that a file lies in, looked at once."""
-        folder = os.path.dirname(path)  # a text is several times faster to look up than a path
-        if folder not in self._folders:
-            names = links = None
-            with contextlib.suppress(OSError), os.scandir(folder) as entries:
-                listed = list(entries)
-                names = frozenset(e.name for e in listed)
-                links = frozenset(e.name for e in listed if e.is_symlink())
-            self._folders[folder] = _Folder(os.path.realpath(folder), names, links)
-        return self._folders[folder]
 
-    def _real(self, path: Path) -> str:
-        """The path without links."""
-        folder = self._beside(path)
-        plain = folder.links is not None and path.name not in folder.links
-        return os.path.join(folder.place, path.name) if plain else os.path.realpath(path)
-
-    def _first_time(self, place: str | tuple[int, int]) -> bool:
-        new = place not in self.seen
-        self.seen.add(place)
-        return new
+def _folder(folder: str) -> _Folder:
+    instructions = links = None
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        named, linked = set(), set()
+        for entry in entries:
+            if entry.name.endswith(".toml"):
+                named.add(entry.name)
+            if entry.is_symlink():
+                linked.add(entry.name)
+        instructions, links = frozenset(named), frozenset(linked)
+    return _Folder(os.path.realpath(folder), instructions, links)
 
 
 def _size_and_time(path: Path) -> tuple[int, int] | None:

@@ -6,7 +6,7 @@ import functools
 import hashlib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,18 @@ _NUMERICAL = ("numpy", "scipy", "pyarrow")
 def digest(value: Any) -> str:
     """SHA-256 of plain values, independent of the order of keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def digest_of_lists(lists: Iterable[Iterable[Sequence[str]]]) -> str:
+    """The digest of lists of texts in lists, which may be longer than fits in memory."""
+    hasher = hashlib.sha256(b"[")
+    for number, members in enumerate(lists):
+        hasher.update(b", [" if number else b"[")
+        for place, member in enumerate(members):
+            hasher.update(f"{', ' if place else ''}{json.dumps(member)}".encode())
+        hasher.update(b"]")
+    hasher.update(b"]")
+    return hasher.hexdigest()
 
 
 @functools.cache

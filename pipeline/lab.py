@@ -64,6 +64,11 @@ class Lab:
         return self.folder / ".work"
 
     @property
+    def ledger(self) -> Path:
+        """What a night that is at work knows; gone with it."""
+        return self.work / "ledger.sqlite"
+
+    @property
     def journal(self) -> Path:
         return self.work / "journal"
 

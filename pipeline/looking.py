@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ingest.discover import UNMAPPED, SourceFile, check_unchanged, discover, file_sha256, growing, lacks_end
-from ingest.remote import fetch, is_staged, is_url, mirror
+from ingest.remote import RemoteFile, fetch, is_staged, is_url, mirror
 from pipeline.lab import Lab
 from pipeline.paths import root_text, source_text
-from pipeline.plan import Look
-from pipeline.store.manifest import SeenFile
+from pipeline.stages.tasks import as_facts, mapping_hash
+from pipeline.store.ledger import Ledger, batches
 from schemas.errors import DealabError, LabError, PendingError, RefusedError
 
+SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, version, whole"
 _YOUNG_NS = 60_000_000_000
 _AT_ONCE = 500
-"""Files that wait to be hashed; of each, the pool holds more than what is remembered."""
+"""Files that wait to be hashed."""
+_ASKED_AT_ONCE = 1000
+"""Files that are asked together whether they grow, which may take a second."""
 _SETTLED_NS = 2_000_000_000
 """A file that changed less than this before it was hashed could change again without getting a new time. An object's
 mark changes with its content, however soon."""
@@ -29,11 +34,10 @@ mark changes with its content, however soon."""
 
 @dataclass(frozen=True)
 class Found:
-    """Tonight's looks, the folders they come from, what to remember of the files, and what was passed over."""
+    """The folders that tonight's looks come from, whether a file among them is new or changed, and what was passed over."""
 
-    looks: tuple[Look, ...]
     roots: tuple[str, ...]
-    seen: Mapping[str, SeenFile]
+    some_new: bool
     unmapped: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -59,17 +63,29 @@ def likely_new(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
     return False
 
 
-def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, known: Mapping[str, SeenFile]) -> Found:
-    """Finds the recordings among files, folders and URLs. A file that is as it was last time is not read again.
+def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger) -> Found:
+    """Finds the recordings among files, folders and URLs and books a look at each. A file that is as it was last time is
+    not read again.
 
     Raises `LabError` when there is not a single recording: nothing to do is a failure, not a success.
     """
     mirrors = [mirror(given, lab.remote) for given in raw if isinstance(given, str) and is_url(given)]
     paths_given = [Path(os.path.abspath(given)) for given in raw if not is_url(given)]
-    discovery = discover(paths_given, skip=[lab.folder], mirrors=mirrors)
-    unmapped = tuple(source_text(f) for f in discovery.files if f.state == UNMAPPED)
-    sources = [f for f in discovery.files if f.state != UNMAPPED]
-    if not sources:
+    unmapped: list[str] = []
+    notes: list[str] = []
+
+    def first_time(place: str) -> bool:
+        return ledger.run("INSERT OR IGNORE INTO reached VALUES (?)", [place]) == 1
+
+    def looked() -> Iterator[tuple[Any, ...]]:
+        for source in discover(paths_given, notes.append, skip=[lab.folder], mirrors=mirrors, first_time=first_time):
+            if source.state == UNMAPPED:
+                unmapped.append(source_text(source))
+            else:
+                yield _booked(source, ledger)
+
+    ledger.add("looks", looked())
+    if not ledger.number("SELECT EXISTS (SELECT 1 FROM looks)"):
         also = f"; {len(unmapped)} data files have no mapping" if unmapped else ""
         raise LabError(
             f"no recordings were found{also}",
@@ -77,38 +93,89 @@ def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, known: Mapping[str, Se
             expected="*.mcap files, or data files with a mapping TOML",
             remedy="`dealab inspect FILE` says what a file holds and drafts a mapping",
         )
-    paths = {id(source): source_text(source) for source in sources}
-    now = {id(source): _identity(source) for source in sources}
-    unchanged = {key: known[path] for key, path in paths.items() if _same(known.get(path), now[key])}
-    new = [source for source in sources if id(source) not in unchanged]
-    still_growing = {id(source) for source in growing(source for source in new if source.remote is None)}
-    to_hash = [source for source in new if id(source) not in still_growing]
-    room = _Room(lab.remote)
-    hashes: dict[int, str | DealabError] = {}
-    with ThreadPoolExecutor(max_workers=min(8, 2 * (os.cpu_count() or 1))) as pool:
-        for first in range(0, len(to_hash), _AT_ONCE):
-            some = to_hash[first : first + _AT_ONCE]
-            hashes.update(zip(map(id, some), pool.map(room.hashed, some), strict=True))
-    looks, seen = [], {}
-    hashed_at = time.time_ns()
-    for source in sources:
-        key, path = id(source), paths[id(source)]
-        if key in unchanged:
-            looks.append(Look(source, path, unchanged[key].sha256))
-            continue
-        content = (
-            PendingError("the file is being written", where=source.path.name) if key in still_growing else hashes[key]
-        )
-        if isinstance(content, DealabError):
-            looks.append(Look(source, path, None, content))
-            continue
-        looks.append(Look(source, path, content))
-        info = now[key]
-        marked = source.remote is not None and source.remote.whole
-        if info is not None and (marked or hashed_at - info[1] > _SETTLED_NS):
-            seen[path] = SeenFile(*info, content)
+    _hash_new(ledger, _Room(lab.remote))
     roots = (*(root_text(given) for given in paths_given), *(found.url for found in mirrors))
-    return Found(tuple(looks), roots, seen, unmapped, discovery.notes)
+    some_new = bool(ledger.number("SELECT EXISTS (SELECT 1 FROM looks WHERE settled)"))
+    return Found(roots, some_new, tuple(unmapped), tuple(notes))
+
+
+def source_of(
+    place: bytes, root: bytes, size: int, mtime_ns: int, file_format: str, state: str, *remote: Any
+) -> SourceFile:
+    """A file that was looked at, from its columns `SOURCE`; without its mapping, which `ingest.discover.with_mapping` finds."""
+    url, name, version, whole = remote
+    return SourceFile(
+        Path(os.fsdecode(place)),
+        Path(os.fsdecode(root)),
+        size,
+        mtime_ns,
+        file_format,
+        state,
+        remote=None if url is None else RemoteFile(url, name, size, mtime_ns, version, bool(whole)),
+    )
+
+
+def _booked(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
+    """The look at a file, with its content where it is as it was last time."""
+    path, remote = source_text(source), source.remote
+    identity = _identity(source)
+    known = ledger.row("SELECT size, mtime_ns, inode, sha256 FROM files WHERE path = ?", [path])
+    return (
+        None,
+        path,
+        os.fsencode(source.path),
+        os.fsencode(source.root),
+        source.size,
+        source.mtime_ns,
+        source.format,
+        source.state,
+        *((None,) * 4 if remote is None else (remote.url, remote.name, remote.version, remote.whole)),
+        mapping_hash(source),
+        *(identity or (None,) * 3),
+        known[3] if known is not None and known[:3] == identity else None,
+        None,
+        None,
+        False,
+        False,
+    )
+
+
+def _hash_new(ledger: Ledger, room: _Room) -> None:
+    """Reads the content of what is new or changed, some files at a time."""
+    last = 0
+    query = (
+        f"SELECT id, mtime_ns, {SOURCE} FROM looks WHERE id > ? AND sha256 IS NULL ORDER BY id LIMIT {_ASKED_AT_ONCE}"
+    )
+    with ThreadPoolExecutor(max_workers=min(8, 2 * (os.cpu_count() or 1))) as pool:
+        while some := list(ledger.each(query, [last])):
+            last = some[-1][0]
+            sources = [source_of(*row[2:]) for row in some]
+            still_growing = {id(one) for one in growing(one for one in sources if one.remote is None)}
+            for part in batches(zip(some, sources, strict=True), _AT_ONCE):
+                to_hash = [source for _, source in part if id(source) not in still_growing]
+                hashes = dict(zip(map(id, to_hash), pool.map(room.hashed, to_hash), strict=True))
+                hashed_at = time.time_ns()
+                for (look, mtime_ns, *_), source in part:
+                    content = hashes.get(id(source)) or PendingError(
+                        "the file is being written", where=source.path.name
+                    )
+                    _book_content(ledger, look, content, _settled(source, mtime_ns, hashed_at))
+
+
+def _book_content(ledger: Ledger, look: int, content: str | DealabError, settled: bool) -> None:
+    if isinstance(content, DealabError):
+        ledger.run(
+            "UPDATE looks SET problem = ?, refusal = ?, pending = ? WHERE id = ?",
+            [str(content), json.dumps(as_facts(content)), content.transient, look],
+        )
+    else:
+        ledger.run("UPDATE looks SET sha256 = ?, settled = ? WHERE id = ?", [content, settled, look])
+
+
+def _settled(source: SourceFile, mtime_ns: int | None, hashed_at: int) -> bool:
+    """Whether a file that is found as it was when it was hashed has the content that it had."""
+    marked = source.remote is not None and source.remote.whole
+    return mtime_ns is not None and (marked or hashed_at - mtime_ns > _SETTLED_NS)
 
 
 def _identity(source: SourceFile) -> tuple[int, int, int] | None:
@@ -120,10 +187,6 @@ def _identity(source: SourceFile) -> tuple[int, int, int] | None:
     except OSError:
         return None
     return info.st_size, info.st_mtime_ns, info.st_ino
-
-
-def _same(known: SeenFile | None, now: tuple[int, int, int] | None) -> bool:
-    return known is not None and (known.size, known.mtime_ns, known.inode) == now
 
 
 class _Room:

@@ -1,68 +1,87 @@
-"""The night's decisions on recordings, as pure functions: what is new, who owns a recording id, what each row says.
+"""The night's decisions on recordings, as pure functions: where a content lies, who owns a recording id, what each row says.
 
 Identity is content: the same bytes again are a duplicate, the same recording id with other bytes is a conflict and the
-first stays. Does not belong here: reading files, the database, processes.
+first stays. Each function decides about one content, one recording id or one row, whatever else there is. Does not belong
+here: who meets whom (`pipeline.planning`), reading files, the database, processes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ingest.discover import SourceFile
-from pipeline.paths import below
 from pipeline.store.checks import ANALYSED
-from pipeline.store.journal import DAMAGED, PENDING, QUARANTINED, USABLE
-from pipeline.store.manifest import KnownRecording
-from schemas.errors import DealabError, RefusedError
+from pipeline.store.journal import DAMAGED, OK, PENDING, QUARANTINED, USABLE
+from schemas.errors import RefusedError
 
 DUPLICATE, EXCLUDED = "duplicate", "excluded"
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A raw file as it was found tonight. `error` says why its content could not be had (`sha256` is None then)."""
+    """A raw file as it was found tonight. `problem` says why its content could not be had (`sha256` is None then),
+    `pending` that this will pass."""
 
-    source: SourceFile
     path: str
     sha256: str | None
-    error: DealabError | None = None
+    problem: str | None = None
+    pending: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Content:
-    """One content, wherever it lies.
+class Placed:
+    """Where a content lies.
 
     Parameters
     ----------
-    sha256 : of the content
     path : the place whose mapping and rig count
-    looks : tonight's looks at it, the primary one first; empty for contents that were not looked at
-    order : place in tonight's order, −1 for contents that were not looked at
+    look : place of tonight's look to read it from, among those given
+    at_home : that look is at `path`
     """
 
-    sha256: str
     path: str
-    looks: tuple[Look, ...]
-    order: int
-
-    @property
-    def primary(self) -> Look | None:
-        """Tonight's look at its own place; None when that was not looked at."""
-        return self.looks[0] if self.looks and self.looks[0].path == self.path else None
+    look: int
+    at_home: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What reading a content gave, tonight or earlier.
-
-    `status` is ok, damaged or quarantined; `refusal` is the error behind `problem` where the content was refused tonight.
-    """
+    """What reading a content gave, tonight or earlier: status is ok, damaged or quarantined."""
 
     recording_id: str | None
     status: str
     problem: str | None
-    refusal: DealabError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A content that says it is a certain recording.
+
+    Parameters
+    ----------
+    sha256, path : of the content
+    status : of its reading
+    owns : it has results in the lab
+    looked : tonight's looks found it somewhere
+    order : its place in tonight's order; contents that were not looked at come first
+    successor : the content that was found tonight at its path
+    """
+
+    sha256: str
+    path: str
+    status: str
+    owns: bool
+    looked: bool
+    order: tuple[int, str]
+    successor: str | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Who gets a recording id: the contents that are refused it, each with the reason, and those to be forgotten."""
+
+    refused: Mapping[str, RefusedError]
+    superseded: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,169 +95,89 @@ class Row:
     recording_id: str | None
     source_present: bool
 
-    @property
-    def key(self) -> tuple[str, str | None]:
-        return self.source_path, self.source_sha256
 
+def placed(paths: Sequence[str], home: str | None, still_there: Callable[[str], bool]) -> Placed:
+    """Where a content lies that was found tonight at `paths`, shortest first, since copies mostly have longer names.
 
-def contents(
-    looks: Sequence[Look], known: Iterable[KnownRecording], still_there: Callable[[str], bool]
-) -> dict[str, Content]:
-    """The contents that are looked at tonight, by hash.
-
-    A content keeps the place it was first found at while it is there (`still_there` answers for places outside of
-    tonight's folders); it moves to tonight's first place otherwise. Of several new places the shortest path comes first,
-    since copies mostly have longer names.
+    It keeps the place it was first found at while it is there (`still_there` answers for places outside of tonight's
+    folders); it moves to tonight's first place otherwise.
     """
-    homes = {
-        row.source_sha256: row.source_path
-        for row in known
-        if row.source_sha256 is not None and row.status not in (DUPLICATE, PENDING)
-    }
-    found: dict[str, list[Look]] = {}
-    for look in sorted(looks, key=lambda one: (len(one.path), one.path)):
-        if look.sha256 is not None:
-            found.setdefault(look.sha256, []).append(look)
-    result = {}
-    for order, (sha256, places) in enumerate(found.items()):
-        home = homes.get(sha256)
-        at_home = [look for look in places if look.path == home]
-        if at_home:
-            places = at_home + [look for look in places if look.path != home]
-            path = places[0].path
-        elif home is not None and still_there(home):
-            path = home
-        else:
-            path = places[0].path
-        result[sha256] = Content(sha256, path, tuple(places), order)
-    return result
+    if home in paths:
+        look = paths.index(home)
+        return Placed(paths[look], look, True)
+    if home is not None and still_there(home):
+        return Placed(home, 0, False)
+    return Placed(paths[0], 0, True)
 
 
-def unseen(known: Iterable[KnownRecording], seen: Collection[str]) -> dict[str, Content]:
-    """Contents with results that were not looked at tonight; they keep their recording ids."""
-    return {
-        row.source_sha256: Content(row.source_sha256, row.source_path, (), -1)
-        for row in known
-        if row.source_sha256 is not None and row.source_sha256 not in seen and row.status in ANALYSED
-    }
+def reading_before(recording_id: str | None, status: str, problem: str | None, outcome: str | None) -> Reading:
+    """What reading a content gave that is as an earlier night left it: its row, and the outcome of its item."""
+    if outcome in USABLE:
+        return Reading(recording_id, outcome, problem)
+    if status in ANALYSED:
+        return Reading(recording_id, status if status in USABLE else OK, problem)
+    return Reading(recording_id, QUARANTINED, problem)
 
 
-@dataclass(frozen=True)
-class Verdicts:
-    """Readings after identity: conflicts are quarantined, `superseded` contents are to be forgotten."""
-
-    readings: Mapping[str, Reading]
-    superseded: frozenset[str]
-
-    def accepted(self, sha256: str) -> bool:
-        """Whether a content has results of its own in the lab."""
-        return self.readings[sha256].status in USABLE
-
-
-def judge(readings: Mapping[str, Reading], places: Mapping[str, Content], known: Iterable[KnownRecording]) -> Verdicts:
-    """Gives each recording id to one content.
+def judge(recording_id: str, candidates: Sequence[Candidate]) -> Verdict:
+    """Gives a recording id to one of the contents that claim it.
 
     The content that has it already keeps it; among new ones the first in order. A damaged content gives way to one that
     has replaced it in its own file.
     """
-    owners = {row.source_sha256 for row in known if row.status in ANALYSED}
-    tonight = {look.path: sha for sha, content in places.items() for look in content.looks}
-    candidates: dict[str, list[str]] = {}
-    for sha256, reading in readings.items():
-        if reading.status in USABLE and reading.recording_id is not None:
-            candidates.setdefault(reading.recording_id, []).append(sha256)
-    judged = dict(readings)
-    superseded = set()
-    for recording_id, shas in candidates.items():
-        if len(shas) == 1:
-            continue
-        replaced = {
-            sha
-            for sha in shas
-            if not places[sha].looks
-            and readings[sha].status == DAMAGED
-            and tonight.get(places[sha].path) in set(shas) - {sha}
-        }
-        superseded |= replaced
-        standing = [sha for sha in shas if sha not in replaced]
-        owner = min(standing, key=lambda sha: (sha not in owners, places[sha].order, sha))
-        for sha in standing:
-            if sha != owner:
-                judged[sha] = _conflict(readings[sha], recording_id, places[owner], places[sha])
-    return Verdicts({s: r for s, r in judged.items() if s not in superseded}, frozenset(superseded))
+    names = {one.sha256 for one in candidates}
+    superseded = frozenset(
+        one.sha256
+        for one in candidates
+        if not one.looked and one.status == DAMAGED and one.successor in names - {one.sha256}
+    )
+    standing = [one for one in candidates if one.sha256 not in superseded]
+    owner = min(standing, key=lambda one: (not one.owns, one.order, one.sha256))
+    refused = {one.sha256: _conflict(recording_id, owner, one) for one in standing if one is not owner}
+    return Verdict(refused, superseded)
 
 
-def _conflict(reading: Reading, recording_id: str, owner: Content, other: Content) -> Reading:
+def _conflict(recording_id: str, owner: Candidate, other: Candidate) -> RefusedError:
     where = "this file's earlier content" if owner.path == other.path else f"{owner.path}"
-    problem = RefusedError(
+    return RefusedError(
         f'recording_id "{recording_id}" belongs to other content already: {where} (SHA-256 {owner.sha256[:12]}…)',
         where=other.path,
         expected="one recording_id per recording",
         remedy="Give this recording an id of its own, or remove the file",
     )
-    return replace(reading, status=QUARANTINED, problem=str(problem), refusal=problem)
 
 
-def rows(
-    looks: Sequence[Look],
-    places: Mapping[str, Content],
-    verdicts: Verdicts,
-    known: Sequence[KnownRecording],
-    *,
-    roots: Sequence[str],
-    excluded: Collection[str],
-) -> list[Row]:
-    """All rows that `recordings` has to have after tonight."""
-    found = [_row_of(look, places, verdicts, excluded) for look in looks]
-    keys = {row.key for row in found}
-    paths = {look.path for look in looks}
-    for row in known:
-        kept = _kept(row, keys, paths, places, verdicts, roots, excluded)
-        if kept is not None:
-            found.append(kept)
-    return found
-
-
-def _row_of(look: Look, places: Mapping[str, Content], verdicts: Verdicts, excluded: Collection[str]) -> Row:
-    if look.sha256 is None:
-        status = PENDING if look.error is not None and look.error.transient else QUARANTINED
-        return Row(look.path, None, status, str(look.error), None, True)
-    content, reading = places[look.sha256], verdicts.readings[look.sha256]
-    if look.path != content.path:
+def row_of(look: Look, path: str | None, reading: Reading | None, excluded: Collection[str]) -> Row:
+    """The row of a file that was looked at; `path` is the place of its content, where it has one."""
+    if look.sha256 is None or reading is None:
+        return Row(look.path, None, PENDING if look.pending else QUARANTINED, look.problem, None, True)
+    if look.path != path:
         refused = "" if reading.status in USABLE else ", which was refused"
-        problem = f"the same content as {content.path}{refused}"
+        problem = f"the same content as {path}{refused}"
         return Row(look.path, look.sha256, DUPLICATE, problem, reading.recording_id, True)
     return Row(look.path, look.sha256, _status(reading, excluded), reading.problem, reading.recording_id, True)
 
 
-def _kept(
-    row: KnownRecording,
-    keys: Collection[tuple[str, str | None]],
-    paths: Collection[str],
-    places: Mapping[str, Content],
-    verdicts: Verdicts,
-    roots: Sequence[str],
-    excluded: Collection[str],
+def kept(
+    row: Row, *, path_looked: bool, looked_for: bool, moved: bool, reading: Reading | None, excluded: Collection[str]
 ) -> Row | None:
-    """A row of before that no look of tonight speaks of; None when it is to go."""
-    sha256 = row.source_sha256
-    if (row.source_path, sha256) in keys or sha256 in verdicts.superseded:
-        return None
-    looked_for = row.source_path in paths or any(below(row.source_path, root) for root in roots)
-    if row.status in (DUPLICATE, PENDING) or sha256 is None:
-        return None if looked_for else _as_it_was(row, bool(row.source_present))
-    content = places.get(sha256)
-    if content is not None and content.looks and content.path != row.source_path:
-        return None
-    if row.status not in ANALYSED:
-        return None if row.source_path in paths else _as_it_was(row, bool(row.source_present) and not looked_for)
-    present = bool(row.source_present) and not looked_for
-    status = _status(verdicts.readings[sha256], excluded)
-    return Row(row.source_path, sha256, status, row.problem, row.recording_id, present)
+    """A row of before that no look of tonight speaks of; None when it is to go.
 
-
-def _as_it_was(row: KnownRecording, present: bool) -> Row:
-    return Row(row.source_path, row.source_sha256, row.status, row.problem, row.recording_id, present)
+    Parameters
+    ----------
+    path_looked : some file was found at its path tonight, with another content
+    looked_for : its path was looked at, or lies below a folder that was looked through
+    moved : its content was found tonight and lies elsewhere now
+    reading : of its content, where it has results
+    """
+    if row.status in (DUPLICATE, PENDING) or row.source_sha256 is None:
+        return None if looked_for else row
+    if moved:
+        return None
+    gone = replace(row, source_present=row.source_present and not looked_for)
+    if row.status not in ANALYSED or reading is None:
+        return None if path_looked else gone
+    return replace(gone, status=_status(reading, excluded))
 
 
 def _status(reading: Reading, excluded: Collection[str]) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -14,10 +16,11 @@ from ingest.discover import SourceFile
 from ingest.quarantine import quarantine, release
 from ingest.remote import forget, staged
 from pipeline.annotations import Annotation
+from pipeline.looking import SOURCE, Found, source_of
 from pipeline.night import Context
 from pipeline.paths import below, source_text
-from pipeline.plan import DUPLICATE, Look, Row
-from pipeline.reading import Read
+from pipeline.plan import DUPLICATE
+from pipeline.planning import ANALYSED_SQL, ITEM
 from pipeline.stages.tasks import (
     DIAGNOSIS,
     DIAGNOSIS_TABLES,
@@ -29,27 +32,42 @@ from pipeline.stages.tasks import (
     SPECIMEN_TABLES,
     item_id,
 )
-from pipeline.store.checks import ANALYSED
-from pipeline.store.journal import DAMAGED, FAILED, PENDING, QUARANTINED, Outcome, entry_path, read_tables, unwritable
-from pipeline.store.manifest import KnownRecording
+from pipeline.store.journal import DAMAGED, FAILED, PENDING, QUARANTINED, entry_path, read_tables, unwritable
+from pipeline.store.ledger import batches
 from pipeline.store.manifest import published as snapshot
-from pipeline.store.publish import Changes, Deletion, Rows, publish
-from pipeline.tabulate.recordings import as_json, joined, recordings_rows
-from schemas.errors import RefusedError
+from pipeline.store.publish import Changes, Deletion, Rows, Streamed, publish
+from pipeline.store.reader import Reader
+from pipeline.tabulate.recordings import as_json, recordings_rows
+from schemas.errors import DealabError, RefusedError
 from schemas.version import software_version
 
-_Complete = Callable[[Row, Mapping[str, Any]], dict[str, Any]]
+_KEYS_AT_ONCE = 10_000
+"""Rows that one deletion names."""
+_ITEM = (
+    "item_id", "stage", "input_hash", "code_version", "settings_hash", "outcome", "seconds", "error", "notes",
+)  # fmt: skip
+_FILE = ("path", "size", "mtime_ns", "inode", "sha256")
+_ROW = "source_path, source_sha256, status, problem, recording_id, source_present, run_id"
+_AGAIN = f"EXISTS (SELECT 1 FROM outcomes o WHERE o.done AND o.item_id = {ITEM} source_sha256)"
+"""SQL condition on rows: their content was read tonight, or by a killed night."""
+_RESULTS = f"EXISTS (SELECT 1 FROM standing s WHERE s.results AND s.item_id = {ITEM} source_sha256)"
+"""SQL condition on rows: their content has results of its own in the lab."""
+_WITHOUT_RESULTS = f"FROM known WHERE status {ANALYSED_SQL} AND (NOT {_RESULTS} OR {_AGAIN})"
+"""Published recordings whose rows go: read again, no longer accepted, or forgotten."""
+_ITEMS_GONE = (
+    "FROM items i WHERE (EXISTS (SELECT 1 FROM outcomes o WHERE o.done AND o.item_id = i.item_id)"
+    " OR NOT EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id))"
+)
+"""Items whose entry goes: made again tonight, or about something that is no longer there."""
 
 
 @dataclass(frozen=True)
 class Night:
-    """What was decided tonight: all rows that `recordings` has to have, and all items of the later stages."""
+    """A night whose plan is in the ledger."""
 
     run_id: str
     started_at: datetime
-    read: Read
-    rows: Sequence[Row]
-    derived: frozenset[str]
+    found: Found
     annotations: Sequence[Annotation]
 
 
@@ -70,32 +88,53 @@ class Counts:
 
 def count(context: Context, night: Night) -> Counts:
     """The numbers of a night."""
-    looked = {look.path for look in night.read.found.looks}
-    tonight = [row for row in night.rows if row.source_path in looked and row.source_present]
-    statuses = [row.status for row in tonight]
-    read = {item for item in context.done if item.startswith(f"{RECORDING}:")}
-    contents = {item_id(RECORDING, row.source_sha256) for row in tonight if row.source_sha256 is not None}
-    accepted = {item_id(RECORDING, sha) for sha in night.read.accepted}
+    ledger = context.ledger
+    tonight = "FROM rows WHERE look IS NOT NULL"
+    statuses = dict(ledger.each(f"SELECT status, count(*) {tonight} GROUP BY status"))
+    contents = f"SELECT count(DISTINCT source_sha256) {tonight} AND source_sha256 IS NOT NULL AND"
     return Counts(
-        found=len(night.read.found.looks),
-        ingested=len(read & contents & accepted),
-        reused=len(contents - read),
-        quarantined=statuses.count(QUARANTINED),
-        failed=len(failures(context, night)),
-        damaged=statuses.count(DAMAGED),
-        duplicates=statuses.count(DUPLICATE),
-        pending=statuses.count(PENDING),
-        unmapped=len(night.read.found.unmapped),
+        found=ledger.number("SELECT count(*) FROM looks"),
+        ingested=ledger.number(f"{contents} {_AGAIN} AND {_RESULTS}"),
+        reused=ledger.number(f"{contents} NOT {_AGAIN}"),
+        quarantined=statuses.get(QUARANTINED, 0),
+        failed=len(failures(context)),
+        damaged=statuses.get(DAMAGED, 0),
+        duplicates=statuses.get(DUPLICATE, 0),
+        pending=statuses.get(PENDING, 0),
+        unmapped=len(night.found.unmapped),
     )
 
 
-def failures(context: Context, night: Night) -> dict[str, str]:
+def failures(context: Context) -> dict[str, str]:
     """Items that stand in the lab as failed, with the first line of their reason."""
-    standing = night.derived | {item_id(RECORDING, sha) for sha in night.read.accepted}
-    errors = {
-        item: made.error or "" for item in standing if (made := _outcome(context, item)) and made.outcome == FAILED
-    }
-    return {item: error.splitlines()[0] if error else "no reason given" for item, error in sorted(errors.items())}
+    errors = context.ledger.each(
+        "SELECT s.item_id, CASE WHEN o.item_id IS NULL THEN i.error ELSE o.error END FROM standing s"
+        " LEFT JOIN outcomes o ON o.done AND o.item_id = s.item_id LEFT JOIN items i ON i.item_id = s.item_id"
+        " WHERE s.results AND CASE WHEN o.item_id IS NULL THEN i.outcome ELSE o.outcome END = ? ORDER BY s.item_id",
+        [FAILED],
+    )
+    return {item: error.splitlines()[0] if error else "no reason given" for item, error in errors}
+
+
+def attention(context: Context) -> tuple[str, ...]:
+    """Every file that was refused or is damaged and every analysis that failed, with its reason."""
+    rows = context.ledger.each(
+        "SELECT r.status, r.source_path, r.problem FROM rows r JOIN looks l ON l.id = r.look"
+        " WHERE r.status IN (?, ?) ORDER BY l.place",
+        [QUARANTINED, DAMAGED],
+    )
+    files = [f"{status}: {path}: {problem}" for status, path, problem in rows]
+    return (*files, *(f"failed: {item}: {reason}" for item, reason in failures(context).items()))
+
+
+def made_again(context: Context) -> int:
+    """How many results the night made, or took over from a killed one."""
+    return context.ledger.number("SELECT count(*) FROM outcomes WHERE done")
+
+
+def missing(context: Context) -> int:
+    """How many known recordings have no file any more."""
+    return context.ledger.number("SELECT count(*) FROM rows WHERE NOT source_present")
 
 
 def publish_night(context: Context, night: Night) -> None:
@@ -103,175 +142,114 @@ def publish_night(context: Context, night: Night) -> None:
 
     Raises `LabError`; the published database is then as it was.
     """
-    changed = _changed(context, night)
-    _place_samples(context, night)
-    _place_refused(context, night, changed)
-    publish(context.lab, Changes(list(_deletions(context, night, changed)), _insertions(context, night, changed)))
-    _remove_old_samples(context, night)
+    _place_samples(context)
+    _place_refused(context, night)
+    publish(context.lab, Changes(Streamed(_deletions, context, night), Streamed(_insertions, context, night)))
+    _remove_old_samples(context)
 
 
 # --- what changes -------------------------------------------------------------------------------------------------------
 
 
-def _changed(context: Context, night: Night) -> list[Row]:
-    """The rows of `recordings` that differ from the published ones, or whose content was read again."""
-    known = {(row.source_path, row.source_sha256): row for row in context.manifest.recordings}
-    return [row for row in night.rows if not _stands(context, row, known.get(row.key))]
-
-
-def _stands(context: Context, row: Row, before: KnownRecording | None) -> bool:
-    again = row.source_sha256 is not None and item_id(RECORDING, row.source_sha256) in context.done
-    return before is not None and not again and _same(row, before)
-
-
-def _same(row: Row, before: KnownRecording) -> bool:
-    return (row.status, row.problem, row.recording_id, row.source_present) == (
-        before.status,
-        before.problem,
-        before.recording_id,
-        bool(before.source_present),
+def _deletions(context: Context, night: Night) -> Iterator[Deletion]:
+    """What goes, in parts that fit in memory."""
+    ledger, each = context.ledger, context.ledger.each
+    ledger.run("DELETE FROM going")
+    ledger.run(f"INSERT INTO going SELECT DISTINCT 'recording_id', recording_id {_WITHOUT_RESULTS}")
+    ledger.run(f"INSERT INTO going SELECT stage, item_id {_ITEMS_GONE}")
+    named = "SELECT name FROM going WHERE what = ?"
+    gone = each(
+        "SELECT source_path, source_sha256 FROM known k WHERE NOT EXISTS (SELECT 1 FROM rows r"
+        " WHERE r.source_path = k.source_path AND r.source_sha256 IS k.source_sha256 AND NOT r.changed)"
     )
-
-
-def _deletions(context: Context, night: Night, changed: Sequence[Row]) -> Iterator[Deletion]:
-    known = context.manifest.recordings
-    wanted = {row.key for row in night.rows}
-    kept = wanted - {row.key for row in changed}
-    gone = [row for row in known if (row.source_path, row.source_sha256) not in kept]
-    if gone:
-        keys: dict[str, list[str | None]] = {
-            "source_path": [r.source_path for r in gone],
-            "source_sha256": [r.source_sha256 for r in gone],
-        }
-        yield Deletion("recordings", keys)
-    recording_ids = sorted({str(row.recording_id) for row in _without_results(context, night)})
+    yield from _parts("recordings", ("source_path", "source_sha256"), gone)
     for table, where in RECORDING_TABLES.items():
-        yield Deletion(table, {"recording_id": recording_ids}, where)
-    items = _items_gone(context, night)
+        yield from _parts(table, ("recording_id",), each(named, ["recording_id"]), where)
     for stage, tables in ((SPECIMEN, SPECIMEN_TABLES), (DIAGNOSIS, DIAGNOSIS_TABLES)):
-        specimens = [item.partition(":")[2] for item in items if item.startswith(f"{stage}:")]
+        begin = len(item_id(stage, ""))
         for table, where in tables.items():
-            yield Deletion(table, {"specimen_id": specimens}, where)
+            specimens = ((item[begin:],) for (item,) in each(named, [stage]))
+            yield from _parts(table, ("specimen_id",), specimens, where)
     for name, group in GROUPS.items():
-        if item_id(GROUP, name) in items:
+        if ledger.row("SELECT 1 FROM going WHERE name = ?", [item_id(GROUP, name)]) is not None:
             yield from (Deletion(table) for table in group.tables)
-    yield Deletion("items", {"item_id": items})
-    yield Deletion("files", {"path": _files_gone(context, night)})
+    yield from _parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
+    yield from _parts("files", ("path",), ((path,) for path in _files_gone(context, night)))
     yield Deletion("annotations")
 
 
-def _without_results(context: Context, night: Night) -> list[KnownRecording]:
-    """Published recordings whose rows go: read again, no longer accepted, or forgotten."""
-    accepted = set(night.read.accepted)
-    return [
-        row
-        for row in context.manifest.recordings
-        if row.status in ANALYSED
-        and (row.source_sha256 not in accepted or item_id(RECORDING, row.source_sha256) in context.done)
-    ]
+def _parts(
+    table: str, columns: Sequence[str], keys: Iterable[tuple[str | None, ...]], where: str = "true"
+) -> Iterator[Deletion]:
+    for some in batches(keys, _KEYS_AT_ONCE):
+        yield Deletion(table, dict(zip(columns, zip(*some, strict=True), strict=True)), where)
 
 
-def _items_gone(context: Context, night: Night) -> list[str]:
-    """Items whose entry goes: made again tonight, or about something that is no longer there."""
-    standing = _contents(night) | night.derived
-    return sorted(item for item in context.manifest.items if item in context.done or item not in standing)
+def _files_gone(context: Context, night: Night) -> Iterator[str]:
+    found = context.ledger.each(
+        "SELECT path, EXISTS (SELECT 1 FROM looks l WHERE l.path = f.path),"
+        " EXISTS (SELECT 1 FROM looks l WHERE l.path = f.path AND settled) FROM files f"
+    )
+    for path, looked, again in found:
+        if again or (not looked and any(below(path, root) for root in night.found.roots)):
+            yield path
 
 
-def _contents(night: Night) -> set[str]:
-    """The items of all contents that some row speaks of."""
-    return {item_id(RECORDING, row.source_sha256) for row in night.rows if row.source_sha256 is not None}
-
-
-def _files_gone(context: Context, night: Night) -> list[str]:
-    found = {look.path for look in night.read.found.looks}
-    gone = [
-        path
-        for path in context.manifest.files
-        if path not in found and any(below(path, root) for root in night.read.found.roots)
-    ]
-    return sorted(gone + [path for path in night.read.found.seen if path in context.manifest.files])
-
-
-def _insertions(context: Context, night: Night, changed: Sequence[Row]) -> Iterator[Mapping[str, Rows]]:
-    accepted = {item_id(RECORDING, sha) for sha in night.read.accepted} | night.derived
-    complete = _completer(context, night)
-    left: dict[str, list[Row]] = {}
-    for row in changed:
-        left.setdefault(item_id(RECORDING, row.source_sha256 or ""), []).append(row)
-    standing = _contents(night) | night.derived
-    made = [outcome for item, outcome in sorted(context.done.items()) if item in standing]
-    for outcome in made:
-        tables = read_tables(entry_path(context.lab.journal, outcome.item_id))
+def _insertions(context: Context, night: Night) -> Iterator[Mapping[str, Rows]]:
+    ledger = context.ledger
+    changed = f"SELECT {_ROW} FROM rows WHERE changed"
+    made = "FROM outcomes o JOIN standing s USING (item_id) WHERE o.done ORDER BY item_id"
+    for item, has_results in ledger.each(f"SELECT item_id, s.results {made}"):
+        tables = read_tables(entry_path(context.lab.journal, item))
         read = tables.pop("recordings", None)
         if read is not None:
             (full,) = recordings_rows(read)
-            yield {"recordings": [complete(row, full) for row in left.pop(outcome.item_id, ())]}
-        if outcome.item_id in accepted:
+            rows = ledger.each(f"{changed} AND source_sha256 = ?", [item.partition(":")[2]])
+            yield {"recordings": [_complete(night, row, full) for row in rows]}
+        if has_results:
             yield tables
-    yield {"recordings": _as_published(context, [row for rows in left.values() for row in rows], complete)}
-    for outcome in made:
-        yield {"items": [_item_row(outcome, night.run_id)]}
-    for path, seen in night.read.found.seen.items():
-        yield {"files": [{"path": path, **asdict(seen)}]}
+    with snapshot(context.lab) as reader:
+        for some in batches(ledger.each(f"{changed} AND NOT {_AGAIN}")):
+            yield {"recordings": _as_published(night, some, reader)}
+    for some in batches(ledger.each(f"SELECT {', '.join(f'o.{name}' for name in _ITEM)} {made}")):
+        yield {"items": [{**dict(zip(_ITEM, row, strict=True)), "run_id": night.run_id} for row in some]}
+    for some in batches(ledger.each(f"SELECT {', '.join(_FILE)} FROM looks WHERE settled ORDER BY path")):
+        yield {"files": [dict(zip(_FILE, row, strict=True)) for row in some]}
     yield {
         "annotations": [{**asdict(one), "at": datetime.fromisoformat(one.at)} for one in night.annotations],
         "runs": [_run_row(context, night)],
     }
 
 
-def _as_published(context: Context, changed: Sequence[Row], complete: _Complete) -> list[dict[str, Any]]:
-    """The changed rows of `recordings` that nothing was read for tonight, completed from what is published."""
-    contents = sorted({row.source_sha256 for row in changed if row.source_sha256})
+def _as_published(night: Night, changed: Sequence[tuple[Any, ...]], reader: Reader | None) -> list[dict[str, Any]]:
+    """Changed rows of `recordings` that nothing was read for tonight, completed from what is published."""
+    contents = sorted({sha256 for _, sha256, *_ in changed if sha256})
     published: dict[str, dict[str, Any]] = {}
-    with snapshot(context.lab) as reader:
-        if contents and reader is not None:
-            for full in reader.rows("recordings", None, "source_sha256", contents):
-                if full["status"] != DUPLICATE:
-                    published[full["source_sha256"]] = full
-    return [complete(row, published.get(row.source_sha256 or "", {})) for row in changed]
+    if contents and reader is not None:
+        for full in reader.rows("recordings", None, "source_sha256", contents):
+            if full["status"] != DUPLICATE:
+                published[full["source_sha256"]] = full
+    return [_complete(night, row, published.get(row[1] or "", {})) for row in changed]
 
 
-def _completer(context: Context, night: Night) -> _Complete:
-    """Makes a whole row of `recordings` from what the night says of it and what its content gave when it was read.
+def _complete(night: Night, row: Sequence[Any], full: Mapping[str, Any]) -> dict[str, Any]:
+    """A whole row of `recordings` from what the night says of it and what its content gave when it was read.
 
     Not as an arrow table, which would cost an import of pandas.
     """
-    earlier = {(row.source_path, row.source_sha256): row for row in context.manifest.recordings}
-
-    def complete(row: Row, full: Mapping[str, Any]) -> dict[str, Any]:
-        before = earlier.get(row.key)
-        as_before = before is not None and _same(row, before)
-        return {
-            "software_version": software_version(),
-            **full,
-            **({"samples_path": None} if row.status in (DUPLICATE, QUARANTINED) else {}),
-            "recording_id": row.recording_id,
-            "source_path": row.source_path,
-            "source_sha256": row.source_sha256,
-            "status": row.status,
-            "problem": row.problem,
-            "source_present": row.source_present,
-            "run_id": before.run_id if before is not None and as_before else night.run_id,
-        }
-
-    return complete
-
-
-def _item_row(outcome: Outcome, run_id: str) -> dict[str, Any]:
+    said = dict(zip(_ROW.split(", "), row, strict=True))
     return {
-        "item_id": outcome.item_id,
-        "stage": outcome.stage,
-        **asdict(outcome.freshness),
-        "outcome": outcome.outcome,
-        "seconds": outcome.seconds,
-        "error": outcome.error,
-        "notes": joined(outcome.facts.get("notes", ())),
-        "run_id": run_id,
+        "software_version": software_version(),
+        **full,
+        **({"samples_path": None} if said["status"] in (DUPLICATE, QUARANTINED) else {}),
+        **said,
+        "source_present": bool(said["source_present"]),
+        "run_id": said["run_id"] or night.run_id,
     }
 
 
 def _run_row(context: Context, night: Night) -> dict[str, Any]:
-    notes = [*night.read.found.notes, *(f"{path}: no mapping" for path in night.read.found.unmapped)]
+    notes = [*night.found.notes, *(f"{path}: no mapping" for path in night.found.unmapped)]
     stages = (RECORDING, SPECIMEN, DIAGNOSIS, GROUP)
     return {
         "run_id": night.run_id,
@@ -285,21 +263,17 @@ def _run_row(context: Context, night: Night) -> dict[str, Any]:
     }
 
 
-def _outcome(context: Context, item: str) -> Any:
-    return context.done.get(item) or context.manifest.items.get(item)
-
-
 # --- files --------------------------------------------------------------------------------------------------------------
 
 
-def _place_samples(context: Context, night: Night) -> None:
+def _place_samples(context: Context) -> None:
     """Moves the samples of accepted recordings from where the workers wrote them. Done twice, it does nothing twice."""
     folders = set()
-    for sha256 in night.read.accepted:
-        outcome = context.done.get(item_id(RECORDING, sha256))
-        relative = None if outcome is None else outcome.facts.get("samples_path")
-        if relative is None:
-            continue
+    made = context.ledger.each(
+        f"SELECT r.sha256, o.samples_path FROM outcomes o JOIN readings r ON o.item_id = {ITEM} r.sha256"
+        " WHERE o.done AND r.accepted AND o.samples_path IS NOT NULL"
+    )
+    for sha256, relative in made:
         waiting, place = context.lab.staged(sha256), context.lab.folder / relative
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -312,34 +286,33 @@ def _place_samples(context: Context, night: Night) -> None:
         flush(folder)
 
 
-def _place_refused(context: Context, night: Night, changed: Sequence[Row]) -> None:
+def _place_refused(context: Context, night: Night) -> None:
     """Copies newly refused files into quarantine, and releases files that have become good."""
-    looks = {look.path: look for look in night.read.found.looks}
-    refused_before = {row.source_path for row in context.manifest.recordings if row.status == QUARANTINED}
-    refused_now = {row.source_path for row in night.rows if row.status == QUARANTINED}
+    each = context.ledger.each
+    source = ", ".join(f"l.{name.strip()}" for name in SOURCE.split(","))
+    refused = each(
+        f"SELECT l.sha256, w.problem, coalesce(r.refusal, l.refusal), {source} FROM rows w JOIN looks l ON l.id = w.look"
+        " LEFT JOIN readings r ON r.sha256 = l.sha256 WHERE w.changed AND w.status = ? ORDER BY l.place",
+        [QUARANTINED],
+    )
+    good = each(
+        f"SELECT DISTINCT {source} FROM known k JOIN looks l ON l.path = k.source_path WHERE k.status = ?"
+        " AND NOT EXISTS (SELECT 1 FROM rows w WHERE w.source_path = k.source_path AND w.status = ?)",
+        [QUARANTINED, QUARANTINED],
+    )
     try:
-        for row in changed:
-            look = looks.get(row.source_path)
-            if look is not None and look.sha256 == row.source_sha256 and row.status == QUARANTINED:
-                _quarantine(context, night, look, row)
-        for path in (refused_before - refused_now) & looks.keys():
-            release(_place(looks[path].source) or looks[path].source.path, context.lab.folder)
+        for sha256, problem, refusal, *where in refused:
+            error = RefusedError(problem or "refused") if refusal is None else DealabError(**json.loads(refusal))
+            _quarantine(context, night, source_of(*where), sha256, error)
+        for there in (source_of(*where) for where in good):
+            release(_place(there) or there.path, context.lab.folder)
     except OSError as error:
         raise unwritable(context.lab.quarantine, error) from error
 
 
-def _quarantine(context: Context, night: Night, look: Look, row: Row) -> None:
-    reading = None if look.sha256 is None else night.read.verdicts.readings.get(look.sha256)
-    error = look.error if reading is None else reading.refusal
-    with staged(look.source.path, look.source.remote):
-        quarantine(
-            look.source.path,
-            context.lab.folder,
-            error or RefusedError(row.problem or "refused"),
-            sha256=look.sha256,
-            when=night.started_at,
-            place=_place(look.source),
-        )
+def _quarantine(context: Context, night: Night, source: SourceFile, sha256: str | None, error: DealabError) -> None:
+    with staged(source.path, source.remote):
+        quarantine(source.path, context.lab.folder, error, sha256=sha256, when=night.started_at, place=_place(source))
 
 
 def _place(source: SourceFile) -> str | None:
@@ -347,22 +320,28 @@ def _place(source: SourceFile) -> str | None:
     return None if source.remote is None else source_text(source)
 
 
-def _remove_old_samples(context: Context, night: Night) -> None:
+def _remove_old_samples(context: Context) -> None:
     """Samples of recordings that were read again under another name, or are forgotten."""
-    current = {
-        outcome.facts.get("samples_path")
-        for sha in night.read.accepted
-        if (outcome := context.done.get(item_id(RECORDING, sha))) is not None
-    }
+    old = context.ledger.each(
+        f"SELECT samples_path {_WITHOUT_RESULTS} AND samples_path IS NOT NULL AND samples_path NOT IN"
+        f" (SELECT o.samples_path FROM outcomes o JOIN readings r ON o.item_id = {ITEM} r.sha256"
+        " WHERE o.done AND r.accepted AND o.samples_path IS NOT NULL)"
+    )
     root = context.lab.samples_folder.resolve()
-    for row in _without_results(context, night):
-        if row.samples_path is not None and row.samples_path not in current:
-            path = (context.lab.folder / row.samples_path).resolve()
-            if root in path.parents:
-                path.unlink(missing_ok=True)
+    for (relative,) in old:
+        path = (context.lab.folder / relative).resolve()
+        if root in path.parents:
+            path.unlink(missing_ok=True)
 
 
 def discard_work(context: Context) -> None:
-    """Removes the journal and everything half done: all of it is published."""
-    shutil.rmtree(context.lab.work, ignore_errors=True)
+    """Removes the journal and what is half done, also by a killed night: all of it is published. The ledger removes itself."""
+    for place in (path for path in context.lab.work.iterdir() if path != context.lab.ledger):
+        with suppress(OSError), os.scandir(place) as found:  # one by one: to remove a folder lists all of it first
+            for one in found:
+                os.unlink(one.path)
+        if place.is_dir():
+            shutil.rmtree(place, ignore_errors=True)
+        else:
+            place.unlink(missing_ok=True)
     forget(context.lab.remote)

@@ -3,167 +3,154 @@
 from __future__ import annotations
 
 import functools
+import os
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+from ingest.discover import with_mapping
 from pipeline.execute import Casualty
-from pipeline.looking import Found
+from pipeline.looking import SOURCE, Found, source_of
 from pipeline.night import Context
 from pipeline.paths import is_there
-from pipeline.plan import Content, Look, Reading, Verdicts, contents, judge, unseen
-from pipeline.stages.tasks import RECORDING, RecordingTask, input_hash, item_id, recording_casualty
-from pipeline.store.checks import ANALYSED
-from pipeline.store.inputs import Included
-from pipeline.store.journal import OK, PENDING, QUARANTINED, USABLE, Freshness, entries, entry_path
-from pipeline.store.manifest import KnownRecording, one_set
-from schemas.errors import DealabError, PendingError
+from pipeline.planning import ANALYSED_SQL, HAS_CONTENT, ITEM, place_contents, set_aside, take_readings
+from pipeline.stages.tasks import (
+    CALIBRATION_KINDS,
+    RECORDING,
+    RecordingTask,
+    input_hash,
+    item_id,
+    recording_casualty,
+)
+from pipeline.store.inputs import kinds_of
+from pipeline.store.journal import PENDING, entries, entry_name
 
-
-@dataclass(frozen=True)
-class Read:
-    """What the night has read: tonight's looks, all contents with their places, and the verdict on each."""
-
-    found: Found
-    places: Mapping[str, Content]
-    verdicts: Verdicts
-
-    @functools.cached_property
-    def accepted(self) -> tuple[str, ...]:
-        """The contents that have results in the lab, in the order of the files (those not looked at first)."""
-        found = (sha for sha in self.places if sha in self.verdicts.readings and self.verdicts.accepted(sha))
-        return tuple(sorted(found, key=lambda sha: (self.places[sha].order, sha)))
+_CONTENT = ", ".join(f"l.{name.strip()}" for name in SOURCE.split(","))
+"""Columns of the file that a content is read from."""
 
 
 def adopt_journal(context: Context) -> None:
     """Takes over the whole entries that a killed night left, and removes what it left half done."""
-    journal, staging = context.lab.journal, context.lab.staging
+    journal, staging, ledger = context.lab.journal, context.lab.staging, context.ledger
     journal.mkdir(parents=True, exist_ok=True)
-    context.earlier.update((outcome.item_id, outcome) for _, outcome in entries(journal))
-    whole = {entry_path(journal, item).name for item in context.earlier}
-    for path in journal.iterdir():
-        if path.name not in whole:
+    context.keep(
+        (outcome for path, outcome in entries(journal) if path.name == entry_name(outcome.item_id)), done=False
+    )
+    for path in _listed(journal):
+        if ledger.row("SELECT 1 FROM outcomes WHERE entry = ?", [path.name]) is None:
             path.unlink()
-    if staging.is_dir():
-        for path in staging.iterdir():
-            if path.is_dir():
-                shutil.rmtree(path)
-            elif item_id(RECORDING, path.stem) not in context.earlier:
-                path.unlink()
+    for path in _listed(staging) if staging.is_dir() else ():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif ledger.row("SELECT 1 FROM outcomes WHERE item_id = ?", [item_id(RECORDING, path.stem)]) is None:
+            path.unlink()
 
 
-def read(context: Context, found: Found) -> Read:
+def _listed(folder: Path) -> Iterator[Path]:
+    with os.scandir(folder) as found:
+        for one in found:
+            yield Path(one.path)
+
+
+def read(context: Context, found: Found) -> None:
     """Reads what is new, and again what a verdict turns out to need. Files that change meanwhile become pending."""
-    known = context.manifest.recordings
-    by_content = {row.source_sha256: row for row in known if row.status not in ("duplicate", "pending")}
-    published = {row.source_sha256 for row in known if row.status in ANALYSED}
-    places = contents(found.looks, known, functools.partial(is_there, roots=found.roots))
-    others = unseen(known, places.keys())
-    stale = [content for content in places.values() if not _is_fresh(context, content, by_content)]
+    ledger = context.ledger
+    place_contents(ledger, functools.partial(is_there, roots=found.roots))
+    ledger.add("expected", _expected(context))
+    context.leave_out_fresh(RECORDING)
+    prefix = len(item_id(RECORDING, ""))
+    ledger.run(
+        "INSERT INTO stale SELECT DISTINCT substr(item_id, ?) FROM expected WHERE stage = ?", [prefix + 1, RECORDING]
+    )
     while True:
-        changing = _read_contents(context, stale)
-        if changing:
-            found = replace(found, looks=tuple(_pending(one, changing) for one in found.looks))
-            places = {sha: content for sha, content in places.items() if sha not in changing}
-        everything = {**others, **places}
-        readings = {sha: _reading(context, sha, by_content) for sha in everything}
-        read_now = Read(found, everything, judge(readings, everything, known))
-        stale = [
-            everything[sha]
-            for sha in read_now.accepted
-            if sha not in published and item_id(RECORDING, sha) not in context.done
-        ]
-        if not stale:
-            return read_now
+        set_aside(ledger, _read_contents(context))
+        take_readings(ledger)
+        ledger.run("DELETE FROM stale")
+        ledger.run(
+            "INSERT INTO stale SELECT sha256 FROM readings r WHERE accepted"
+            f" AND NOT EXISTS (SELECT 1 FROM known WHERE source_sha256 = r.sha256 AND status {ANALYSED_SQL})"
+            f" AND NOT EXISTS (SELECT 1 FROM outcomes WHERE done AND item_id = {ITEM} r.sha256)"
+        )
+        if not ledger.number("SELECT count(*) FROM stale"):
+            return
 
 
-def included(context: Context, read_now: Read, excluded: frozenset[str]) -> list[Included]:
-    """The recordings that take part in the analysis, by id."""
-    rows = {row.source_sha256: row for row in context.manifest.recordings if row.status in ANALYSED}
-    chosen = []
-    for sha256 in read_now.accepted:
-        name = read_now.verdicts.readings[sha256].recording_id
-        if name is None or name in excluded:
-            continue
+def include(context: Context, excluded: frozenset[str]) -> None:
+    """Books the recordings that take part in the analysis."""
+    ledger = context.ledger
+    found = ledger.each(
+        "SELECT r.recording_id, o.item_id, o.specimen_id, o.rig_id, o.carried, o.input_hash, o.code_version,"
+        " o.settings_hash, o.entry, k.specimen_id, k.rig_id,"
+        " (SELECT group_concat(kind) FROM carried c WHERE c.recording_id = r.recording_id),"
+        " i.input_hash, i.code_version, i.settings_hash, NULL"
+        f" FROM readings r LEFT JOIN outcomes o ON o.done AND o.item_id = {ITEM} r.sha256"
+        " LEFT JOIN known k ON k.rowid ="
+        f" (SELECT max(rowid) FROM known WHERE source_sha256 = r.sha256 AND status {ANALYSED_SQL})"
+        f" LEFT JOIN items i ON i.item_id = {ITEM} r.sha256"
+        " WHERE r.accepted AND r.recording_id IS NOT NULL"
+    )
+
+    def included() -> Iterator[tuple[Any, ...]]:
+        for name, item, *rest in found:
+            specimen_id, rig_id, kinds, *made_from = rest[:7] if item is not None else rest[7:]
+            if name not in excluded:
+                calibrates = not CALIBRATION_KINDS.isdisjoint(kinds_of(kinds))
+                yield name, specimen_id, rig_id, kinds, calibrates, *made_from
+
+    ledger.add("included", included())
+
+
+def _expected(context: Context) -> Iterator[tuple[str, str, str | None]]:
+    """The contents, each with what reading it now would make its results from; its rig is that of an earlier reading."""
+    found = context.ledger.each(
+        f"SELECT c.sha256, l.mapping, o.item_id, o.rig_id, k.rowid, k.rig_id, {_CONTENT}"
+        " FROM contents c JOIN looks l ON l.id = c.look"
+        f" LEFT JOIN outcomes o ON o.item_id = {ITEM} c.sha256"
+        f" LEFT JOIN known k ON k.rowid = (SELECT max(rowid) FROM known WHERE source_sha256 = c.sha256 AND {HAS_CONTENT})"
+        " WHERE c.at_home"
+    )
+    for sha256, mapping, left, left_rig, row, known_rig, *where in found:
         item = item_id(RECORDING, sha256)
-        outcome = context.done.get(item)
-        if outcome is not None:
-            facts = outcome.facts
-            kinds, made_from = one_set(frozenset(facts["carried"])), outcome.freshness
-            specimen_id, rig_id = facts["specimen_id"], facts["rig_id"]
+        rigs = {rig for there, rig in ((left, left_rig), (row, known_rig)) if there is not None}
+        for rig_id in rigs:
+            rig = "" if rig_id is None else context.rig_hash(source_of(*where), rig_id)
+            yield item, RECORDING, input_hash(mapping, sha256, rig)
+        if not rigs:
+            yield item, RECORDING, None
+
+
+def _read_contents(context: Context) -> list[str]:
+    """Reads the stale contents in workers; returns those that could not be read because they change."""
+    ledger = context.ledger
+    count = ledger.number("SELECT count(*) FROM stale")
+    changing = []
+    for task, result in context.run(_tasks(context), count, "recordings"):
+        if isinstance(result, Casualty):
+            result = recording_casualty(replace(task, settings_hash=context.limits_hash), result.reason)
+        if result.outcome == PENDING:
+            changing.append(task.sha256)
         else:
-            row = rows[sha256]
-            kinds = context.manifest.carried.get(name, frozenset())
-            made_from = context.manifest.items[item].freshness
-            specimen_id, rig_id = row.specimen_id, row.rig_id
-        entry = None if outcome is None else entry_path(context.lab.journal, item)
-        chosen.append(Included(name, specimen_id, rig_id, kinds, made_from, entry))
-    return sorted(chosen, key=lambda one: one.recording_id)
+            context.keep([result], done=True)
+    return changing
 
 
-def _is_fresh(context: Context, content: Content, known: Mapping[str | None, KnownRecording]) -> bool:
-    look = content.primary
-    if look is None:
-        return True
-    item = item_id(RECORDING, content.sha256)
-    left, row = context.earlier.get(item), known.get(content.sha256)
-    if left is not None and context.is_fresh(item, _expected(context, look, left.facts.get("rig_id"))):
-        return True
-    return row is not None and context.is_fresh(item, _expected(context, look, row.rig_id))
-
-
-def _expected(context: Context, look: Look, rig_id: str | None) -> Freshness:
-    made_from = input_hash(look.source, look.sha256 or "", context.rig_hash(look.source, rig_id))
-    return Freshness(made_from, *context.version(RECORDING))
-
-
-def _read_contents(context: Context, stale: Sequence[Content]) -> frozenset[str]:
-    """Reads contents in workers; returns those that could not be read because they change."""
+def _tasks(context: Context) -> Iterator[RecordingTask]:
+    """One for each stale content, in the order of the files (those not looked at first)."""
     code, settings = context.version(RECORDING)
-    tasks = (
-        RecordingTask(
-            source=(content.primary or content.looks[0]).source,
-            sha256=content.sha256,
+    found = context.ledger.each(
+        f"SELECT c.sha256, {_CONTENT} FROM stale JOIN contents c USING (sha256) JOIN looks l ON l.id = c.look"
+        " ORDER BY c.length, c.first, c.sha256"
+    )
+    for sha256, *where in found:
+        yield RecordingTask(
+            source=with_mapping(source_of(*where)),
+            sha256=sha256,
             rigs=context.rigs,
             lab=context.lab.folder,
-            staged=context.lab.staged(content.sha256),
+            staged=context.lab.staged(sha256),
             journal=context.lab.journal,
             code_version=code,
             settings_hash=settings,
         )
-        for content in stale
-    )
-    changing = set()
-    for task, result in context.run(tasks, len(stale), "recordings"):
-        if isinstance(result, Casualty):
-            result = recording_casualty(replace(task, settings_hash=context.limits_hash), result.reason)
-        if result.outcome == PENDING:
-            changing.add(task.sha256)
-        else:
-            context.done[result.item_id] = result
-    return frozenset(changing)
-
-
-def _reading(context: Context, sha256: str, known: Mapping[str | None, KnownRecording]) -> Reading:
-    """What reading a content gave, from tonight's outcome or from what is published."""
-    item = item_id(RECORDING, sha256)
-    outcome = context.done.get(item)
-    if outcome is not None:
-        facts = outcome.facts
-        refusal = facts.get("refusal")
-        error = None if refusal is None else DealabError(**refusal)
-        return Reading(facts.get("recording_id"), facts["status"], facts["problem"], error)
-    row, booked = known[sha256], context.manifest.items.get(item)
-    if booked is not None and booked.outcome in USABLE:
-        return Reading(row.recording_id, booked.outcome, row.problem)
-    if row.status in ANALYSED:
-        return Reading(row.recording_id, row.status if row.status in USABLE else OK, row.problem)
-    return Reading(row.recording_id, QUARANTINED, row.problem)
-
-
-def _pending(look: Look, changing: frozenset[str]) -> Look:
-    if look.sha256 not in changing:
-        return look
-    return replace(
-        look, sha256=None, error=PendingError("the file changed while it was read", where=look.source.path.name)
-    )

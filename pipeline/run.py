@@ -8,7 +8,6 @@ lies in the journal until it is published, so that a night that was killed is ta
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib
 import os
 import signal
@@ -29,14 +28,14 @@ from pipeline.lab import Lab
 from pipeline.lock import exclusive
 from pipeline.looking import likely_new, look
 from pipeline.night import Context, Track
-from pipeline.plan import rows
-from pipeline.publishing import Counts, Night, count, discard_work, failures, publish_night
-from pipeline.reading import adopt_journal, included, read
+from pipeline.planning import write_rows
+from pipeline.publishing import Counts, Night, attention, count, discard_work, made_again, missing, publish_night
+from pipeline.reading import adopt_journal, include, read
 from pipeline.settings import Settings
 from pipeline.settings import load as load_settings
 from pipeline.stages.tasks import MODULES
-from pipeline.store.journal import DAMAGED, QUARANTINED
-from pipeline.store.manifest import load as load_manifest
+from pipeline.store.ledger import Ledger
+from pipeline.store.manifest import learn
 from schemas.errors import DealabError
 
 
@@ -116,61 +115,44 @@ def nightly(
     UsageError : a path that does not exist
     """
     lab.create()
-    with exclusive(lab), _terminable(), _collecting_seldom():
+    with exclusive(lab), _terminable():
         started, clock = datetime.now(UTC), time.monotonic()
         settings = load_settings(lab)
         open_executor, workers = _executors(settings, jobs, cluster)
         local = jobs > 0 and cluster is None
         if local and likely_new(raw, lab):
             prepared(_PRELOAD)  # what workers need loads while the night finds out what there is to do
-        context = Context(lab, settings, load_manifest(lab), rigs, workers, open_executor, track)
-        annotations = read_annotations(lab)
-        found = look(raw, lab, context.manifest.files)
-        if found.seen and local:
-            prepared(_PRELOAD)
-        reports = _imported("reports.build")
-        adopt_journal(context)
-        read_now = read(context, found)
-        out = excluded(annotations)
-        derived = derive(context, included(context, read_now, out))
-        night = Night(
-            run_id=f"{context.manifest.last_run + 1:06d}",
-            started_at=started,
-            read=read_now,
-            rows=rows(
-                read_now.found.looks,
-                read_now.places,
-                read_now.verdicts,
-                context.manifest.recordings,
-                roots=found.roots,
-                excluded=out,
-            ),
-            derived=derived,
-            annotations=annotations,
-        )
-        publish_night(context, night)
-        reports.join()
-        problem = _report(lab, None if cluster else open_executor, workers)
-        discard_work(context)
-        return _summary(context, night, time.monotonic() - clock, problem)
+        with Ledger(lab.ledger) as ledger:
+            context = Context(lab, settings, ledger, rigs, workers, open_executor, track)
+            last_run = learn(lab, ledger)
+            annotations = read_annotations(lab)
+            found = look(raw, lab, ledger)
+            if found.some_new and local:
+                prepared(_PRELOAD)
+            reports = _imported("reports.build")
+            adopt_journal(context)
+            out = excluded(annotations)
+            read(context, found)
+            include(context, out)
+            derive(context)
+            write_rows(ledger, found.roots, out)
+            night = Night(f"{last_run + 1:06d}", started, found, annotations)
+            publish_night(context, night)
+            reports.join()
+            problem = _report(lab, None if cluster else open_executor, workers)
+            discard_work(context)
+            return _summary(context, night, time.monotonic() - clock, problem)
 
 
 def _summary(context: Context, night: Night, seconds: float, problem: str | None) -> Summary:
-    looked = {look.path for look in night.read.found.looks}
-    attention = [
-        f"{row.status}: {row.source_path}: {row.problem}"
-        for row in night.rows
-        if row.status in (QUARANTINED, DAMAGED) and row.source_present and row.source_path in looked
-    ]
-    attention += [f"failed: {item}: {reason}" for item, reason in failures(context, night).items()]
     return Summary(
         night.run_id,
         seconds,
         count(context, night),
-        len(context.done),
-        sum(not row.source_present for row in night.rows),
-        tuple(attention),
-        (*night.read.found.notes, *(f"{path}: no mapping, passed over" for path in night.read.found.unmapped)),
+        made_again(context),
+        missing(context),
+        attention(context),
+        (*night.found.notes, *(f"{path}: no mapping, passed over" for path in night.found.unmapped)),
         problem,
     )
 
@@ -232,18 +214,6 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-@contextlib.contextmanager
-def _collecting_seldom() -> Iterator[None]:
-    """What a night knows of many thousand recordings stays until its end: looking through it for garbage again and again
-    takes a tenth of its time."""
-    before = gc.get_threshold()
-    gc.set_threshold(100_000, 50, 100)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
 
 
 def _files(number: int) -> str:

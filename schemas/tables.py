@@ -1032,7 +1032,14 @@ _ALL: tuple[Table, ...] = (
     Table(
         "lab",
         "bookkeeping: the database itself",
-        (_t("key", "schema: hash of all table and view definitions", required=True), _t("value", "its value")),
+        (
+            _t(
+                "key",
+                "schema: hash of all table and view definitions; row_group: rows that are compressed together",
+                required=True,
+            ),
+            _t("value", "its value"),
+        ),
         ("key",),
         internal=True,
     ),

@@ -27,7 +27,8 @@ def measured() -> str:
 
 
 def costs(nightly: Mapping[str, Any]) -> str:
-    """Bytes, hours and money up to a million recordings, from the largest first night and the demonstration."""
+    """Bytes, hours and money up to a million recordings, from the largest first night and the demonstration; memory from
+    nights with nothing new, which have the pages to look through."""
     rows: list[Mapping[str, Any]] = [row["measured"] for row in nightly.get("rows", ()) if "measured" in row]
     small = [row for row in rows if "overhead_s" in row]
     real = [row for row in rows if "raw_bytes" in row and "overhead_s" not in row]
@@ -35,9 +36,8 @@ def costs(nightly: Mapping[str, Any]) -> str:
         return ""
     largest, demo = max(small, key=lambda row: row["recordings"]), real[-1]
     nights = [row for row in rows if row.keys() == {"recordings", "seconds", "peak_mb"}]
-    quiet = max(nights, key=lambda row: row["recordings"])
-    smallest = min(small, key=lambda row: row["recordings"])
-    each_mb = (largest["peak_mb"] - smallest["peak_mb"]) / (largest["recordings"] - smallest["recordings"] or 1)
+    quiet, smallest = (pick(nights, key=lambda row: row["recordings"]) for pick in (max, min))
+    each_mb = (quiet["peak_mb"] - smallest["peak_mb"]) / (quiet["recordings"] - smallest["recordings"] or 1)
     each_s = demo["seconds"] / demo["recordings"]
     lines = [
         f"A recording of the demonstration ({demo['raw_bytes'] / 1e3:.0f} kB raw) takes {each_s:.2f} s of one core, pages"
@@ -62,9 +62,9 @@ def costs(nightly: Mapping[str, Any]) -> str:
         "",
         f"Prices assumed: {CORE_HOUR} $ an hour of a core, {GIGABYTE_MONTH} $ a gigabyte and month; beyond"
         f" {largest['recordings']:,} recordings the table is an extrapolation in proportion. Eight hours of two cores take in"
-        f" {_about(new)} new recordings. The first limit of the whole is the memory of the process that plans the night:"
-        f" it holds every known recording, {1e3 * each_mb:.0f} kB each, so that {_MEMORY_MB / 1000:.0f} GB are used up at"
-        f" {_about(limit)} recordings. Before that comes patience: readers copy nothing, but each night copies the database.",
+        f" {_about(new)} new recordings. What a night knows of each recording lies on disk; the first limit of the whole is the"
+        f" memory that it takes to look through the pages of all of them, {1e3 * each_mb:.0f} kB each, so that"
+        f" {_MEMORY_MB / 1000:.0f} GB are used up at {_about(limit)} recordings. Before that comes patience: readers copy nothing, but each night copies the database.",
     ]
     return "\n".join(lines)
 

@@ -11,7 +11,7 @@ from pipeline.analyse.inputs import RecordingInput, measured, results_of_kind
 from pipeline.analyse.weak_regions import analyse_weak_regions
 from pipeline.stages.derived import run as run_derived
 from pipeline.stages.tasks import GROUPS, DerivedTask
-from pipeline.store.inputs import fetch_results
+from pipeline.store.inputs import fetch_results, read_members
 from pipeline.store.journal import Outcome
 from pipeline.store.reader import Reader
 from pipeline.transform.force_map import ForceMapReadings
@@ -36,5 +36,6 @@ def _analysis(task: DerivedTask) -> Analysis:
 
 def _fetched(task: DerivedTask) -> Sequence[RecordingInput]:
     group = GROUPS[task.name]
+    members = () if task.members is None else read_members(task.members, task.journal)
     with contextlib.nullcontext() if task.snapshot is None else Reader(task.snapshot) as reader:
-        return fetch_results(task.stored, reader, group.kinds, mention=group.mention)
+        return fetch_results(members, reader, group.kinds, mention=group.mention)

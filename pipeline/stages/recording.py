@@ -22,7 +22,7 @@ from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.carried import carried_table
 from pipeline.analyse.recording import analyse_recording, analyse_table
 from pipeline.paths import source_text
-from pipeline.stages.tasks import RecordingTask, as_facts, input_hash, rig_hash
+from pipeline.stages.tasks import RecordingTask, as_facts, input_hash, mapping_hash, rig_hash
 from pipeline.store.journal import (
     DAMAGED,
     FAILED,
@@ -180,7 +180,8 @@ def _outcome(
     retry: bool = False,
     **facts: Any,
 ) -> Outcome:
-    made_from = "" if retry else input_hash(task.source, task.sha256, rig_hash(task.source, progress.rig_id, task.rigs))
+    rig = rig_hash(task.source, progress.rig_id, task.rigs)
+    made_from = "" if retry else input_hash(mapping_hash(task.source), task.sha256, rig)
     return Outcome(
         task.item_id,
         task.stage,

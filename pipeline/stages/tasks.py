@@ -13,7 +13,7 @@ from typing import Any
 
 from ingest.discover import SourceFile
 from ingest.rigs import find_rig
-from pipeline.analyse.inputs import RecordingInput, Stored
+from pipeline.analyse.inputs import RecordingInput
 from pipeline.freshness import digest
 from pipeline.paths import source_text
 from pipeline.store.journal import FAILED, QUARANTINED, Freshness, Outcome, write_entry
@@ -162,8 +162,9 @@ class DerivedTask:
     journal : folder that gets the results
     calibrations : results of the calibrations of their rigs
     settings : settings of the stage
-    snapshot, stored : of a group, the published database, None where nothing of it is needed, and where the results of its
-        recordings are: there may be many thousand, so the worker fetches them, not the night
+    snapshot, members : of a group, the published database, None where nothing of it is needed, and a file that says where
+        the results of its recordings are (`pipeline.store.inputs`): there may be many thousand, so the worker fetches them,
+        not the night
     """
 
     item_id: str
@@ -174,17 +175,21 @@ class DerivedTask:
     calibrations: tuple[RecordingInput, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     snapshot: Path | None = None
-    stored: tuple[Stored, ...] = ()
+    members: Path | None = None
 
     @property
     def name(self) -> str:
         return self.item_id.partition(":")[2]
 
 
-def input_hash(source: SourceFile, sha256: str, rig_hash: str) -> str:
+def mapping_hash(source: SourceFile) -> str:
+    """Hash of a file's mapping; of its error where it is wrong or there is none."""
+    return source.mapping.hash if source.mapping is not None else digest(str(source.error))
+
+
+def input_hash(mapping_hash: str, sha256: str, rig_hash: str) -> str:
     """Hash of what the results of a file are made from: its content, its mapping and its rig's file."""
-    mapping = source.mapping.hash if source.mapping is not None else digest(str(source.error))
-    return digest([sha256, mapping, rig_hash])
+    return digest([sha256, mapping_hash, rig_hash])
 
 
 def rig_hash(source: SourceFile, rig_id: str | None, rigs: Path | None) -> str:
@@ -208,7 +213,7 @@ def recording_casualty(task: RecordingTask, reason: str) -> Outcome:
         "source_sha256": task.sha256,
         "source_present": True,
     }
-    made_from = input_hash(task.source, task.sha256, rig_hash(task.source, None, task.rigs))
+    made_from = input_hash(mapping_hash(task.source), task.sha256, rig_hash(task.source, None, task.rigs))
     outcome = Outcome(
         task.item_id,
         task.stage,

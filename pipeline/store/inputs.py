@@ -6,7 +6,8 @@ which may be all recordings there are: its worker fetches them itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+import json
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,9 +36,27 @@ class Included:
     made_from: Freshness
     entry: Path | None = None
 
-    @property
-    def stored(self) -> Stored:
-        return self.recording_id, self.entry
+
+def kinds_of(text: str | None) -> frozenset[str]:
+    """Kinds of results from a text with a comma between two; none where it is empty."""
+    return frozenset(text.split(",")) if text else frozenset()
+
+
+def write_members(file: Path, recordings: Iterable[Included]) -> bool:
+    """Writes where the results of a group's recordings are, a line each; whether some are in the published snapshot."""
+    published = False
+    with file.open("w", encoding="utf-8") as lines:
+        for one in recordings:
+            published |= one.entry is None
+            lines.write(json.dumps([one.recording_id, None if one.entry is None else one.entry.name]) + "\n")
+    return published
+
+
+def read_members(file: Path, journal: Path) -> tuple[Stored, ...]:
+    """What `write_members` wrote of recordings whose entries are in this journal."""
+    with file.open(encoding="utf-8") as lines:
+        found = [json.loads(line) for line in lines]
+    return tuple((name, None if entry is None else journal / entry) for name, entry in found)
 
 
 def fetch(

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sys
+import os
 import zlib
 from collections.abc import Container, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from schemas.errors import LabError
 OK, DAMAGED, QUARANTINED, PENDING, FAILED = "ok", "damaged", "quarantined", "pending", "failed"
 USABLE = (OK, DAMAGED)
 _MAGIC = b"dealab-journal-2\n"
-_COMMON = ("status", "protocol", "rig_id")
+_ENDING = ".entry"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,33 +67,14 @@ class Outcome:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def held_once(outcome: Outcome) -> Outcome:
-    """The same outcome, with texts that thousands have in common held once for all of them.
-
-    What comes out of another process or a file brings its own copy of each.
-    """
-    made = outcome.freshness
-    facts: dict[str, Any] = {}
-    for name, value in outcome.facts.items():
-        key = sys.intern(name)
-        if isinstance(value, str) and name in _COMMON:
-            facts[key] = sys.intern(value)
-        elif isinstance(value, list | tuple) and all(isinstance(one, str) for one in value):
-            facts[key] = tuple(map(sys.intern, value))
-        else:
-            facts[key] = value
-    return replace(
-        outcome,
-        stage=sys.intern(outcome.stage),
-        freshness=Freshness(made.input_hash, sys.intern(made.code_version), sys.intern(made.settings_hash)),
-        outcome=sys.intern(outcome.outcome),
-        facts=facts,
-    )
+def entry_name(item_id: str) -> str:
+    """The name of an item's file: a hash, since item ids hold whatever people called their specimens."""
+    return f"{hashlib.sha256(item_id.encode()).hexdigest()[:40]}{_ENDING}"
 
 
 def entry_path(folder: Path, item_id: str) -> Path:
-    """The file of an item: named by a hash, since item ids hold whatever people called their specimens."""
-    return folder / f"{hashlib.sha256(item_id.encode()).hexdigest()[:40]}.entry"
+    """The file of an item."""
+    return folder / entry_name(item_id)
 
 
 def write_entry(folder: Path, outcome: Outcome, tables: Mapping[str, pa.Table]) -> Path:
@@ -144,12 +125,13 @@ def read_tables(path: Path, only: Container[str] | None = None) -> dict[str, pa.
 
 
 def entries(folder: Path) -> Iterator[tuple[Path, Outcome]]:
-    """All whole entries of a journal."""
+    """All whole entries of a journal, in no order."""
     if folder.is_dir():
-        for path in sorted(folder.glob("*.entry")):
-            outcome = read_outcome(path)
-            if outcome is not None:
-                yield path, outcome
+        with os.scandir(folder) as found:
+            for one in found:
+                outcome = read_outcome(Path(one.path)) if one.name.endswith(_ENDING) else None
+                if outcome is not None:
+                    yield Path(one.path), outcome
 
 
 def _content(path: Path) -> bytes | None:
@@ -173,7 +155,7 @@ def _header(content: bytes) -> tuple[dict[str, Any], int]:
 def _outcome(content: bytes) -> Outcome:
     values, _ = _header(content)
     del values["tables"]
-    return held_once(Outcome(**{**values, "freshness": Freshness(**values["freshness"])}))
+    return Outcome(**{**values, "freshness": Freshness(**values["freshness"])})
 
 
 def _stream(table: pa.Table) -> pa.Buffer:

@@ -1,12 +1,12 @@
 """What the lab knows before a night: items and what they were made from, recordings, raw files as last seen.
 
-Read from the published snapshot. An older release's database may lack tables and columns; they read as empty.
+Read from the published snapshot: into a night's ledger, or into memory for somebody who asks. An older release's database
+may lack tables and columns; they read as empty.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,31 @@ from typing import Any
 
 from pipeline.lab import Lab
 from pipeline.store.journal import Freshness
+from pipeline.store.ledger import Ledger
 from pipeline.store.reader import Reader
+
+_LEARNT: Mapping[str, tuple[str, ...]] = {
+    "recordings": (
+        "recording_id",
+        "specimen_id",
+        "rig_id",
+        "source_path",
+        "source_sha256",
+        "samples_path",
+        "status",
+        "problem",
+        "run_id",
+        "source_present",
+    ),
+    "items": ("item_id", "stage", "input_hash", "code_version", "settings_hash", "outcome", "error"),
+    "files": ("path", "size", "mtime_ns", "inode", "sha256"),
+    "carried": ("recording_id", "kind"),
+}
+"""Tables of the snapshot that a night wants, and their columns in the order that the ledger has as well."""
+_MEMORY = "64MB"
+"""What DuckDB may use to read for a night."""
+_BOOKED = {"recordings": "known"}
+"""The ledger's name of a table, where it is another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +81,11 @@ class SeenFile:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Everything that is known. `carried` has the kinds of carried results by recording."""
+    """Everything that is known, for a look at the whole of it."""
 
     items: Mapping[str, BookedItem] = field(default_factory=dict)
     recordings: Sequence[KnownRecording] = ()
     files: Mapping[str, SeenFile] = field(default_factory=dict)
-    carried: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    last_run: int = 0
 
 
 def load(lab: Lab) -> Manifest:
@@ -86,12 +108,21 @@ def load(lab: Lab) -> Manifest:
             KnownRecording(**row) for row in _shared(known, "source_sha256", "protocol", "rig_id", "status", "run_id")
         )
         files = {row.pop("path"): SeenFile(**row) for row in _shared(reader.each("files"), "sha256")}
-        carried: dict[str, set[str]] = {}
-        for row in _shared(reader.each("carried", ("recording_id", "kind")), "kind"):
-            carried.setdefault(row["recording_id"], set()).add(row["kind"])
+    return Manifest(items, recordings, files)
+
+
+def learn(lab: Lab, ledger: Ledger) -> int:
+    """Books what a lab knows; returns the number of its last run, 0 where nothing has been published.
+
+    Raises `LabError` for an unreadable database.
+    """
+    if not lab.database.exists():
+        return 0
+    with Reader(lab.database, memory=_MEMORY) as reader:
+        for name, columns in _LEARNT.items():
+            ledger.add(_BOOKED.get(name, name), reader.values(name, columns))
         runs = [int(row["run_id"]) for row in reader.each("runs", ("run_id",)) if str(row["run_id"]).isdigit()]
-    sets = {recording_id: one_set(frozenset(kinds)) for recording_id, kinds in carried.items()}
-    return Manifest(items, recordings, files, sets, max(runs, default=0))
+    return max(runs, default=0)
 
 
 def _shared(rows: Iterable[dict[str, Any]], *names: str) -> Iterator[dict[str, Any]]:
@@ -103,12 +134,6 @@ def _shared(rows: Iterable[dict[str, Any]], *names: str) -> Iterator[dict[str, A
         yield row
 
 
-@functools.cache
-def one_set(kinds: frozenset[str]) -> frozenset[str]:
-    """The same set for all recordings that carry the same kinds of results, of which there are few."""
-    return kinds
-
-
 def known_recordings(lab: Lab) -> frozenset[str]:
     """Ids of all recordings in a lab. Raises `LabError` where nothing has been published."""
     lab.require_database()
@@ -117,5 +142,5 @@ def known_recordings(lab: Lab) -> frozenset[str]:
 
 
 def published(lab: Lab) -> contextlib.AbstractContextManager[Reader | None]:
-    """A reader of the snapshot for a `with` block; None where nothing has been published."""
-    return Reader(lab.database) if lab.database.exists() else contextlib.nullcontext()
+    """A reader of the snapshot for a `with` block of a night; None where nothing has been published."""
+    return Reader(lab.database, memory=_MEMORY) if lab.database.exists() else contextlib.nullcontext()

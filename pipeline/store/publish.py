@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,16 +24,20 @@ from schemas.errors import LabError
 from schemas.tables import TABLES, Table
 from schemas.views import VIEWS, fingerprint
 
-_BATCH_BYTES = 32 << 20
-BATCH_PIECES = 1000
+_BATCH_BYTES = 8 << 20
+BATCH_PIECES = 500
 """What is inserted at once. A small arrow table, or a row as a dictionary, holds ten times the bytes of its values, so their number
 counts as well."""
-_THREADS, _MEMORY = 1, "128MB"
+_THREADS, _MEMORY = 1, ("32MB", "128MB", "512MB", "2GB")
 """What DuckDB may use while it edits the copy, however many rows there are and whatever machine it is on; the rest goes to its file.
-It wants 125 MB for each thread."""
+The first is enough but for very long texts, of which it holds a row group at a time."""
+_OUT_OF_MEMORY = ("failed to allocate", "failed to pin")
+_ROW_GROUP = 4096
+"""Rows that DuckDB compresses together, which it does in memory: of the usual 122880 those with much text are too many."""
 READABLE_FROM = {"storage_compatibility_version": "v1.2.0"}
 """The file opens with any DuckDB from 1.2 on: people's command lines and other programs are seldom the newest."""
-
+_TODAY = {"schema": fingerprint(), "row_group": str(_ROW_GROUP)}
+"""What a database of today says of itself. One of other row groups is made anew: DuckDB would join small ones to large."""
 
 Rows: TypeAlias = "pa.Table | Sequence[Mapping[str, Any]]"
 """Many rows as an arrow table, or a few as dictionaries (without arrow's import of pandas, which takes a while)."""
@@ -48,11 +52,21 @@ class Deletion:
     where: str = "true"
 
 
+class Streamed:
+    """What a function gives piece by piece, from the beginning each time that it is gone through."""
+
+    def __init__(self, function: Callable[..., Iterator[Any]], *given: Any) -> None:
+        self._function, self._given = function, given
+
+    def __iter__(self) -> Iterator[Any]:
+        return self._function(*self._given)
+
+
 @dataclass(frozen=True)
 class Changes:
-    """What a night changes: deletions, then insertions, which may be many and are streamed."""
+    """What a night changes: deletions, then insertions. Both may be many and are streamed, each time that they are asked for."""
 
-    deletions: Sequence[Deletion] = ()
+    deletions: Iterable[Deletion] = ()
     insertions: Iterable[Mapping[str, Rows]] = field(default_factory=tuple)
 
 
@@ -67,17 +81,8 @@ def publish(lab: Lab, changes: Changes) -> None:
     _refuse_open_writer(lab.database)
     lab.work.mkdir(parents=True, exist_ok=True)
     building = lab.work / "building.duckdb"
-    discard(building)
     try:
-        connection = _base(lab.database, building)
-        try:
-            connection.execute(f"SET threads = {_THREADS}")
-            connection.execute(f"SET memory_limit = '{_MEMORY}'")
-            _apply(connection, changes)
-            rows = _finish(connection)
-        finally:
-            connection.close()
-        _check(building, rows)
+        _build(lab.database, building, changes)
         flush(building)
         _refuse_open_writer(lab.database)
         building.replace(lab.database)
@@ -92,11 +97,41 @@ def publish(lab: Lab, changes: Changes) -> None:
         discard(building)
 
 
+def _build(published: Path, building: Path, changes: Changes) -> None:
+    """Builds and checks the next database, in as little memory as will do."""
+    import duckdb
+
+    for memory in _MEMORY:
+        discard(building)
+        try:
+            connection = _base(published, building, memory)
+            try:
+                _apply(connection, changes)
+                rows = _finish(connection)
+            finally:
+                connection.close()
+            _check(building, rows, memory)
+            return
+        except duckdb.Error as error:
+            if memory == _MEMORY[-1] or not _short_of_memory(error):
+                raise
+
+
+def _short_of_memory(error: BaseException | None) -> bool:
+    """Whether DuckDB wanted more than it may use. What comes of that later, such as an aborted transaction, hides it."""
+    import duckdb
+
+    if error is None:
+        return False
+    told = isinstance(error, duckdb.OutOfMemoryException) or any(text in str(error) for text in _OUT_OF_MEMORY)
+    return told or _short_of_memory(error.__context__)
+
+
 def discard(database: Path) -> None:
     """Removes a database file that is not published, with what DuckDB may have left beside it."""
     for path in (database, database.with_name(database.name + ".wal")):
         path.unlink(missing_ok=True)
-    shutil.rmtree(database.with_name(database.name + ".tmp"), ignore_errors=True)
+    shutil.rmtree(_spilled(database), ignore_errors=True)
 
 
 def _refuse_open_writer(database: Path) -> None:
@@ -109,48 +144,70 @@ def _refuse_open_writer(database: Path) -> None:
         )
 
 
-def _base(published: Path, building: Path) -> Any:
+def _base(published: Path, building: Path, memory: str) -> Any:
     """A writable connection to a file that holds what is published, under today's schema."""
     import duckdb
 
     if not published.exists():
-        connection = duckdb.connect(str(building), config=READABLE_FROM)
-        _define(connection)
-        return connection
+        return _defined(building, memory)
     _copy(published, building)
-    connection = _opened(building, published)
-    if _schema_of(connection) == fingerprint():
-        return connection
-    connection.close()
-    discard(building)
-    connection = duckdb.connect(str(building), config=READABLE_FROM)
-    _define(connection)
-    _migrate(connection, published)
-    return connection
-
-
-def _opened(copy: Path, published: Path) -> Any:
-    """A writable connection to the copy of a published database."""
-    import duckdb
-
     try:
-        return duckdb.connect(str(copy))
+        connection = _opened(building, memory)
     except duckdb.Error as error:
         raise LabError(
             f"the published database cannot be read: {str(error).splitlines()[0]}",
             where=str(published),
             remedy="Move it away; the next nightly over all raw folders builds it anew",
         ) from None
+    if _about(connection) == _TODAY:
+        return connection
+    connection.close()
+    discard(building)
+    connection = _defined(building, memory)
+    _migrate(connection, published)
+    return connection
 
 
-def _schema_of(connection: Any) -> str | None:
+def _opened(database: Path, memory: str) -> Any:
+    """A writable connection to the file."""
+    import duckdb
+
+    connection = _bounded(duckdb.connect(), database, memory)
+    new = f", STORAGE_VERSION '{READABLE_FROM['storage_compatibility_version']}'"
+    options = f"ROW_GROUP_SIZE {_ROW_GROUP}{'' if database.exists() else new}"
+    connection.execute(f"ATTACH '{_quoted(str(database))}' AS building ({options})")
+    connection.execute("USE building")
+    return connection
+
+
+def _defined(database: Path, memory: str) -> Any:
+    """A writable connection to a new database with empty tables."""
+    connection = _opened(database, memory)
+    _define(connection)
+    return connection
+
+
+def _bounded(connection: Any, database: Path, memory: str) -> Any:
+    """The connection, kept to what DuckDB may use."""
+    connection.execute(f"SET threads = {_THREADS}")
+    connection.execute(f"SET memory_limit = '{memory}'")
+    connection.execute(f"SET temp_directory = '{_quoted(_spilled(database))}'")
+    return connection
+
+
+def _spilled(database: Path) -> str:
+    """The folder of what DuckDB has no memory for."""
+    return f"{database}.tmp"
+
+
+def _about(connection: Any) -> dict[str, str]:
+    """What a database says of itself."""
     import duckdb
 
     try:
-        row = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
+        return dict(connection.execute("SELECT key, value FROM lab").fetchall())
     except duckdb.CatalogException:
-        return None
-    return None if row is None else str(row[0])
+        return {}
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -175,7 +232,8 @@ def _define(connection: Any) -> None:
         connection.execute(table.ddl())
     for view in VIEWS:
         connection.execute(view.ddl())
-    connection.execute("INSERT INTO lab VALUES ('schema', ?)", [fingerprint()])
+    for key, value in _TODAY.items():
+        connection.execute("INSERT INTO lab VALUES (?, ?)", [key, value])
 
 
 def _migrate(connection: Any, published: Path) -> None:
@@ -259,11 +317,11 @@ def _finish(connection: Any) -> dict[str, int]:
     return rows
 
 
-def _check(database: Path, rows: Mapping[str, int]) -> None:
+def _check(database: Path, rows: Mapping[str, int], memory: str) -> None:
     import duckdb
 
     with duckdb.connect(str(database), read_only=True) as connection:
-        broken = list(violations(connection, rows))
+        broken = list(violations(_bounded(connection, database, memory), rows))
     if broken:
         raise LabError(
             "the new database does not pass its checks: " + "; ".join(broken),

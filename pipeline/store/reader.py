@@ -14,14 +14,18 @@ import pyarrow as pa
 from schemas.errors import LabError
 from schemas.tables import TABLES, Column
 
-_AT_ONCE = 2000
+_AT_ONCE = 500
 
 
 class Reader:
-    """Rows of a published snapshot under today's column names; a context manager."""
+    """Rows of a published snapshot under today's column names; a context manager.
 
-    def __init__(self, database: Path) -> None:
+    `memory` is what DuckDB may use, None for what it likes: it keeps what it has read.
+    """
+
+    def __init__(self, database: Path, *, memory: str | None = None) -> None:
         self._database = database
+        self._memory = memory
         self._connection: Any = None
         self._columns: dict[str, set[str]] = {}
 
@@ -30,6 +34,9 @@ class Reader:
 
         try:
             self._connection = duckdb.connect(str(self._database), read_only=True)
+            if self._memory is not None:
+                self._connection.execute("SET threads = 1")
+                self._connection.execute(f"SET memory_limit = '{self._memory}'")
             found = self._connection.execute("SELECT table_name, column_name FROM duckdb_columns()").fetchall()
         except duckdb.Error as error:
             raise LabError(
@@ -70,16 +77,22 @@ class Reader:
         """All rows one by one, for what has many; nothing else may be asked meanwhile."""
         return self._each(name, columns, self._query(name, columns, None, ()))
 
+    def values(self, name: str, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
+        """The same without names and in no order; the columns are given in that of the table."""
+        return self._values(self._query(name, columns, None, (), ordered=False))
+
     def _each(
         self, name: str, columns: Sequence[str] | None, query: tuple[str, list[list[str]]] | None
     ) -> Iterator[dict[str, Any]]:
+        names = [column.name for column in self._wanted(name, columns)]
+        return (dict(zip(names, row, strict=True)) for row in self._values(query))
+
+    def _values(self, query: tuple[str, list[list[str]]] | None) -> Iterator[tuple[Any, ...]]:
         if query is None:
             return
-        names = [column.name for column in self._wanted(name, columns)]
         found = self._connection.execute(*query)
         while some := found.fetchmany(_AT_ONCE):
-            for row in some:
-                yield dict(zip(names, row, strict=True))
+            yield from some
 
     def _wanted(self, name: str, columns: Sequence[str] | None) -> list[Column]:
         return [c for c in TABLES[name].columns if columns is None or c.name in columns]
@@ -91,6 +104,8 @@ class Reader:
         key: str | None,
         among: Iterable[str],
         where: str = "true",
+        *,
+        ordered: bool = True,
     ) -> tuple[str, list[list[str]]] | None:
         """The SELECT and its parameters; None where there are no such rows."""
         present = self._columns.get(name, set())
@@ -100,6 +115,7 @@ class Reader:
             f'"{c.name}"' if c.name in present else f'CAST(NULL AS {c.type}) AS "{c.name}"'
             for c in self._wanted(name, columns)
         )
-        order = ", ".join(f'"{c}"' for c in TABLES[name].order if c in present)
+        order = ", ".join(f'"{c}"' for c in TABLES[name].order if ordered and c in present)
         condition = f"WHERE {where}" if key is None else f'WHERE "{key}" IN (SELECT unnest(?::VARCHAR[])) AND {where}'
-        return f"SELECT {selected} FROM {name} {condition} ORDER BY {order}", [] if key is None else [list(among)]
+        sort = f"ORDER BY {order}" if order else ""
+        return f"SELECT {selected} FROM {name} {condition} {sort}", [] if key is None else [list(among)]

@@ -456,6 +456,22 @@ def finished(lab: Lab) -> int:
     return len(list(lab.journal.glob("*.entry"))) if lab.journal.is_dir() else 0
 
 
+def test_whatever_a_killed_night_was_at_goes(night: Any) -> None:
+    for name in (
+        "members-x/survival",
+        "samples/deeper/x",
+        "journal/half.entry",
+        "ledger.sqlite",
+        "building.duckdb.tmp/x",
+    ):
+        path = night.lab.work / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("half")
+    night()
+    assert not night.lab.work.exists()
+    assert healthy(night.lab) == []
+
+
 def test_an_interrupted_night_keeps_what_is_finished(made: tuple[Path, Path], tmp_path: Path) -> None:
     lab = Lab(tmp_path / "lab")
     process = run_nightly(made[0], lab.folder)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NoReturn
@@ -13,9 +14,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ingest.discover import MAPPED, NATIVE, UNMAPPED, check_unchanged, discover, file_sha256, growing, lacks_end
+from ingest.discover import (
+    MAPPED,
+    NATIVE,
+    UNMAPPED,
+    check_unchanged,
+    file_sha256,
+    growing,
+    lacks_end,
+    with_mapping,
+)
 from ingest.quarantine import entries, entry_name, quarantine, release, safe_name
 from schemas.errors import PendingError, RefusedError, UsageError
+from tests.found_files import discover
 
 TOML = """[[files]]
 match = "*.csv"
@@ -118,6 +129,22 @@ def test_a_file_in_a_folder_that_cannot_be_listed_has_its_mapping(
     monkeypatch.setattr("ingest.discover.os.scandir", closed)
     assert whole.files[0].mapping is not None
     assert discover([tmp_path / "a.csv"]) == whole
+
+
+def test_a_mapping_is_found_again_and_one_that_came_or_went_meanwhile_waits(tmp_path: Path) -> None:
+    (tmp_path / "recordings.toml").write_text(TOML)
+    (tmp_path / "a.csv").write_text("1\n")
+    (tmp_path / "b.mcap").write_bytes(b"x")
+    mapped, native = discover([tmp_path]).files
+    bare = replace(mapped, mapping=None)
+    assert with_mapping(bare) == mapped
+    assert with_mapping(native) == native
+    (tmp_path / "recordings.toml").write_text("[[files]]\nmatch = 3\n")
+    assert isinstance(with_mapping(bare).error, RefusedError)
+    (tmp_path / "recordings.toml").unlink()
+    assert isinstance(with_mapping(bare).error, PendingError)
+    (tmp_path / "b.mcap.toml").write_text('kind = "ignore"\n')
+    assert isinstance(with_mapping(native).error, PendingError)
 
 
 def test_hostile_names_in_notes_are_escaped(tmp_path: Path) -> None:

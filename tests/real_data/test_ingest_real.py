@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ingest.canonical import canonical
-from ingest.discover import MAPPED, discover
+from ingest.discover import MAPPED
 from ingest.excel_reader import sheet_rows
 from ingest.inspect import inspect
 from ingest.mapping import find_mapping
@@ -18,6 +18,7 @@ from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.transform.channels import drive
 from schemas.errors import RefusedError
 from schemas.recording import RawRecording, Recording
+from tests.found_files import discover
 
 Layout = Callable[[str], Path]
 

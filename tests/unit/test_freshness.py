@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.freshness import _closure, code_version, digest
+from pipeline.freshness import _closure, code_version, digest, digest_of_lists
 from pipeline.settings import Settings
 from pipeline.stages.tasks import MODULES
 from pipeline.store.journal import Freshness
@@ -51,3 +51,8 @@ def test_settings_count_where_they_are_used() -> None:
     assert usual.of_stage("recording") == other.of_stage("recording") == {}
     assert digest(usual.of_stage("specimen")) != digest(other.of_stage("specimen"))
     assert digest({"a": 1, "b": 2}) == digest({"b": 2, "a": 1})
+
+
+def test_a_digest_of_lists_is_that_of_the_whole() -> None:
+    for whole in ([], [[]], [[["a", 'é"\n']], []], [[["a", "b"], ["c", "d"]], [["e", "f"]]]):
+        assert digest_of_lists(iter([iter(part) for part in whole])) == digest(whole)

@@ -2,47 +2,118 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-from ingest.discover import SourceFile
-from pipeline.plan import Look, Reading, Row, Verdicts, contents, judge, rows, unseen
-from pipeline.store.manifest import KnownRecording
-from schemas.errors import PendingError, RefusedError
+import pytest
+
+from pipeline.plan import Reading, Row
+from pipeline.planning import place_contents, set_aside, take_readings, write_rows
+from pipeline.stages.tasks import as_facts
+from pipeline.store.ledger import TABLES, Ledger
+from schemas.errors import DealabError, PendingError, RefusedError
 
 
-def look(path: str, sha256: str | None, error: Exception | None = None) -> Look:
-    source = SourceFile(Path(path), Path("/raw"), 1, 1, "mcap", "native")
-    return Look(source, path, sha256, error)  # type: ignore[arg-type]
+@pytest.fixture(autouse=True)
+def ledger(tmp_path: Path) -> Iterator[Ledger]:
+    """The ledger that `decide` fills, empty."""
+    global LEDGER
+    with Ledger(tmp_path / "work" / "ledger.sqlite") as LEDGER:
+        yield LEDGER
+    assert list(tmp_path.iterdir()) == [], "nothing is left of it"
 
 
-def known(path: str, sha256: str | None, recording_id: str | None, status: str, **more: object) -> KnownRecording:
-    fields: dict[str, object] = dict.fromkeys(KnownRecording.__dataclass_fields__)
-    fields |= {
-        "source_path": path,
-        "source_sha256": sha256,
-        "recording_id": recording_id,
-        "status": status,
-        "source_present": True,
-    }
-    return KnownRecording(**(fields | more))  # type: ignore[arg-type]
+LEDGER: Ledger
+
+
+def columns(table: str) -> list[str]:
+    return [part.split()[0] for part in TABLES[table].split(", ") if not part.startswith("PRIMARY")]
+
+
+def add(table: str, **values: object) -> None:
+    LEDGER.add(table, [tuple(values.get(name) for name in columns(table))])
+
+
+@dataclass(frozen=True)
+class Look:
+    path: str
+    sha256: str | None
+    error: DealabError | None = None
+
+
+@dataclass(frozen=True)
+class Known:
+    path: str
+    sha256: str | None
+    recording_id: str | None
+    status: str
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    refusals: dict[str, DealabError]
+    superseded: set[str]
+    usable: set[str]
+
+    def accepted(self, sha256: str) -> bool:
+        return sha256 in self.usable
+
+
+def look(path: str, sha256: str | None, error: DealabError | None = None) -> Look:
+    return Look(path, sha256, error)
+
+
+def known(path: str, sha256: str | None, recording_id: str | None, status: str, problem: str | None = None) -> Known:
+    return Known(path, sha256, recording_id, status, problem)
 
 
 def decide(
     looks: list[Look],
     readings: dict[str, Reading],
-    before: list[KnownRecording] | None = None,
+    before: list[Known] | None = None,
     *,
     gone: bool = True,
     excluded: tuple[str, ...] = (),
+    changing: tuple[str, ...] = (),
 ) -> tuple[dict[tuple[str, str | None], Row], Verdicts]:
-    before = before or []
-    places = contents(looks, before, lambda _path: not gone)
-    places = {**unseen(before, places.keys()), **places}
-    verdicts = judge({sha: readings[sha] for sha in places}, places, before)
-    found = rows(looks, places, verdicts, before, roots=["/raw"], excluded=excluded)
-    keys = [row.key for row in found]
+    for table in TABLES:
+        LEDGER.run(f"DELETE FROM {table}")
+    for one in looks:
+        told = {} if one.error is None else {"problem": str(one.error), "refusal": json.dumps(as_facts(one.error))}
+        pending = one.error is not None and one.error.transient
+        add("looks", path=one.path, place=one.path.encode(), sha256=one.sha256, pending=pending, **told)
+    for row in before or []:
+        add(
+            "known",
+            source_path=row.path,
+            source_sha256=row.sha256,
+            recording_id=row.recording_id,
+            status=row.status,
+            problem=row.problem,
+            source_present=True,
+            run_id="1",
+        )
+    for sha256, reading in readings.items():
+        about = {"recording_id": reading.recording_id, "status": reading.status, "problem": reading.problem}
+        add("outcomes", item_id=f"recording:{sha256}", entry=sha256, done=True, **about)
+    place_contents(LEDGER, lambda _path: not gone)
+    set_aside(LEDGER, changing)
+    take_readings(LEDGER)
+    write_rows(LEDGER, ["/raw"], excluded)
+    rows = LEDGER.each("SELECT source_path, source_sha256, status, problem, recording_id, source_present FROM rows")
+    found = [Row(*row[:5], bool(row[5])) for row in rows]
+    keys = [(row.source_path, row.source_sha256) for row in found]
     assert len(keys) == len(set(keys)), "one row per file and content"
-    return {row.key: row for row in found}, verdicts
+    refused = LEDGER.each("SELECT sha256, refusal FROM judged")
+    verdicts = Verdicts(
+        {sha256: RefusedError(**json.loads(text)) for sha256, text in refused},
+        {sha256 for (sha256,) in LEDGER.each("SELECT sha256 FROM superseded")},
+        {sha256 for (sha256,) in LEDGER.each("SELECT sha256 FROM readings WHERE accepted")},
+    )
+    return dict(zip(keys, found, strict=True)), verdicts
 
 
 OK_X = Reading("X", "ok", None)
@@ -64,7 +135,7 @@ def test_same_id_with_other_content_is_refused_and_names_the_first() -> None:
     assert refused.status == "quarantined"
     assert '"X"' in (refused.problem or "")
     assert "/raw/a.mcap" in (refused.problem or "")
-    assert isinstance(verdicts.readings["2"].refusal, RefusedError)
+    assert isinstance(verdicts.refusals["2"], RefusedError)
 
 
 def test_the_content_that_came_first_keeps_its_id_whatever_its_name() -> None:
@@ -149,4 +220,18 @@ def test_refused_content_at_two_places_is_refused_once() -> None:
     refused = Reading(None, "quarantined", "bad")
     found, verdicts = decide([look("/raw/a.mcap", "1"), look("/raw/bb.mcap", "1")], {"1": refused})
     assert sorted(row.status for row in found.values()) == ["duplicate", "quarantined"]
+    assert not verdicts.accepted("1")
+
+
+def test_a_known_file_that_changes_while_it_is_read_waits_and_keeps_its_results() -> None:
+    before = [known("/raw/a.mcap", "1", "X", "ok")]
+    found, verdicts = decide([look("/raw/a.mcap", "1")], {"1": OK_X}, before, changing=("1",))
+    assert found["/raw/a.mcap", None].status == "pending"
+    assert found["/raw/a.mcap", "1"].status == "ok"
+    assert verdicts.accepted("1")
+
+
+def test_a_new_file_that_changes_while_it_is_read_only_waits() -> None:
+    found, verdicts = decide([look("/raw/a.mcap", "1")], {"1": OK_X}, changing=("1",))
+    assert {key: row.status for key, row in found.items()} == {("/raw/a.mcap", None): "pending"}
     assert not verdicts.accepted("1")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,8 +17,9 @@ from pipeline.analyse.carried import carried_table, results_of
 from pipeline.lab import Lab
 from pipeline.store.carry import Codec
 from pipeline.store.checks import violations
-from pipeline.store.journal import Freshness, Outcome, entries, held_once, read_outcome, read_tables, write_entry
-from pipeline.store.manifest import load
+from pipeline.store.journal import Freshness, Outcome, entries, read_outcome, read_tables, write_entry
+from pipeline.store.ledger import Ledger
+from pipeline.store.manifest import learn, load
 from pipeline.store.publish import BATCH_PIECES, Changes, Deletion, batched, publish
 from pipeline.tabulate.recordings import recordings_rows
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
@@ -174,18 +174,6 @@ def test_journal_keeps_outcome_and_rows(tmp_path: Path) -> None:
     assert list(entries(tmp_path)) == [(path, OUTCOME)]
 
 
-def test_texts_that_outcomes_have_in_common_are_held_once() -> None:
-    """Each comes out of its own process with its own copies."""
-    about = Outcome("recording:1", "recording", Freshness("a", "code", "settings"), "ok", 1.5, None,
-                    {"status": "ok", "carried": ("Step", "Chirp"), "problem": None, "refusal": {"message": "no"}})  # fmt: skip
-    one, other = (held_once(pickle.loads(pickle.dumps(about))) for _ in range(2))
-    assert one == other == about
-    assert one.freshness.code_version is other.freshness.code_version
-    assert one.facts["status"] is other.facts["status"]
-    assert all(a is b for a, b in zip(one.facts["carried"], other.facts["carried"], strict=True))
-    assert all(a is b for a, b in zip(one.facts, other.facts, strict=True))
-
-
 def test_the_manifest_holds_what_recordings_have_in_common_once(lab: Lab) -> None:
     rows = [recording(name, protocol="chirp", rig_id="rig-a") for name in "abc"]
     files = [{"path": f"/raw/{name}", "size": 1, "mtime_ns": 2, "inode": 3, "sha256": name * 8} for name in "abc"]
@@ -196,8 +184,36 @@ def test_the_manifest_holds_what_recordings_have_in_common_once(lab: Lab) -> Non
     assert (first.protocol, first.rig_id) == ("chirp", "rig-a")
     assert first.protocol is second.protocol
     assert first.source_sha256 is known.files[first.source_path].sha256
-    assert known.carried == {"a": frozenset("xy"), "b": frozenset("xy")}
-    assert known.carried["a"] is known.carried["b"]
+
+
+def test_a_night_learns_what_is_published(lab: Lab) -> None:
+    """Of every table the columns in the order of the ledger's."""
+    files = [{"path": "/raw/a", "size": 1, "mtime_ns": 2, "inode": 3, "sha256": "a" * 8}]
+    carried = [{"recording_id": "a", "kind": kind} for kind in ("x", "y")]
+    items = [{"item_id": "recording:1", "stage": "recording", "input_hash": "i", "outcome": "ok"}]
+    publish(lab, added(recording("a", run_id="000007"), files=files, items=items, runs=[{"run_id": "000007"}],
+                       carried=TABLES["carried"].rows(carried)))  # fmt: skip
+    with Ledger(lab.ledger) as ledger:
+        assert learn(lab, ledger) == 7
+        assert ledger.row("SELECT source_path, source_sha256, recording_id, status, run_id FROM known") == (
+            "/raw/a", "a" * 8, "a", "ok", "000007",
+        )  # fmt: skip
+        assert list(ledger.each("SELECT item_id, stage, input_hash, outcome FROM items")) == [
+            ("recording:1", "recording", "i", "ok")
+        ]
+        assert list(ledger.each("SELECT * FROM files")) == [("/raw/a", 1, 2, 3, "a" * 8)]
+        assert set(ledger.each("SELECT * FROM carried")) == {("a", "x"), ("a", "y")}
+    assert not lab.work.exists()
+
+
+def test_a_ledger_that_cannot_be_written_is_the_labs_fault(tmp_path: Path) -> None:
+    (tmp_path / "work").write_text("in the way")
+    with pytest.raises(LabError, match="cannot be written"), Ledger(tmp_path / "work" / "ledger.sqlite"):
+        pass
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        ledger.run("PRAGMA max_page_count = 60")
+        with pytest.raises(LabError, match="full"):
+            ledger.add("reached", ((str(number) * 100,) for number in range(10_000)))
 
 
 def test_of_an_entry_only_the_tables_that_are_wanted_are_read(tmp_path: Path) -> None:
@@ -314,3 +330,23 @@ def test_small_tables_are_inserted_in_parts_however_few_bytes_they_have() -> Non
         row for part in parts for row in part["recordings"]
     ]
     assert max(sum(map(len, batch.values())) for batch in batches) <= BATCH_PIECES + 1
+
+
+def test_long_texts_get_the_memory_that_they_ask_for(lab: Lab) -> None:
+    """DuckDB holds all long texts of a row group at once: more than what it may use at first."""
+    rows = [{"recording_id": "a", "kind": "x", "position": i, "payload": str(i % 10) * 1_000_000} for i in range(60)]
+    publish(lab, Changes(insertions=[{"recordings": TABLES["recordings"].rows([recording("a")])}, {"carried": rows}]))
+    assert select(lab, "SELECT count(*), min(length(payload)) FROM carried") == [(60, 1_000_000)]
+    assert list(lab.work.iterdir()) == []
+
+
+def test_a_file_of_large_row_groups_is_made_anew(lab: Lab) -> None:
+    publish(lab, added(recording("a")))
+    with duckdb.connect(str(lab.database)) as connection:
+        connection.execute("DELETE FROM lab WHERE key = 'row_group'")
+        connection.execute("INSERT INTO previews (recording_id, time_s) SELECT 'a', i FROM range(20000) AS t(i)")
+    publish(lab, added(recording("b")))
+    assert select(lab, "SELECT count(*) FROM previews") == [(20_000,)]
+    groups = select(lab, "SELECT max(count) FROM pragma_storage_info('previews')")
+    assert groups[0][0] <= 4096
+    assert select(lab, "SELECT value FROM lab WHERE key = 'row_group'") == [("4096",)]
