@@ -13,22 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
+from pipeline.diagnose.alone import Films, Told, diagnosis_of, left_by, thinned
 from pipeline.diagnose.contest import Contest, Entrant, contest
 from pipeline.diagnose.cycle_causes import Cause, CycleModel, Fitted, LargeCycle, causes
 from pipeline.diagnose.features import CYCLE_FORCE
 from pipeline.diagnose.mechanisms import MECHANISMS, invisible
-from pipeline.diagnose.results import (
-    AMBIGUOUS,
-    NAMED,
-    NONE,
-    Diagnosis,
-    Discrepancy,
-    Estimate,
-    Extension,
-    HeldOut,
-    NextRecording,
-    Residuals,
-)
+from pipeline.diagnose.results import AMBIGUOUS, NONE, Diagnosis, Discrepancy, Estimate, NextRecording, Residuals
 from pipeline.fit.model import RelaxationModel
 from schemas.mechanisms import plain_name
 
@@ -49,6 +39,8 @@ _N_PER_MM_OF_KPA = 1e-3
 _HOLD_S, _SLOWER = 600.0, 10.0
 _MODEL_ERROR = 0.15
 _DECIDES = 9.2
+_SHOWN = 400
+"""Samples of each curve that are kept for figures."""
 _COMPARED, _FEW = 24, 60
 """Instants at which proposals are compared, and draws that say what is open there."""
 
@@ -100,8 +92,8 @@ def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Contest]:
     plain, *others = (_tried(cycle, cause, rng) for cause in (None, *causes(span, interval)))
     entrants = [t.entrant(~up, plain) for t in (plain, *others)]
     found = contest(entrants[0], entrants[1:], cycle.stress, cycle.stress[~up], sd)
-    left = (cycle.stress - plain.whole.stress()) / sd
-    return _diagnosis(cycle, sd, plain, others, found, left), found
+    told = _told(cycle, sd, plain, others, found)
+    return diagnosis_of(found, cycle.stress, cycle.stress[~up], sd, plain.whole.stress(), told), found
 
 
 def noise_sd(values: Float) -> float:
@@ -147,38 +139,32 @@ def _memory(residual: Float) -> int:
     return int(np.clip(2 * first, 1, max(r.size // 4, 1)))
 
 
-def _diagnosis(
-    cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[_Tried], found: Contest, left: Float
-) -> Diagnosis:
+def _told(cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[_Tried], found: Contest) -> Told:
     best = found.places[0]
-    winner = next(t for t in others if t.whole.model.cause is not None and _is(t, best.entrant))
-    chi2 = float(left @ left)
-    named = found.verdict in (NAMED, AMBIGUOUS)
-    possible = list(dict.fromkeys(p.entrant.mechanism for p in found.possible))
-    extended = winner if found.verdict != NONE else plain
-    return Diagnosis(
+    winner = next(t for t in others if _is(t, best.entrant))
+    left = (cycle.stress - plain.whole.stress()) / sd
+    plain_sd, _ = _film_sd(plain)
+    extended_sd, damper_sd = _film_sd(winner)
+    words = plain_name(best.entrant.mechanism).lower()
+    return Told(
         specimen_id=cycle.fits.specimen_id,
-        verdict=found.verdict,
-        mechanisms=() if found.verdict == NONE else (best.entrant.mechanism,),
-        also_possible=tuple(m for m in possible if m != best.entrant.mechanism) if found.verdict == AMBIGUOUS else (),
-        p_value=float(chi2_law.sf(chi2, left.size)),
-        supported_by=("cycle",) if named else (),
-        held_out=HeldOut(
-            best.before, best.after, best.gain, best.lower, best.upper, int((~cycle.loading).sum()),
-            {"the unloading": (best.before, best.after)},
+        protocols=("cycle",),
+        left_out={"the unloading": (best.before, best.after)},
+        films=Films(
+            _film(plain.whole.model, plain.whole.x),
+            _film(winner.whole.model, winner.whole.x),
+            plain_sd,
+            extended_sd,
+            damper_sd,
         ),
-        extension=None if found.verdict == NONE else _extension(cycle, plain, winner, sd),
-        candidates=(),
         discrepancies=tuple(_discrepancies(cycle, left, sd)),
-        next_recording=_next(cycle, others, found, sd) if found.verdict == AMBIGUOUS else None,
-        smallest_detectable=_smallest(others),
+        residuals=(_residuals(cycle, plain, plain if found.verdict == NONE else winner, sd),),
+        smallest=_smallest(others),
         invisible=tuple(m for m in invisible({CYCLE_FORCE}) if m in MECHANISMS),
-        could_not_ask=_not_asked(cycle, sd),
-        unexplained=_unexplained(cycle, winner, sd),
-        plain_film=_film(plain.whole.model, plain.whole.x),
-        residuals=tuple(_residuals(cycle, plain, extended, sd)),
-        explained=best.explained,
-    )  # fmt: skip
+        could_not_ask=_not_asked(sd),
+        unexplained=(left_by(words, winner.whole.residual, sd, "kPa"),),
+        next_recording=_next(cycle, others, found, sd) if found.verdict == AMBIGUOUS else None,
+    )
 
 
 def _smallest(others: Sequence[_Tried]) -> dict[str, dict[str, float]]:
@@ -211,24 +197,6 @@ def _film_sd(tried: _Tried) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(spread[:3]), (spread[3],)
 
 
-def _extension(cycle: LargeCycle, plain: _Tried, winner: _Tried, sd: float) -> Extension:
-    cause = winner.whole.model.cause
-    assert cause is not None
-    film_sd, damper_sd = _film_sd(winner)
-    return Extension(
-        severities={cause.mechanism: winner.severity},
-        variants={cause.mechanism: cause.form},
-        film=_film(winner.whole.model, winner.whole.x),
-        film_sd=film_sd,
-        damper_sd=damper_sd,
-        plain_film=_film(plain.whole.model, plain.whole.x),
-        plain_film_sd=_film_sd(plain)[0],
-        chi2=float(np.sum((winner.whole.residual / sd) ** 2)),
-        plain_chi2=float(np.sum((plain.whole.residual / sd) ** 2)),
-        size=cycle.time_s.size,
-    )
-
-
 def _parts(cycle: LargeCycle) -> list[tuple[str, Int]]:
     """Loading and unloading in parts of equal length: words, and the numbers of their samples."""
     found = []
@@ -259,7 +227,7 @@ def _discrepancies(cycle: LargeCycle, left: Float, sd: float) -> list[Discrepanc
     return found
 
 
-def _not_asked(cycle: LargeCycle, sd: float) -> tuple[str, ...]:
+def _not_asked(sd: float) -> tuple[str, ...]:
     return (
         "There is one cycle at one rate: a relaxation and another law of equilibrium differ in what they predict of the unloading, "
         "in nothing else",
@@ -268,34 +236,24 @@ def _not_asked(cycle: LargeCycle, sd: float) -> tuple[str, ...]:
     )
 
 
-def _unexplained(cycle: LargeCycle, winner: _Tried, sd: float) -> tuple[str, ...]:
-    cause, r = winner.whole.model.cause, winner.whole.residual
-    assert cause is not None
-    correlation = float(r[1:] @ r[:-1] / (r @ r))
-    return (
-        f"{plain_name(cause.mechanism).lower()}, fitted to everything, leaves {np.sqrt(np.mean(r**2)):.3g} kPa, "
-        f"{np.sqrt(np.mean((r / sd) ** 2)):.2g} times the noise, of which neighbours have {correlation:.3f} in common",
-    )
-
-
-def _residuals(cycle: LargeCycle, plain: _Tried, extended: _Tried, sd: float) -> list[Residuals]:
+def _residuals(cycle: LargeCycle, plain: _Tried, extended: _Tried, sd: float) -> Residuals:
     """Everything as fitted to everything, and as the fits to the loading predict it."""
-    found, n = [], cycle.time_s.size
-    rows = ((STRESS, "loading and unloading", "whole"), (PREDICTED, "fitted to the loading", "learned"))
-    every = np.zeros(n, dtype=bool)
-    every[:: max(1, n // 400)] = True
-    kinds = np.concatenate([np.full(int(every.sum()), kind) for kind, _, _ in rows])
-    labels = np.concatenate([np.full(int(every.sum()), label) for _, label, _ in rows])
-    plains = np.concatenate([getattr(plain, which).stress()[every] for _, _, which in rows])
-    extendeds = np.concatenate([getattr(extended, which).stress()[every] for _, _, which in rows])
-    twice = np.tile(cycle.time_s[every], 2)
-    found.append(
-        Residuals(
-            cycle.fits.recording_id, kinds, labels, np.full(twice.size, np.nan), twice,
-            np.tile(cycle.stress[every], 2), plains, extendeds, np.full(twice.size, sd),
-        )
-    )  # fmt: skip
-    return found
+    whole = [cycle.time_s, cycle.stress, plain.whole.stress(), extended.whole.stress()]
+    learned = [cycle.time_s, cycle.stress, plain.learned.stress(), extended.learned.stress()]
+    parts = [thinned(values, _SHOWN) for values in (whole, learned)]
+    n = parts[0][0].size
+    time, measured, first, second = (np.concatenate(both) for both in zip(*parts, strict=True))
+    return Residuals(
+        recording_id=cycle.fits.recording_id,
+        kind=np.repeat([STRESS, PREDICTED], n),
+        label=np.repeat(["loading and unloading", "fitted to the loading"], n),
+        frequency_hz=np.full(2 * n, np.nan),
+        time_s=time,
+        measured=measured,
+        plain=first,
+        extended=second,
+        sd=np.full(2 * n, sd),
+    )
 
 
 def _next(cycle: LargeCycle, others: Sequence[_Tried], found: Contest, sd: float) -> NextRecording | None:
