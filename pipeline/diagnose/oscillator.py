@@ -1,0 +1,175 @@
+"""Oscillator of one mode with weak nonlinearities, driven by a measured input: many parameter sets in one run.
+
+In units of a reference amplitude of the output A and a reference angular frequency w (time in 1/w):
+
+    y″ + δ y′ + κ y + β₂ y² + β₃ y³ + c |y′| y′ + a q = γ u(t)/A,      q′ = y′ − (r + s |y′|) q
+    reading = y/√(1 + l y²), late by Δ
+
+with δ, κ, γ the linear system of one mode. β₃ > 0 is the hardening spring of Duffing (Nayfeh and Mook, Nonlinear Oscillations, chapter 4), β₂
+one that is stiffer on one side, c quadratic damping; q with s = 0 is a Maxwell arm of rate r, with r = 0 a slider in series with a
+spring in the smooth form of Dahl (1968), which yields at a/s. Between samples the input is band-limited; a step between two of them is taken as midway.
+
+What a damped oscillator did long ago it has forgotten: a record is cut into stretches that run side by side, each with a run-in that is
+not used. Does not belong here: which terms are free, and how they are fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import resample
+
+Float = NDArray[np.float64]
+
+STIFFNESS, DAMPING, GAIN, QUADRATIC, CUBIC, DRAG, ARM, RATE, SLIP, CEILING, DELAY = range(11)
+"""Rows of the parameters: κ, δ, γ, β₂, β₃, c, a, ln r, ln s, l, Δ. A rate or slip of −∞ is none."""
+PARAMETERS = 11
+
+_FORGOTTEN = 1e-4
+"""Share of a start that a run-in may leave."""
+_TURN = 0.4
+"""Most radians of the reference frequency that one step of Runge and Kutta takes."""
+
+
+@dataclass(frozen=True)
+class SystemRecord:
+    """One record of a system.
+
+    input, output : (n,) in any unit, one value every interval_s
+    periodic : whether it is one steady period
+    from_rest : whether the system rests before it, at an input and output of zero. Of other records the means are not compared, and of
+        those that are not periodic neither is the beginning
+    """
+
+    name: str
+    input: Float
+    output: Float
+    interval_s: float
+    periodic: bool = False
+    from_rest: bool = False
+
+
+def linear(damping: float, gain: float) -> Float:
+    """(PARAMETERS,) of the linear system of κ = 1 with that δ and γ."""
+    start = np.zeros(PARAMETERS)
+    start[[STIFFNESS, DAMPING, GAIN]] = 1.0, damping, gain
+    start[[RATE, SLIP]] = -np.inf
+    return start
+
+
+class Oscillator:
+    """Simulation of records of one system.
+
+    amplitude : A, unit of the output; angular_frequency : w, rad/s; damping : least δ that is expected, for the run-in
+    """
+
+    def __init__(
+        self, records: Sequence[SystemRecord], amplitude: float, angular_frequency: float, damping: float
+    ) -> None:
+        interval = records[0].interval_s
+        self.records = tuple(records)
+        self.amplitude, self.angular_frequency = amplitude, angular_frequency
+        self.run_in = int(np.ceil(-np.log(_FORGOTTEN) * 2 / damping / angular_frequency / interval))
+        self._steps = max(1, int(np.ceil(angular_frequency * interval / _TURN)))
+        self._h = angular_frequency * interval / self._steps
+        longest = max(r.input.size for r in records)
+        self._length = min(longest, max(self.run_in, 64))
+        stretches = [self._stretches(r) for r in records]
+        self._count = [s.shape[1] for s in stretches]
+        self._input: Float = np.concatenate(stretches, axis=1)
+
+    def _stretches(self, record: SystemRecord) -> Float:
+        """(T, K) input over A of the K stretches of a record, at the T ends and middles of all steps."""
+        n, fine = record.input.size, 2 * self._steps
+        u = (record.input if record.from_rest else record.input - record.input.mean()) / self.amplitude
+        if record.periodic:
+            between = resample(u, n * fine)
+        else:
+            between = resample(np.concatenate([u, u[::-1]]), 2 * n * fine)[: n * fine]
+        starts = np.arange(0, n, self._length)
+        place = (starts - self.run_in) * fine + np.arange((self.run_in + self._length) * fine)[:, None]
+        if record.periodic:
+            return np.asarray(between[place % (n * fine)])
+        return np.where((place >= 0) & (place < n * fine), between[np.clip(place, 0, n * fine - 1)], 0.0)
+
+    def compared(self, record: SystemRecord) -> NDArray[np.bool_]:
+        """(n,) samples that the start of the record does not reach."""
+        known = record.periodic or record.from_rest
+        return np.arange(record.input.size) >= (0 if known else min(self.run_in, record.input.size // 2))
+
+    def __call__(self, parameters: Float) -> list[Float]:
+        """(C, n) readings of every record, in the unit of its output, of C sets of parameters (PARAMETERS, C)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            y = self._integrate(parameters)
+            y = y / np.sqrt(1 + parameters[CEILING] * y**2)
+            return self._read(y, parameters[DELAY] / self.angular_frequency)
+
+    def _read(self, y: Float, delay_s: Float) -> list[Float]:
+        """(C, n) of every record from the stretches (L, K, C), late by (C,)."""
+        found, first = [], 0
+        for record, count in zip(self.records, self._count, strict=True):
+            mine = y[:, first : first + count]
+            first += count
+            out = self.amplitude * mine.transpose(2, 1, 0).reshape(y.shape[2], -1)[:, : record.input.size]
+            out = self._late(out, delay_s / record.interval_s, record.periodic)
+            found.append(out if record.from_rest else out - out[:, self.compared(record)].mean(axis=1, keepdims=True))
+        return found
+
+    @staticmethod
+    def _late(values: Float, by: Float, periodic: bool) -> Float:
+        """(C, n) the same, late by (C,) samples."""
+        moved = np.flatnonzero((by != 0) & np.isfinite(values).all(axis=1))
+        if not moved.size:
+            return values
+        chosen = values[moved] if periodic else np.concatenate([values[moved], values[moved, ::-1]], axis=1)
+        turn = -2j * np.pi * np.fft.rfftfreq(chosen.shape[1])
+        shifted = np.fft.irfft(np.fft.rfft(chosen) * np.exp(turn * by[moved, None]), chosen.shape[1])
+        result: Float = values.copy()
+        result[moved] = shifted[:, : values.shape[1]]
+        return result
+
+    def _integrate(self, parameters: Float) -> Float:
+        """(L, K, C) positions y at the samples of all stretches.
+
+        The classical method of Runge and Kutta; q half a step aside, exact for the speed between (Strang 1968), so that no slider is
+        too stiff.
+        """
+        stretches, sets = self._input.shape[1], parameters.shape[1]
+        # Expanded, so that every operation below is one loop over contiguous memory.
+        full = np.ascontiguousarray(np.broadcast_to(parameters[:, None], (PARAMETERS, stretches, sets)))
+        k, d, g, k2, k3, c, a = full[: ARM + 1]
+        r, s = np.exp(full[RATE]), np.exp(full[SLIP])
+        armed = bool(np.any(parameters[ARM] != 0))
+
+        def force(u: Float, y: Float, v: Float) -> Float:
+            return np.asarray(g * u - y * (k + y * (k2 + k3 * y)) - v * (d + c * np.abs(v)))
+
+        h, half, sixth = self._h, self._h / 2, self._h / 6
+        y, v, q = np.zeros((3, stretches, sets))
+        pull: Float | float = 0.0
+        out = np.empty((self._length, stretches, sets))
+        u = self._input[:, :, None]
+        last, fine = len(u) - 1, 2 * self._steps
+        for sample in range(self.run_in + self._length):
+            if sample >= self.run_in:
+                out[sample - self.run_in] = y
+            for i in range(sample * fine, (sample + 1) * fine, 2):
+                if armed:
+                    passed = h * (r + s * np.abs(v)) + 1e-12
+                    left = np.exp(-passed)
+                    q = q * left + h * v * ((1 - left) / passed)
+                    pull = a * q
+                middle, end = u[i + 1], u[min(i + 2, last)]
+                f1 = force(u[i], y, v) - pull
+                v2 = v + half * f1
+                f2 = force(middle, y + half * v, v2) - pull
+                v3 = v + half * f2
+                f3 = force(middle, y + half * v2, v3) - pull
+                v4 = v + h * f3
+                f4 = force(end, y + h * v3, v4) - pull
+                y = y + sixth * (v + 2 * (v2 + v3) + v4)
+                v = v + sixth * (f1 + 2 * (f2 + f3) + f4)
+        return out

@@ -1,0 +1,195 @@
+"""Causes in a system of another kind, against truths that another integrator makes (`solve_ivp`, input as a sum of sines)."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from pipeline.diagnose.contest import Contest, contest
+from pipeline.diagnose.oscillator import DELAY, Oscillator, SystemRecord, linear
+from pipeline.diagnose.results import NAMED, NONE
+from pipeline.diagnose.system_causes import SystemQuestion, system_causes
+from pipeline.diagnose.system_discrepancies import system_discrepancies
+
+Float = NDArray[np.float64]
+Force = Callable[[float, float, float], tuple[float, float]]
+
+INTERVAL_S, SAMPLES = 1e-3, 1800
+OMEGA, DAMPING, GAIN = 2 * np.pi * 90.0, 2 * np.pi * 90.0 * 0.16, 2.0 * (2 * np.pi * 90.0) ** 2
+NOISE = 0.004
+"""Of the outputs below, which reach about 1."""
+
+
+def _drive(level: float, growing: bool, seed: int) -> tuple[Callable[[float], float], Float]:
+    """Odd multisine of random phase to 250 Hz, of that root mean square, growing fourfold or steady; as a function and sampled."""
+    rng = np.random.default_rng(seed)
+    period = SAMPLES * INTERVAL_S
+    omegas = 2 * np.pi * np.arange(1, 250 * period, 8) / period
+    phases = rng.uniform(0, 2 * np.pi, omegas.size)
+    size = level * np.sqrt(2 / omegas.size)
+
+    def at(t: float) -> float:
+        envelope = 0.4 + 1.2 * t / period if growing else 1.0
+        return float(size * envelope * np.cos(omegas * t + phases).sum())
+
+    return at, np.array([at(t) for t in np.arange(SAMPLES) * INTERVAL_S])
+
+
+def _record(
+    extra: Force, level: float = 0.08, growing: bool = True, periodic: bool = False, seed: int = 1
+) -> SystemRecord:
+    """Record of a truth y″ + d y′ + w² y + extra = g u with a hidden state, by Dormand and Prince."""
+    at, sampled = _drive(level, growing, seed)
+    start = -SAMPLES * INTERVAL_S if periodic else 0.0
+
+    def rate(t: float, x: Float) -> list[float]:
+        y, v, q = x
+        force, q_rate = extra(y, v, q)
+        return [v, GAIN * at(t) - DAMPING * v - OMEGA**2 * y - force, q_rate]
+
+    times = np.arange(SAMPLES) * INTERVAL_S
+    found = solve_ivp(rate, (start, times[-1]), [0, 0, 0], t_eval=times, rtol=1e-6, atol=1e-7)
+    y = found.y[0] + NOISE * np.random.default_rng(seed + 100).standard_normal(SAMPLES)
+    return SystemRecord("record", sampled, y, INTERVAL_S, periodic=periodic)
+
+
+W2 = OMEGA**2
+TRUTHS: dict[str, Force] = {
+    "none": lambda y, v, q: (0.0, 0.0),
+    "strain_stiffening": lambda y, v, q: (0.4 * W2 * y**3, 0.0),
+    "amplitude_softening": lambda y, v, q: (-0.08 * W2 * y**3, 0.0),
+    "slack": lambda y, v, q: (0.25 * W2 * y**2, 0.0),
+    "load_cell_damping": lambda y, v, q: (0.25 * abs(v) * v, 0.0),
+    "clamp_slip": lambda y, v, q: (0.4 * W2 * q, v - abs(v) * q / 0.1),
+    "missing_relaxation": lambda y, v, q: (0.5 * W2 * q, v - q * 200.0),
+}
+
+
+@functools.cache
+def _question(truth: str) -> tuple[SystemQuestion, Contest]:
+    question = system_causes([_record(TRUTHS[truth])])
+    return question, _contest(question)
+
+
+def _contest(q: SystemQuestion) -> Contest:
+    return contest(q.plain, q.entrants, q.measured, q.left_out, q.sd, q.memory)
+
+
+@pytest.mark.parametrize("truth", [name for name in TRUTHS if name != "none"])
+def test_the_cause_is_named(truth: str) -> None:
+    question, found = _question(truth)
+    best = found.places[0]
+    assert (found.verdict, best.entrant.mechanism) == (NAMED, truth)
+    assert best.gain > 0.9
+    assert best.lower > 0.8
+    assert best.explained > 0.9
+    assert question.sd == pytest.approx(1.06 * NOISE, rel=0.15)
+    assert best.after < 1.3
+
+
+def test_nothing_is_found_where_there_is_nothing() -> None:
+    question, found = _question("none")
+    assert found.verdict == NONE or not found.possible
+    assert np.std(question.plain.whole - question.measured) == pytest.approx(NOISE, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("truth", "key", "expected"),
+    [
+        ("strain_stiffening", "stiffening", lambda amplitude: 3 * 0.4 * amplitude**2),
+        ("amplitude_softening", "drop", lambda amplitude: 0.08 * amplitude**2),
+        ("slack", "residual", lambda amplitude: 1 - 2 * 0.25 * amplitude),
+        ("clamp_slip", "hardening", lambda amplitude: 0.4),
+        ("missing_relaxation", "stiffness_ratio", lambda amplitude: 0.5),
+        ("missing_relaxation", "time_constant_s", lambda amplitude: 5e-3),
+    ],
+)
+def test_its_size_is_within_its_uncertainty(truth: str, key: str, expected: Callable[[float], float]) -> None:
+    question, found = _question(truth)
+    size = found.places[0].entrant.severity[key]
+    assert size.lower < size.value < size.upper
+    assert abs(size.value - expected(question.amplitude)) < 3 * size.sd
+    assert size.sd < 0.05 * abs(size.value)
+
+
+def test_a_saturated_reading_is_named() -> None:
+    record = _record(TRUTHS["none"])
+    limit = 1.2 * float(np.abs(record.output).max())
+    bent = replace(record, output=record.output / np.sqrt(1 + (record.output / limit) ** 2))
+    best = _contest(system_causes([bent])).places[0]
+    assert best.entrant.mechanism == "sensor_saturation"
+    size = best.entrant.severity["overload"]
+    assert abs(size.value - (np.sqrt(1 + 1 / 1.2**2) - 1)) < 3 * size.sd + 0.01
+    assert best.lower > 0.8
+
+
+def test_nonlinear_damping_is_that_of_the_fastest_motion() -> None:
+    question, found = _question("load_cell_damping")
+    simulated = next(s for s in question.simulations if s.mechanism == "load_cell_damping").outputs[0]
+    size = found.places[0].entrant.severity["damping_ratio"]
+    fastest = float(np.abs(np.gradient(simulated, INTERVAL_S)).max())
+    assert abs(size.value - 0.25 * fastest / 2 / OMEGA) < 3 * size.sd
+
+
+def test_places_of_the_discrepancy_grow_with_the_output() -> None:
+    question, _ = _question("strain_stiffening")
+    found = {d.statement.partition(" (")[0]: d for d in system_discrepancies(question)}
+    assert found["where it is largest"].chi2 > 2 * found["where the output is smallest"].chi2
+    assert "about its resonance" in found
+    assert not system_discrepancies(_question("none")[0])
+
+
+def test_a_steady_period_and_a_louder_record() -> None:
+    """A period is predicted from a louder record and the reverse, and the names say which."""
+    period = replace(_record(TRUTHS["strain_stiffening"], 0.05, growing=False, periodic=True, seed=3), name="period")
+    loud = replace(_record(TRUTHS["strain_stiffening"], seed=4), name="loud")
+    question = system_causes([period, loud], sd=NOISE)
+    found = _contest(question)
+    assert [part.name for part in question.parts] == ["loud, the loudest", "period"]
+    assert question.parts[1].places.size == SAMPLES
+    assert (found.verdict, found.places[0].entrant.mechanism) == (NAMED, "strain_stiffening")
+    errors = found.places[0].entrant.unseen - question.left_out
+    assert all(np.std(errors[part.values]) < 2 * NOISE for part in question.parts)
+
+
+def test_steps_from_rest() -> None:
+    """Levels that are held one after the other; the mean is compared here, and so is the beginning."""
+    edges = np.arange(10) * 0.2
+    levels = np.array([0, 0.1, 0.2, 0.3, 0.4, 0.3, 0.2, 0.1, 0])
+
+    def at(t: float) -> float:
+        return float(np.diff(levels) @ (t > edges[1:9] - INTERVAL_S / 2))
+
+    def rate(t: float, x: Float) -> list[float]:
+        return [x[1], GAIN * at(t) - DAMPING * x[1] - W2 * x[0] - 0.4 * W2 * x[0] ** 3]
+
+    times = np.arange(1800) * INTERVAL_S
+    found = solve_ivp(rate, (0, times[-1]), [0, 0], t_eval=times, rtol=1e-6, atol=1e-8, max_step=INTERVAL_S)
+    y = found.y[0] + 0.002 * np.random.default_rng(5).standard_normal(times.size)
+    record = SystemRecord("steps", np.array([at(t) for t in times]), y, INTERVAL_S, from_rest=True)
+    best = _contest(system_causes([record])).places[0]
+    assert best.entrant.mechanism == "strain_stiffening"
+    assert best.lower > 0.9
+    assert best.entrant.whole.size == times.size
+
+
+def test_the_linear_oscillator_is_exact() -> None:
+    """Response to one period of a sine against the formula, cut into stretches, and late."""
+    ratio, n = 0.05, 4000
+    t = np.arange(n) * INTERVAL_S
+    wave = 2 * np.pi * 75.0
+    record = SystemRecord("sine", np.cos(wave * t), np.zeros(n), INTERVAL_S, periodic=True)
+    theta = linear(damping=2 * ratio, gain=1.0)
+    late = theta.copy()
+    late[DELAY] = OMEGA * 0.4 * INTERVAL_S
+    found = Oscillator([record], 1.0, OMEGA, 2 * ratio)(np.array([theta, late]).T)[0]
+    response = OMEGA**2 / (OMEGA**2 - wave**2 + 2j * ratio * OMEGA * wave)
+    for simulated, by in zip(found, (0.0, 0.4 * INTERVAL_S), strict=True):
+        exact = (response * np.exp(1j * wave * (t - by))).real
+        np.testing.assert_allclose(simulated, exact, atol=2e-3 * abs(response))
