@@ -57,6 +57,7 @@ KINDS = {
     "cycle.force": Kind("force over the large cycle", "Force against rest, mN", _FORCE, 1e3, True),
     "cycle.stress": Kind("stress over the large cycle", "Stress, kPa", _FORCE, 1.0, True),
     "cycle.unseen": Kind("stress as the fit to the loading alone predicts it", "Stress, kPa", _UNSEEN, 1.0, True),
+    "system.output": Kind("output of the system", "Output", "output", 1.0, True),
     "rest.hum": Kind("mains in the rest", "Mains in the rest, SD", _REST),
     "tap.ring": Kind("ringing of the clamp", "Ringing of the clamp", "calibration"),
     "weight.gain": Kind("weights", "Recorded force over weight", "calibration"),
@@ -98,7 +99,7 @@ def compared(kind: str, rows: Sequence[Row], *, together: bool) -> Compared | No
         log = False
     else:
         frequencies = all(r["frequency_hz"] for r in real) and len({r["frequency_hz"] for r in real}) > 1
-        over_time = kind.partition(".")[0] in ("step", "relaxation", "cycle") or not frequencies
+        over_time = kind.partition(".")[0] in ("step", "relaxation", "cycle", "system") or not frequencies
         title, log = _TIME if over_time else _FREQUENCY
         x = np.array([r["time_s" if over_time else "frequency_hz"] for r in real], dtype=float)
         if not np.isfinite(x).all():

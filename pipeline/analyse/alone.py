@@ -8,46 +8,96 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pipeline.analyse.cycle import given_law, stretch_and_stress
 from pipeline.analyse.inputs import Measured
-from pipeline.analyse.session_features import CYCLE, Alone, SessionFeatures
+from pipeline.analyse.session_features import CYCLE, SYSTEM, Alone, SessionFeatures
 from pipeline.diagnose.contest import Contest
 from pipeline.diagnose.cycle_causes import large_cycle
 from pipeline.diagnose.cycle_diagnosis import diagnose_cycle
+from pipeline.diagnose.oscillator import SystemRecord
 from pipeline.diagnose.results import Diagnosis
+from pipeline.diagnose.system_diagnosis import diagnose_system
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
+from schemas.protocols import OTHER
 from schemas.recording import Recording
 
-_MOST = 700
-"""Samples of a cycle that are asked; of more, equally spaced ones: a cycle is smooth."""
+_OF_CYCLE, _OF_SYSTEM = 700, 8192
+"""Samples that are asked: of a cycle, which is smooth, so many of all; of a system so many on end, where its output is largest."""
+_EVEN = 0.01
+"""Share of an interval by which the sampling of a system may err."""
 
 
 def alone_of(recording: Recording) -> Alone | None:
     """What the diagnosis can ask of a recording without others; None for recordings that belong to a session."""
-    if recording.metadata.protocol != CYCLE:
-        return None
+    if recording.metadata.loading == OTHER:
+        return _of_system(recording)
+    return _of_cycle(recording) if recording.metadata.protocol == CYCLE else None
+
+
+def _of_cycle(recording: Recording) -> Alone | None:
     try:
         time, stretch, stress = stretch_and_stress(recording)
         given = given_law(recording.metadata)
     except NotIdentifiableError:
         return None  # the cycle's own fits say why
-    every = -(-time.size // _MOST)
+    every = -(-time.size // _OF_CYCLE)
     channels = {"time_s": time[::every], "stretch": stretch[::every], "stress": stress[::every]}
     return Alone(CYCLE, channels, given or {})
 
 
-def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Contest] | None:
-    """The diagnosis of a specimen of which there is one record that can be asked alone; None where there is none, or several.
-
-    Raises `NotIdentifiableError` where the record does not carry it.
-    """
-    found = [(r, kept.alone) for r in recordings for kept in r.of(SessionFeatures) if kept.alone is not None]
-    if len(found) != 1 or any(isinstance(r.metadata, RecordingMetadata) and r is not found[0][0] for r in recordings):
+def _of_system(recording: Recording) -> Alone | None:
+    """Input and output against their means; None where they are not sampled evenly and together."""
+    given, answer = recording.channels["input"], recording.channels["output"]
+    steps = np.diff(given.time_ns)
+    if not np.array_equal(given.time_ns, answer.time_ns) or steps.size < 1:
         return None
-    recording, alone = found[0]
-    c = alone.channels
-    cycle = large_cycle(
-        c["time_s"], c["stretch"], c["stress"], alone.given or None, recording.recording_id, specimen_id
+    interval = float(np.median(steps))
+    finite = np.isfinite(given.values) & np.isfinite(answer.values)
+    if np.abs(steps - interval).max() > _EVEN * interval or not finite.all():
+        return None
+    inputs, outputs = given.values - given.values.mean(), answer.values - answer.values.mean()
+    n = outputs.size
+    power = np.concatenate([[0.0], np.cumsum(outputs**2)])
+    first = int(np.argmax(power[_OF_SYSTEM:] - power[: n + 1 - _OF_SYSTEM])) if n > _OF_SYSTEM else 0
+    part = slice(first, first + _OF_SYSTEM)
+    period = recording.metadata.period_s
+    one_period = period is not None and abs(period / (interval * 1e-9) - n) < 0.5
+    return Alone(
+        SYSTEM,
+        {"input": inputs[part], "output": outputs[part]},
+        {"interval_s": interval * 1e-9, "periodic": float(one_period)},
+        answer.unit or "",
     )
-    return diagnose_cycle(cycle)
+
+
+def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Contest] | None:
+    """The diagnosis of a specimen whose records can be asked alone: one large cycle, or those of a system; None for others.
+
+    Raises `NotIdentifiableError` where the records do not carry it.
+    """
+    tests = [r for r in recordings if isinstance(r.metadata, RecordingMetadata)]
+    asked = [(r, kept.alone) for r in tests for kept in r.of(SessionFeatures) if kept.alone is not None]
+    kinds = {alone.kind for _, alone in asked}
+    if len(asked) == len(tests) == 1 and kinds == {CYCLE}:
+        ((recording, alone),) = asked
+        c, law = alone.channels, alone.given or None
+        return diagnose_cycle(
+            large_cycle(c["time_s"], c["stretch"], c["stress"], law, recording.recording_id, specimen_id)
+        )
+    if kinds != {SYSTEM} or len({round(alone.given["interval_s"], 12) for _, alone in asked}) != 1:
+        return None
+    records = [
+        SystemRecord(
+            r.recording_id,
+            alone.channels["input"],
+            alone.channels["output"],
+            alone.given["interval_s"],
+            periodic=bool(alone.given["periodic"]),
+        )
+        for r, alone in asked
+    ]
+    protocols = [r.metadata.protocol for r, _ in asked if isinstance(r.metadata, RecordingMetadata)]
+    return diagnose_system(specimen_id, records, protocols, asked[0][1].unit)

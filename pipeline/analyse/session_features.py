@@ -20,11 +20,13 @@ class Alone:
 
     channels : (m,) each: time_s, stretch, stress (kPa) of a cycle; time_s, input, output of a system
     given : what the recording says of it; empty for nothing
+    unit : of the output of a system
     """
 
     kind: str
     channels: Mapping[str, NDArray[np.float64]]
     given: Mapping[str, float] = field(default_factory=dict)
+    unit: str = ""
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class SystemQuestion:
     """What the contest is asked, and what the pages show.
 
     measured, left_out : (N,) compared values of all records, and (H,) those of the parts left out; sd : of the noise of one value, noise
-    in words how it was told; memory : values over which what is left remembers
+    in words how it was told
     plain, entrants : for the contest; parts : what was left out, one after the other
     angular_frequency, damping_ratio : of the linear system, rad/s and share of the critical one; amplitude : largest output
     names, times : of all records, (n,) in s; measured_outputs : (n,) per record as compared; simulations : the plain model's first
@@ -96,7 +96,6 @@ class SystemQuestion:
     left_out: Float
     sd: float
     noise: str
-    memory: int
     plain: Entrant
     entrants: tuple[Entrant, ...]
     parts: tuple[Part, ...]
@@ -254,7 +253,6 @@ def system_causes(records: Sequence[SystemRecord], *, sd: float | None = None) -
         left_out=np.concatenate([measured[louder], measured[quieter]]),
         sd=known,
         noise=noise,
-        memory=memory,
         plain=found[0],
         entrants=tuple(found[1:]),
         parts=(

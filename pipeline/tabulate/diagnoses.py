@@ -89,7 +89,10 @@ def contest_tables(diagnosis: Diagnosis, contest: Contest) -> dict[str, pa.Table
     tables = diagnosis_tables(diagnosis, ())
     rows = [_place_row(diagnosis, place) for place in contest.places]
     tables["diagnosis_candidates"] = TABLES["diagnosis_candidates"].rows(rows)
-    if "model_fits" in tables:
+    if not diagnosis.plain_film.k:  # no film
+        tables.pop("model_fits", None)
+        tables.pop("diagnosis_parameters")
+    elif "model_fits" in tables:
         own = {"loading": MECHANICAL, "method": "time_domain"}
         tables["model_fits"] = TABLES["model_fits"].rows([{**row, **own} for row in tables["model_fits"].to_pylist()])
     return tables

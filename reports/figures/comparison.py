@@ -108,11 +108,11 @@ def _residuals(panel: Panel, data: Compared) -> None:
     drawing = panel.drawing
     panel.held(data.residual_x, data.residual(data.plain), WRONG, 3.8, open_=True)
     drawing.text(panel.left, panel.top - 9, "Residual, SD of the noise")
-    words = f"○ plain: {data.rms(data.plain):.1f}"
+    words = f"○ plain: {_times(data.rms(data.plain))}"
     x = panel.right
     if data.extended is not None:
         panel.held(data.residual_x, data.residual(data.extended), BETTER, 3.4)
-        text = f"● extended: {data.rms(data.extended):.1f}"
+        text = f"● extended: {_times(data.rms(data.extended))}"
         drawing.text(x, panel.top - 9, text, colour=BETTER, anchor="end", bold=True)
         x -= 7.2 * len(text)
     drawing.text(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
@@ -135,3 +135,8 @@ def _reach(data: Compared) -> float:
     parts = [data.residual(data.plain)] + ([data.residual(data.extended)] if data.extended is not None else [])
     largest = max(float(np.quantile(np.abs(p), 0.97)) for p in parts)
     return max(4.0, min(1.15 * largest, max(_REACH, 1.15 * float(np.quantile(np.abs(parts[0]), 0.9)))))
+
+
+def _times(rms: float) -> str:
+    """So many times the noise, short enough to stand beside the title."""
+    return f"{rms:.1f}" if rms < 99.5 else f"{rms:.0f}"

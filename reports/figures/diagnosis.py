@@ -61,7 +61,7 @@ def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[floa
     drawing.line([(x, panel.top), (x, panel.bottom)], SECOND, 0.8)
     for i, (name, first, second) in enumerate(zip(names, before, after, strict=True)):
         y = float(panel.py([i])[0])
-        drawing.text(panel.left - 8, y + 4, short(name, 18), size=11, anchor="end")
+        drawing.text(panel.left - 8, y + 4, short(name, 16), size=11, anchor="end")
         if second is not None:
             ends = panel.px([first, second]).tolist()
             drawing.line([(ends[0], y), (ends[1], y)], "#7c8791", 1.0)

@@ -78,7 +78,7 @@ def _question(truth: str) -> tuple[SystemQuestion, Contest]:
 
 
 def _contest(q: SystemQuestion) -> Contest:
-    return contest(q.plain, q.entrants, q.measured, q.left_out, q.sd, q.memory)
+    return contest(q.plain, q.entrants, q.measured, q.left_out, q.sd)
 
 
 @pytest.mark.parametrize("truth", [name for name in TRUTHS if name != "none"])

@@ -156,6 +156,13 @@ def test_one_period_of_the_silverbox(real_folder: Layout, tmp_path: Path) -> Non
             "SELECT frequency_hz, magnitude, phase_deg FROM frequency_responses ORDER BY frequency_hz"
         ).fetchnumpy()
         kinds = db.execute("SELECT kind, count(*), max(unit) FROM distortions GROUP BY kind").fetchall()
+        *verdict_and_before, before = db.execute(
+            "SELECT verdict, mechanism, held_out_error_before FROM diagnoses"
+        ).fetchall()[0]
+        verdict = tuple(verdict_and_before)
+        best = db.execute(
+            "SELECT form, gain, gain_lower, held_out_error FROM diagnosis_candidates ORDER BY held_out_error LIMIT 1"
+        ).fetchone()
     assert lines["frequency_hz"].size == 168
     assert lines["frequency_hz"][[0, -1]] == pytest.approx([0.596, 199.68], abs=0.005)
     peak = int(np.argmax(lines["magnitude"]))
@@ -163,4 +170,11 @@ def test_one_period_of_the_silverbox(real_folder: Layout, tmp_path: Path) -> Non
     assert lines["magnitude"][[0, peak]] == pytest.approx([1.002, 7.447], abs=1e-3)
     assert lines["phase_deg"][peak] == pytest.approx(-97.2, abs=0.05)
     assert kinds == [("even", 168, "V")]
+    assert verdict == ("named", "strain_stiffening")
+    assert best is not None
+    form, gain, lower, error = best
+    assert form == "cubic stiffness"
+    assert gain > 0.9
+    assert lower > 0.8
+    assert error < 0.3 * before
     assert "Distortions" in text_of(lab / "reports" / "specimens" / "silverbox.html")

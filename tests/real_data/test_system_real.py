@@ -38,9 +38,7 @@ def question(real_data: Path) -> SystemQuestion:
 
 
 def test_an_odd_stiffening_nonlinearity_predicts_what_a_linear_model_misses(question: SystemQuestion) -> None:
-    found = contest(
-        question.plain, question.entrants, question.measured, question.left_out, question.sd, question.memory
-    )
+    found = contest(question.plain, question.entrants, question.measured, question.left_out, question.sd)
     best = found.places[0]
     assert (found.verdict, best.entrant.mechanism, best.entrant.form) == (NAMED, "strain_stiffening", "cubic stiffness")
     assert best.lower > 0.8
