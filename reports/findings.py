@@ -31,15 +31,21 @@ def gain(diagnosis: Row) -> str:
     return text
 
 
+def what_is_wrong(standing: Standing) -> str:
+    """The cause in words; of what is no film, for it has no model of one, in those of a system."""
+    text = cause(standing.diagnosis or {})
+    return text if standing.fit is not None else text.replace("the film ", "the system ")
+
+
 def headline(standing: Standing) -> Markup:
     """The finding of a specimen, its `h1`."""
     who = flow("Specimen ", name(standing.specimen_id))
     d, fit = standing.diagnosis, standing.fit
     if d and d["verdict"] == "named":
         removes = "" if d["gain"] is None else f" Correcting it removes {percent(d['gain'])} of the held-out error."
-        return flow(who, f": {cause(d)}.{removes}")
+        return flow(who, f": {what_is_wrong(standing)}.{removes}")
     if d and d["verdict"] == "ambiguous":
-        return flow(who, f": {cause(d)}. The recordings cannot tell which.")
+        return flow(who, f": {what_is_wrong(standing)}. The recordings cannot tell which.")
     if d and d["verdict"] == "unknown":
         return flow(who, f": the simulation is wrong, and none of the {LISTED_CAUSES} listed causes explains it")
     if fit is None:

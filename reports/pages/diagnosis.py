@@ -30,13 +30,13 @@ from reports.blocks import (
 from reports.evidence import Standing
 from reports.features import COLUMNS, kind_of
 from reports.figures import diagnosis as figures
-from reports.findings import LISTED_CAUSES, evidence, gain, what_next
+from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
 from reports.names import short, visible
 from reports.pages import comparing_models
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.mechanisms import amount, candidate, cause, main, nested, parameter_words, plain_name
+from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
 from schemas.mechanisms import severity as severity_words
 from schemas.numbers import ABSENT, UNRESOLVED, capital, compact, digits, p_value, percent, pm, significant, whole
 
@@ -67,12 +67,12 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     if following:
         blocks.append(Next(following.title, flow(_sentence(capital(str(following.body))), _separation(d))))
     blocks += _visible(draft, d)
-    return Section("diagnosis", _heading(d), "Diagnosis", tuple(blocks))
+    return Section("diagnosis", _heading(d, standing), "Diagnosis", tuple(blocks))
 
 
-def _heading(d: Record) -> str:
+def _heading(d: Record, standing: Standing) -> str:
     return {
-        "named": f"Diagnosis: {cause(d)}",
+        "named": f"Diagnosis: {what_is_wrong(standing)}",
         "ambiguous": "Diagnosis: more than one cause explains the misfit",
         "unknown": "Diagnosis: the simulation is wrong, and no listed cause explains it",
     }.get(d["verdict"], "Diagnosis: the simulation is right within the noise")
