@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.diagnose.decide import EXPLAINED
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN, Estimate
 
 Float = NDArray[np.float64]
 
-EXPLAINED = 0.6
-"""Share of the misfit that a cause must explain for its name to be said."""
 _LEVEL = 0.95
 
 
@@ -31,7 +30,6 @@ class Entrant:
     whole : (N,) simulation of everything, fitted to everything
     unseen : (H,) prediction of the part left out, fitted to the rest
     drawn : (B or 1, H) the same with parameters drawn from what the fit to the rest leaves open
-    parameters : number of parameters beyond the plain model's
     """
 
     mechanism: str
@@ -41,7 +39,6 @@ class Entrant:
     whole: Float
     unseen: Float
     drawn: Float
-    parameters: int
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,11 @@ class Contest:
     @property
     def possible(self) -> tuple[Place, ...]:
         """Those that gain for certain and that the best does not beat."""
-        return tuple(p for p in self.places if p.lower > 0 and not p.beaten)
+        return _possible(self.places)
+
+
+def _possible(places: Sequence[Place]) -> tuple[Place, ...]:
+    return tuple(p for p in places if p.lower > 0 and not p.beaten)
 
 
 def contest(plain: Entrant, entrants: Sequence[Entrant], measured: Float, left_out: Float, sd: float) -> Contest:
@@ -83,7 +84,7 @@ def contest(plain: Entrant, entrants: Sequence[Entrant], measured: Float, left_o
     The part left out is one, and is no sample of anything, and the plain model's prediction of it is the one that was made: intervals
     are of what the fits to the rest leave open about the entrants.
 
-    measured, left_out : (N,) everything, and (H,) the part left out; sd : of the noise of one value
+    measured, left_out : (N,) everything, and (H,) the part left out; sd : of the noise of one value, the largest that it may be
     """
     size = left_out.size
 
@@ -121,7 +122,7 @@ def contest(plain: Entrant, entrants: Sequence[Entrant], measured: Float, left_o
 def _verdict(places: Sequence[Place], misfit: bool) -> str:
     if not misfit:
         return NONE
-    possible = [p for p in places if p.lower > 0 and not p.beaten]
+    possible = _possible(places)
     if not possible or max(p.explained for p in possible) < EXPLAINED:
         return UNKNOWN
     return NAMED if len({p.entrant.mechanism for p in possible}) == 1 else AMBIGUOUS

@@ -1,7 +1,7 @@
 """The diagnosis of one large cycle that is alone: what one branch on the equilibrium stress gets wrong of it, and what would mend it.
 
 Every cause is fitted to the loading and has to predict the unloading (`contest`). The noise is that of neighbouring samples, for
-there is no rest; what is left remembers for long, so that intervals come from blocks of it drawn anew.
+there is no rest; what is left remembers for long, and counts as few independent values.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
-from pipeline.diagnose.alone import Films, Told, diagnosis_of, left_by, thinned
+from pipeline.diagnose.alone import Films, Told, diagnosis_of, left_by, smallest_of, thinned
 from pipeline.diagnose.contest import Contest, Entrant, contest
 from pipeline.diagnose.cycle_causes import Cause, CycleModel, Fitted, LargeCycle, causes
 from pipeline.diagnose.features import CYCLE_FORCE
@@ -28,10 +28,11 @@ Int = NDArray[np.int64]
 STRESS, PREDICTED = "cycle.stress", "cycle.unseen"
 """Kinds of residuals: everything fitted to everything; the unloading as the fit to the loading predicts it."""
 _DRAWS, _TRIALS, _SEED = 200, 400, 11
+_UNSURE = 3.0
+"""Over the root of the number of samples, the share by which the noise may be louder than its estimate: what it may be is no misfit."""
 _OPEN, _WIDER = 1.0, 1.3
 """Standard deviation of a parameter, most of them logarithms, that the data do not hold; and how much wider is drawn than is held."""
-_NORMAL_90, _POWER = 1.645, 2.8
-"""Standard deviations of a 90 % interval, and of what is found with 80 % probability at 5 %."""
+_NORMAL_90 = 1.645
 _PLACES = 4
 """Parts of equal length into which loading and unloading are cut each, to say where the simulation is wrong."""
 _N_PER_MM_OF_KPA = 1e-3
@@ -79,14 +80,13 @@ class _Tried:
             whole=self.whole.stress(),
             unseen=learned.learned.stress()[unloading],
             drawn=drawn,
-            parameters=0 if cause is None else len(cause.low),
         )
 
 
 def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Contest]:
     """The diagnosis of one cycle, and the contest behind it. Raises `NotIdentifiableError` where no model has a fit."""
     up = cycle.loading
-    sd = noise_sd(cycle.stress)
+    sd = noise_sd(cycle.stress) * (1 + _UNSURE / np.sqrt(cycle.stress.size))
     rng = np.random.default_rng(_SEED)
     span, interval = float(np.ptp(cycle.time_s)), float(np.median(np.diff(cycle.time_s)))
     plain, *others = (_tried(cycle, cause, rng) for cause in (None, *causes(span, interval)))
@@ -159,22 +159,12 @@ def _told(cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[_Tried],
         ),
         discrepancies=tuple(_discrepancies(cycle, left, sd)),
         residuals=(_residuals(cycle, plain, plain if found.verdict == NONE else winner, sd),),
-        smallest=_smallest(others),
+        smallest=smallest_of(p.entrant for p in found.places),
         invisible=tuple(m for m in invisible({CYCLE_FORCE}) if m in MECHANISMS),
         could_not_ask=_not_asked(sd),
         unexplained=(left_by(words, winner.whole.residual, sd, "kPa"),),
         next_recording=_next(cycle, others, found, sd) if found.verdict == AMBIGUOUS else None,
     )
-
-
-def _smallest(others: Sequence[_Tried]) -> dict[str, dict[str, float]]:
-    """Mechanism → key → severity that stands out of what the fit to everything leaves open, of its first form that shows."""
-    found: dict[str, dict[str, float]] = {}
-    for tried in others:
-        if not tried.learned.unseen:
-            key, estimate = next(iter(tried.severity.items()))
-            found.setdefault(_cause(tried), {key: _POWER * estimate.sd})
-    return found
 
 
 def _is(tried: _Tried, entrant: Entrant) -> bool:

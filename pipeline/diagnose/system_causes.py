@@ -334,7 +334,6 @@ def _entrant(
         whole=whole.simulated,
         unseen=np.concatenate(unseen),
         drawn=np.concatenate(drawn, axis=1),
-        parameters=len(cause.rows) if cause else 0,
     )
 
 

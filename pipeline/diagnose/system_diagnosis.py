@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.alone import Films, Told, diagnosis_of, left_by
+from pipeline.diagnose.alone import Films, Told, diagnosis_of, left_by, smallest_of
 from pipeline.diagnose.contest import Contest, contest
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.oscillator import SystemRecord
@@ -57,6 +57,7 @@ def _told(specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion
         films=Films(_NO_FILM, _NO_FILM),
         discrepancies=system_discrepancies(question),
         residuals=tuple(_residuals(question, found)),
+        smallest=smallest_of(p.entrant for p in found.places),
         invisible=tuple(m for m in MECHANISMS if m not in tried),
         could_not_ask=(
             "This is no film in a rig: it is simulated as one resonance, and asked for what bends it",
