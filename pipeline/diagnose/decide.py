@@ -125,16 +125,23 @@ def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcom
 def _elsewhere(outcome: Outcome) -> Float | None:
     """Entries at which the plain model does better than where it was left: a search that ended early looks like a discrepancy.
 
-    Asked where the causes gain little more than that could be.
+    What it was tempered by is asked from where the tempered fit has gone; the causes, where they gain little more than that could be.
     """
-    if not outcome.singles or outcome.plain.chi2 - outcome.singles[0].chi2 > _MANY * outcome.threshold:
+    plain, untempered = outcome.plain, outcome.untempered
+    if plain is not untempered:
+        further = untempered.of.fit(plain.theta)
+        if further.chi2 < _FAR_BETTER * untempered.chi2:
+            return further.theta
+    if not outcome.singles or plain.chi2 - outcome.singles[0].chi2 > _MANY * outcome.threshold:
         return None
-    again = [outcome.plain.of.fit(f.theta) for f in outcome.singles[:2]]
+    again = [plain.of.fit(f.theta) for f in outcome.singles[:2]]
     best = min(again, key=lambda f: f.chi2)
-    return best.theta if best.chi2 < outcome.plain.chi2 - _CLEARLY_BETTER else None
+    return best.theta if best.chi2 < plain.chi2 - _CLEARLY_BETTER else None
 
 
 _RESTARTS, _MANY, _CLEARLY_BETTER = 3, 10.0, 1.0
+_FAR_BETTER = 0.9
+"""Share of χ² below which a fit was not where it belongs; what a few steps more bring changes no weight."""
 
 
 def _decided(of: Extended, start: Float) -> Outcome:

@@ -118,7 +118,7 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
             # The material first: it must make room before the severity may move.
             x = of.room(x, _ROUGHLY, base)
         fits.append(of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False))
-    if score.chosen.id == "rig_constants" and base.of.model.is_widened:
+    if score.chosen.id == "rig_constants" and any(base.of.model.rigs):
         fits.append(of.fit(_as_the_files_say(of, base), most=_ROUGHLY, thorough=False))
     best = _to_its_end(base, min(fits, key=lambda f: f.chi2), reach)
     if not best.chi2 <= base.chi2:
@@ -170,7 +170,7 @@ def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -
 
 
 def _as_the_files_say(of: Extended, base: ExtendedFit) -> Float:
-    """Entries with the rig's deviations handed to the mechanism: far from the files no slope leads along that exchange."""
+    """Entries with the rig's deviations handed to the mechanism: only the priors have a slope along that exchange."""
     model, theta = base.of.model, base.of.model.with_rigs_as_filed(base.theta)
     pairs = zip(model.physical(base.theta).rigs, model.physical(theta).rigs, model.rigs, strict=True)
     known = [(here, filed) for here, filed, prior in pairs if prior is not None]
