@@ -37,7 +37,7 @@ def cycle(
     branches: tuple[tuple[float, float], ...], law: Callable[[Float], Float] = equilibrium, seed: int = 1
 ) -> tuple[Float, Float, Float]:
     """Time s, stretch, stress kPa of a triangle, branches (γ kPa, τ s) integrated by Runge and Kutta."""
-    time = np.linspace(0.0, 1.95 * UP_S, 300)
+    time = np.linspace(0.0, 1.95 * UP_S, 200)
 
     def change(t: float, q: Float) -> list[float]:
         rate = RATE if t < UP_S else -RATE
@@ -57,7 +57,7 @@ def two_branches() -> tuple[Diagnosis, Contest]:
     return diagnosed(cycle(((30.0, 4.0), (60.0, 0.3))))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_cycle_that_one_branch_explains_has_nothing_wrong(seed: int) -> None:
     """Whatever follows the noise a little better is not named; the discrepancies are noise."""
     found, _ = diagnosed(cycle(((30.0, 4.0),), seed=seed))
