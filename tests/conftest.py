@@ -10,6 +10,10 @@ from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parent.parent
 
+# One thread of linear algebra in each process, as the nightly's workers have: several processes with two each wait for
+# each other, and sums in another order move borderline figures. Before numpy is imported, which reads it once.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
 
 # No deadline: a loaded machine is slow, which is no failure. The same cases every time, so that a change is judged by
 # what it changes; `make fuzz` draws new ones with DEALAB_HYPOTHESIS=new.

@@ -1,4 +1,4 @@
-"""Records that say something without a session: which of a recording's samples the diagnosis gets, and what it makes of them.
+"""Records that say something without a session: which of a recording's samples the diagnosis gets.
 
 A large cycle shows no response over frequency, a system of another kind has no film: neither belongs into the simulation of a
 specimen's session.
@@ -6,21 +6,11 @@ specimen's session.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from pipeline.analyse.cycle import given_law, stretch_and_stress
-from pipeline.analyse.inputs import Measured
-from pipeline.analyse.session_features import CYCLE, SYSTEM, Alone, SessionFeatures
-from pipeline.diagnose.contest import Contest
-from pipeline.diagnose.cycle_causes import large_cycle
-from pipeline.diagnose.cycle_diagnosis import diagnose_cycle
-from pipeline.diagnose.oscillator import SystemRecord
-from pipeline.diagnose.results import Diagnosis
-from pipeline.diagnose.system_diagnosis import diagnose_system
+from pipeline.analyse.session_features import CYCLE, SYSTEM, Alone
 from schemas.errors import NotIdentifiableError
-from schemas.metadata import RecordingMetadata
 from schemas.protocols import OTHER
 from schemas.recording import Recording
 
@@ -71,33 +61,3 @@ def _of_system(recording: Recording) -> Alone | None:
         {"interval_s": interval * 1e-9, "periodic": float(one_period)},
         answer.unit or "",
     )
-
-
-def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Contest] | None:
-    """The diagnosis of a specimen whose records can be asked alone: one large cycle, or those of a system; None for others.
-
-    Raises `NotIdentifiableError` where the records do not carry it.
-    """
-    tests = [r for r in recordings if isinstance(r.metadata, RecordingMetadata)]
-    asked = [(r, kept.alone) for r in tests for kept in r.of(SessionFeatures) if kept.alone is not None]
-    kinds = {alone.kind for _, alone in asked}
-    if len(asked) == len(tests) == 1 and kinds == {CYCLE}:
-        ((recording, alone),) = asked
-        c, law = alone.channels, alone.given or None
-        return diagnose_cycle(
-            large_cycle(c["time_s"], c["stretch"], c["stress"], law, recording.recording_id, specimen_id)
-        )
-    if kinds != {SYSTEM} or len({round(alone.given["interval_s"], 12) for _, alone in asked}) != 1:
-        return None
-    records = [
-        SystemRecord(
-            r.recording_id,
-            alone.channels["input"],
-            alone.channels["output"],
-            alone.given["interval_s"],
-            periodic=bool(alone.given["periodic"]),
-        )
-        for r, alone in asked
-    ]
-    protocols = [r.metadata.protocol for r, _ in asked if isinstance(r.metadata, RecordingMetadata)]
-    return diagnose_system(specimen_id, records, protocols, asked[0][1].unit)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pipeline.analyse.alone import diagnosed_alone
 from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.diagnosed_alone import diagnosed_alone
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.diagnose.diagnosis import diagnose

@@ -50,8 +50,10 @@ class Doubt(Demand):
     in_place: float
 
 
-SURE, DOUBT, DOUBT_OF_MANY = Demand(1e-4, 1.0, 0.5), Doubt(0.03, 0.6, 0.25, 0.5), Doubt(2e-3, 0.6, 0.5, 1.0)
-"""For `unknown`, and for a doubt by quantities of a few numbers and of many."""
+SURE, DOUBT = Demand(1e-4, 1.0, 0.5), Doubt(0.03, 0.6, 0.25, 0.5)
+DOUBT_OF_SOME, DOUBT_OF_MANY = replace(DOUBT, level=5e-3), Doubt(2e-3, 0.6, 0.5, 1.0)
+"""For `unknown`, and for a doubt by quantities of very few numbers, of a number for each recording, say, and of many: the more numbers,
+the less does what they follow stand for one thing."""
 LEVEL = 0.002
 """False-alarm level of the search over the listed mechanisms."""
 STRUCTURE_LEVEL = 1e-5
@@ -266,7 +268,9 @@ _ROUGHLY, _ON_THE_WAY = 6, 0.5
 
 
 def _doubt(found: Departure) -> Doubt:
-    return DOUBT if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
+    if found.degrees_of_freedom <= _FEWEST:
+        return DOUBT
+    return DOUBT_OF_SOME if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
 
 
 def _in_their_place(

@@ -69,10 +69,11 @@ def test_the_month_is_that_of_utc(tmp_path: Path) -> None:
 def test_duckdb_reads_a_lab_of_them(tmp_path: Path) -> None:
     write_samples(recording(channel("force", [0, 1], [1.0, 2.0]), recording_id="a"), tmp_path)
     write_samples(recording(channel("force", [0], [4.0]), channel("voltage", [0], [3.0]), recording_id="b"), tmp_path)
-    found = duckdb.sql(
-        f"SELECT count(*), sum(force), sum(voltage), any_value(protocol), any_value(month), typeof(any_value(time_ns)) "
-        f"FROM read_parquet('{tmp_path}/samples/**/*.parquet', union_by_name=true, hive_partitioning=true)"
-    ).fetchall()
+    with duckdb.connect() as connection:
+        found = connection.execute(
+            f"SELECT count(*), sum(force), sum(voltage), any_value(protocol), any_value(month), typeof(any_value(time_ns)) "
+            f"FROM read_parquet('{tmp_path}/samples/**/*.parquet', union_by_name=true, hive_partitioning=true)"
+        ).fetchall()
     assert found == [(3, 7.0, 3.0, "cyclic", "2026-02", "BIGINT")]
 
 

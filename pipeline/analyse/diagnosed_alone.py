@@ -1,0 +1,48 @@
+"""Diagnosis of a specimen whose records are asked without a session: one large cycle, or the records of a system.
+
+Apart from `alone`, which the stage of a recording uses: a change of how causes are found must not repeat that stage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pipeline.analyse.inputs import Measured
+from pipeline.analyse.session_features import CYCLE, SYSTEM, SessionFeatures
+from pipeline.diagnose.contest import Contest
+from pipeline.diagnose.cycle_causes import large_cycle
+from pipeline.diagnose.cycle_diagnosis import diagnose_cycle
+from pipeline.diagnose.oscillator import SystemRecord
+from pipeline.diagnose.results import Diagnosis
+from pipeline.diagnose.system_diagnosis import diagnose_system
+from schemas.metadata import RecordingMetadata
+
+
+def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Contest] | None:
+    """The diagnosis of a specimen whose records can be asked alone: one large cycle, or those of a system; None for others.
+
+    Raises `NotIdentifiableError` where the records do not carry it.
+    """
+    tests = [r for r in recordings if isinstance(r.metadata, RecordingMetadata)]
+    asked = [(r, kept.alone) for r in tests for kept in r.of(SessionFeatures) if kept.alone is not None]
+    kinds = {alone.kind for _, alone in asked}
+    if len(asked) == len(tests) == 1 and kinds == {CYCLE}:
+        ((recording, alone),) = asked
+        c, law = alone.channels, alone.given or None
+        return diagnose_cycle(
+            large_cycle(c["time_s"], c["stretch"], c["stress"], law, recording.recording_id, specimen_id)
+        )
+    if kinds != {SYSTEM} or len({round(alone.given["interval_s"], 12) for _, alone in asked}) != 1:
+        return None
+    records = [
+        SystemRecord(
+            r.recording_id,
+            alone.channels["input"],
+            alone.channels["output"],
+            alone.given["interval_s"],
+            periodic=bool(alone.given["periodic"]),
+        )
+        for r, alone in asked
+    ]
+    protocols = [r.metadata.protocol for r, _ in asked if isinstance(r.metadata, RecordingMetadata)]
+    return diagnose_system(specimen_id, records, protocols, asked[0][1].unit)
