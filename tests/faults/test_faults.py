@@ -171,9 +171,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 def test_the_harness_in_short(bench: Bench) -> None:
     """`python -m tests.faults.harness` does the same 50 times, with 20 publishes and a dozen sizes of disk."""
     for result in (
-        kills(bench, 3, seed=11),
+        kills(bench, 2, seed=11),
         two_at_once(bench, 1),
-        readers(bench, 3),
+        readers(bench, 2),
         full_disk(bench, (1 << 12, 1 << 19)),
     ):
         assert result.wrong == (), result.done
