@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.results import Query, Results
+from reports.results import Results
 from schemas.tables import TABLES
 
 _BY_RECORDING = (

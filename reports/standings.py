@@ -19,6 +19,8 @@ _JUDGED = (
     " AND specimen_id IN (SELECT specimen_id FROM model_fits UNION ALL SELECT specimen_id FROM diagnoses)"
 )
 """Recordings of specimens with a model or a diagnosis."""
+_AT_ONCE = 100
+"""Specimens in memory at a time: a fit has many columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,7 @@ def _every(results: Results) -> Iterator[Standing]:
     names = results.each(
         f"SELECT DISTINCT specimen_id FROM recordings WHERE {_JUDGED} AND specimen_id <> '' ORDER BY specimen_id"
     )
-    for some in batches(names):
+    for some in batches(names, _AT_ONCE):
         first, last = (literal(row["specimen_id"]) for row in (some[0], some[-1]))
         yield from _among(results, f"specimen_id BETWEEN {first} AND {last}")
 

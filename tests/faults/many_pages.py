@@ -24,14 +24,19 @@ from tests.machine import peak_mb
 def lab(folder: Path, number: int) -> Path:
     """A lab with so many recordings, each of a specimen of its own that has its model."""
     story = synthetic.Story()
-    story.recording("R-0", "S-0", "chirp", "mechanical", campaign=None)
+    story.recording("R-0", "S-0", "chirp", "mechanical", campaign=None, rig_id=None, operator=None)
     story.fits("S-0", synthetic.SILICONE)
     story.run()
     story.write(folder)
     with duckdb.connect(str(folder / "results.duckdb")) as connection:
-        for table, names in (("recordings", {"recording_id": "R", "specimen_id": "S", "source_path": "/raw/R"}), ("model_fits", {"specimen_id": "S"})):
+        for table, names in (
+            ("recordings", {"recording_id": "R", "specimen_id": "S", "source_path": "/raw/R"}),
+            ("model_fits", {"specimen_id": "S"}),
+        ):
             others = ", ".join(f"concat('{letter}-', i) AS {column}" for column, letter in names.items())
-            connection.execute(f"INSERT INTO {table} BY NAME SELECT t.* REPLACE ({others}) FROM {table} AS t, range(1, {number}) AS r(i)")
+            connection.execute(
+                f"INSERT INTO {table} BY NAME SELECT t.* REPLACE ({others}) FROM {table} AS t, range(1, {number}) AS r(i)"
+            )
     return folder
 
 
