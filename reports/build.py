@@ -68,12 +68,12 @@ def _build(lab: Path, memory: str, force: bool, workers: Callable[[], Executor] 
         ledger, site = results.ledger, Site(results)
         pages = plan(site, digests(results))
         ledger.add("pages", ((None, one.path, one.kind, one.item, digest) for one, digest in pages))
-        if not force:
-            manifest.read(folder, ledger)
-        manifest.look(folder, ledger)
-        _find_stale(ledger)
-        count, stale = (ledger.number(f"SELECT count(*) FROM {table}") for table in ("pages", "stale"))
         try:
+            if not force:
+                manifest.read(folder, ledger)
+            manifest.look(folder, ledger)
+            _find_stale(ledger)
+            count, stale = (ledger.number(f"SELECT count(*) FROM {table}") for table in ("pages", "stale"))
             waiting = (Planned(*row) for row in ledger.each(_STALE))
             if workers is None or stale < _FEWEST:
                 _note(ledger, (_write(folder, site, one) for one in waiting))
