@@ -1,4 +1,4 @@
-"""The published database as the pages see it: read-only queries whose text the pages show, and digests by item.
+"""The published database as the pages see it: read-only queries whose text the pages show.
 
 A query that makes a table of a page is a `Query`; the page prints `Query.shown()`, which `dealab sql` answers with the
 same rows. The database is opened read-only and nothing else is read.
@@ -6,10 +6,8 @@ same rows. The database is opened read-only and nothing else is read.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
 from pathlib import Path
@@ -20,6 +18,7 @@ import duckdb
 import numpy as np
 from numpy.typing import NDArray
 
+from reports.ledger import AT_ONCE, Ledger
 from reports.names import Verbatim, seen
 from schemas.errors import LabError
 from schemas.tables import TABLES
@@ -28,37 +27,15 @@ from schemas.views import VIEWS
 Row = dict[str, Any]
 DATABASE = "results.duckdb"
 
-_BY_RECORDING = (
-    "annotations",
-    "previews",
-    "distortions",
-    "step_responses",
-    "slow_changes",
-    "loop_responses",
-    "electrode_cycles",
-    "calibrations",
-)
-_BY_SPECIMEN = (
-    "model_fits",
-    "predictions",
-    "sensing_fits",
-    "controller_gains",
-    "electrode_coats",
-    "coverage_fits",
-    "electrode_migrations",
-    "force_maps",
-    "force_map_fits",
-    "diagnoses",
-    "diagnosis_candidates",
-    "diagnosis_parameters",
-    "diagnosis_blocks",
-    "diagnosis_curves",
-)
-_BY_BOTH = ("frequency_responses", "lifetimes", "discrepancies")
-_BY_CONFIGURATION = (
-    "survival_curves", "survival_summaries", "weak_regions", "lifetime_distributions", "failure_causes", "voltage_life",
-    "voltage_residuals", "electrode_layouts", "film_maps",
-)  # fmt: skip
+MEMORY = ("32MB", "128MB", "512MB", "2GB")
+"""What DuckDB may use, however many rows there are: what it has read it would keep, up to most of the machine's memory. The
+first is enough but for very long texts; sorts that need more go to files beside the database."""
+_OUT_OF_MEMORY = ("failed to allocate", "failed to pin")
+
+
+def short_of_memory(error: Exception) -> bool:
+    """Whether DuckDB wanted more than it may use."""
+    return isinstance(error, duckdb.OutOfMemoryException) or any(text in str(error) for text in _OUT_OF_MEMORY)
 
 
 @dataclass(frozen=True)
@@ -90,11 +67,13 @@ def literal(value: str | float) -> str:
 
 
 class Results:
-    """A published database, open for reading. `LabError` where there is none or it is not one of ours."""
+    """A published database, open for reading, and the ledger of who reads it. `LabError` where there is none or it is not one of ours.
 
-    def __init__(self, lab: Path) -> None:
+    `memory` is what DuckDB may use.
+    """
+
+    def __init__(self, lab: Path, memory: str = MEMORY[0]) -> None:
         self.path = lab / DATABASE
-        self._known: dict[tuple[str, str], set[str | None]] = {}
         if not self.path.is_file():
             raise LabError(
                 "there is no database to report on",
@@ -103,7 +82,8 @@ class Results:
             )
         try:
             self._connection = duckdb.connect(str(self.path), read_only=True)
-            self._connection.execute("SET TimeZone = 'UTC'")
+            for setting in ("TimeZone = 'UTC'", "threads = 1", f"memory_limit = '{memory}'"):
+                self._connection.execute(f"SET {setting}")
             named = "SELECT table_name FROM duckdb_tables() UNION ALL SELECT view_name FROM duckdb_views()"
             found = {name for (name,) in self._connection.execute(named).fetchall()}
         except duckdb.Error as error:
@@ -114,12 +94,13 @@ class Results:
             ) from error
         missing = sorted({*TABLES, *(view.name for view in VIEWS if not view.parameters)} - found)
         if missing:
-            self.close()
+            self._connection.close()
             raise LabError(
                 f"the database has no table {', '.join(missing)}",
                 where=str(self.path),
                 remedy="It was made by another version of dealab: run the nightly again",
             )
+        self.ledger = Ledger()
 
     def __enter__(self) -> Self:
         return self
@@ -130,6 +111,7 @@ class Results:
         self.close()
 
     def close(self) -> None:
+        self.ledger.close()
         self._connection.close()
 
     def rows(self, query: Query | str) -> list[Row]:
@@ -145,52 +127,20 @@ class Results:
         answer = self._connection.execute(query.sql, dict(query.parameters)).fetchnumpy()
         return {name: _plain(np.ma.asarray(values)) for name, values in answer.items()}
 
+    def each(self, query: Query | str) -> Iterator[Row]:
+        """The same as `rows`, one by one, for what has many; other queries may be asked meanwhile."""
+        query = Query(query) if isinstance(query, str) else query
+        with self._connection.cursor() as cursor:
+            cursor.execute("SET TimeZone = 'UTC'")
+            answer = cursor.execute(query.sql, dict(query.parameters))
+            names = [column[0] for column in answer.description]
+            while some := answer.fetchmany(AT_ONCE):
+                yield from (dict(zip(names, row, strict=True)) for row in some)
+
     def has(self, table: str, key: str, value: str) -> bool:
         """Some row of the table has that value in the column; asked once for all values, so that pages can skip queries."""
-        if (table, key) not in self._known:
-            sql = f'SELECT DISTINCT "{key}" FROM {table}'
-            self._known[table, key] = {v for (v,) in self._connection.execute(sql).fetchall()}
-        return value in self._known[table, key]
-
-    def digests(self) -> Digests:
-        """Digests of everything that belongs to a recording, a specimen or a configuration."""
-        by_recording = self._by(("recordings", *_BY_RECORDING, *_BY_BOTH), "recording_id")
-        specimens = self._by((*_BY_SPECIMEN, *_BY_BOTH), "specimen_id")
-        belongs: dict[str, set[str]] = defaultdict(set)
-        for row in self.rows("SELECT DISTINCT specimen_id, recording_id FROM recordings WHERE specimen_id IS NOT NULL"):
-            belongs[row["specimen_id"]].add(row["recording_id"] or "")
-        for specimen, hashes in self._by(("recordings",), "specimen_id").items():
-            specimens[specimen] = _combined(specimens.get(specimen, ""), hashes)
-        failed = "SELECT item_id, outcome, error, run_id FROM items WHERE stage IN ('specimen', 'diagnosis')"
-        for row in self.rows(f"{failed} ORDER BY item_id"):
-            specimen = row["item_id"].partition(":")[2]
-            specimens[specimen] = _combined(specimens.get(specimen, ""), *(str(v) for v in row.values()))
-        for specimen, recordings in belongs.items():
-            parts = (by_recording.get(r, "") for r in sorted(recordings))
-            specimens[specimen] = _combined(specimens.get(specimen, ""), *parts)
-        return Digests(
-            recordings=by_recording,
-            specimens=specimens,
-            configurations=self._by(_BY_CONFIGURATION, "configuration"),
-            comparisons=self._whole("survival_comparisons"),
-            control=self._whole("control_points"),
-            everything=_combined(
-                *(self._whole(name) for name, table in TABLES.items() if not table.internal),
-                str(self.rows("SELECT item_id, error FROM items WHERE outcome = 'failed' ORDER BY item_id")),
-            ),
-        )
-
-    def _by(self, tables: tuple[str, ...], key: str) -> dict[str, str]:
-        found: dict[str, list[str]] = defaultdict(list)
-        for name in tables:
-            sql = f"SELECT {key}, sum(hash(t)), count(*) FROM {name} AS t WHERE {key} IS NOT NULL GROUP BY ALL"
-            for value, total, count in self._connection.execute(sql).fetchall():
-                found[value].append(f"{name}:{total}:{count}")
-        return {value: _combined(*parts) for value, parts in found.items()}
-
-    def _whole(self, name: str) -> str:
-        answer = self._connection.execute(f"SELECT sum(hash(t)), count(*) FROM {name} AS t").fetchall()
-        return f"{name}:{answer}"
+        sql = f'SELECT DISTINCT "{key}" AS value FROM {table} WHERE "{key}" IS NOT NULL'
+        return self.ledger.has(f"{table}.{key}", value, lambda: (row["value"] for row in self.each(sql)))
 
 
 def _plain(values: np.ma.MaskedArray[Any, Any]) -> NDArray[Any]:
@@ -200,22 +150,6 @@ def _plain(values: np.ma.MaskedArray[Any, Any]) -> NDArray[Any]:
     if values.dtype.kind in "iuf":
         return np.asarray(np.ma.filled(values.astype(float), np.nan))
     return np.asarray(np.ma.filled(values.astype(object), None))
-
-
-@dataclass(frozen=True)
-class Digests:
-    """What each page depends on, condensed: equal digests mean equal rows."""
-
-    recordings: Mapping[str, str]
-    specimens: Mapping[str, str]
-    configurations: Mapping[str, str]
-    comparisons: str
-    control: str
-    everything: str
-
-
-def _combined(*parts: str) -> str:
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def day(time: date | datetime | None) -> str:

@@ -27,27 +27,41 @@ CONTROL = "control.html"
 
 
 class Site:
-    """All pages of a lab's report, by what they are about."""
+    """All pages of a lab's report, by what they are about.
+
+    Which recordings and specimens have one stands in the ledger; `recordings` and `specimens` are their numbers.
+    """
 
     def __init__(self, results: Results) -> None:
-        self.results = results
-        rows = results.rows(
-            "SELECT recording_id, min(specimen_id) AS specimen_id, min(campaign) AS campaign, min(kind) AS kind"
+        self.results, self.ledger = results, results.ledger
+        used = results.each(
+            "SELECT recording_id, min(specimen_id) AS specimen_id, min(kind) AS kind"
             f" FROM recordings WHERE {USED_SQL} AND recording_id IS NOT NULL GROUP BY ALL ORDER BY recording_id"
         )
-        self.recordings = {r["recording_id"]: r for r in rows}
-        self.specimens = sorted({r["specimen_id"] for r in rows if r["specimen_id"] and r["kind"] != "lifetimes"})
+        self.ledger.add("recordings", (tuple(row.values()) for row in used))
+        self.ledger.run(
+            "INSERT INTO specimens SELECT DISTINCT specimen_id FROM recordings"
+            " WHERE specimen_id <> '' AND kind IS NOT 'lifetimes' ORDER BY specimen_id"
+        )
         campaigns = results.rows(
             f"SELECT DISTINCT campaign FROM (SELECT campaign FROM recordings WHERE {USED_SQL}"
             " UNION ALL SELECT campaign FROM lifetimes) WHERE campaign <> '' ORDER BY campaign"
         )
         self.campaigns = [r["campaign"] for r in campaigns]
-        self._specimen_set = set(self.specimens)
-        self._recording_file = FileNames(self.recordings)
-        self._specimen_file = FileNames(self.specimens)
+        self.recordings = self.ledger.number("SELECT count(*) FROM recordings")
+        self.specimens = self.ledger.number("SELECT count(*) FROM specimens")
+        self._recording_file = FileNames(self._alike("recordings", "recording_id"))
+        self._specimen_file = FileNames(self._alike("specimens", "specimen_id"))
         self._campaign_file = FileNames(self.campaigns)
         self.runs = results.rows("SELECT * FROM runs ORDER BY run_id")
         self._runs_by_id = {r["run_id"]: r for r in self.runs}
+
+    def _alike(self, table: str, column: str) -> list[str]:
+        """Names that differ in nothing but case."""
+        twice = f"SELECT casefold({column}) FROM {table} GROUP BY 1 HAVING count(*) > 1"
+        if self.ledger.row(twice) is None:
+            return []
+        return [n for (n,) in self.ledger.each(f"SELECT {column} FROM {table} WHERE casefold({column}) IN ({twice})")]
 
     @functools.cached_property
     def controlled(self) -> bool:
@@ -55,9 +69,13 @@ class Site:
         found = self.results.rows("SELECT 1 AS one FROM control_points WHERE upper IS NOT NULL LIMIT 1")
         return bool(found)
 
+    def has_recording(self, recording_id: str | None) -> bool:
+        """There is a page about that recording."""
+        return self.ledger.row("SELECT 1 FROM recordings WHERE recording_id = ?", (recording_id,)) is not None
+
     def has_specimen(self, specimen_id: str | None) -> bool:
         """There is a page about that specimen."""
-        return specimen_id in self._specimen_set
+        return self.ledger.row("SELECT 1 FROM specimens WHERE specimen_id = ?", (specimen_id,)) is not None
 
     @property
     def last_run(self) -> Row | None:
@@ -87,16 +105,14 @@ class Site:
         """A recording's name, linked where it has a page."""
         if not recording_id:
             return name(None)
-        target = root + self.recording_path(recording_id) if recording_id in self.recordings else ""
+        target = root + self.recording_path(recording_id) if self.has_recording(recording_id) else ""
         return link(text or name(recording_id, 60), target)
 
     def specimen(self, specimen_id: str | None, root: str = "../") -> Piece:
         """A specimen's name, linked where it has a page."""
         if not specimen_id:
             return name(None)
-        return link(
-            name(specimen_id), root + self.specimen_path(specimen_id) if specimen_id in self._specimen_set else ""
-        )
+        return link(name(specimen_id), root + self.specimen_path(specimen_id) if self.has_specimen(specimen_id) else "")
 
     def campaign(self, campaign: str | None, root: str = "../") -> Piece:
         """A campaign's name, linked."""

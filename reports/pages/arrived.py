@@ -19,15 +19,21 @@ FROM recordings
 WHERE run_id = {trouble.LAST_RUN} AND status IN ('ok', 'damaged')
 GROUP BY ALL
 ORDER BY kind, protocol, loading"""
+_NAMED = "array_agg(DISTINCT specimen_id ORDER BY specimen_id) FILTER (WHERE specimen_id <> '')"
+_FIRST_SQL = _CAME_IN_SQL.replace(
+    "array_agg(DISTINCT specimen_id ORDER BY specimen_id) AS specimens",
+    f"({_NAMED})[:11] AS specimens, count(DISTINCT specimen_id) FILTER (WHERE specimen_id <> '') AS named",
+)
+"""The same with no more specimens than are shown: after a first night these may be all."""
 
 
 def section(site: Site) -> Section | None:
     if not site.recordings:
         return None
     query = Query(_CAME_IN_SQL)
-    found = site.results.rows(query)
+    found = site.results.rows(_FIRST_SQL)
     total = sum(r["recordings"] for r in found)
-    everything: Piece = link(f"All {digits(len(site.recordings), 'recording')} in the lab", RECORDINGS)
+    everything: Piece = link(f"All {digits(site.recordings, 'recording')} in the lab", RECORDINGS)
     if not found:
         return Section(
             "in",
@@ -37,8 +43,8 @@ def section(site: Site) -> Section | None:
         )
     rows = []
     for r in found:
-        known = [short(s, 24) for s in r["specimens"] if s]
-        text = joined([*known[:10], f"{len(known) - 10} more"] if len(known) > 11 else known) or ABSENT
+        known = [short(s, 24) for s in r["specimens"] or ()]
+        text = joined([*known[:10], f"{r['named'] - 10} more"] if r["named"] > 11 else known) or ABSENT
         label: Piece = capital(protocol(r["protocol"], r["loading"]))
         if r["kind"] != "recording":
             label = f"Table of {plain(r['kind'])}"

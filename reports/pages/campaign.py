@@ -24,7 +24,7 @@ from reports.blocks import (
     separated,
     tag,
 )
-from reports.evidence import Standing, choice, curve, drawable, measured, told, unasked
+from reports.evidence import Standing, curve, drawable, measured
 from reports.figures.responses import Multiple, multiple
 from reports.findings import causes_named
 from reports.names import short
@@ -33,7 +33,8 @@ from reports.pages.draft import Draft
 from reports.plot import Scale, logarithmic
 from reports.results import Query, days
 from reports.results import Row as Record
-from reports.site import Site, stated_rig
+from reports.site import Site
+from reports.standings import of_campaign
 from schemas.mechanisms import model_name
 from schemas.numbers import ABSENT, capital, digits, joined, percent, pm, significant, word
 
@@ -53,7 +54,8 @@ def page(site: Site, campaign: str) -> Page:
         )
     )
     found = lives.load(draft)
-    standings = of_specimens(site, [r for r in recordings if r["status"] in ("ok", "damaged")])
+    used = [r for r in recordings if r["status"] in ("ok", "damaged")]
+    standings = of_campaign(site.results, campaign, used)
     fitted = [s for s in standings if s.fit is not None or s.diagnosis is not None]
     sections = [
         s
@@ -88,30 +90,6 @@ def page(site: Site, campaign: str) -> Page:
         provenance=(*site.provenance(run_id), listing.files(recordings[:500], f"{capital(digits(len(recordings), 'file'))} with SHA-256")),
         files=draft.files,
     )  # fmt: skip
-
-
-def of_specimens(site: Site, recordings: Sequence[Record]) -> list[Standing]:
-    """The specimens of some recordings with their fits and diagnoses, by name."""
-    theirs: dict[str, list[Record]] = {}
-    for r in recordings:
-        if r["specimen_id"]:
-            theirs.setdefault(r["specimen_id"], []).append(r)
-    fits: dict[str, list[Record]] = {}
-    for fit in site.results.rows("SELECT * FROM model_fits WHERE selected ORDER BY specimen_id, loading, method"):
-        fits.setdefault(fit["specimen_id"], []).append(fit)
-    diagnoses = {d["specimen_id"]: d for d in site.results.rows("SELECT * FROM diagnoses ORDER BY specimen_id")}
-    return [
-        Standing(
-            specimen,
-            records[-1]["material"],
-            records[-1]["configuration"],
-            choice(fits.get(specimen, [])),
-            told(diagnoses.get(specimen)),
-            stated_rig(records),
-            unasked(diagnoses.get(specimen)),
-        )
-        for specimen, records in sorted(theirs.items())
-    ]
 
 
 def _finding(

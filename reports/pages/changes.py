@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from reports.blocks import Block, Fold, Head, Heading, Piece, Row, Section, Table, Text, flow, link, name, tag
 from reports.names import short
@@ -30,8 +31,8 @@ def section(site: Site) -> Section | None:
     if not site.runs:
         return None
     blocks: list[Block | Fold] = []
-    moved = site.results.rows(_MOVED) if len(site.runs) > 1 else []
-    if moved:
+    moved = _moved(site)
+    if moved.shown:
         blocks.append(_moved_table(site, moved))
     blocks += _alarms(site)
     if len(site.runs) > 1:
@@ -43,20 +44,43 @@ def section(site: Site) -> Section | None:
     return Section("changed", _heading(site, moved), "What changed", tuple(blocks))
 
 
-def _heading(site: Site, moved: Sequence[Record]) -> str:
+@dataclass(frozen=True)
+class _Moved:
+    """Results that the last run moved: those that are shown, their number and that of verdicts among them, whose they are."""
+
+    shown: Sequence[Record]
+    number: int
+    verdicts: int
+    items: Sequence[str]
+
+
+def _moved(site: Site) -> _Moved:
+    """Read one by one: another version of the code may move every result of the lab."""
+    shown: list[Record] = []
+    number = verdicts = 0
+    items: dict[str, None] = {}
+    for row in site.results.each(_MOVED) if len(site.runs) > 1 else ():
+        if number < _MOVED_SHOWN:
+            shown.append(row)
+        number += 1
+        verdicts += row["quantity"] == "verdict"
+        items[short(row["item"], 24)] = None
+    return _Moved(shown, number, verdicts, list(items))
+
+
+def _heading(site: Site, moved: _Moved) -> str:
     if len(site.runs) < 2:
         return "Nothing to compare with yet"
-    if not moved:
+    if not moved.shown:
         return "No result moved by more than its uncertainty allows"
-    items = list(dict.fromkeys(short(m["item"], 24) for m in moved))
+    items = moved.items
     named = joined(items) if len(items) <= 4 else joined([*items[:3], f"{len(items) - 3} more"])
-    verdicts = sum(m["quantity"] == "verdict" for m in moved)
-    what = counted(len(moved) - verdicts, "result") + " moved" if len(moved) > verdicts else ""
-    judged = f"{counted(verdicts, 'verdict')} changed" if verdicts else ""
+    what = counted(moved.number - moved.verdicts, "result") + " moved" if moved.number > moved.verdicts else ""
+    judged = f"{counted(moved.verdicts, 'verdict')} changed" if moved.verdicts else ""
     return f"{capital(' and '.join(p for p in (judged, what) if p))} since the run before: {named}"
 
 
-def _moved_table(site: Site, moved: Sequence[Record]) -> Table:
+def _moved_table(site: Site, moved: _Moved) -> Table:
     rows = tuple(
         Row(
             (
@@ -64,7 +88,7 @@ def _moved_table(site: Site, moved: Sequence[Record]) -> Table:
                 _side(m, "before"), _side(m, "after"), significant(m["moved_sd"], 2), short(m["because"] or ABSENT, 120),
             )
         )
-        for m in moved[:_MOVED_SHOWN]
+        for m in moved.shown
     )  # fmt: skip
     heads = (
         Head("Which"), Head("Quantity"), Head("Unit"), Head("Before", "n"), Head("Now", "n"), Head("Moved by, SD", "n"),
@@ -72,8 +96,8 @@ def _moved_table(site: Site, moved: Sequence[Record]) -> Table:
     )  # fmt: skip
     shown = len(rows)
     note = (
-        f"{shown} of {len(moved)}"
-        if shown < len(moved)
+        f"{shown} of {moved.number}"
+        if shown < moved.number
         else "by more than twice the uncertainty of both together, or to an uncertainty three times as large"
     )
     return Table("Results that moved since the run before", heads, rows, _MOVED.shown(), note)

@@ -25,6 +25,7 @@ from reports.figures.responses import response
 from reports.names import short
 from reports.pages import comparing_models, control, film, lives
 from reports.site import CONTROL, SPECIMENS, Site
+from reports.standings import Brief, of_lab
 from schemas.mechanisms import cause
 from schemas.numbers import capital, digits, significant, word
 
@@ -38,15 +39,18 @@ _POINTS = 2
 """Points out of control with a finding of their own."""
 
 
-def section(site: Site, standings: Sequence[Standing], survival: Sequence[tuple[str, lives.Lives]]) -> Section | None:
+def section(site: Site, standings: Sequence[Brief], survival: Sequence[tuple[str, lives.Lives]]) -> Section | None:
     rank = {"named": 0, "ambiguous": 1, "unknown": 2}
     alarms = sorted((s for s in standings if s.alarm), key=lambda s: (rank.get(s.verdict, 3), s.specimen_id))
     items: list[Finding] = []
     shared = _sharing(alarms)
-    alone = [s for s in alarms if not any(s in group for group in shared)]
+    together = {s.specimen_id for group in shared for s in group}
+    alone = [s for s in alarms if s.specimen_id not in together]
+    told = (*(group[0] for group in shared), *alone[:_ALARMED])
+    full = {s.specimen_id: s for s in of_lab(site.results, [s.specimen_id for s in told])}
     for group in shared:
-        items.append(_shared_finding(site, group, wide=len(items) < _WIDE))
-    for standing in alone[:_ALARMED]:
+        items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
+    for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
         wide = len([i for i in items if i.figure]) < _WIDE
         items.append(_specimen_finding(site, standing, wide=wide))
     if len(alone) > _ALARMED:
@@ -75,10 +79,10 @@ def section(site: Site, standings: Sequence[Standing], survival: Sequence[tuple[
     return Section("findings", "Findings", "Findings", (*((counts,) if counts else ()), Findings(tuple(items))))
 
 
-def _verdicts(standings: Sequence[Standing]) -> Text | None:
+def _verdicts(standings: Sequence[Brief]) -> Text | None:
     """How many specimens were diagnosed, and with which verdict; those that could not be asked too."""
     asked = [s for s in standings if s.verdict]
-    mute = sum(bool(s.unasked) for s in standings)
+    mute = sum(s.unasked for s in standings)
     if not asked and not mute:
         return None
     parts: list[Piece] = [
@@ -115,18 +119,17 @@ def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
     )
 
 
-def _sharing(alarms: Sequence[Standing]) -> list[list[Standing]]:
+def _sharing(alarms: Sequence[Brief]) -> list[list[Brief]]:
     """Specimens in which the same causes are named, where there are several: what they share is rather the rig."""
-    groups: dict[tuple[str, ...], list[Standing]] = {}
+    groups: dict[tuple[str, ...], list[Brief]] = {}
     for standing in alarms:
-        if standing.diagnosis and standing.verdict == "named":
-            groups.setdefault(tuple(standing.diagnosis["mechanisms"] or ()), []).append(standing)
+        if standing.verdict == "named":
+            groups.setdefault(standing.mechanisms, []).append(standing)
     return [group for group in groups.values() if len(group) >= _SHARED]
 
 
-def _shared_finding(site: Site, group: Sequence[Standing], *, wide: bool) -> Finding:
+def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide: bool) -> Finding:
     """One finding for all specimens with the same cause; sizes and evidence are those of the first."""
-    first = group[0]
     pages = [link(name(s.specimen_id), site.specimen_path(s.specimen_id)) for s in group]
     body = (
         flow(
@@ -160,7 +163,7 @@ def _evidence_figure(site: Site, standing: Standing) -> Figure | None:
     )
 
 
-def _quiet(site: Site, standings: Sequence[Standing]) -> list[Finding]:
+def _quiet(site: Site, standings: Sequence[Brief]) -> list[Finding]:
     """Specimens without a finding, in one paragraph per kind of evidence."""
     found: list[Finding] = []
     diagnosed = [s for s in standings if s.verdict == "none"]
@@ -172,17 +175,16 @@ def _quiet(site: Site, standings: Sequence[Standing]) -> list[Finding]:
                 (flow(tag("none"), ". What would have been seen stands on each specimen's page."),), "fine",
             )
         )  # fmt: skip
-    judged = [s for s in standings if not s.verdict and s.fit is not None]
-    unknown = [s for s in judged if s.fit and s.fit["reduced_chi2"] is None]
-    fitted = [s for s in judged if s not in unknown]
-    by_order: dict[int, list[Standing]] = {}
-    for s in fitted:
-        assert s.fit is not None
-        by_order.setdefault(s.fit["model_order"], []).append(s)
+    judged = [s for s in standings if not s.verdict and s.order is not None]
+    unknown = [s for s in judged if s.chi2 is None]
+    by_order: dict[int, list[Brief]] = {}
+    for s in judged:
+        if s.order is not None and s.chi2 is not None:
+            by_order.setdefault(s.order, []).append(s)
     for order, group in sorted(by_order.items(), reverse=True):
-        chi2 = [s.fit["reduced_chi2"] for s in group if s.fit and s.fit["reduced_chi2"] is not None]
+        chi2 = [s.chi2 for s in group if s.chi2 is not None]
         span = f"Reduced χ² {_span(chi2)}: nothing beyond the noise is left." if chi2 else ""
-        materials = sorted({short(s.material, 30) for s in group if s.material})
+        materials = sorted({s.material for s in group if s.material})
         about = f" ({', '.join(materials[:4])})" if materials else ""
         verb = "describes" if order == 1 else "describe"
         title = flow(
@@ -200,7 +202,7 @@ def _span(values: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _names(site: Site, standings: Sequence[Standing]) -> Piece:
+def _names(site: Site, standings: Sequence[Brief]) -> Piece:
     shown: list[Piece] = [site.specimen(s.specimen_id, "") for s in standings[:8]]
     if len(standings) > 8:
         shown.append(f"{len(standings) - 8} more")

@@ -21,13 +21,13 @@ from reports.blocks import (
     link,
     separated,
 )  # fmt: skip
-from reports.evidence import Standing
 from reports.names import short, visible
 from reports.pages import arrived, campaign, changes, headlines, lives, trouble
 from reports.pages.draft import Draft
 from reports.results import Query, moment
 from reports.results import Row as Record
 from reports.site import INDEX, SPECIMENS, Site
+from reports.standings import Brief, briefs, of_lab
 from schemas.numbers import NBSP, capital, counted, digits, seconds, whole, word
 
 _SPECIMENS_SHOWN, _MULTIPLES = 60, 24
@@ -35,14 +35,10 @@ _SPECIMENS_SHOWN, _MULTIPLES = 60, 24
 
 def page(site: Site) -> Page:
     """The index."""
-    used = site.results.rows(
-        "SELECT recording_id, specimen_id, campaign, material, configuration, protocol, loading, started_at, status, run_id, metadata FROM recordings"
-        " WHERE status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes'"
-        " AND specimen_id IN (SELECT specimen_id FROM model_fits UNION ALL SELECT specimen_id FROM diagnoses)"
-        " ORDER BY started_at, recording_id"
-    )
-    standings = [s for s in campaign.of_specimens(site, used) if s.fit is not None or s.diagnosis is not None]
-    survival = [(c, lives.load(_campaign_draft(site, c))) for c in site.campaigns[: arrived.CAMPAIGNS_SHOWN]]
+    standings = briefs(site.results)
+    survival = [
+        (c, lives.load(_campaign_draft(site, c), single=False)) for c in site.campaigns[: arrived.CAMPAIGNS_SHOWN]
+    ]
     counts = _counts(site)
     run = site.last_run
     sections = [
@@ -131,7 +127,7 @@ def _tally(run: Record | None, counts: dict[tuple[str, bool], int]) -> tuple[Cou
 
 
 def headline(
-    standings: Sequence[Standing], survival: Sequence[tuple[str, lives.Lives]], counts: dict[tuple[str, bool], int]
+    standings: Sequence[Brief], survival: Sequence[tuple[str, lives.Lives]], counts: dict[tuple[str, bool], int]
 ) -> str:
     """The finding of the night: specimens to look at first, then lifetimes, then what came in."""
     alarms = sum(s.alarm for s in standings)
@@ -186,11 +182,13 @@ def _sub(run: Record | None, counts: dict[tuple[str, bool], int]) -> Piece:
     return separated(parts)
 
 
-def _specimens(site: Site, standings: Sequence[Standing]) -> Section | None:
+def _specimens(site: Site, standings: Sequence[Brief]) -> Section | None:
     if not standings:
         return None
     blocks: list[Block | Fold] = []
-    figures, shared = campaign.multiples(site, standings, "", _MULTIPLES)
+    drawn = sorted(standings, key=lambda s: (not s.alarm, s.specimen_id))[: 2 * _MULTIPLES]
+    full = of_lab(site.results, [s.specimen_id for s in drawn])
+    figures, shared = campaign.multiples(site, full, "", _MULTIPLES)
     if figures:
         blocks.append(
             Text(

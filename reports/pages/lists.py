@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from reports.blocks import Block, Fold, Head, Link, Page, Pages, Row, Section, Table, Text, code, name
+from reports.ledger import batches
 from reports.names import short
 from reports.pages import listing
 from reports.pages.campaign import specimen_table
@@ -102,22 +103,47 @@ def _page(
 _ORDER = "started_at NULLS LAST, recording_id, source_path"
 
 
-def recordings_parts(site: Site) -> list[tuple[Part, str]]:
+def parts(site: Site, first: str) -> list[Part]:
+    """The parts of a list, which is told by the address that it begins with; none of a list that there is not."""
+    if first == SPECIMENS:
+        return from_the_first(first, site.specimens) if site.specimens else []
+    if first == REFUSED:
+        count = _number(site, "WHERE status = 'quarantined'")
+        return from_the_first(first, count) if count else []
+    return from_the_last(first, _number(site)) if site.recordings else []
+
+
+def _number(site: Site, where: str = "") -> int:
+    return int(site.results.rows(f"SELECT count(*) AS n FROM recordings {where}")[0]["n"])
+
+
+def page(site: Site, first: str, number: int) -> Page:
+    """The part of that number of a list."""
+    make = {RECORDINGS: recordings, SPECIMENS: specimens, REFUSED: refused}[first]
+    known = parts(site, first)
+    return make(site, next(part for part in known if part.number == number), known)
+
+
+def recordings_digests(site: Site) -> Iterator[tuple[Part, str]]:
     """Parts of the list of recordings, each with a digest of its rows."""
-    count = int(site.results.rows("SELECT count(*) AS n FROM recordings")[0]["n"])
-    parts = from_the_last(RECORDINGS, count)
+    known = parts(site, RECORDINGS)
     digests = site.results.rows(
         f"SELECT part, sum(row) AS rows FROM (\n"
-        f"    SELECT least((row_number() OVER (ORDER BY {_ORDER}) - 1) // {PART}, {len(parts) - 1}) AS part,\n"
-        "        hash(r, coalesce(specimen_id IN (\n"
+        f"    SELECT least((row_number() OVER (ORDER BY {_ORDER}) - 1) // {PART}, {len(known) - 1}) AS part, row\n"
+        "    FROM (\n"
+        "        SELECT started_at, recording_id, source_path, hash(r, coalesce(specimen_id IN (\n"
         f"            SELECT specimen_id FROM recordings WHERE {USED_SQL} AND kind IS DISTINCT FROM 'lifetimes'\n"
         "        ), false)) AS row\n"
-        "    FROM recordings AS r\n"
+        "        FROM recordings AS r\n"
+        "    )\n"
         ") GROUP BY part"
     )
     rows = {d["part"]: d["rows"] for d in digests}
-    others = [f"{rows.get(part.number - 1)} {part.after}" for part in parts[1:]]
-    return list(zip(parts, [f"{rows.get(len(parts) - 1)} {_states(site, count)}", *others], strict=True))
+    for part in known:
+        if part.number:
+            yield part, f"{rows.get(part.number - 1)} {part.after}"
+        else:
+            yield part, f"{rows.get(len(known) - 1)} {_states(site, part.end)}"
 
 
 def recordings(site: Site, part: Part, parts: Sequence[Part]) -> Page:
@@ -164,14 +190,13 @@ def _states(site: Site, count: int) -> str:
     return f"{digits(count, 'recording')}: {states}"
 
 
-def refused_parts(site: Site) -> list[tuple[Part, str]]:
+def refused_digests(site: Site) -> Iterator[tuple[Part, str]]:
     """Parts of the list of refused files, and a digest of all their rows and of which of them are new."""
     rows = site.results.rows(
-        "SELECT count(*) AS n, sum(hash(r)) AS rows,\n"
-        "       sum(hash(r)) FILTER (WHERE run_id = (SELECT max(run_id) FROM runs)) AS new\n"
+        "SELECT sum(hash(r)) AS rows, sum(hash(r)) FILTER (WHERE run_id = (SELECT max(run_id) FROM runs)) AS new\n"
         "FROM recordings AS r WHERE status = 'quarantined'"
     )[0]
-    return [(part, str(rows)) for part in from_the_first(REFUSED, rows["n"])] if rows["n"] else []
+    return ((part, str(rows)) for part in parts(site, REFUSED))
 
 
 def refused(site: Site, part: Part, parts: Sequence[Part]) -> Page:
@@ -181,21 +206,30 @@ def refused(site: Site, part: Part, parts: Sequence[Part]) -> Page:
     return _page(site, part, parts, title, [table], f"{title}: nothing of them is in the results")
 
 
-def specimens_parts(site: Site, digests: Mapping[str, str]) -> list[tuple[Part, str]]:
-    """Parts of the list of specimens, and the digests of theirs."""
-    found = []
-    for part in from_the_first(SPECIMENS, len(site.specimens)) if site.specimens else []:
-        count = len(site.specimens) if part.number == 0 else 0
-        members = [digests.get(name, "") for name in site.specimens[part.begin : part.end]]
-        found.append((part, f"{count} {part.after} {members}"))
-    return found
+def specimens_digests(site: Site) -> Iterator[tuple[Part, str]]:
+    """Parts of the list of specimens, and the digests of theirs, which the ledger has."""
+    members = batches(
+        site.ledger.each(
+            "SELECT s.specimen_id, d.digest FROM specimens AS s"
+            " LEFT JOIN digests AS d ON d.kind = 'specimen' AND d.item = s.specimen_id ORDER BY s.specimen_id"
+        ),
+        PART,
+    )
+    for part, some in zip(parts(site, SPECIMENS), members, strict=True):
+        yield part, f"{site.specimens if part.number == 0 else 0} {part.after} {some}"
 
 
 def specimens(site: Site, part: Part, parts: Sequence[Part]) -> Page:
     """Every specimen; those with a model or a diagnosis in numbers, the others by their recordings."""
     blocks: list[Block | Fold] = []
-    names = site.specimens[part.begin : part.end]
-    these = f"specimen_id BETWEEN {literal(names[0])} AND {literal(names[-1])}" if names else "false"
+    begin, end = (
+        str(name)
+        for at in (part.begin, part.end - 1)
+        for (name,) in site.ledger.each(
+            "SELECT specimen_id FROM specimens ORDER BY specimen_id LIMIT 1 OFFSET ?", (at,)
+        )
+    )
+    these = f"specimen_id BETWEEN {literal(begin)} AND {literal(end)}"
     table = specimen_table(site, "", these, "", "Specimens with a model", limit=PART)
     if table.rows:
         blocks.append(table)
@@ -226,5 +260,5 @@ def specimens(site: Site, part: Part, parts: Sequence[Part]) -> Page:
     blocks.append(Table("All specimens", heads, rows, query.shown()))
     if not rows:
         blocks = [Text("No specimen has a usable recording.", "sub")]
-    title = digits(len(site.specimens), "specimen") if part.number == 0 else "Specimens"
+    title = digits(site.specimens, "specimen") if part.number == 0 else "Specimens"
     return _page(site, part, parts, title, blocks)

@@ -41,8 +41,11 @@ _EFFECT = "restricted mean"
 
 @dataclass(frozen=True)
 class Lives:
-    """Everything about lifetimes in a campaign."""
+    """Everything about lifetimes in a campaign; single lives and curves only where they are shown."""
 
+    tested: int
+    failed: int
+    longest_s: float
     lifetimes: list[Record]
     curves: list[Record]
     summaries: list[Record]
@@ -57,7 +60,7 @@ class Lives:
     @property
     def unit(self) -> tuple[float, str]:
         """Factor from seconds and the unit in which this campaign's lives are read."""
-        return time_unit(max((r["lifetime_s"] for r in self.lifetimes if r["lifetime_s"] is not None), default=0.0))
+        return time_unit(self.longest_s)
 
     def label(self, key: tuple[str, float | None], limit: int = 60) -> str:
         """The configuration, with the voltage where one configuration has several."""
@@ -69,8 +72,8 @@ class Lives:
         return name
 
 
-def load(draft: Draft) -> Lives:
-    """The lifetimes of the campaign and the survival of its configurations."""
+def load(draft: Draft, *, single: bool = True) -> Lives:
+    """The lifetimes of the campaign and the survival of its configurations; without `single`, what its headline needs."""
     parameters = {"campaign": draft.item}
     queries = {
         "lifetimes": Query(
@@ -99,8 +102,24 @@ def load(draft: Draft) -> Lives:
             parameters,
         ),
     }
-    rows = {name: draft.results.rows(query) for name, query in queries.items()}
-    return Lives(rows["lifetimes"], rows["curves"], rows["summaries"], rows["comparisons"], queries)
+    counted = Query(
+        "SELECT count(*) AS tested, count(*) FILTER (WHERE failed) AS failed, coalesce(max(lifetime_s), 0) AS longest_s\n"
+        "FROM lifetimes\nWHERE campaign = $campaign",
+        parameters,
+    )
+    needed = queries if single else {"summaries", "comparisons"}
+    rows = {name: draft.results.rows(query) if name in needed else [] for name, query in queries.items()}
+    (number,) = draft.results.rows(counted)
+    return Lives(
+        number["tested"],
+        number["failed"],
+        number["longest_s"],
+        rows["lifetimes"],
+        rows["curves"],
+        rows["summaries"],
+        rows["comparisons"],
+        queries,
+    )
 
 
 def decisive(comparisons: Sequence[Record]) -> Record | None:
@@ -125,9 +144,8 @@ def headline(lives: Lives) -> str:
     best = decisive(lives.comparisons)
     if best is not None and best["p_value"] < 0.05:
         return survival_title(best, lives.summaries)
-    if lives.lifetimes:
-        failed = sum(bool(r["failed"]) for r in lives.lifetimes)
-        tested = f"{failed} of {len(lives.lifetimes)} specimens failed"
+    if lives.tested:
+        tested = f"{lives.failed} of {lives.tested} specimens failed"
         return f"{tested}; no difference between the groups is shown" if best is not None else tested
     return ""
 

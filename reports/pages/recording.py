@@ -106,7 +106,7 @@ def _has(draft: Draft, table: str) -> bool:
 
 def _crumbs(site: Site, row: Row) -> tuple[Link, ...]:
     crumbs = [Link("Last night", "../index.html")]
-    if row["specimen_id"] in site.specimens:
+    if site.has_specimen(row["specimen_id"]):
         crumbs.append(Link(f"Specimen {short(row['specimen_id'], 40)}", "../" + site.specimen_path(row["specimen_id"])))
     else:
         crumbs.append(Link("Recordings", "../" + RECORDINGS))

@@ -19,9 +19,10 @@ from urllib.parse import unquote
 import duckdb
 import pytest
 
+from reports import build
 from reports.build import build_reports
 from reports.manifest import NAME
-from reports.results import Query, Results, Row
+from reports.results import MEMORY, Query, Results, Row
 from schemas.errors import LabError
 from tests.browser import synthetic
 
@@ -182,7 +183,10 @@ def test_pages_of_what_is_gone_are_removed(lab: Path, tmp_path: Path) -> None:
 
 def test_a_lost_or_broken_manifest_makes_everything_anew(small: Path) -> None:
     before = contents(small / "reports")
-    for text in ("{", "[]", '{"pages": {"index.html": 3}}'):
+    lines = (small / "reports" / NAME).read_text().splitlines(keepends=True)
+    cut, odd = "".join(lines[:3]), f'{lines[0]}"index.html": {{"digest": 3, "files": []}}\n}}}}\n'
+    earlier = json.dumps(json.loads("".join(lines)))
+    for text in ("{", "[]", '{"pages": {"index.html": 3}}', cut, odd, earlier):
         (small / "reports" / NAME).write_text(text)
         assert build_reports(small).pages_unchanged == 0
     (small / "reports" / "specimens" / "A-1.html").unlink()
@@ -438,6 +442,15 @@ def test_long_lists_come_in_parts_and_the_index_stays_small(tmp_path: Path) -> N
     assert {"recordings-1.html", "refused-2.html", "specimens-2.html"} <= names
     for path in (lab / "reports").glob("*.html"):
         Parsed(path.read_text(encoding="utf-8"))
+
+
+def test_where_memory_does_not_do_more_is_taken(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = tmp_path / "lab"
+    other.mkdir()
+    shutil.copy(lab / "results.duckdb", other)
+    monkeypatch.setattr(build, "MEMORY", ("1MB", *MEMORY))
+    build_reports(other)
+    assert contents(other / "reports") == contents(lab / "reports")
 
 
 def test_manifest_holds_no_place_and_no_time(site: Path) -> None:

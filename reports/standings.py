@@ -1,0 +1,113 @@
+"""How the specimens of a campaign or of the whole lab stand; of the lab's, few are in memory at a time.
+
+Does not belong here: how one stands (`reports.evidence`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from reports.evidence import Standing, choice, told, unasked
+from reports.ledger import batches
+from reports.names import short
+from reports.results import Query, Results, Row, literal
+from reports.site import stated_rig
+
+_JUDGED = (
+    "status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes'"
+    " AND specimen_id IN (SELECT specimen_id FROM model_fits UNION ALL SELECT specimen_id FROM diagnoses)"
+)
+"""Recordings of specimens with a model or a diagnosis."""
+_AT_ONCE = 100
+"""Specimens in memory at a time: a fit has many columns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Brief:
+    """What the index needs of every specimen with a model or a diagnosis, in little memory."""
+
+    specimen_id: str
+    alarm: bool
+    verdict: str
+    mechanisms: tuple[str, ...]
+    unasked: bool
+    order: int | None
+    """Arms of the fit; None where only a diagnosis is there."""
+    chi2: float | None
+    material: str
+
+
+def of_campaign(results: Results, campaign: str, recordings: Sequence[Row]) -> list[Standing]:
+    """The specimens of some recordings of a campaign, by name."""
+    where = Query(
+        "specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $campaign)", {"campaign": campaign}
+    )
+    return _of(results, recordings, where)
+
+
+def of_lab(results: Results, specimens: Sequence[str]) -> list[Standing]:
+    """Those of the named specimens that have a model or a diagnosis, by name."""
+    return _among(results, f"specimen_id IN ({', '.join(map(literal, specimens))})") if specimens else []
+
+
+def briefs(results: Results) -> list[Brief]:
+    """All specimens with a model or a diagnosis, by name."""
+    return [_brief(s) for s in _every(results)]
+
+
+def _every(results: Results) -> Iterator[Standing]:
+    names = results.each(
+        f"SELECT DISTINCT specimen_id FROM recordings WHERE {_JUDGED} AND specimen_id <> '' ORDER BY specimen_id"
+    )
+    for some in batches(names, _AT_ONCE):
+        first, last = (literal(row["specimen_id"]) for row in (some[0], some[-1]))
+        yield from _among(results, f"specimen_id BETWEEN {first} AND {last}")
+
+
+def _among(results: Results, where: str) -> list[Standing]:
+    recordings = results.rows(
+        f"SELECT specimen_id, material, configuration, loading, metadata FROM recordings WHERE {_JUDGED} AND {where}"
+        " ORDER BY started_at, recording_id"
+    )
+    return [s for s in _of(results, recordings, Query(where)) if s.fit is not None or s.diagnosis is not None]
+
+
+def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Standing]:
+    """The specimens of some recordings with their fits and diagnoses, `where` they are."""
+    theirs: dict[str, list[Row]] = {}
+    for r in recordings:
+        if r["specimen_id"]:
+            theirs.setdefault(r["specimen_id"], []).append(r)
+    fits: dict[str, list[Row]] = {}
+    selected = f"SELECT * FROM model_fits WHERE selected AND {where.sql} ORDER BY specimen_id, loading, method"
+    for fit in results.rows(Query(selected, where.parameters)):
+        fits.setdefault(fit["specimen_id"], []).append(fit)
+    made = results.rows(Query(f"SELECT * FROM diagnoses WHERE {where.sql} ORDER BY specimen_id", where.parameters))
+    diagnoses = {d["specimen_id"]: d for d in made}
+    return [
+        Standing(
+            specimen,
+            records[-1]["material"],
+            records[-1]["configuration"],
+            choice(fits.get(specimen, [])),
+            told(diagnoses.get(specimen)),
+            stated_rig(records),
+            unasked(diagnoses.get(specimen)),
+        )
+        for specimen, records in sorted(theirs.items())
+    ]
+
+
+def _brief(standing: Standing) -> Brief:
+    fit, diagnosis = standing.fit, standing.diagnosis
+    return Brief(
+        standing.specimen_id,
+        standing.alarm,
+        standing.verdict,
+        tuple(diagnosis["mechanisms"] or ()) if diagnosis else (),
+        bool(standing.unasked),
+        None if fit is None else fit["model_order"],
+        None if fit is None else fit["reduced_chi2"],
+        short(standing.material, 30) if standing.material else "",
+    )
