@@ -81,22 +81,22 @@ def test_the_hidden_effect_is_named_first(id: str) -> None:
 
 def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
     """Where one cause explains nearly everything its form is known, and what it leaves is another's."""
-    found = judge(Case(706_003_032, effects=(("cyclic_softening", 4.0), ("rig_constants", 4.0))))
+    softening = Effect("cyclic_softening", 2.753e-3, {"cycles": 1.994, "curvature": 1.052})
+    found = observe(made(Case(706_003_032), (softening, Effect("rig_constants", -0.5552))))
     assert found.verdict == "named"
-    assert set(found.named) == {"rig_constants", "cyclic_softening"}
+    assert set(found.mechanisms) == {"rig_constants", "cyclic_softening"}
 
 
 def test_a_clamp_much_heavier_than_its_file_says_is_the_rigs() -> None:
     """The plain model starts on the wrong side of the clamp's resonance, and must get over it before anything else is blamed."""
-    found = judge(Case(973_670_000, effects=(("rig_constants", 1.5),)))
-    assert found.named == ("rig_constants",)
-    assert found.covered
+    found = observe(made(Case(973_670_000), (Effect("rig_constants", 0.2029),)))
+    assert (found.verdict, found.mechanisms) == ("named", ("rig_constants",))
 
 
 def test_a_film_that_hardly_goes_slack_is_seen() -> None:
     """A screen's share of a strong effect lies below the load at which a weak one begins: the search must not start there alone."""
-    found = judge(Case(973_670_012, effects=(("slack", 1.5),)))
-    assert found.named == ("slack",)
+    slack = Effect("slack", 0.0375, {"residual": 0.02616, "softness": 0.10663})
+    assert observe(made(Case(973_670_012), (slack,))).mechanisms == ("slack",)
 
 
 def test_a_weak_effect_is_found_with_its_severity_whatever_the_order_and_the_names() -> None:
