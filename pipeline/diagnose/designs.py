@@ -39,8 +39,9 @@ _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
 OFTEN = 10
-"""How many times as many sweeps are made where a few do not decide."""
+"""How many times as many sweeps or periods are made where a few do not decide."""
 _TIMES = {2: "twice", 2 * OFTEN: "twenty times"}
+_PERIODS = {100: "a hundred", 100 * OFTEN: "a thousand"}
 _USUAL_HZ, _WIDE_HZ = 100.0, 300.0
 """Ends of the band of a test, and of one that has the resonance of most load cells in it."""
 _KINDS = {
@@ -55,7 +56,6 @@ _KINDS = {
 _SWEEP_S, _REST_S = 6.0, 2.0
 _SPHS: dict[str, Key] = {
     "period_s": 2.0,
-    "periods": 100.0,
     "frequency_start_hz": 0.5,
     "lines": "odd",
 }
@@ -170,12 +170,39 @@ def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
 
 
 def repeated(proposal: Proposal) -> Proposal | None:
-    """The same sweeps `OFTEN` times as often; None for other tests, and for those with a rest or another room."""
+    """The same sweeps or periods `OFTEN` times as often; None for other tests, and for those with a rest or another room."""
     design = proposal.design
-    if proposal.test != "chirp" or {_WARMER, "rest_before_s"} & set(design):
+    if {_WARMER, "rest_before_s"} & set(design):
         return None
-    number = int(float(design["repeats"])) * OFTEN
-    return _sweeps(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
+    if proposal.test == "chirp":
+        number = int(float(design["repeats"])) * OFTEN
+        return _sweeps(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
+    if proposal.test == "sphs":
+        kv, polarity = float(design["drive_kv"]), float(design.get("polarity", 1.0))
+        return _multisine(kv, polarity, float(design["frequency_stop_hz"]), int(float(design["periods"])) * OFTEN)
+    return None
+
+
+def _multisine(kv: float, polarity: float, stop_hz: float, periods: int) -> Proposal:
+    side, sign = _polarity(polarity)
+    wide = "" if stop_hz == _USUAL_HZ else f", to {stop_hz:g} Hz"
+    return Proposal(
+        {
+            "protocol": "sphs",
+            "loading": "electrical",
+            "drive_kv": kv,
+            "frequency_stop_hz": stop_hz,
+            **_SPHS,
+            "periods": float(periods),
+            **sign,
+        },
+        f"an SPHS with a peak of {kv:g} kV{side}, {_PERIODS[periods]} periods of 2 s{wide}",
+    )
+
+
+def _polarity(polarity: float) -> tuple[str, dict[str, Key]]:
+    """Words and keys of a design."""
+    return ("", {}) if polarity > 0 else (" of the opposite polarity", {"polarity": -1.0})
 
 
 def _sweeps(level: float, stop_hz: float, number: int) -> Proposal:
@@ -198,19 +225,10 @@ def _electrical(highest: float) -> list[Proposal]:
     for share in (0.125, 0.25, 0.5, 1.0):
         for polarity in (1.0, -1.0):
             kv = round(share * highest, 2)
-            side = "" if polarity > 0 else " of the opposite polarity"
-            sign: dict[str, Key] = {} if polarity > 0 else {"polarity": -1.0}
-            sphs = {
-                "protocol": "sphs",
-                "loading": "electrical",
-                "drive_kv": kv,
-                "frequency_stop_hz": _USUAL_HZ,
-                **_SPHS,
-            }
-            text = f"an SPHS with a peak of {kv:g} kV{side}, a hundred periods of 2 s"
-            found.append(Proposal({**sphs, **sign}, text))
+            side, sign = _polarity(polarity)
+            found.append(_multisine(kv, polarity, _USUAL_HZ, 100))
             if polarity > 0 and share == 1.0:
-                found.append(Proposal({**sphs, "frequency_stop_hz": _WIDE_HZ}, f"{text}, to {_WIDE_HZ:g} Hz"))
+                found.append(_multisine(kv, polarity, _WIDE_HZ, 100))
             found.append(
                 Proposal(
                     {

@@ -33,8 +33,9 @@ _ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
 _OF_WHAT_IS_SEEN = 0.15
 """Share of what the causes explain so far that a recording must show of them, for a doubt that came by chance to pass."""
-_UNDECIDED = 0.1
-"""Probability that a recording leaves two causes undecided, above which it is not proposed."""
+_UNDECIDED, _SURELY = 0.1, 0.03
+"""Probability that a recording leaves two causes undecided, above which it is not proposed; and above which a longer one is, if that
+is surer."""
 _LITTLE = 1e-9
 """χ² that says nothing."""
 _STEPS = 10
@@ -45,7 +46,7 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
     if not alternatives:
         return None
-    best = _best(final, alternatives, WARMER_K, _Judged.sureness, -np.log(_UNDECIDED))
+    best = _best(final, alternatives, WARMER_K, _Judged.sureness, -np.log(_UNDECIDED), -np.log(_SURELY))
     if best is None:
         return None
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
@@ -56,7 +57,7 @@ def proving_recording(plain: ExtendedFit, final: ExtendedFit) -> NextRecording |
     """The test in which the causes believed would show most, where they may be none of the list: what is in no list goes another way
     there, and a doubt that came by chance does not come again. None where they would show next to nothing."""
     least = max(_ENOUGH, _OF_WHAT_IS_SEEN * (plain.chi2 - final.chi2))
-    best = _best(final, [plain], LITTLE_WARMER_K, _Judged.separation, least)
+    best = _best(final, [plain], LITTLE_WARMER_K, _Judged.separation, least, least)
     if best is None:
         return None
     names = " and ".join(c.id for c in final.of.chosen)
@@ -110,9 +111,15 @@ class _Judged:
 
 
 def _best(
-    final: ExtendedFit, rivals: Sequence[ExtendedFit], warmer_k: float, merit: Callable[[_Judged], float], least: float
+    final: ExtendedFit,
+    rivals: Sequence[ExtendedFit],
+    warmer_k: float,
+    merit: Callable[[_Judged], float],
+    least: float,
+    enough: float,
 ) -> _Judged | None:
-    """Of the catalogue what has the most merit; where that is not the `least`, the best of what can be repeated often, if that has it."""
+    """Of the catalogue what has the most merit; where that is not `enough`, it or the best of what can be repeated often, whichever has
+    more; None where that is less than the `least`."""
     believed = _forms(final)
     causes = [c.mechanism for f in (final, *rivals) for c in f.of.chosen[:1]]
 
@@ -121,12 +128,11 @@ def _best(
         judged = [_judged(p, believed, rivals) for p in proposals]
         return sorted((j for j in judged if j is not None), key=merit, reverse=True)
 
-    once = best(showing(catalogue(final.of.session, warmer_k), causes))
-    if any(merit(j) >= least for j in once[:1]):
-        return once[0]
-    hopeful = [repeated(j.proposal) for j in once if merit(j.times(OFTEN)) >= least]
-    often = best([p for p in hopeful if p is not None][:1])
-    return often[0] if often and merit(often[0]) >= least else None
+    found = best(showing(catalogue(final.of.session, warmer_k), causes))
+    if not any(merit(j) >= enough for j in found[:1]):
+        hopeful = [repeated(j.proposal) for j in found if merit(j.times(OFTEN)) >= enough]
+        found = sorted([*best([p for p in hopeful if p is not None][:1]), *found[:1]], key=merit, reverse=True)
+    return found[0] if found and merit(found[0]) >= least else None
 
 
 def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]) -> _Judged | None:

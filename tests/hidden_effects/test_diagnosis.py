@@ -212,7 +212,7 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
             140_430_014,
             Effect("sensor_delay", 3.5e-6, {"channel": "force", "form": "shift"}),
             {"sensor_delay", "drive_lag"},
-            "to 300 Hz at 5 % strain (peak to peak), twenty times",
+            "a thousand periods of 2 s, to 300 Hz",
         ),
         (
             895_730_029,
@@ -225,7 +225,7 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
 def test_what_the_session_cannot_decide_is_asked_of_the_right_recording(
     seed: int, effect: Effect, rivals: set[str], proposed: str
 ) -> None:
-    """A calibration where material and rig take up what differs; many sweeps where a few are too noisy; what decides if the likelier
+    """A calibration where material and rig take up what differs; many sweeps or periods where a few are too noisy; what decides if the likelier
     one is true where it is much likelier already."""
     found = observe(made(Case(seed), (effect,)))
     assert found.verdict == "ambiguous"
