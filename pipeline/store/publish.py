@@ -228,12 +228,14 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _define(connection: Any) -> None:
+    connection.execute("BEGIN")  # each definition for itself would be written to the disk for itself
     for table in TABLES.values():
         connection.execute(table.ddl())
     for view in VIEWS:
         connection.execute(view.ddl())
     for key, value in _TODAY.items():
         connection.execute("INSERT INTO lab VALUES (?, ?)", [key, value])
+    connection.execute("COMMIT")
 
 
 def _migrate(connection: Any, published: Path) -> None:
