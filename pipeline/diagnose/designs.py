@@ -38,10 +38,10 @@ _NS = 1_000_000_000
 _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
-OFTEN = 10
-"""How many times as many sweeps or periods are made where a few do not decide."""
-_TIMES = {2: "twice", 2 * OFTEN: "twenty times"}
-_PERIODS = {100: "a hundred", 100 * OFTEN: "a thousand"}
+OFTEN = {"chirp": 10, "sphs": 3}
+"""How many times as many sweeps or periods are made where a few do not decide. More periods would show what no model is right to."""
+_TIMES = {2: "twice", 2 * OFTEN["chirp"]: "twenty times"}
+_PERIODS = {100: "a hundred", 100 * OFTEN["sphs"]: "three hundred"}
 _USUAL_HZ, _WIDE_HZ = 100.0, 300.0
 """Ends of the band of a test, and of one that has the resonance of most load cells in it."""
 _KINDS = {
@@ -170,16 +170,18 @@ def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
 
 
 def repeated(proposal: Proposal) -> Proposal | None:
-    """The same sweeps or periods `OFTEN` times as often; None for other tests, and for those with a rest or another room."""
+    """The same sweeps or periods as many times as often as `OFTEN` says; None for other tests, and for those with a rest or another room."""
     design = proposal.design
     if {_WARMER, "rest_before_s"} & set(design):
         return None
     if proposal.test == "chirp":
-        number = int(float(design["repeats"])) * OFTEN
+        number = int(float(design["repeats"])) * OFTEN["chirp"]
         return _sweeps(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
     if proposal.test == "sphs":
         kv, polarity = float(design["drive_kv"]), float(design.get("polarity", 1.0))
-        return _multisine(kv, polarity, float(design["frequency_stop_hz"]), int(float(design["periods"])) * OFTEN)
+        return _multisine(
+            kv, polarity, float(design["frequency_stop_hz"]), int(float(design["periods"])) * OFTEN["sphs"]
+        )
     return None
 
 

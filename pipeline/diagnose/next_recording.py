@@ -130,7 +130,7 @@ def _best(
 
     found = best(showing(catalogue(final.of.session, warmer_k), causes))
     if not any(merit(j) >= enough for j in found[:1]):
-        hopeful = [repeated(j.proposal) for j in found if merit(j.times(OFTEN)) >= enough]
+        hopeful = [repeated(j.proposal) for j in found if merit(j.times(OFTEN.get(j.proposal.test, 1))) >= enough]
         found = sorted([*best([p for p in hopeful if p is not None][:1]), *found[:1]], key=merit, reverse=True)
     return found[0] if found and merit(found[0]) >= least else None
 

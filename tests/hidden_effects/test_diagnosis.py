@@ -212,7 +212,7 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
             140_430_014,
             Effect("sensor_delay", 3.5e-6, {"channel": "force", "form": "shift"}),
             {"sensor_delay", "drive_lag"},
-            "a thousand periods of 2 s, to 300 Hz",
+            "to 300 Hz at 5 % strain (peak to peak), twenty times",
         ),
         (
             895_730_029,
