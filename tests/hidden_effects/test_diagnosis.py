@@ -14,7 +14,7 @@ import pytest
 
 from ingest.canonical import canonical
 from ingest.read import read_raw
-from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.diagnosis import diagnose, main_key
 from pipeline.diagnose.features import RecordingFeatures
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
@@ -89,8 +89,13 @@ def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
 
 def test_a_clamp_much_heavier_than_its_file_says_is_the_rigs() -> None:
     """The plain model starts on the wrong side of the clamp's resonance, and must get over it before anything else is blamed."""
-    found = observe(made(Case(973_670_000), (Effect("rig_constants", 0.2029),)))
+    session = made(Case(973_670_000), (Effect("rig_constants", 0.2029),))
+    found = observe(session)
     assert (found.verdict, found.mechanisms) == ("named", ("rig_constants",))
+    assert found.extension is not None
+    estimates = found.extension.severities["rig_constants"]
+    key = main_key("rig_constants", estimates)
+    assert estimates[key].lower <= float(session.truth.equivalent["rig_constants"][key]) <= estimates[key].upper
 
 
 def test_a_film_that_hardly_goes_slack_is_seen() -> None:
@@ -225,7 +230,7 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
 def test_what_the_session_cannot_decide_is_asked_of_the_right_recording(
     seed: int, effect: Effect, rivals: set[str], proposed: str
 ) -> None:
-    """A calibration where material and rig take up what differs; many sweeps or periods where a few are too noisy; what decides if the likelier
+    """A calibration where material and rig take up what differs; many sweeps where a few are too noisy; what decides if the likelier
     one is true where it is much likelier already."""
     found = observe(made(Case(seed), (effect,)))
     assert found.verdict == "ambiguous"
