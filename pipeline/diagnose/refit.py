@@ -38,6 +38,8 @@ _LOW_STARTS = (1.0, 4.0)
 """Severities in units of the lowest plausible one from which a mechanism is searched that begins at a load."""
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
+_VANISHED = 0.01
+"""Share of its stiffness below which an arm has vanished."""
 _TRIALS, _CONFIRMATIONS, _SETTLED, _SETTLED_SHARE = 20, 8, 0.1, 2e-4
 """Steps of a round, of which many may be too long, rounds of confirming an optimum at most, and the fall of χ², alone and as a share
 of it, below which there is no other: along a bent valley each round gains a little."""
@@ -53,14 +55,14 @@ _RIVAL, _RIVAL_LEFT = 0.3, 0.7
 """χ² above the best cause's, as shares of what that explains and of what it leaves, from which another is no rival whatever it is."""
 
 
-def _proposals(found: Sequence[Score], mechanisms: int) -> list[list[Score]]:
-    """Best mechanisms of a screen, each with its best forms."""
+def _by_mechanism(found: Sequence[Score]) -> dict[str, list[Score]]:
+    """Mechanisms of a screen, best first, each with its best forms."""
     by_id: dict[str, list[Score]] = {}
     for score in found:
         forms = by_id.setdefault(score.chosen.id, [])
         if len(forms) < _FORMS and (not forms or score.statistic > _CLOSE_FORM * forms[0].statistic):
             forms.append(score)
-    return list(by_id.values())[:mechanisms]
+    return by_id
 
 
 def tried(
@@ -69,14 +71,25 @@ def tried(
     """The best form of each of the best mechanisms of a screen, fitted on top of `base`.
 
     Those are left out of which the screen promises so little that they could not come near both the best of those fitted so far and
-    `goal`, a χ²; but never those that the material can take the place of: of a strong one a screen sees next to nothing.
+    `goal`, a χ²; but never those that the material can take the place of: of a strong one a screen sees next to nothing. For the same
+    reason those of them are fitted, wherever they stand in the screen, that the best of the others is known to be taken for.
     """
+    by_id = _by_mechanism(found)
     kept: list[ExtendedFit] = []
-    for own in _proposals(found, mechanisms):
+
+    def fitted(forms: Sequence[Score]) -> list[ExtendedFit]:
         reach = min([goal, *(_rivals(base, f) for f in kept)])
-        hopeful = [s for s in own if s.chosen.id in _ABSORBED or base.chi2 - _FAR_MORE * s.statistic < reach]
+        hopeful = [s for s in forms if s.chosen.id in _ABSORBED or base.chi2 - _FAR_MORE * s.statistic < reach]
         fits = [refit(base, form, looked, reach) for form in hopeful]
-        kept += [max(fits, key=lambda f: f.log_evidence)] if fits else []
+        return [max(fits, key=lambda f: f.log_evidence)] if fits else []
+
+    for id in list(by_id)[:mechanisms]:
+        kept += fitted(by_id[id])
+    if kept:
+        best = max(kept, key=lambda f: f.log_evidence).of.chosen[-1].mechanism
+        for id in list(by_id)[mechanisms:]:
+            if id in _ABSORBED and id in best.confusable:
+                kept += fitted(by_id[id])
     return kept
 
 
@@ -121,6 +134,8 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     if score.chosen.id == "rig_constants" and any(base.of.model.rigs):
         fits.append(of.fit(_as_the_files_say(of, base), most=_ROUGHLY, thorough=False))
     best = _to_its_end(base, min(fits, key=lambda f: f.chi2), reach)
+    if far:
+        best = _revived(base, best, reach)
     if not best.chi2 <= base.chi2:
         faint = of.entries(base.theta, (*base.values, scaled(score.chosen.mechanism, score.values, _SMALL)))
         again = of.fit(faint, most=_ROUGHLY, near=base, thorough=False)
@@ -138,6 +153,20 @@ def _to_its_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFi
         if not fall > _STILL_FALLING * abs(base.chi2 - again.chi2) or fit.chi2 - _FAR_MORE * fall > reach:
             break
     return fit
+
+
+def _revived(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:
+    """The fit, or a better one from where its arms that have vanished are as in `base`: an arm of next to no stiffness has no slope
+    left by which it could come back, and a mechanism that begins too strong takes more of the arms than it needs in the end."""
+    arms = fit.of.model.arms
+    springs = 1 + np.arange(arms)
+    vanished = springs[fit.theta[springs] < base.theta[springs] + np.log(_VANISHED)]
+    if vanished.size == 0:
+        return fit
+    x = fit.x.copy()
+    for places in (vanished, vanished + arms):
+        x[places] = base.theta[places]
+    return min(fit, _to_its_end(base, fit.of.fit(x, most=_ROUGHLY, thorough=False), reach), key=lambda f: f.chi2)
 
 
 def _best_starts(
