@@ -29,6 +29,9 @@ SECOND_SHARE, SECOND_OF_LEFT = 0.05, 0.4
 anything: less is the form of those before it."""
 SECOND_OF_ALL = 0.045
 """The same of the misfit that the causes so far explain anywhere."""
+_SECOND_OF_THE_SAME = 0.13
+"""The same again of a cause that can be taken for one of those before it where these explain something: however well a form is seen to
+fit, what it leaves there looks like such a cause."""
 _LEAVING_NOISE = 0.2
 """Part of these shares that a cause has to add which leaves nothing but noise, if none is like it where it adds: no other cause takes
 away all that a wrong form leaves."""
@@ -149,7 +152,7 @@ def _worthwhile(
     of_another = shown or explained < _NOTHING * adds or not _alike(more)
     form = _of_form(share) * (_LEAVING_NOISE if left < _NOISE * spread and of_another else 1.0)
     least = (
-        form * SECOND_OF_ALL * (plain.chi2 - best.chi2),
+        (form * SECOND_OF_ALL if of_another else _SECOND_OF_THE_SAME) * (plain.chi2 - best.chi2),
         form * SECOND_SHARE * explained,
         SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
     )

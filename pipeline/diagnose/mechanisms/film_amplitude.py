@@ -66,7 +66,7 @@ def _soft_report(values: Values, variant: str, context: Context) -> Mapping[str,
 
 
 def _damage(values: Values, variant: str) -> Effect:
-    loss, cycles, scale = values["loss"], values["cycles"], values["strain_scale"]
+    loss, cycles, scale, rejoined = values["loss"], values["cycles"], values["strain_scale"], values["rejoining"]
 
     def target(strain: Float, largest: float) -> Float:
         return np.asarray(loss * np.expm1(-strain / (scale * largest)) / np.expm1(-1 / scale))
@@ -76,7 +76,23 @@ def _damage(values: Values, variant: str) -> Effect:
         before, after = target(view.strain_before, largest), target(view.largest_strain, largest)
         return Film(film.k * (1 - after - (before - after) * np.exp(-view.elapsed / cycles)), film.share)
 
-    return Effect(film=(damaged,)) if loss else Effect()
+    def rejoins(course: Course) -> Float:
+        size = np.abs(course.strain)
+        so_far = size.max(axis=-1, keepdims=True) if course.periodic else np.maximum.accumulate(size, axis=-1)
+        damage = target(so_far, max(course.scale.strain, 1e-12)) * -np.expm1(-_passed(course, so_far) / cycles)
+        return np.asarray(course.tension * (1 + rejoined * damage * (size / np.maximum(so_far, 1e-30)) ** 2))
+
+    if loss == 0:
+        return Effect()
+    return Effect(film=(damaged,), tension=(rejoins,) if rejoined else ())
+
+
+def _passed(course: Course, largest: Float) -> Float:
+    """Cycles (..., 1 or P) that a film has gone through at the largest strain so far."""
+    if course.periodic:
+        return np.full((1, 1), np.inf) if course.cycles is None else (sum(course.cycles) / 2 - 0.5)[..., None]
+    path = np.cumsum(np.abs(np.diff(course.strain, axis=-1, prepend=course.strain[..., :1])), axis=-1)
+    return np.asarray(path / np.maximum(2 * largest, 1e-30))
 
 
 def _damage_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
@@ -84,6 +100,7 @@ def _damage_report(values: Values, variant: str, context: Context) -> Mapping[st
         "loss": values["loss"],
         "cycles": values["cycles"],
         "strain_scale": values["strain_scale"] * context.scale.strain,
+        "rejoining": values["rejoining"],
     }
 
 
@@ -163,12 +180,13 @@ AMPLITUDE_SOFTENING = Mechanism(
 CYCLIC_SOFTENING = Mechanism(
     id="cyclic_softening",
     stage="film",
-    equation="k (1 − D), D → d (1 − e^{−A_max/a}) as 1 − e^{−n/n0}, A_max the largest strain so far",
-    source="Mullins effect with a damage variable, Ogden and Roxburgh 1999",
+    equation="k (1 − D (1 − r (e/A_max)²)), D → d (1 − e^{−A_max/a}) as 1 − e^{−n/n0}, A_max the largest strain so far",
+    source="Mullins effect with a damage variable that vanishes towards the largest strain, Ogden and Roxburgh 1999",
     parameters=(
         Parameter("loss", "1", "loss after the session's largest strain", 0.005, 0.25, most=0.95),
         Parameter("cycles", "1", "n0", 0.5, 30.0, SHAPE),
         Parameter("strain_scale", "1", "a over the session's largest strain", 0.1, 3.0, SHAPE),
+        Parameter("rejoining", "1", "r, share of the loss that is not felt at the largest strain", 0.0, 0.6, SHAPE, log=False, most=1.0),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),

@@ -44,15 +44,36 @@ def _power(values: Values, variant: str) -> Effect:
 
 
 def _warm(values: Values, variant: str) -> Effect:
-    per_kelvin, rise, tau = values["per_kelvin"], values["rise_k"], values["time_constant_s"]
+    per_kelvin, rise, tau, heating = (values[n] for n in ("per_kelvin", "rise_k", "time_constant_s", "self_heating_k"))
 
     def softer(film: Film, view: View) -> Film:
         supposed, until = (rise * -np.expm1(-t / tau) for t in (view.session_s, view.first_temperature_s))
         # A temperature that is recorded from the middle on counts from what was supposed until then.
         warming = np.where(np.isfinite(view.temperature_k), view.temperature_k + until, supposed)
-        return Film(film.k * np.exp(-per_kelvin * warming), film.share)
+        return Film(film.k * np.exp(-per_kelvin * (warming + heating * _dissipated(film, view))), film.share)
 
     return Effect(film=(softer,)) if per_kelvin else Effect()
+
+
+def _dissipated(film: Film, view: View) -> Float:
+    """(1 or S, 1 or J) energy that the film has turned into heat since the recording began: over that of a cycle of the session's
+    largest strain in which the loss is as large as k0.
+
+    Nothing flows away meanwhile: films cool in minutes. Sinusoids count, of which each cycle of amplitude e leaves π e² Im k.
+    """
+    own = np.maximum(film.k.imag, 0.0) / view.k0 * (view.strain / max(view.scale.strain, 1e-12)) ** 2
+    if view.test == "cyclic":
+        return np.asarray(own * view.elapsed)
+    if view.test != "sweep":
+        return np.zeros((1, 1))
+    passed = np.abs(np.diff(view.elapsed, axis=-1))
+    each = (own[:, 1:] + own[:, :-1]) / 2 * passed
+    upwards = view.elapsed[:, -1:] >= view.elapsed[:, :1]
+    total = each.sum(axis=-1, keepdims=True)
+    so_far = np.concatenate([np.zeros_like(total), np.cumsum(each, axis=-1)], axis=-1)
+    # Sweeps before this one in the recording were like it.
+    before = view.elapsed.min(axis=-1, keepdims=True) / np.maximum(passed.sum(axis=-1, keepdims=True), 1e-12)
+    return np.asarray(np.where(upwards, so_far, total - so_far) + before * total)
 
 
 def _strip(values: Values, variant: str) -> Effect:
@@ -115,12 +136,13 @@ POWER_LAW_RELAXATION = Mechanism(
 THERMAL_SOFTENING = Mechanism(
     id="thermal_softening",
     stage="film",
-    equation="k e^{−β ΔT}, ΔT measured, or first order in the session's time",
+    equation="k e^{−β ΔT}, ΔT measured, or first order in the session's time, and what the film dissipates in a recording",
     source="thermal softening of elastomers, first order in the temperature",
     parameters=(
         Parameter("per_kelvin", "1/K", "β", 0.001, 0.03, signed=True, least=-0.2, most=0.2),
         Parameter("rise_k", "K", "warming in the end where no temperature was recorded; only β × rise is known then", 5.0, 5.0, SHAPE, least=5.0, most=5.0),
         Parameter("time_constant_s", "s", "time constant of the warming", 100.0, 3000.0, SHAPE),
+        Parameter("self_heating_k", "K", "warming by a cycle of the largest strain whose loss is as large as k0", 0.003, 0.3, SHAPE),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),
