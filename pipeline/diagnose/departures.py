@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from pipeline.diagnose.effects import Course, Effect, Film, Reading, View
 from pipeline.diagnose.extend import ExtendedFit
-from pipeline.diagnose.screen import LEAST_VISIBLE, absorbed_by, unabsorbed
+from pipeline.diagnose.screen import absorbed_by, unabsorbed
 from pipeline.diagnose.session import Session
 from pipeline.diagnose.structure import quadratic
 
@@ -26,6 +26,9 @@ Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _STEP = 1e-4
+_LEAST_VISIBLE = 10.0
+"""Standard deviations of the noise that a change by the whole must make: what shows less, a stiffness beyond the highest frequency
+of the tests, say, is seen through the edges of windows alone, about which a simulation is not that exact."""
 _MOST_RECORDINGS = 12
 """Free numbers over the recordings of a session; of a longer one neighbours share theirs."""
 _MOST_MOMENTS = 80
@@ -78,11 +81,10 @@ def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
         rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in free.effects]
         seen = of.weight[:, None] * session.whiten(np.nan_to_num(np.array(rows)).T)
         length = np.linalg.norm(seen, axis=0)
-        # What a change by the whole leaves less of is rounding.
-        visible = (length > LEAST_VISIBLE) & np.isfinite(rows).all(axis=1)
+        visible = (length > _LEAST_VISIBLE) & np.isfinite(rows).all(axis=1)
         if not visible.any():
             continue
-        gram, score = unabsorbed(fit, seen / np.maximum(length, LEAST_VISIBLE), absorbed)
+        gram, score = unabsorbed(fit, seen / np.maximum(length, _LEAST_VISIBLE), absorbed)
         at_once = free.at_once or visible.size
         forms = [i[visible[i]] for i in np.arange(visible.size).reshape(-1, at_once) if visible[i].any()]
         tests = [
