@@ -1,6 +1,6 @@
 """Prediction of the capacitance of sinusoids: the sensing region follows the film's own strain.
 
-ΔC/x0 = κ (1 + (−Mω² + jωcL)/kL)/(1 + (−Mω² + jωcL)/kL + k/kL)
+ΔC/x0 = κ (1 + (−Mω² + jωcL)/kL)/(1 + (−Mω² + jωcL)/kL + k/kL); beside a strip in series times k_P/(k + k_P)
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ class CapacitanceFamily(Family):
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family."""
         rig, view = rig_of(physical, self.rig, effect), self.view
-        k = film_at(physical, effect, view).k
-        own = dynamic(rig, view, effect, k)
-        strained = np.atleast_2d(own / (own + k * rig.compliance))
+        film = film_at(physical, effect, view)
+        own = dynamic(rig, view, effect, film.k)
+        # Of what two films in series are strained by together, the active one has the share by which its force reaches the ends.
+        strained = np.atleast_2d(own / (own + film.k * rig.compliance) * film.share)
         response = physical.pf_per_mm * strained * channel(effect.capacitance, view) * channel(effect.electrode, view)
         values = self.apply(np.atleast_2d(response / channel(effect.displacement, view)))
         for cracks in effect.opening:

@@ -33,9 +33,9 @@ _ROUGHLY, _THOROUGHLY = 6, 25
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 _FORMS = 2
 _MOST_STARTS = 3
-"""Starts beside the screen's own from which a mechanism is searched that the material can take the place of."""
-_LOW_STARTS = (1.0, 4.0)
-"""Severities in units of the lowest plausible one from which a mechanism is searched that begins at a load."""
+"""Starts beside the screen's own from which a mechanism is searched that the material can take the place of, or that begins at a load."""
+_LOW_STARTS = (0.1, 0.3, 1.0, 4.0)
+"""Severities in units of the lowest plausible one among which a mechanism's starts are that begins at a load."""
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
 _VANISHED = 0.01
@@ -122,8 +122,8 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     far = score.chosen.id in _ABSORBED
     if far:
         starts = _best_starts(base, of, score.chosen, starts + _levels(score, signatures))
-    if score.chosen.mechanism.onset:
-        starts += _above_onset(score)
+    elif score.chosen.mechanism.onset:
+        starts = _best_starts(base, of, score.chosen, starts + _above_onset(score, signatures))
     fits = []
     for values in starts:
         x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
@@ -242,10 +242,16 @@ def without(fit: ExtendedFit, number: int) -> ExtendedFit:
     return finished(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
 
 
-def _above_onset(score: Score) -> list[Mapping[str, float]]:
-    """The screen's point at low severities: its share of a high one may lie below where anything begins, and no slope leads out."""
-    names = {p.name: p.low for p in score.chosen.mechanism.severities}
-    return [{**score.values, **{name: times * low for name, low in names.items()}} for times in _LOW_STARTS]
+def _above_onset(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
+    """Low severities with every shape: the screen's share of a high one may lie below where anything begins, and no slope leads out;
+    and what a high one looks like is not the look of a low one, so that its shape is another's."""
+    low = {p.name: p.low for p in score.chosen.mechanism.severities}
+    shapes = {tuple(v for k, v in values.items() if k not in low): values for values in _points(score, signatures)}
+    return [
+        {**values, **{name: times * least for name, least in low.items()}}
+        for values in shapes.values()
+        for times in _LOW_STARTS
+    ]
 
 
 def _levels(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
@@ -259,3 +265,8 @@ def _levels(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
         if key not in best or along > best[key][0]:
             best[key] = float(along), values
     return [dict(values) for _, values in best.values() if dict(values) != dict(score.values)]
+
+
+def _points(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
+    """Points of the same mechanism and form at which signatures were taken."""
+    return [values for c, values in zip(signatures.chosen, signatures.values, strict=True) if c == score.chosen]
