@@ -219,7 +219,7 @@ def _decided(of: Extended, start: Float) -> Outcome:
         doubtful,
         instead,
     )
-    unexplained = beside or (outcome.pattern_stays and share < EXPLAINED)
+    unexplained = beside or (outcome.pattern_stays and share < EXPLAINED and _left(plain, final) > _MORE_THAN_NOISE)
     return replace(outcome, verdict=UNKNOWN) if unexplained else outcome
 
 
@@ -254,15 +254,20 @@ def _alternatives(plain: ExtendedFit, final: ExtendedFit, singles: Sequence[Exte
 def _as_good(plain: ExtendedFit, best: ExtendedFit, other: ExtendedFit) -> bool:
     if best.log_evidence - other.log_evidence < CLOSE:
         return True
-    noise = noise_chi2(plain)
     # What both leave beyond the noise: where even the best leaves much, its form is wrong and the ratio decides.
-    left, left_other = best.chi2 - noise, other.chi2 - noise
-    if left < _MUCH_LEFT * np.sqrt(2 * max(noise, 1.0)):
-        return False
-    return left_other < CLOSE_MISFIT**2 * left
+    left, left_other = _left(plain, best), _left(plain, other)
+    return left > _MUCH_LEFT and left_other < CLOSE_MISFIT**2 * left
 
 
-_MUCH_LEFT = 6.0
+def _left(plain: ExtendedFit, fit: ExtendedFit) -> float:
+    """χ² that a fit leaves beyond the noise, in standard deviations of the noise's."""
+    noise = noise_chi2(plain)
+    return float((fit.chi2 - noise) / np.sqrt(2 * max(noise, 1.0)))
+
+
+_MORE_THAN_NOISE, _MUCH_LEFT = 3.0, 6.0
+"""Standard deviations of χ² up to which what is left may be noise, whose level is known to a per cent or two itself, and from which
+it is much."""
 _ROUGHLY, _ON_THE_WAY = 6, 0.5
 """Steps after which an alternative must have come this near to what the causes explain, for it to be brought to an end."""
 
