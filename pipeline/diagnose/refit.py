@@ -85,12 +85,26 @@ def tried(
 
     for id in list(by_id)[:mechanisms]:
         kept += fitted(by_id[id])
-    if kept:
-        best = max(kept, key=lambda f: f.log_evidence).of.chosen[-1].mechanism
-        for id in list(by_id)[mechanisms:]:
-            if id in _ABSORBED and id in best.confusable:
-                kept += fitted(by_id[id])
-    return kept
+    if not kept:
+        return kept
+    best = max(kept, key=lambda f: f.log_evidence)
+    for id in list(by_id)[mechanisms:]:
+        if id in _ABSORBED and id in best.of.chosen[-1].mechanism.confusable:
+            kept += fitted(by_id[id])
+    return [_from_the_films_of(best, f, base) if _taken_for(f, best) else f for f in kept]
+
+
+def _taken_for(fit: ExtendedFit, best: ExtendedFit) -> bool:
+    """Whether a mechanism is another than the best one and may have been left at the film that makes room for something else."""
+    one, other = fit.of.chosen[-1].mechanism, best.of.chosen[-1].mechanism
+    confusable = one.id in other.confusable or other.id in one.confusable
+    return one.id != other.id and one.id in _ABSORBED and confusable and fit.chi2 > best.chi2 + _CLOSE_CALL
+
+
+def _from_the_films_of(best: ExtendedFit, fit: ExtendedFit, base: ExtendedFit) -> ExtendedFit:
+    """The fit, or a better one of its mechanism about the film and the rig of the best one."""
+    again = fit.of.fit(fit.of.entries(best.theta, fit.values), most=_ROUGHLY, thorough=False)
+    return min(fit, _to_its_end(base, again, np.inf), key=lambda f: f.chi2)
 
 
 def _rivals(base: ExtendedFit, best: ExtendedFit) -> float:
