@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.refit import confirmed, finished, ranked, tried, without
 from pipeline.diagnose.screen import Score, Secants, scores, secants, signatures
-from pipeline.diagnose.tempering import SHARE, by_block, noise_chi2, share_of_form, tempered
+from pipeline.diagnose.tempering import SHARE, by_part, noise_chi2, share_of_form, tempered
 
 CLOSE = 4.6
 """Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
@@ -141,12 +141,12 @@ def _worthwhile(
     """
     if more.log_evidence - best.log_evidence < CLOSE:
         return False
-    before, so_far, now = (by_block(f) for f in (plain, best, more))
+    before, so_far, now = (by_part(f) for f in (plain, best, more))
     added = so_far - now
     order = np.argsort(-added)
     most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
     where = order[: int(most.sum()) + 1]
-    noise = by_block(plain, noise=True)
+    noise = by_part(plain, noise=True)
     left, spread = more.chi2 - noise_chi2(plain), np.sqrt(2 * max(noise_chi2(plain), 1.0))
     adds, explained = float(added[where].sum()), float((before - so_far)[where].sum())
     of_another = shown or explained < _NOTHING * adds or not _alike(more)

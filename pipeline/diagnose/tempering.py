@@ -62,6 +62,12 @@ def by_block(fit: ExtendedFit, noise: bool = False) -> Float:
     return np.array([float(squares[p.first : p.stop].sum()) for p in fit.of.session.places])
 
 
+def by_part(fit: ExtendedFit, noise: bool = False) -> Float:
+    """(B + 1,) the same, and in the end that of what the files say of the rig: a cause may do nothing but reconcile them."""
+    files = fit.solution.residual[fit.of.session.size :][: int(np.isfinite(fit.of.model.prior_sd).sum())]
+    return np.append(by_block(fit, noise), files.size if noise else float(files @ files))
+
+
 def share_of_form(plain: ExtendedFit, extended: ExtendedFit) -> float:
     """Share of their misfit that the form of a cause is seen to leave in most blocks; `SHARE` at most. Both without tempering.
 
