@@ -5,7 +5,7 @@ Belongs here: how starts are made and which optimum is kept. What the optima mea
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,9 +33,9 @@ _ROUGHLY, _THOROUGHLY = 6, 25
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 _FORMS = 2
 _MOST_STARTS = 3
-"""Starts beside the screen's own from which a mechanism is searched that the material can take the place of, or that begins at a load."""
+"""Starts beside the screen's own from which a mechanism is searched that the material can take the place of."""
 _LOW_STARTS = (0.1, 0.3, 1.0, 4.0)
-"""Severities in units of the lowest plausible one among which a mechanism's starts are that begins at a load."""
+"""Severities in units of the lowest plausible one from which a mechanism is searched that begins at a load."""
 _CLOSE_FORM = 0.5
 _SMALL = 1e-3
 _VANISHED = 0.01
@@ -135,9 +135,9 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     ]
     far = score.chosen.id in _ABSORBED
     if far:
-        starts = _best_starts(base, of, score.chosen, starts + _levels(score, signatures))
+        starts += sorted(_levels(score, signatures), key=_left(base, of, score.chosen))[:_MOST_STARTS]
     elif score.chosen.mechanism.onset:
-        starts = _best_starts(base, of, score.chosen, starts + _above_onset(score, signatures))
+        starts += _above_onset(base, of, score, signatures)
     fits = []
     for values in starts:
         x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
@@ -183,10 +183,8 @@ def _revived(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:
     return min(fit, _to_its_end(base, fit.of.fit(x, most=_ROUGHLY, thorough=False), reach), key=lambda f: f.chi2)
 
 
-def _best_starts(
-    base: ExtendedFit, of: Extended, chosen: Chosen, starts: Sequence[Mapping[str, float]]
-) -> list[Mapping[str, float]]:
-    """The first start and those others that leave least once everything that the base may move has made room, to first order."""
+def _left(base: ExtendedFit, of: Extended, chosen: Chosen) -> Callable[[Mapping[str, float]], float]:
+    """What χ² a start leaves once everything that the base may move has made room, to first order."""
     absorbed = absorbed_by(base)
 
     def left(values: Mapping[str, float]) -> float:
@@ -195,7 +193,7 @@ def _best_starts(
         kept = float(residual @ residual - np.sum((absorbed.T @ seen) ** 2))
         return kept if np.isfinite(kept) else np.inf
 
-    return [starts[0], *sorted(starts[1:], key=left)[:_MOST_STARTS]]
+    return left
 
 
 def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -> Float:
@@ -256,14 +254,15 @@ def without(fit: ExtendedFit, number: int) -> ExtendedFit:
     return finished(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
 
 
-def _above_onset(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
-    """Low severities with every shape: the screen's share of a high one may lie below where anything begins, and no slope leads out;
-    and what a high one looks like is not the look of a low one, so that its shape is another's."""
+def _above_onset(base: ExtendedFit, of: Extended, score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
+    """Low severities, each with its best shape: the screen's share of a high one may lie below where anything begins, and no slope
+    leads out; and the shape that a high one would have to have is not that of a low one."""
     low = {p.name: p.low for p in score.chosen.mechanism.severities}
-    shapes = {tuple(v for k, v in values.items() if k not in low): values for values in _points(score, signatures)}
+    points = [v for c, v in zip(signatures.chosen, signatures.values, strict=True) if c == score.chosen]
+    shapes = {tuple(v for k, v in values.items() if k not in low): values for values in points}
+    left = _left(base, of, score.chosen)
     return [
-        {**values, **{name: times * least for name, least in low.items()}}
-        for values in shapes.values()
+        min(({**shape, **{name: times * least for name, least in low.items()}} for shape in shapes.values()), key=left)
         for times in _LOW_STARTS
     ]
 
@@ -279,8 +278,3 @@ def _levels(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
         if key not in best or along > best[key][0]:
             best[key] = float(along), values
     return [dict(values) for _, values in best.values() if dict(values) != dict(score.values)]
-
-
-def _points(score: Score, signatures: Signatures) -> list[Mapping[str, float]]:
-    """Points of the same mechanism and form at which signatures were taken."""
-    return [values for c, values in zip(signatures.chosen, signatures.values, strict=True) if c == score.chosen]

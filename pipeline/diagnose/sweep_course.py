@@ -18,8 +18,9 @@ Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Int = NDArray[np.int64]
 
-_BEYOND = 1.3
-"""The band in which signals are made, over that of the sweep: what the input holds outside is noise."""
+_BELOW, _BEYOND = 8.0, 1.3
+"""The band in which signals are made, below and over that of the sweep: what the input holds outside is noise. A sweep that begins
+with its largest amplitude holds much below its first frequency."""
 _ROOM = 1.25
 """Complex samples over the width of the band, so that products of signals have room."""
 
@@ -35,7 +36,7 @@ class SweepCourse:
         moment = support["piece_s"] / interval
         self.reader = SweepReader(self.piece, moment, f)
         bins = scipy.fft.rfftfreq(count, interval)
-        inside = np.flatnonzero((bins >= low / _BEYOND) & (bins <= high * _BEYOND))
+        inside = np.flatnonzero((bins >= low / _BELOW) & (bins <= high * _BEYOND))
         self._inside, self._bins = slice(int(inside[0]), int(inside[-1]) + 1), bins.size
         self._samples = scipy.fft.next_fast_len(int(np.ceil(_ROOM * inside.size)))
         self._nodes_from = int(frequency[0] <= 0)

@@ -55,7 +55,7 @@ def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyP
     def fit(base: object, score: Score, *_: object) -> Any:
         fitted.append(score.chosen.id)
         chi2 = 1000.0 - 1.2 * score.statistic
-        return SimpleNamespace(chi2=chi2, log_evidence=-chi2 / 2)
+        return SimpleNamespace(chi2=chi2, log_evidence=-chi2 / 2, of=SimpleNamespace(chosen=(score.chosen,)))
 
     monkeypatch.setattr(refit, "refit", fit)
     monkeypatch.setattr(refit, "noise_chi2", lambda _: 390.0)

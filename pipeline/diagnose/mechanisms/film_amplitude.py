@@ -90,7 +90,11 @@ def _damage(values: Values, variant: str) -> Effect:
 def _passed(course: Course, largest: Float) -> Float:
     """Cycles (..., 1 or P) that a film has gone through at the largest strain so far."""
     if course.periodic:
-        return np.full((1, 1), np.inf) if course.cycles is None else (sum(course.cycles) / 2 - 0.5)[..., None]
+        return (
+            np.full((1, 1), np.inf)
+            if course.cycles is None
+            else ((course.cycles[0] + course.cycles[1]) / 2 - 0.5)[..., None]
+        )
     path = np.cumsum(np.abs(np.diff(course.strain, axis=-1, prepend=course.strain[..., :1])), axis=-1)
     return np.asarray(path / np.maximum(2 * largest, 1e-30))
 
@@ -186,7 +190,16 @@ CYCLIC_SOFTENING = Mechanism(
         Parameter("loss", "1", "loss after the session's largest strain", 0.005, 0.25, most=0.95),
         Parameter("cycles", "1", "n0", 0.5, 30.0, SHAPE),
         Parameter("strain_scale", "1", "a over the session's largest strain", 0.1, 3.0, SHAPE),
-        Parameter("rejoining", "1", "r, share of the loss that is not felt at the largest strain", 0.0, 0.6, SHAPE, log=False, most=1.0),
+        Parameter(
+            "rejoining",
+            "1",
+            "r, share of the loss that is not felt at the largest strain",
+            0.0,
+            0.6,
+            SHAPE,
+            log=False,
+            most=1.0,
+        ),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),

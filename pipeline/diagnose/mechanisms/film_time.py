@@ -19,6 +19,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
 )
 
 Complex = NDArray[np.complex128]
+Float = NDArray[np.float64]
 
 _LOWEST_HZ = 1e-6
 
@@ -142,7 +143,7 @@ THERMAL_SOFTENING = Mechanism(
         Parameter("per_kelvin", "1/K", "β", 0.001, 0.03, signed=True, least=-0.2, most=0.2),
         Parameter("rise_k", "K", "warming in the end where no temperature was recorded; only β × rise is known then", 5.0, 5.0, SHAPE, least=5.0, most=5.0),
         Parameter("time_constant_s", "s", "time constant of the warming", 100.0, 3000.0, SHAPE),
-        Parameter("self_heating_k", "K", "warming by a cycle of the largest strain whose loss is as large as k0", 0.003, 0.3, SHAPE),
+        Parameter("self_heating_k", "K", "warming by a cycle of the largest strain whose loss is as large as k0", 1e-3, 0.1, SHAPE),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),
