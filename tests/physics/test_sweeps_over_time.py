@@ -92,6 +92,19 @@ def test_the_force_over_time_is_that_of_a_time_domain_rig() -> None:
     assert steady > 1.2 * np.abs(force).max(), "a sweep in which the resonance builds up shows nothing here"
 
 
+def test_a_sweep_over_time_is_whole_where_it_begins() -> None:
+    """The largest strain is at the lowest frequencies, a few oscillations that hold much below their own: where slack begins."""
+    truth = true_session(613, SWEEPS[1:], ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    (family,) = (f for f in Simulation(session)._families if isinstance(f, SweepFamily))
+    for sweep in family._sweeps:
+        course, piece = sweep.course, sweep.course.piece
+        moved = piece.input - piece.input[: piece.start].mean()
+        first = slice(piece.start, piece.start + round(1.5 / piece.interval_s))
+        apart = course.wave(course.input)[first] - moved[first]
+        assert np.abs(apart).max() < 0.02 * np.abs(moved).max()
+
+
 @pytest.mark.parametrize("overload", [0.05, 0.1, 0.3])
 def test_slack_begins_as_in_time(overload: float) -> None:
     """From a few peaks of a passing resonance on: where the film rings, the tension is not |k| times the strain.

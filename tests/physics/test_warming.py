@@ -41,3 +41,33 @@ def test_a_temperature_recorded_later_counts_from_what_was_supposed_until_then()
     until = stiffness(700.0, np.nan, 700.0)
     assert stiffness(700.0, 0.0, 700.0) == pytest.approx(until)
     assert stiffness(4000.0, 10.0, 700.0) == pytest.approx(until * np.exp(-0.02 * 10.0))
+
+
+def heated(test: str, frequency_hz: np.ndarray, strain: np.ndarray, elapsed: np.ndarray, loss: float) -> np.ndarray:
+    """(S, J) rise of a film by its own dissipation, K, from what it softens by: β of a per cent, a kelvin for a cycle."""
+    shape = np.broadcast_shapes(frequency_hz.shape, strain.shape, elapsed.shape)
+    numbers = {f.name: np.zeros(shape) for f in fields(View) if f.name not in ("scale", "test", "k0")}
+    numbers |= {"frequency_hz": np.broadcast_to(frequency_hz, shape), "strain": np.broadcast_to(strain, shape)}
+    numbers |= {"elapsed": np.broadcast_to(elapsed, shape), "temperature_k": np.zeros(shape)}
+    view = View(**numbers, scale=Scale(0.1, 5.0, 100.0, 4000.0, 30.0, 0.2), test=test, k0=2.0)
+    film = Film(np.full(shape, 2.0 + 2.0j * loss), np.ones(shape, dtype=complex))
+    (softer,) = effect_of("thermal_softening", WARM | {"per_kelvin": 0.01, "self_heating_k": 1.0}).film
+    return np.asarray(-np.log(np.abs(softer(film, view).k / film.k)) / 0.01)
+
+
+def test_cycles_heat_a_film_by_their_loss_and_the_square_of_their_strain() -> None:
+    """Each leaves π e² Im k: a kelvin in a cycle of the largest strain with a loss as large as k0."""
+    cycles, half = np.array([[0.5], [4.0], [9.5]]), np.array([[0.05]])
+    whole = heated("cyclic", np.array([[1.0]]), np.array([[0.1]]), cycles, loss=1.0)
+    assert whole == pytest.approx(cycles)
+    assert heated("cyclic", np.array([[1.0]]), half, cycles, loss=0.3) == pytest.approx(0.3 / 4 * cycles)
+    assert heated("step", np.array([[1.0]]), half, cycles, loss=1.0) == pytest.approx(np.zeros((3, 1)))
+
+
+@pytest.mark.parametrize("falling", [False, True])
+def test_a_sweep_heats_a_film_along_its_course_and_the_next_goes_on_from_there(falling: bool) -> None:
+    frequency, passed = np.geomspace(1.0, 100.0, 400)[None, :], np.linspace(0.0, 120.0, 400)
+    passed = passed[::-1] if falling else passed
+    elapsed = np.stack([passed, passed + 120.0])
+    rise = heated("sweep", frequency, np.full((1, 400), 0.1), elapsed, loss=0.5)
+    assert rise == pytest.approx(0.5 * elapsed)

@@ -77,10 +77,12 @@ def _damage(values: Values, variant: str) -> Effect:
         return Film(film.k * (1 - after - (before - after) * np.exp(-view.elapsed / cycles)), film.share)
 
     def rejoins(course: Course) -> Float:
-        size = np.abs(course.strain)
+        # What a film has been through before is not known here: most of a session's tests come after its largest strain, and before
+        # it there is little damage to come back from.
+        largest, size = max(course.scale.strain, 1e-12), np.abs(course.strain)
         so_far = size.max(axis=-1, keepdims=True) if course.periodic else np.maximum.accumulate(size, axis=-1)
-        damage = target(so_far, max(course.scale.strain, 1e-12)) * -np.expm1(-_passed(course, so_far) / cycles)
-        return np.asarray(course.tension * (1 + rejoined * damage * (size / np.maximum(so_far, 1e-30)) ** 2))
+        damage = target(so_far, largest) * -np.expm1(-_passed(course, so_far) / cycles)
+        return np.asarray(course.tension * (1 + rejoined * damage * (size / largest) ** 2))
 
     if loss == 0:
         return Effect()
