@@ -8,6 +8,7 @@ Does not belong here: what the items are.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import multiprocessing
 import os
 import signal
@@ -92,6 +93,65 @@ class LocalPool(Executor):
         else:
             self._pool.close()
         self._pool.join()
+
+
+class KeptPool:
+    """Lends one pool of `jobs` workers again and again, so that what they have loaded stays loaded; others are opened anew.
+
+    A borrower shuts down what it was lent as if it were its own. A pool that broke, or was left with items undone, is not lent again.
+    """
+
+    def __init__(self, open_pool: Callable[[int], Executor], jobs: int) -> None:
+        self._open_pool, self._jobs = open_pool, jobs
+        self._kept: Executor | None = None
+
+    def __call__(self, jobs: int) -> Executor:
+        # A single worker may have been left with little memory by what is tried again now.
+        if jobs != self._jobs or jobs < 2:
+            return self._open_pool(jobs)
+        pool, self._kept = self._kept or self._open_pool(jobs), None
+        return _Lent(pool, self._take_back)
+
+    def load(self, module: str) -> None:
+        """Lets the workers that are kept load a module, while whoever called goes on."""
+        if self._kept is not None:
+            for _ in range(self._jobs):
+                self._kept.submit(_load, module)
+
+    def _take_back(self, pool: Executor) -> None:
+        self.close()
+        self._kept = pool
+
+    def close(self) -> None:
+        """Ends the workers of the pool that is kept."""
+        if self._kept is not None:
+            self._kept.shutdown()
+            self._kept = None
+
+
+class _Lent(Executor):
+    """A pool that goes back where it came from."""
+
+    def __init__(self, pool: Executor, back: Callable[[Executor], None]) -> None:
+        self._pool, self._back = pool, back
+        self._running: set[Future[Any]] = set()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = self._pool.submit(fn, *args, **kwargs)
+        self._running.add(future)
+        future.add_done_callback(self._running.discard)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        if cancel_futures or not wait or not all(future.done() for future in tuple(self._running)):
+            self._pool.shutdown(wait, cancel_futures=cancel_futures)
+        else:
+            self._back(self._pool)
+
+
+def _load(module: str) -> None:
+    with contextlib.suppress(Exception):  # told when it is needed
+        importlib.import_module(module)
 
 
 def run_all(

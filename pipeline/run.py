@@ -23,7 +23,7 @@ from types import FrameType
 
 from pipeline.annotations import excluded, read_annotations
 from pipeline.deriving import derive
-from pipeline.execute import LocalPool, SerialExecutor, prepared
+from pipeline.execute import KeptPool, LocalPool, SerialExecutor, prepared
 from pipeline.lab import Lab
 from pipeline.lock import exclusive
 from pipeline.looking import likely_new, look
@@ -86,7 +86,7 @@ class Summary:
         return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {self.seconds:.1f} s."
 
 
-_PRELOAD = tuple(MODULES.values())
+_PRELOAD, _REPORTS = tuple(MODULES.values()), "reports.build"
 
 
 def nightly(
@@ -122,24 +122,26 @@ def nightly(
         local = jobs > 0 and cluster is None
         if local and likely_new(raw, lab):
             prepared(_PRELOAD)  # what workers need loads while the night finds out what there is to do
-        with Ledger(lab.ledger) as ledger:
-            context = Context(lab, settings, ledger, rigs, workers, open_executor, track)
+        kept = contextlib.closing(KeptPool(open_executor, jobs if local else 0))
+        with Ledger(lab.ledger) as ledger, kept as lend:
+            context = Context(lab, settings, ledger, rigs, workers, lend, track)
             last_run = learn(lab, ledger)
             annotations = read_annotations(lab)
             found = look(raw, lab, ledger)
             if found.some_new and local:
                 prepared(_PRELOAD)
-            reports = _imported("reports.build")
+            reports = _imported(_REPORTS)
             adopt_journal(context)
             out = excluded(annotations)
             read(context, found)
             include(context, out)
             derive(context)
+            lend.load(_REPORTS)
             write_rows(ledger, found.roots, out)
             night = Night(f"{last_run + 1:06d}", started, found, annotations)
             publish_night(context, night)
             reports.join()
-            problem = _report(lab, None if cluster else open_executor, workers)
+            problem = _report(lab, None if cluster else lend, workers)
             discard_work(context)
             return _summary(context, night, time.monotonic() - clock, problem)
 

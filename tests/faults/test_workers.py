@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.execute import Casualty, LocalPool, SerialExecutor, run_all
+from pipeline.execute import Casualty, KeptPool, LocalPool, SerialExecutor, run_all
 from schemas.errors import LabError
 
 
@@ -74,6 +74,42 @@ def test_tasks_are_taken_a_few_at_a_time(tmp_path: Path) -> None:
         assert taken <= number + 4
     assert taken == 50
     assert list(run_all([], work, pool, jobs=2)) == []
+
+
+def test_a_pool_is_lent_again_until_it_is_closed(tmp_path: Path) -> None:
+    """What workers have loaded stays loaded; one that died is replaced, and the others are kept."""
+    kept = KeptPool(pool, 2)
+    first = dict(run_all(range(8), process, kept, jobs=2))
+    unlucky = dict(run_all([("dies once", str(tmp_path)), ("a", str(tmp_path))], work, kept, jobs=2))
+    assert sorted(unlucky.values()) == ["a", "dies once"]
+    again = dict(run_all(range(8), process, kept, jobs=2))
+    assert len({*first.values()}) <= 2
+    assert {*first.values()} & {*again.values()}
+    kept.close()
+    for number in {*first.values(), *again.values()}:
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(number), 0)
+    assert not {*dict(run_all(range(4), process, kept, jobs=2)).values()} & {*first.values(), *again.values()}
+    kept.close()
+
+
+def test_one_worker_is_never_lent_again_for_it_may_be_short_of_memory() -> None:
+    kept = KeptPool(pool, 1)
+    first, again = (dict(run_all([0], process, kept, jobs=1))[0] for _ in range(2))
+    assert first != again
+
+
+def test_a_pool_left_with_items_undone_is_not_lent_again(tmp_path: Path) -> None:
+    kept = KeptPool(pool, 2)
+    with pytest.raises(LabError):
+        list(run_all([("full disk", str(tmp_path))] * 5, work, kept, jobs=2))
+    assert len(dict(run_all(range(4), process, kept, jobs=2))) == 4
+    kept.close()
+
+
+def process(_: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
 
 
 def test_workers_spare_the_import_of_pandas() -> None:
