@@ -67,7 +67,12 @@ MECHANISMS: dict[str, Mechanism] = {
     "cyclic_softening": Mechanism(
         "Softening over cycles",
         "the film softens from cycle to cycle, by {}",
-        {"loss": _share("loss"), "cycles": Parameter("cycles"), "strain_scale": _share("strain scale")},
+        {
+            "loss": _share("loss"),
+            "cycles": Parameter("cycles"),
+            "strain_scale": _share("strain scale"),
+            "rejoining": _share("back at the largest strain"),
+        },
     ),
     "missing_relaxation": Mechanism(
         "A relaxation the model lacks",
@@ -88,7 +93,11 @@ MECHANISMS: dict[str, Mechanism] = {
     "thermal_softening": Mechanism(
         "Softening with temperature",
         "the film softens as it warms, by {} per kelvin",
-        {"per_kelvin": _share("per kelvin"), "rise_k": Parameter("rise", 1.0, "K")},
+        {
+            "per_kelvin": _share("per kelvin"),
+            "rise_k": Parameter("rise", 1.0, "K"),
+            "self_heating_k": Parameter("own heat in a cycle", 1e3, "mK"),
+        },
         "the film stiffens as it warms, by {} per kelvin",
     ),
     "field_dependent_permittivity": Mechanism(
