@@ -113,10 +113,15 @@ class KeptPool:
         return _Lent(pool, self._take_back)
 
     def load(self, module: str) -> None:
-        """Lets the workers that are kept load a module, while whoever called goes on."""
-        if self._kept is not None:
+        """Lets the workers that are kept load a module, while whoever called goes on. A pool that broke meanwhile is given up."""
+        if self._kept is None:
+            return
+        try:
             for _ in range(self._jobs):
-                self._kept.submit(_load, module)
+                self._kept.submit(load, module)
+        except BrokenExecutor:
+            self._kept.shutdown(cancel_futures=True)
+            self._kept = None
 
     def _take_back(self, pool: Executor) -> None:
         self.close()
@@ -149,7 +154,8 @@ class _Lent(Executor):
             self._back(self._pool)
 
 
-def _load(module: str) -> None:
+def load(module: str) -> None:
+    """Imports a module beforehand."""
     with contextlib.suppress(Exception):  # told when it is needed
         importlib.import_module(module)
 

@@ -8,7 +8,6 @@ lies in the journal until it is published, so that a night that was killed is ta
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import signal
 import threading
@@ -23,7 +22,7 @@ from types import FrameType
 
 from pipeline.annotations import excluded, read_annotations
 from pipeline.deriving import derive
-from pipeline.execute import KeptPool, LocalPool, SerialExecutor, prepared
+from pipeline.execute import KeptPool, LocalPool, SerialExecutor, load, prepared
 from pipeline.lab import Lab
 from pipeline.lock import exclusive
 from pipeline.looking import likely_new, look
@@ -175,12 +174,7 @@ def _report(lab: Lab, open_executor: Callable[[int], Executor] | None, jobs: int
 
 def _imported(module: str) -> threading.Thread:
     """Imports a module beside what is done now: the night waits for workers and the database more than it computes."""
-
-    def load() -> None:
-        with contextlib.suppress(Exception):  # told when it is needed
-            importlib.import_module(module)
-
-    thread = threading.Thread(target=load, daemon=True)
+    thread = threading.Thread(target=load, args=(module,), daemon=True)
     thread.start()
     return thread
 

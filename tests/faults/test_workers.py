@@ -107,6 +107,24 @@ def test_a_pool_left_with_items_undone_is_not_lent_again(tmp_path: Path) -> None
     kept.close()
 
 
+def test_a_pool_that_broke_while_it_was_kept_is_opened_anew(tmp_path: Path) -> None:
+    """Nobody waits for what it was to load meanwhile, and the night goes on."""
+    opened: list[LocalPool] = []
+
+    def counted(jobs: int) -> LocalPool:
+        opened.append(pool(jobs))
+        return opened[-1]
+
+    kept = KeptPool(counted, 2)
+    assert len(dict(run_all(range(4), process, kept, jobs=2))) == 4
+    opened[0].shutdown(cancel_futures=True)
+    kept.load("json")
+    with kept(2) as lent:
+        assert lent.submit(process, 0).result() > 0
+    assert len(opened) == 2
+    kept.close()
+
+
 def process(_: int) -> int:
     time.sleep(0.05)
     return os.getpid()

@@ -14,14 +14,14 @@ import pytest
 
 from ingest.canonical import canonical
 from ingest.read import read_raw
-from pipeline.diagnose.diagnosis import diagnose, main_key
+from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features import RecordingFeatures
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.errors import NotIdentifiableError
 from schemas.mechanisms import UNLISTED
 from schemas.recording import Recording
-from tests.hidden_effects.judging import Case, judge, made, observe
+from tests.hidden_effects.judging import Case, _covered, _split, judge, made, observe
 from tests.hidden_effects.truth import KINDS, Effect, compact_session
 from tests.session_files import write_recordings
 
@@ -92,10 +92,8 @@ def test_a_clamp_much_heavier_than_its_file_says_is_the_rigs() -> None:
     session = made(Case(973_670_000), (Effect("rig_constants", 0.2029),))
     found = observe(session)
     assert (found.verdict, found.mechanisms) == ("named", ("rig_constants",))
-    assert found.extension is not None
-    estimates = found.extension.severities["rig_constants"]
-    key = main_key("rig_constants", estimates)
-    assert estimates[key].lower <= float(session.truth.equivalent["rig_constants"][key]) <= estimates[key].upper
+    covered, _ = _covered(found, session, session.truth.effects)
+    assert covered
 
 
 def test_a_film_that_hardly_goes_slack_is_seen() -> None:
@@ -121,6 +119,7 @@ def test_what_was_once_taken_for_something_else_is_told(
     """Arms that a search had driven away; an onset searched from where nothing begins; a strip without its sensing region; a gain
     about the wrong film; damage that does not rejoin; warming without the film's own heat."""
     found = observe(made(Case(seed), (Effect(id, severity, shape),)))
+    assert found.verdict == ("ambiguous" if found.also_possible else "named")
     assert found.mechanisms == (id,)
     assert others >= {*found.also_possible}
 
@@ -186,15 +185,16 @@ def test_held_out_is_what_the_rest_can_predict() -> None:
     ("seed", "effect", "what"),
     [
         (717_170_018, Effect("humidity", 1.24e-3, {"period_s": 1104.0}), "the stiffness comes and goes over the session"),
-        (717_170_032, Effect("edge_tear", 2e-3, {"jumps": 3.5}), "the stiffness changes for good"),
+        (717_170_032, Effect("edge_tear", 1.26e-3, {"jumps": 3.5}), "the stiffness changes for good"),
         (700_215_001, Effect("clamp_misalignment", 5.794e-4, {"rate_s": 4.254e-3}), "the force follows the strain in another way"),
     ],
 )  # fmt: skip
 def test_a_faint_cause_of_no_list_is_not_named_without_doubt(seed: int, effect: Effect, what: str) -> None:
     """Causes of the list follow it nearly to the noise; a quantity left free does so better, or follows what they leave."""
     found = observe(compact_session(seed, (effect,)))
-    assert found.verdict == "unknown" or UNLISTED in found.also_possible
-    assert any(what in text for text in found.unexplained)
+    assert found.verdict == "ambiguous"
+    assert UNLISTED in found.also_possible
+    assert what in found.unexplained[0]
 
 
 def test_what_cannot_be_asked_is_said() -> None:
@@ -222,10 +222,8 @@ def test_a_warmer_room_tells_warming_from_cycles() -> None:
     assert found.verdict == "ambiguous"
     assert {*found.mechanisms, *found.also_possible} == {"thermal_softening", "cyclic_softening"}
     assert found.next_recording is not None
-    designs = [{k: int(v) if k == "repeats" else v for k, v in d.items()} for d in found.next_recording.designs]
-    assert any("warmer_k" in design for design in designs)
-    again = observe(session.extended(*designs))
-    assert (again.verdict, again.mechanisms) == ("named", ("thermal_softening",))
+    assert any("warmer_k" in design for design in found.next_recording.designs)
+    assert _split(found, session, (effect,))
 
 
 def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:

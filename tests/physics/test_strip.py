@@ -34,9 +34,8 @@ def test_the_capacitance_follows_the_active_film_alone() -> None:
     passive = film.k0 * (1 - STRIP["compliance_share"]) / STRIP["compliance_share"]
     seen = 0
     for p in session.places:
-        if (
-            p.block.kind != CYCLIC_CAPACITANCE or p.block.label == "cycle 1"
-        ):  # the film and the strip begin to relax there
+        # In the first cycle film and strip begin to relax.
+        if p.block.kind != CYCLIC_CAPACITANCE or p.block.label == "cycle 1":
             continue
         f = float(p.block.frequency_hz[0])
         omega = 2 * np.pi * f
