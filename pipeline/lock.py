@@ -6,12 +6,16 @@ import contextlib
 import json
 import os
 import socket
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
 from pipeline.lab import Lab
 from schemas.errors import LabError
+
+_NOBODY = "another process"
+_LOOKS, _BETWEEN_S = 10, 0.05
 
 
 def holder(lab: Lab) -> str:
@@ -20,7 +24,16 @@ def holder(lab: Lab) -> str:
         note = json.loads(_note(lab).read_text(encoding="utf-8"))
         return f"process {note['pid']} on {note['host']}, since {note['since']}"
     except (OSError, ValueError, KeyError, TypeError):
-        return "another process"
+        return _NOBODY
+
+
+def _soon(lab: Lab) -> str:
+    """The same a moment later where nothing is said yet: the note is written once the lock is held."""
+    for _ in range(_LOOKS):
+        if (found := holder(lab)) != _NOBODY:
+            return found
+        time.sleep(_BETWEEN_S)
+    return _NOBODY
 
 
 @contextlib.contextmanager
@@ -33,7 +46,7 @@ def exclusive(lab: Lab) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise LabError(
-            f"a nightly is at work here: {holder(lab)}",
+            f"a nightly is at work here: {_soon(lab)}",
             where=str(lab.folder),
             remedy="Wait until it has ended",
         ) from None

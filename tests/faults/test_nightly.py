@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 
 import duckdb
 import pytest
+from filelock import FileLock
 
 import pipeline.analyse.recording as analyse
 import pipeline.looking
@@ -486,3 +488,16 @@ def test_an_interrupted_night_keeps_what_is_finished(made: tuple[Path, Path], tm
     assert not lab.database.exists()
     assert nightly([made[0]], lab, jobs=0).exit_status == 0
     assert content(lab) == content(Lab(made[1]))
+
+
+def test_the_second_names_the_first_though_it_asks_before_that_has_said_who_it_is(tmp_path: Path) -> None:
+    """The note is written once the lock is held: a moment that two nightlies started together meet."""
+    lab = Lab(tmp_path / "lab")
+    lab.create()
+    note = {"pid": 4711, "host": "elsewhere", "since": "now"}
+    write = threading.Timer(0.15, lambda: (lab.folder / ".lock-holder.json").write_text(json.dumps(note)))
+    with FileLock(lab.lock):
+        write.start()
+        with pytest.raises(LabError, match="process 4711 on elsewhere"), exclusive(lab):
+            pass
+    write.join()
