@@ -11,7 +11,7 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Self, cast
 
@@ -167,6 +167,7 @@ class RecordingMetadata:
     proportional_gain: float | None = _key(_number)
     integral_gain: float | None = _key(_number)
     masses_kg: tuple[float, ...] | None = _key(_positive_list)
+    extra_clamp_mass_kg: float | None = _key(_not_negative)
     voltage_setpoint_kv: float | None = _key(_positive)
     test_duration_s: float | None = _key(_positive)
     failure_site: str | None = _key(_choice("rod", "lead", "active", "edge", "none", "unknown"))
@@ -293,6 +294,20 @@ class RigConstants:
             else:
                 rest[key] = value
         return cls(**_parsed(cls, rest, where, prefix="rig."), noise_sd=noise)
+
+    def loaded(self, mass_kg: float | None) -> Self:
+        """The same rig with a further mass on its clamp, which the file does not know of; that lowers the frequency as well."""
+        if not mass_kg or not self.clamp_mass_kg:
+            return self
+        mass = self.clamp_mass_kg + mass_kg
+        slower = float((self.clamp_mass_kg / mass) ** 0.5)
+        hz, sd = self.clamp_frequency_hz, self.clamp_frequency_hz_sd
+        return replace(
+            self,
+            clamp_mass_kg=mass,
+            clamp_frequency_hz=None if hz is None else hz * slower,
+            clamp_frequency_hz_sd=None if sd is None else sd * slower,
+        )
 
     def to_text(self) -> dict[str, str]:
         """The keys as MCAP metadata has them; `parse` reads it back."""

@@ -81,7 +81,7 @@ def analyse_specimen(
 
 
 def rig_of(recording: Measured, calibrations: Sequence[Measured]) -> RigConstants | None:
-    """The rig's constants for a recording, sharpened by the calibrations that were made before it; None for a table."""
+    """The rig's constants for a recording, with what was on the clamp, sharpened by the calibrations made before; None for a table."""
     about = recording.metadata
     if not isinstance(about, RecordingMetadata):
         return None
@@ -91,7 +91,7 @@ def rig_of(recording: Measured, calibrations: Sequence[Measured]) -> RigConstant
             for result in calibration.results:
                 if isinstance(result, TapCalibration | WeightCalibration):
                     rig = sharpen(rig, result)
-    return rig
+    return rig.loaded(about.extra_clamp_mass_kg)
 
 
 def _rig_id(recording: Measured) -> str | None:

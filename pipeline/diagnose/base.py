@@ -58,12 +58,16 @@ class Physical:
 
 @dataclass(frozen=True)
 class BaseModel:
-    """The plain model of a session: a film with `arms` relaxation arms (and a pure dashpot), and the entries of θ."""
+    """The plain model of a session: a film with `arms` relaxation arms (and a pure dashpot), and the entries of θ.
+
+    loaded : the rig that each rig is, itself or an earlier one, which has its entries, and the known mass on its clamp, N s²/mm
+    """
 
     arms: int
     dashpot: bool
     entries: tuple[Entry, ...]
     rigs: tuple[RigPrior | None, ...]
+    loaded: tuple[tuple[int, float], ...]
 
     @property
     def size(self) -> int:
@@ -101,7 +105,9 @@ class BaseModel:
                 mass, stiffness, damping, gain = prior.values(theta[at : at + prior.size])
                 compliance = 1 / stiffness
                 at += prior.size
-            rigs.append(Rig(*(np.array([[v]], dtype=float) for v in (mass, compliance, damping, gain))))
+            m, c, d, g = (np.array([[v]], dtype=float) for v in (mass, compliance, damping, gain))
+            rigs.append(Rig(m, c, d, g))
+        rigs = [replace(rigs[of], extra=extra) for of, extra in self.loaded]
         named = dict(zip(self.names[at:], theta[at:].tolist(), strict=True))
         return Physical(
             film=film,
@@ -164,6 +170,10 @@ class BaseModel:
         for prior in filter(None, self.rigs):
             yield prior, range(at, at + prior.size)
             at += prior.size
+
+    def with_loads(self, loaded: tuple[tuple[int, float], ...]) -> BaseModel:
+        """The same entries for further rigs as well, which are those known with other masses on their clamps."""
+        return replace(self, rigs=(*self.rigs, *(None,) * (len(loaded) - len(self.rigs))), loaded=loaded)
 
     @cached_property
     def prior_mean(self) -> Float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.departures import Departure, departures
+from pipeline.diagnose.doubt import SURE, beside_causes, instead_of_causes
 from pipeline.diagnose.extend import Extended, ExtendedFit
 from pipeline.diagnose.further import CLOSE, several
 from pipeline.diagnose.plain import PlainFit
@@ -23,37 +24,11 @@ from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN
 from pipeline.diagnose.screen import Signatures, scores, secants, signatures
 from pipeline.diagnose.session import Session
 from pipeline.diagnose.structure import Structure, structure
-from pipeline.diagnose.tempering import explained, noise_chi2, tempered
+from pipeline.diagnose.tempering import beyond_noise, explained, tempered
 
 Float = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Demand:
-    """What a quantity left free beside the causes must be, for them to be none or in doubt.
-
-    level : probability below which it differs
-    share : of what it and the causes explain together, over the share that forms of right causes leave
-    of_weak : the part of it for causes that explain next to nothing; what is small follows no other course than the first order of
-        its form
-    """
-
-    level: float
-    share: float
-    of_weak: float
-
-
-@dataclass(frozen=True)
-class Doubt(Demand):
-    """The same for a doubt. `in_place` : share of what the causes explain that it must explain in their place: it stands for them then."""
-
-    in_place: float
-
-
-SURE, DOUBT = Demand(1e-4, 1.0, 0.5), Doubt(0.03, 0.6, 0.25, 0.5)
-DOUBT_OF_SOME, DOUBT_OF_MANY = replace(DOUBT, level=5e-3), Doubt(2e-3, 0.6, 0.5, 1.0)
-"""For `unknown`, and for a doubt by quantities of very few numbers, of a number for each recording, say, and of many: the more numbers,
-the less does what they follow stand for one thing."""
 LEVEL = 0.002
 """False-alarm level of the search over the listed mechanisms."""
 STRUCTURE_LEVEL = 1e-5
@@ -64,14 +39,6 @@ CLOSE_MISFIT = 1.3
 EXPLAINED = 0.6
 """Share of the misfit that the causes must explain together for their names to be said, where more than noise is left."""
 LEFT_LEVEL = 1e-3
-_FEW = 12
-"""Numbers up to which a quantity left free stands for one thing; with more it follows a little of everything."""
-_BETTER, _FEWEST = 2.0, 3
-"""χ² by which a quantity left free, alone, must explain more than one cause for a doubt, for a listed one is likelier from the start;
-and its numbers at most: more imitate, with a number for each recording, whatever comes with time. Two causes that happen to be
-there at once are less likely, by as much as parts causes, and what explains all of both has any number of numbers."""
-_ALL_OF_FORM = 1000.0
-"""χ² that causes explain from which all that forms differ by is tolerated."""
 _CONFIRMED = 0.8
 """Share of the threshold Λ that a fitted cause must reach, which the screen only promised."""
 
@@ -197,11 +164,9 @@ def _decided(of: Extended, start: Float) -> Outcome:
     share = explained(plain, final)
     after = structure(final)
     alone = departures(plain)
-    doubtful = _in_their_place(
-        plain, final, alone, [d for d in departures(final) if _departs(plain, final, d, _doubt(d))]
-    )
-    beside = tuple(d for d in doubtful if _departs(plain, final, d, SURE))
-    instead = _instead(plain, final, alone)
+    doubtful = beside_causes(plain, final, alone, departures(final))
+    beside = tuple(d for d in doubtful if SURE.met_by(d, plain.chi2 - final.chi2))
+    instead = instead_of_causes(plain, final, alone)
     outcome = Outcome(
         AMBIGUOUS if alternatives or doubtful or instead else NAMED,
         untempered,
@@ -219,7 +184,9 @@ def _decided(of: Extended, start: Float) -> Outcome:
         doubtful,
         instead,
     )
-    unexplained = beside or (outcome.pattern_stays and share < EXPLAINED and _left(plain, final) > _MORE_THAN_NOISE)
+    unexplained = beside or (
+        outcome.pattern_stays and share < EXPLAINED and beyond_noise(plain, final) > _MORE_THAN_NOISE
+    )
     return replace(outcome, verdict=UNKNOWN) if unexplained else outcome
 
 
@@ -255,14 +222,8 @@ def _as_good(plain: ExtendedFit, best: ExtendedFit, other: ExtendedFit) -> bool:
     if best.log_evidence - other.log_evidence < CLOSE:
         return True
     # What both leave beyond the noise: where even the best leaves much, its form is wrong and the ratio decides.
-    left, left_other = _left(plain, best), _left(plain, other)
+    left, left_other = beyond_noise(plain, best), beyond_noise(plain, other)
     return left > _MUCH_LEFT and left_other < CLOSE_MISFIT**2 * left
-
-
-def _left(plain: ExtendedFit, fit: ExtendedFit) -> float:
-    """χ² that a fit leaves beyond the noise, in standard deviations of the noise's."""
-    noise = noise_chi2(plain)
-    return float((fit.chi2 - noise) / np.sqrt(2 * max(noise, 1.0)))
 
 
 _MORE_THAN_NOISE, _MUCH_LEFT = 3.0, 6.0
@@ -270,32 +231,3 @@ _MORE_THAN_NOISE, _MUCH_LEFT = 3.0, 6.0
 it is much."""
 _ROUGHLY, _ON_THE_WAY = 6, 0.5
 """Steps after which an alternative must have come this near to what the causes explain, for it to be brought to an end."""
-
-
-def _doubt(found: Departure) -> Doubt:
-    if found.degrees_of_freedom <= _FEWEST:
-        return DOUBT
-    return DOUBT_OF_SOME if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
-
-
-def _in_their_place(
-    plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure], found: Sequence[Departure]
-) -> tuple[Departure, ...]:
-    """Of quantities left free those that explain much of the same without the causes."""
-    fall = plain.chi2 - final.chi2
-    stands = {d.text for d in alone if d.excess > _doubt(d).in_place * fall}
-    return tuple(d for d in found if d.text in stands)
-
-
-def _instead(plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure]) -> tuple[Departure, ...]:
-    """Quantities left free that explain, alone, more than the causes do."""
-    others = len(final.of.chosen) - 1
-    least = plain.chi2 - final.chi2 + _BETTER - others * 2 * CLOSE
-    return tuple(d for d in alone if d.evidence > least and (others or d.degrees_of_freedom <= _FEWEST))
-
-
-def _departs(plain: ExtendedFit, final: ExtendedFit, found: Departure, demand: Demand) -> bool:
-    """Whether a quantity explains, left free, beside the causes a share that no form of theirs does."""
-    fall = plain.chi2 - final.chi2
-    share = demand.share * (demand.of_weak + (1 - demand.of_weak) * min(1.0, fall / _ALL_OF_FORM))
-    return found.p_value < demand.level and found.excess > share * found.tolerated * (fall + found.excess)

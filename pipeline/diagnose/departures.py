@@ -9,7 +9,7 @@ taken off, so that the sum of squares of the scores is χ² under the null.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from pipeline.diagnose.effects import Course, Effect, Film, Reading, View
-from pipeline.diagnose.extend import ExtendedFit
+from pipeline.diagnose.extend import Extended, ExtendedFit
 from pipeline.diagnose.screen import absorbed_by, unabsorbed
 from pipeline.diagnose.session import Session
 from pipeline.diagnose.structure import quadratic
@@ -46,6 +46,7 @@ class Departure:
     """One quantity left free. `statistic` is χ² with `degrees_of_freedom` under the null; `text` says what differs.
 
     tolerated : share of what it and the causes explain together that it may have where the causes are right
+    effects, values : its numbers, as effects of size `_STEP`, and what they are best
     forms : number of those of which this is the best
     """
 
@@ -53,6 +54,8 @@ class Departure:
     statistic: float
     degrees_of_freedom: int
     tolerated: float
+    effects: tuple[Effect, ...] = ()
+    values: tuple[float, ...] = ()
     forms: int = 1
 
     @property
@@ -69,29 +72,42 @@ class Departure:
         """The same, less what choosing among its forms takes of it."""
         return self.excess - 2 * float(np.log(self.forms))
 
+    def change(self, of: Extended, x: Float) -> Float:
+        """(N,) what it would change of features, to first order, at its best values; of an extended model at entries `x`."""
+        return np.asarray(self.values) @ _slopes(of, x, self.effects) if self.effects else np.zeros(of.session.size)
+
 
 def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
     """Every quantity left free beside a fitted model, the least probable first."""
     of, session = fit.of, fit.of.session
-    base, own, absorbed = of.predict(fit.x), of.effect(fit.x), absorbed_by(fit)
+    absorbed = absorbed_by(fit)
     found = []
     for free in _free(session):
         if not free.effects:
             continue
-        rows = [(of.simulation.predict(of.model, fit.theta, own | effect) - base) / _STEP for effect in free.effects]
-        seen = of.weight[:, None] * session.whiten(np.nan_to_num(np.array(rows)).T)
+        rows = _slopes(of, fit.x, free.effects)
+        seen = of.weight[:, None] * session.whiten(np.nan_to_num(rows).T)
         length = np.linalg.norm(seen, axis=0)
         visible = (length > _LEAST_VISIBLE) & np.isfinite(rows).all(axis=1)
         if not visible.any():
             continue
-        gram, score = unabsorbed(fit, seen / np.maximum(length, _LEAST_VISIBLE), absorbed)
+        scale = np.maximum(length, _LEAST_VISIBLE)
+        gram, score = unabsorbed(fit, seen / scale, absorbed)
         at_once = free.at_once or visible.size
         forms = [i[visible[i]] for i in np.arange(visible.size).reshape(-1, at_once) if visible[i].any()]
-        tests = [
-            Departure(free.text, *quadratic(gram[np.ix_(i, i)], score[i]), free.tolerated, len(forms)) for i in forms
-        ]
+        tests = []
+        for i in forms:
+            statistic, freedom, best = quadratic(gram[np.ix_(i, i)], score[i])
+            effects, values = tuple(free.effects[k] for k in i), tuple((best / scale[i]).tolist())
+            tests.append(Departure(free.text, statistic, freedom, free.tolerated, effects, values, len(forms)))
         found.append(min(tests, key=lambda d: d.p_value))
     return tuple(sorted(found, key=lambda d: d.p_value))
+
+
+def _slopes(of: Extended, x: Float, effects: Sequence[Effect]) -> Float:
+    """(E, N) derivatives of the features by effects of size `_STEP`, beside those of the model."""
+    base, own, theta = of.predict(x), of.effect(x), x[: of.model.size]
+    return np.array([(of.simulation.predict(of.model, theta, own | effect) - base) / _STEP for effect in effects])
 
 
 @dataclass(frozen=True)
@@ -135,7 +151,8 @@ def _spans(session: Session) -> list[tuple[float, float]]:
     """Times in the session between the starts of recordings, those of long sessions in groups."""
     groups = np.array_split(session.start_s, min(session.start_s.size, _MOST_RECORDINGS))
     first = np.array([g[0] for g in groups])
-    edges = np.concatenate([[-np.inf], first[1:] - 1e-3, [np.inf]])
+    # What comes after the last recording is none of them.
+    edges = np.concatenate([[-np.inf], first[1:] - 1e-3, [session.scale.duration_s + 1.0]])
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 

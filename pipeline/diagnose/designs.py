@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pipeline.diagnose.base import Physical
 from pipeline.diagnose.blocks import assembled
 from pipeline.diagnose.features import (
+    EXTRA_MASS,
     SPHS_VOLTAGE,
     STEP_CAPACITANCE,
     STEP_VOLTAGE,
@@ -27,6 +28,7 @@ from pipeline.diagnose.mechanisms.mechanism import CYCLES, MULTISINE_FORCE, RAMP
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.session import Session
 from pipeline.simulate import excitation
+from pipeline.transform.rig import TONNES_PER_KG
 from schemas.metadata import RecordingMetadata
 from schemas.recording import Channel, Recording
 
@@ -38,8 +40,9 @@ _NS = 1_000_000_000
 _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
-OFTEN = {"chirp": 10, "sphs": 3}
-"""How many times as many sweeps or periods are made where a few do not decide. More periods would show what no model is right to."""
+OFTEN = {"chirp": 10, "cyclic": 10, "sphs": 3}
+"""How many times as many sweeps, cycles or periods are made where a few do not decide. More periods would show what no model is right
+to."""
 _TIMES = {2: "twice", 2 * OFTEN["chirp"]: "twenty times"}
 _PERIODS = {100: "a hundred", 100 * OFTEN["sphs"]: "three hundred"}
 _USUAL_HZ, _WIDE_HZ = 100.0, 300.0
@@ -65,6 +68,8 @@ _WARMER, _TEMPERATURE = "warmer_k", "temperature_degc"
 _TO_WARM_S, _ROOM_DEGC = 3600.0, 23.0
 WARMER_K, LITTLE_WARMER_K = 10.0, 3.0
 """How much warmer a room is made to tell causes apart, and to see one again: far from what is known, its form may be another."""
+_EXTRA_KG = "extra_clamp_mass_kg"
+_USUAL_CLAMP_KG, _WEIGHTS_KG = 0.1, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _CARRIED = ("pre_strain", "actuation_n_per_kv2", "actuation_sd")
 """What a recording tells of the specimen, and the next one would tell again."""
 _CALIBRATION_SD = {"tap": (7e-4, 3e-3), "weight": (1e-3,)}
@@ -115,18 +120,7 @@ def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
             found.append(_sweeps(level, stop_hz, 2))
     for level in (round(0.2 * largest, 4), round(0.5 * largest, 4), round(largest, 4)):
         for frequency, cycles in ((0.02, 4.0), (1.0, 30.0)):
-            found.append(
-                Proposal(
-                    {
-                        "protocol": "cyclic",
-                        "loading": "mechanical",
-                        "strain_pp": level,
-                        "frequency_hz": frequency,
-                        "cycles": cycles,
-                    },
-                    f"{cycles:g} cycles of {100 * level:.2g} % strain (peak to peak) at {frequency:g} Hz",
-                )
-            )
+            found.append(_cycles(level, frequency, cycles))
     for level in (round(0.5 * largest, 4), round(largest, 4)):
         found.append(
             Proposal(
@@ -162,21 +156,36 @@ def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
         found += _electrical(session.scale.voltage_kv)
     weight: dict[str, Key] = {"protocol": "weight", "loading": "calibration"}
     tapped: dict[str, Key] = {"protocol": "tap", "loading": "calibration"}
+    extra_kg = _extra_kg(session)
     return [
         *found,
         Proposal(weight, "known weights on the load cell, without film"),
         Proposal(tapped, "taps on the clamp, without film"),
+        Proposal(
+            tapped,
+            f"taps on the clamp, without film, and again with {1000 * extra_kg:g} g more on it",
+            ({**tapped, _EXTRA_KG: extra_kg},),
+        ),
     ]
 
 
+def _extra_kg(session: Session) -> float:
+    """About the mass of the clamp, as sets of weights have it."""
+    clamp = next((rig.clamp_mass_kg for rig in session.rigs if rig.clamp_mass_kg), _USUAL_CLAMP_KG)
+    return float(min(_WEIGHTS_KG, key=lambda kg: abs(np.log(kg / clamp))))
+
+
 def repeated(proposal: Proposal) -> Proposal | None:
-    """The same sweeps or periods as many times as often as `OFTEN` says; None for other tests, and for those with a rest or another room."""
+    """The same sweeps, cycles or periods as many times as often as `OFTEN` says; None for other tests, and for those with a rest or another room."""
     design = proposal.design
     if {_WARMER, "rest_before_s"} & set(design):
         return None
     if proposal.test == "chirp":
         number = int(float(design["repeats"])) * OFTEN["chirp"]
         return _sweeps(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
+    if proposal.test == "cyclic":
+        cycles = float(design["cycles"]) * OFTEN["cyclic"]
+        return _cycles(float(design["strain_pp"]), float(design["frequency_hz"]), cycles)
     if proposal.test == "sphs":
         kv, polarity = float(design["drive_kv"]), float(design.get("polarity", 1.0))
         return _multisine(
@@ -222,6 +231,19 @@ def _sweeps(level: float, stop_hz: float, number: int) -> Proposal:
     )
 
 
+def _cycles(level: float, frequency_hz: float, number: float) -> Proposal:
+    return Proposal(
+        {
+            "protocol": "cyclic",
+            "loading": "mechanical",
+            "strain_pp": level,
+            "frequency_hz": frequency_hz,
+            "cycles": number,
+        },
+        f"{number:g} cycles of {100 * level:.2g} % strain (peak to peak) at {frequency_hz:g} Hz",
+    )
+
+
 def _electrical(highest: float) -> list[Proposal]:
     found = []
     for share in (0.125, 0.25, 0.5, 1.0):
@@ -264,7 +286,7 @@ def _calibrated(
     session: Session, physical: Physical, proposal: Proposal, place: int, started_at: datetime
 ) -> RecordingFeatures:
     """A calibration of the rig; what it would read is predicted later, its noise is what laboratories reach."""
-    sd = np.array(_CALIBRATION_SD[proposal.test])
+    sd, extra_kg = np.array(_CALIBRATION_SD[proposal.test]), float(proposal.designs[place].get(_EXTRA_KG, 0.0))
     kind = TAP_RING if proposal.test == "tap" else WEIGHT_GAIN
     value = np.zeros(sd.size) if kind == TAP_RING else np.ones(1)
     block = assembled(kind, proposal.text, value, ("unit/0",), np.diag(sd**2)[None], is_complex=False)
@@ -278,7 +300,7 @@ def _calibrated(
         duration_s=_PAUSE_S,
         blocks=(block,),
         noise=(),
-        values={k: v for k, v in last.values.items() if k in _CARRIED},
+        values={k: v for k, v in last.values.items() if k in _CARRIED} | {EXTRA_MASS: extra_kg * TONNES_PER_KG},
         warnings=(),
     )
 
@@ -288,7 +310,7 @@ def _tested(
 ) -> RecordingFeatures:
     """A test of the specimen, with the output that the plain model gives for its input."""
     last = session.recordings[-1]
-    number = int(session.rig[-1])
+    number = session.loaded[int(session.rig[-1])][0]
     design = proposal.designs[place]
     rng = np.random.default_rng(_SEED + place)
     time, given = _INPUTS[proposal.test](design, session.scale.length_mm, 1 / _RATE_HZ[proposal.test])

@@ -20,10 +20,11 @@ from pipeline.diagnose.held_out import held_out, supported_by
 from pipeline.diagnose.hum import with_hum
 from pipeline.diagnose.intervals import NORMAL_90, ends, linear
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
-from pipeline.diagnose.next_recording import next_recording, proving_recording
+from pipeline.diagnose.next_recording import next_recording
 from pipeline.diagnose.plain import fit_plain
 from pipeline.diagnose.power import beyond_arms, reported, smallest_parameters
 from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.proving import proving_recording
 from pipeline.diagnose.refit import settled
 from pipeline.diagnose.results import (
     AMBIGUOUS,
@@ -289,7 +290,7 @@ def _next(outcome: Outcome) -> NextRecording | None:
         return None
     if outcome.alternatives:
         return next_recording(outcome.final, outcome.alternatives)
-    return proving_recording(outcome.plain, outcome.final)
+    return proving_recording(outcome.plain, outcome.final, outcome.doubtful, outcome.instead)
 
 
 def _doubted(outcome: Outcome) -> tuple[str, ...]:

@@ -107,12 +107,16 @@ class Film:
 
 @dataclass(frozen=True)
 class Rig:
-    """Clamp and load cell, each (1 or S, 1): mass N s²/mm, compliance mm/N, damping N s/mm, gain of the force channel."""
+    """Clamp and load cell, each (1 or S, 1): mass N s²/mm, compliance mm/N, damping N s/mm, gain of the force channel.
+
+    extra : known mass on the clamp beside its own, N s²/mm
+    """
 
     mass: Float
     compliance: Float
     damping: Float
     gain: Float
+    extra: float = 0.0
 
 
 @dataclass(frozen=True)

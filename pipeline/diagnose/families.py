@@ -136,11 +136,11 @@ def state_view(session: Session, number: Int, frequency: Float, test: str, *, st
 
 
 def rig_of(physical: Physical, number: int, effect: Effect) -> Rig:
-    """Constants of a rig with the effects on them."""
+    """Constants of a rig with the effects on them, and with what is on its clamp."""
     rig = physical.rigs[number]
     for change in effect.rig:
         rig = change(rig)
-    return rig
+    return replace(rig, mass=rig.mass + rig.extra, extra=0.0) if rig.extra else rig
 
 
 def dynamic(rig: Rig, view: View, effect: Effect, k: Complex) -> Complex:

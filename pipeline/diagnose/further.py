@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.refit import confirmed, finished, ranked, tried, without
 from pipeline.diagnose.screen import Score, Secants, scores, secants, signatures
-from pipeline.diagnose.tempering import SHARE, by_part, noise_chi2, share_of_form, tempered
+from pipeline.diagnose.tempering import SHARE, beyond_noise, by_part, noise_chi2, share_of_form, tempered
 
 CLOSE = 4.6
 """Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
@@ -147,10 +147,9 @@ def _worthwhile(
     most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
     where = order[: int(most.sum()) + 1]
     noise = by_part(plain, noise=True)
-    left, spread = more.chi2 - noise_chi2(plain), np.sqrt(2 * max(noise_chi2(plain), 1.0))
     adds, explained = float(added[where].sum()), float((before - so_far)[where].sum())
     of_another = shown or explained < _NOTHING * adds or not _alike(more)
-    form = _of_form(share) * (_LEAVING_NOISE if left < _NOISE * spread and of_another else 1.0)
+    form = _of_form(share) * (_LEAVING_NOISE if beyond_noise(plain, more) < _NOISE and of_another else 1.0)
     least = (
         (form * SECOND_OF_ALL if of_another else _SECOND_OF_THE_SAME) * (plain.chi2 - best.chi2),
         form * SECOND_SHARE * explained,

@@ -8,31 +8,21 @@ recordings at hand make it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_expit, log_ndtr
 
-from pipeline.diagnose.designs import LITTLE_WARMER_K, OFTEN, WARMER_K, Proposal, catalogue, imagined, repeated, showing
+from pipeline.diagnose.designs import WARMER_K, Proposal, catalogue, showing
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.further import CLOSE
-from pipeline.diagnose.noise_density import NoiseLaw
-from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.imagined import Seen, best_of, made_up
+from pipeline.diagnose.mechanisms import Mechanism
 from pipeline.diagnose.results import NextRecording
-from pipeline.diagnose.session import Session, make_session
-from pipeline.diagnose.solve import central
-from schemas.errors import NotIdentifiableError
 
-Float = NDArray[np.float64]
-
-_MODEL_ERROR = 0.15
-"""Share of a predicted difference that counts as noise: neither cause has exactly its form."""
 _ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
-_OF_WHAT_IS_SEEN = 0.15
-"""Share of what the causes explain so far that a recording must show of them, for a doubt that came by chance to pass."""
 _UNDECIDED, _SURELY = 0.1, 0.03
 """Probability that a recording leaves two causes undecided, above which it is not proposed; and above which a longer one is, if that
 is surer."""
@@ -46,25 +36,18 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
     if not alternatives:
         return None
-    best = _best(final, alternatives, WARMER_K, _Judged.sureness, -np.log(_UNDECIDED), -np.log(_SURELY))
+    believed = _forms(final)
+    causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
+    best = best_of(
+        showing(catalogue(final.of.session, WARMER_K), causes),
+        lambda proposal: _judged(proposal, believed, alternatives),
+        least=-float(np.log(_UNDECIDED)),
+        enough=-float(np.log(_SURELY)),
+    )
     if best is None:
         return None
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
     return NextRecording(best.proposal.designs, f"{best.proposal.text}: tells {rivals} apart", best.separation())
-
-
-def proving_recording(plain: ExtendedFit, final: ExtendedFit) -> NextRecording | None:
-    """The test in which the causes believed would show most, where they may be none of the list: what is in no list goes another way
-    there, and a doubt that came by chance does not come again. None where they would show next to nothing."""
-    least = max(_ENOUGH, _OF_WHAT_IS_SEEN * (plain.chi2 - final.chi2))
-    best = _best(final, [plain], LITTLE_WARMER_K, _Judged.separation, least, least)
-    if best is None:
-        return None
-    names = " and ".join(c.id for c in final.of.chosen)
-    goes = "goes" if len(final.of.chosen) == 1 else "go"
-    return NextRecording(
-        best.proposal.designs, f"{best.proposal.text}: shows whether {names} {goes} on", best.separation()
-    )
 
 
 @dataclass(frozen=True)
@@ -101,7 +84,7 @@ class _Judged:
     def separation(self) -> float:
         return min(min(pair.if_form, pair.if_rival) for pair in self.apart)
 
-    def sureness(self) -> float:
+    def merit(self) -> float:
         """Of a pair that it decides, the least sure one: −ln of the probability that it does not."""
         return -max(pair.log_undecided for pair in self.apart)
 
@@ -110,45 +93,12 @@ class _Judged:
         return replace(self, apart=tuple(pair.times(often) for pair in self.apart))
 
 
-def _best(
-    final: ExtendedFit,
-    rivals: Sequence[ExtendedFit],
-    warmer_k: float,
-    merit: Callable[[_Judged], float],
-    least: float,
-    enough: float,
-) -> _Judged | None:
-    """Of the catalogue what has the most merit; where that is not `enough`, it or the best of what can be repeated often, whichever has
-    more; None where that is less than the `least`."""
-    believed = _forms(final)
-    causes = [c.mechanism for f in (final, *rivals) for c in f.of.chosen[:1]]
-
-    def best(proposals: Iterable[Proposal]) -> list[_Judged]:
-        """Best first."""
-        judged = [_judged(p, believed, rivals) for p in proposals]
-        return sorted((j for j in judged if j is not None), key=merit, reverse=True)
-
-    found = best(showing(catalogue(final.of.session, warmer_k), causes))
-    if not any(merit(j) >= enough for j in found[:1]):
-        hopeful = [repeated(j.proposal) for j in found if merit(j.times(OFTEN.get(j.proposal.test, 1))) >= enough]
-        found = sorted([*best([p for p in hopeful if p is not None][:1]), *found[:1]], key=merit, reverse=True)
-    return found[0] if found and merit(found[0]) >= least else None
-
-
 def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]) -> _Judged | None:
     """What a proposal would say; None where its recording would have no features."""
-    final = believed[0]
-    session = final.of.session
-    try:
-        new = imagined(session, final.of.model.physical(final.theta), proposal)
-        later = make_session([*session.recordings, *new], _laws(session, len(new)))
-    except NotIdentifiableError:
+    made = made_up(believed[0], proposal)
+    if made is None:
         return None
-    number = len(session.recordings)
-    # What severities are relative to stays that of the session at hand, however large the new recording is.
-    part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
-    simulation = Simulation(part, final.of.simulation)
-    seen = [[_Seen.of(part, simulation, fit) for fit in fits] for fits in (believed, rivals)]
+    seen = [[Seen.of_fit(*made, fit) for fit in fits] for fits in (believed, rivals)]
     apart = [_apart(one, other) for one in seen[0] for other in seen[1]]
     return _Judged(proposal, tuple(apart))
 
@@ -160,9 +110,19 @@ def _forms(fit: ExtendedFit) -> list[ExtendedFit]:
     for variant in first.mechanism.variants:
         if variant != first.variant:
             of = replace(fit.of, chosen=(replace(first, variant=variant), *others))
-            other = of.fit(fit.x, most=_STEPS)
+            starts = [fit.values[0], *_reversed(first.mechanism, fit.values[0])]
+            tried = [of.fit(of.entries(fit.theta, (own, *fit.values[1:])), most=_STEPS) for own in starts]
+            other = min(tried, key=lambda f: f.chi2)
             found += [other] if other.chi2 < fit.chi2 + 2 * CLOSE else []
     return found
+
+
+def _reversed(mechanism: Mechanism, values: Mapping[str, float]) -> list[dict[str, float]]:
+    """The parameters with severities of the other sign, where they may have one: what one channel reads too high another may read
+    too low."""
+    if not all(p.signed for p in mechanism.severities):
+        return []
+    return [{**values, **{p.name: -values[p.name] / (1 + values[p.name] * p.factor) for p in mechanism.severities}}]
 
 
 def _ahead(form: ExtendedFit, rival: ExtendedFit) -> float:
@@ -171,40 +131,6 @@ def _ahead(form: ExtendedFit, rival: ExtendedFit) -> float:
     return ahead if ahead < 2 * CLOSE else 0.0
 
 
-def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
-    """Noise of a session's channels, with that of so many further recordings: as loud as that of the others."""
-    return {
-        key: replace(law, white=np.append(law.white, np.full(number, np.median(law.white))))
-        for key, law in session.laws.items()
-    }
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What a fit says of recordings that were not made, and how surely; whitened.
-
-    values : (N,) features; moves : (N, N) covariance that its own uncertainty gives them
-    """
-
-    fit: ExtendedFit
-    values: Float
-    moves: Float
-
-    @classmethod
-    def of(cls, part: Session, simulation: Simulation, fit: ExtendedFit) -> _Seen:
-        of = fit.of.on(part, simulation, np.ones(part.size))
-        rows = central(of.data_residual, fit.x, *of.limits)
-        return cls(fit, part.whiten(of.predict(fit.x)), rows @ fit.covariance @ rows.T)
-
-
-def _apart(form: _Seen, rival: _Seen) -> _Apart:
-    difference = form.values - rival.values
-    if not np.isfinite(difference).all():
-        return _Apart(0.0, 0.0, _ahead(form.fit, rival.fit))
-    # What forms may be wrong by is weighed down for the fit as well: it takes less of the difference up.
-    noise = np.diag(1 + (_MODEL_ERROR * difference) ** 2)
-
-    def against(fitted: _Seen) -> float:
-        return float(difference @ np.linalg.solve(noise + fitted.moves, difference))
-
-    return _Apart(against(rival), against(form), _ahead(form.fit, rival.fit))
+def _apart(form: Seen, rival: Seen) -> _Apart:
+    ahead = _ahead(form.fit, rival.fit)
+    return _Apart(rival.against(form.values), form.against(rival.values), ahead)

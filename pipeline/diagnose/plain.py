@@ -263,8 +263,8 @@ def _clamp(session: Session, rig: int, f: Float, ratio: float) -> tuple[Complex,
     if prior is None:
         return np.ones(f.size, dtype=complex), 0.0
     mass, stiffness, damping, _ = prior.nominal
-    omega = 2 * np.pi * f
-    return np.asarray(1 + (-ratio * mass * omega**2 + 1j * omega * damping) / stiffness), 1 / float(stiffness)
+    omega, on_clamp = 2 * np.pi * f, ratio * mass + session.loaded[rig][1]
+    return np.asarray(1 + (-on_clamp * omega**2 + 1j * omega * damping) / stiffness), 1 / float(stiffness)
 
 
 def _ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float, float]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.features import FeatureBlock, NoiseSample, RecordingFeatures
+from pipeline.diagnose.features import EXTRA_MASS, FeatureBlock, NoiseSample, RecordingFeatures
 from pipeline.diagnose.features_chirp import chirp_blocks
 from pipeline.diagnose.features_cyclic import cyclic_blocks
 from pipeline.diagnose.features_ramp import cycle_blocks, relaxation_blocks
@@ -16,6 +16,7 @@ from pipeline.diagnose.features_sphs import sphs_blocks
 from pipeline.diagnose.features_step import step_blocks
 from pipeline.diagnose.nodes import response_nodes
 from pipeline.diagnose.records import strain_length_mm
+from pipeline.transform.rig import TONNES_PER_KG
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 from schemas.protocols import CALIBRATION, ELECTRICAL, MECHANICAL
@@ -93,6 +94,8 @@ def _values(recording: Recording) -> dict[str, float]:
     temperature = recording.channels.get("temperature")
     if temperature is not None and np.isfinite(temperature.values).any():
         values["temperature_degc"] = float(np.nanmean(temperature.values))
+    if metadata.extra_clamp_mass_kg:
+        values[EXTRA_MASS] = metadata.extra_clamp_mass_kg * TONNES_PER_KG
     expected = actuation_prior(metadata)
     if expected is not None:
         values["actuation_n_per_kv2"], values["actuation_sd"] = expected

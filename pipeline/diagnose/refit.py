@@ -135,7 +135,7 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     ]
     far = score.chosen.id in _ABSORBED
     if far:
-        starts += sorted(_levels(score, signatures), key=_left(base, of, score.chosen))[:_MOST_STARTS]
+        starts += sorted(_levels(score, signatures), key=_remaining(base, of, score.chosen))[:_MOST_STARTS]
     elif score.chosen.mechanism.onset:
         starts += _above_onset(base, of, score, signatures)
     fits = []
@@ -183,17 +183,17 @@ def _revived(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:
     return min(fit, _to_its_end(base, fit.of.fit(x, most=_ROUGHLY, thorough=False), reach), key=lambda f: f.chi2)
 
 
-def _left(base: ExtendedFit, of: Extended, chosen: Chosen) -> Callable[[Mapping[str, float]], float]:
+def _remaining(base: ExtendedFit, of: Extended, chosen: Chosen) -> Callable[[Mapping[str, float]], float]:
     """What χ² a start leaves once everything that the base may move has made room, to first order."""
     absorbed = absorbed_by(base)
 
-    def left(values: Mapping[str, float]) -> float:
+    def remaining(values: Mapping[str, float]) -> float:
         residual = of.residual(of.entries(_made_room(base, chosen, values), (*base.values, values)))
         seen = residual[: absorbed.shape[0]]
         kept = float(residual @ residual - np.sum((absorbed.T @ seen) ** 2))
         return kept if np.isfinite(kept) else np.inf
 
-    return left
+    return remaining
 
 
 def _made_room(base: ExtendedFit, chosen: Chosen, values: Mapping[str, float]) -> Float:
@@ -260,9 +260,12 @@ def _above_onset(base: ExtendedFit, of: Extended, score: Score, signatures: Sign
     low = {p.name: p.low for p in score.chosen.mechanism.severities}
     points = [v for c, v in zip(signatures.chosen, signatures.values, strict=True) if c == score.chosen]
     shapes = {tuple(v for k, v in values.items() if k not in low): values for values in points}
-    left = _left(base, of, score.chosen)
+    remaining = _remaining(base, of, score.chosen)
     return [
-        min(({**shape, **{name: times * least for name, least in low.items()}} for shape in shapes.values()), key=left)
+        min(
+            ({**shape, **{name: times * least for name, least in low.items()}} for shape in shapes.values()),
+            key=remaining,
+        )
         for times in _LOW_STARTS
     ]
 

@@ -18,6 +18,7 @@ from pipeline.diagnose.base import BaseModel, Entry, film_entries, rig_entries
 from pipeline.diagnose.effects import Scale
 from pipeline.diagnose.features import (
     CYCLIC_CAPACITANCE,
+    EXTRA_MASS,
     SPHS_CAPACITANCE,
     SPHS_VOLTAGE,
     STEP_CAPACITANCE,
@@ -85,6 +86,7 @@ class Session:
     ----------
     recordings : (R,) features
     rigs : constants of the rigs in use; `rig` (R,) is the number of each recording's rig
+    loaded : for each rig the first one that has the same constants, itself or an earlier one, and the known mass on its clamp, N s²/mm
     start_s : (R,) start of each recording since that of the first
     places : blocks with their places in the vector of all features
     states : the state of the film, rig and electrodes at each block
@@ -103,6 +105,7 @@ class Session:
     value: Float
     scale: Scale
     laws: dict[tuple[int, str], NoiseLaw]
+    loaded: tuple[tuple[int, float], ...]
 
     @property
     def size(self) -> int:
@@ -201,7 +204,8 @@ class Session:
 
     def base_model(self, arms: int, *, dashpot: bool = False) -> BaseModel:
         """The plain model with that many arms, with the entries of θ that these recordings depend on."""
-        priors = self.priors
+        own = [of == number for number, (of, _) in enumerate(self.loaded)]
+        priors = tuple(prior if alone else None for prior, alone in zip(self.priors, own, strict=True))
         entries = film_entries(arms, dashpot, self.times_s)
         for number, prior in enumerate(priors):
             entries += rig_entries(number, prior)
@@ -229,10 +233,11 @@ class Session:
             entries.append(Entry("capacitance per force"))
         if CYCLIC_CAPACITANCE in self.kinds:
             entries.append(Entry("capacitance per displacement"))
-        return BaseModel(arms, dashpot, tuple(entries), priors)
+        return BaseModel(arms, dashpot, tuple(entries), priors, self.loaded)
 
     @cached_property
     def priors(self) -> tuple[RigPrior | None, ...]:
+        """What is known of each rig beforehand; None where nothing is."""
         return tuple(rig_prior(rig) for rig in self.rigs)
 
     @cached_property
@@ -261,12 +266,15 @@ def make_session(
     if len(specimens) > 1:
         raise NotIdentifiableError(f"recordings of {', '.join(specimens)}", expected="one specimen")
     rigs: list[RigConstants] = []
+    loaded: list[tuple[int, float]] = []
     number = []
     for r in ordered:
-        same = [i for i, rig in enumerate(rigs) if _mechanics(rig) == _mechanics(r.rig)]
-        if not same:
+        same = next((i for i, rig in enumerate(rigs) if _mechanics(rig) == _mechanics(r.rig)), len(rigs))
+        clamp = same, r.values.get(EXTRA_MASS, 0.0)
+        if clamp not in loaded:
             rigs.append(r.rig)
-        number.append(same[0] if same else len(rigs) - 1)
+            loaded.append(clamp)
+        number.append(loaded.index(clamp))
     if not any(r.blocks for r in ordered):
         raise NotIdentifiableError(
             "no recording has features that could be simulated",
@@ -294,6 +302,7 @@ def make_session(
         value=np.concatenate([p.block.value for p in places]),
         scale=total,
         laws=_laws(ordered, number) if laws is None else dict(laws),
+        loaded=tuple(loaded),
     )
 
 

@@ -62,7 +62,7 @@ def structure(fit: ExtendedFit) -> Structure:
     gram, score = gram / np.outer(scale, scale), score / scale
     kinds = np.array([k for k, _ in labels])
     variables = np.array([v for _, v in labels])
-    total, freedom = quadratic(gram, score)
+    total, freedom, _ = quadratic(gram, score)
     return Structure(
         total,
         freedom,
@@ -147,15 +147,19 @@ def _scaled(values: Float) -> Float:
     return np.asarray(2 * (values - low) / (high - low) - 1) if high > low else np.zeros(values.size)
 
 
-def quadratic(gram: Float, score: Float) -> tuple[float, int]:
-    """scoreᵀ gram⁺ score over patterns of unit length, and its rank."""
+def quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
+    """scoreᵀ gram⁺ score over patterns of unit length, its rank, and gram⁺ score."""
     values, vectors = np.linalg.eigh((gram + gram.T) / 2)
     kept = values > _RELATIVE_RANK * max(float(values[-1]), 1e-300)
     kept &= values > 1e-5
     along = vectors[:, kept].T @ score
-    return float(np.sum(along**2 / values[kept])), int(kept.sum())
+    return (
+        float(np.sum(along**2 / values[kept])),
+        int(kept.sum()),
+        np.asarray(vectors[:, kept] @ (along / values[kept])),
+    )
 
 
 def _p(gram: Float, score: Float, chosen: NDArray[np.bool_]) -> float:
-    total, freedom = quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
+    total, freedom, _ = quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
     return float(chdtrc(freedom, total)) if freedom else 1.0

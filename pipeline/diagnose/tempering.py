@@ -50,6 +50,12 @@ def noise_chi2(plain: ExtendedFit) -> float:
     return float(np.sum(plain.of.weight**2)) - plain.of.model.size
 
 
+def beyond_noise(plain: ExtendedFit, fit: ExtendedFit) -> float:
+    """χ² that a fit leaves beyond what the noise alone would, in standard deviations of that (tempered scale)."""
+    noise = noise_chi2(plain)
+    return float((fit.chi2 - noise) / np.sqrt(2 * max(noise, 1.0)))
+
+
 def explained(plain: ExtendedFit, extended: ExtendedFit) -> float:
     """Share of the plain model's misfit, in excess of the noise, that an extended one explains (tempered scale)."""
     fall = plain.chi2 - extended.chi2

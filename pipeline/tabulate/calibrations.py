@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 def calibration_table(recording_id: str, found: Calibration) -> pa.Table:
     """Two rows: frequency and damping of a tapped clamp, or gain and offset of a weighed force channel."""
     if isinstance(found, TapCalibration):
-        repeats = found.taps
+        repeats, prefix = found.taps, "loaded_" if found.extra_mass_kg else ""
         rows = (
-            ("clamp_frequency_hz", "Hz", found.frequency_hz, found.frequency_sd),
-            ("damping_ratio", "", found.damping_ratio, found.damping_ratio_sd),
+            (f"{prefix}clamp_frequency_hz", "Hz", found.frequency_hz, found.frequency_sd),
+            (f"{prefix}damping_ratio", "", found.damping_ratio, found.damping_ratio_sd),
         )
     else:
         repeats = found.plateaus

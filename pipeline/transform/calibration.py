@@ -40,6 +40,8 @@ class TapCalibration:
     taps: int
     recording_id: str | None = None
     warnings: tuple[str, ...] = ()
+    extra_mass_kg: float = 0.0
+    """What was on the clamp beside its own mass."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,10 @@ def tap(recording: Recording) -> TapCalibration:
     channel = recording.channels["force"]
     sampled = sample({"force": channel}, recording.start_ns)
     force, interval = sampled.values["force"], sampled.interval_s
-    _refuse_slow_samples(recording.rig, interval, where)
-    clipped = quality.overloaded(replace(channel, values=force), recording.rig.load_cell_range_n)
+    extra_kg = recording.metadata.extra_clamp_mass_kg or 0.0
+    rig = recording.rig.loaded(extra_kg)
+    _refuse_slow_samples(rig, interval, where)
+    clipped = quality.overloaded(replace(channel, values=force), rig.load_cell_range_n)
     fits, warnings = [], []
     for first, stop in runs(np.isfinite(force)):
         for a, b in rings(force[first:stop], where):
@@ -95,9 +99,9 @@ def tap(recording: Recording) -> TapCalibration:
             remedy="Tap harder, remove the film, sample faster than ten times the clamp's frequency",
         )
     f, f_sd = _pooled(np.array([x[0] for x in fits]), np.array([x[1] for x in fits]))
-    warnings += _against_rig_file(f, recording.rig, where)
+    warnings += _against_rig_file(f, rig, where)
     z, z_sd = _pooled(np.array([x[2] for x in fits]), np.array([x[3] for x in fits]))
-    return TapCalibration(f, f_sd, z, z_sd, len(fits), where, tuple(dict.fromkeys(warnings)))
+    return TapCalibration(f, f_sd, z, z_sd, len(fits), where, tuple(dict.fromkeys(warnings)), extra_kg)
 
 
 def _pooled(values: Float, errors: Float) -> tuple[float, float]:
@@ -282,13 +286,16 @@ def sharpen(rig: RigConstants, calibration: Calibration) -> RigConstants:
 
     A tap measures √(kL/M), so that mass and stiffness each move a little and are tied together (`clamp_frequency_hz` keeps
     the tie); its damping replaces a prior that is usually wide. Weights set `force_gain`. A rig without mass or stiffness
-    keeps the measured frequency and nothing else.
+    keeps the measured frequency and nothing else. A tap with a further mass on the clamp is no measure of the clamp alone: what it says
+    of mass and stiffness is for the diagnosis to say.
     """
     if isinstance(calibration, WeightCalibration):
         gain, sd = calibration.gain, calibration.gain_sd
         if rig.force_gain is not None and rig.force_gain_sd:
             gain, sd = _pooled(np.array([rig.force_gain, gain]), np.array([rig.force_gain_sd, sd]))
         return replace(rig, force_gain=gain, force_gain_sd=sd)
+    if calibration.extra_mass_kg:
+        return rig
     frequency = calibration.frequency_hz
     frequency_sd = float(np.hypot(calibration.frequency_sd, _REPEATABILITY * frequency))
     tied = replace(rig, clamp_frequency_hz=frequency, clamp_frequency_hz_sd=frequency_sd)

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.departures import Departure, departures
-from pipeline.diagnose.extend import Extended
+from pipeline.diagnose.designs import Proposal
+from pipeline.diagnose.extend import Extended, ExtendedFit
+from pipeline.diagnose.imagined import Seen, made_up
 from pipeline.diagnose.plain import fit_plain
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.screen import absorbed_by, unabsorbed
 from pipeline.diagnose.session import make_session
 from tests.hidden_effects.truth import Effect
 from tests.hidden_effects.truth import make_session as true_session
@@ -29,12 +32,16 @@ DESIGNS: Designs = (
 )
 
 
-def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Sequence[Departure]:
+def plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> ExtendedFit:
     session = make_session([reduce(r) for r in true_session(seed, designs, effects).recordings])
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
-    return departures(of.refined(of.fit(fitted.theta, most=3)))
+    return of.refined(of.fit(fitted.theta, most=3))
+
+
+def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Sequence[Departure]:
+    return departures(plain_model(seed, *effects, designs=designs))
 
 
 @pytest.mark.parametrize("seed", range(301, 303))
@@ -62,6 +69,31 @@ def test_what_is_in_no_list_departs_where_it_acts(effect: Effect, words: str) ->
     assert found[0].p_value < 1e-8
     assert words in [d.text for d in found if d.p_value < 1e-8]
     assert found[0].excess == pytest.approx(found[0].statistic - found[0].degrees_of_freedom)
+
+
+def test_at_its_best_values_a_quantity_changes_the_features_by_what_it_explains() -> None:
+    fit = plain_model(303, Effect("humidity", 0.02))
+    of = fit.of
+    for d in departures(fit):
+        if d.degrees_of_freedom < len(d.effects):
+            continue
+        seen = of.weight * of.session.whiten(np.nan_to_num(d.change(of, fit.x)))
+        gram, along = unabsorbed(fit, seen[:, None], absorbed_by(fit))
+        assert (gram.item(), along.item()) == pytest.approx((d.statistic, d.statistic), rel=1e-3), d.text
+
+
+def test_what_differs_from_recording_to_recording_says_nothing_of_a_further_one() -> None:
+    fit = plain_model(303, Effect("humidity", 0.02))
+    proposal = Proposal(
+        {"protocol": "cyclic", "loading": "mechanical", "strain_pp": 0.04, "frequency_hz": 1.0, "cycles": 10.0},
+        "ten cycles",
+    )
+    made = made_up(fit, proposal)
+    assert made is not None
+    later = Seen.of_fit(*made, fit).of
+    changes = {d.text: np.abs(d.change(later, fit.x)).max() for d in departures(fit)}
+    assert changes["the stiffness differs from recording to recording"] < 1e-9
+    assert changes["the stiffness changes for good"] > 1e-4
 
 
 def test_electrical_tests_alone_are_asked_without_a_warning() -> None:

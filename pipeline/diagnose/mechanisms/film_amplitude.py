@@ -91,12 +91,11 @@ def _damage(values: Values, variant: str) -> Effect:
 
 def _passed(course: Course, largest: Float) -> Float:
     """Cycles (..., 1 or P) that a film has gone through at the largest strain so far."""
+    if course.cycles is not None:
+        first, last = course.cycles
+        return np.asarray(((first + last) / 2 - 0.5)[..., None])
     if course.periodic:
-        return (
-            np.full((1, 1), np.inf)
-            if course.cycles is None
-            else ((course.cycles[0] + course.cycles[1]) / 2 - 0.5)[..., None]
-        )
+        return np.full((1, 1), np.inf)
     path = np.cumsum(np.abs(np.diff(course.strain, axis=-1, prepend=course.strain[..., :1])), axis=-1)
     return np.asarray(path / np.maximum(2 * largest, 1e-30))
 
@@ -114,8 +113,7 @@ def _stiff(values: Values, variant: str) -> Effect:
     rise, uneven = values["stiffening"], values["asymmetry"]
 
     def stiffer(course: Course) -> Float:
-        largest = max(course.scale.strain, 1e-12) * (1 if course.periodic else 2)
-        relative = course.strain / largest
+        relative = course.strain / max(course.scale.strain, 1e-12)
         # A strain measure under all springs (quasi-linear viscoelasticity): what it adds relaxes as strain does.
         added = course.strain * rise * (uneven * relative / 2 + (1 - uneven) * relative**2 / 3)
         return np.asarray(course.tension + course.carried(added))
@@ -186,7 +184,7 @@ AMPLITUDE_SOFTENING = Mechanism(
 CYCLIC_SOFTENING = Mechanism(
     id="cyclic_softening",
     stage="film",
-    equation="k (1 − D (1 − r (e/A_max)²)), D → d (1 − e^{−A_max/a}) as 1 − e^{−n/n0}, A_max the largest strain so far",
+    equation="k (1 − D (1 − r (e/A)²)), D → d (1 − e^{−A_max/a}) as 1 − e^{−n/n0}, A_max the largest strain so far, A of all",
     source="Mullins effect with a damage variable that vanishes towards the largest strain, Ogden and Roxburgh 1999",
     parameters=(
         Parameter("loss", "1", "loss after the session's largest strain", 0.005, 0.25, most=0.95),

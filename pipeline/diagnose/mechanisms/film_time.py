@@ -141,9 +141,9 @@ THERMAL_SOFTENING = Mechanism(
     source="thermal softening of elastomers, first order in the temperature",
     parameters=(
         Parameter("per_kelvin", "1/K", "β", 0.001, 0.03, signed=True, least=-0.2, most=0.2),
-        Parameter("rise_k", "K", "warming in the end where no temperature was recorded; only β × rise is known then", 5.0, 5.0, SHAPE, least=5.0, most=5.0),
-        Parameter("time_constant_s", "s", "time constant of the warming", 100.0, 3000.0, SHAPE),
         Parameter("self_heating_k", "K", "warming by a cycle of the largest strain whose loss is as large as k0", 1e-3, 0.1, SHAPE),
+        Parameter("time_constant_s", "s", "time constant of the warming", 100.0, 3000.0, SHAPE),
+        Parameter("rise_k", "K", "warming in the end where no temperature was recorded; only β × rise is known then", 5.0, 5.0, SHAPE, least=5.0, most=5.0),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -43,7 +43,7 @@ class Calibration(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Tap(Calibration):
-    """The clamp without film is tapped and rings; half-sine pulses of `pulse_s`."""
+    """The clamp without film is tapped and rings, with a known further mass on it or without; half-sine pulses of `pulse_s`."""
 
     protocol: ClassVar[str] = "tap"
     taps: int = whole(3)
@@ -51,6 +51,7 @@ class Tap(Calibration):
     peak_n: float = number(1.0, above=0)
     ring_s: float = number(4.0, above=0)
     rest_s: float = number(1.0, at_least=0)
+    extra_clamp_mass_kg: float = number(0.0, at_least=0)
 
     @property
     def duration_s(self) -> float:
@@ -60,7 +61,12 @@ class Tap(Calibration):
         return self.pulse_s / INTERVALS_PER_TIME_CONSTANT
 
     def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
-        return {"repeats": self.taps, "period_s": self.ring_s}
+        known = {"repeats": self.taps, "period_s": self.ring_s}
+        return known | ({"extra_clamp_mass_kg": self.extra_clamp_mass_kg} if self.extra_clamp_mass_kg else {})
+
+    def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
+        heavier = replace(bench.rig, clamp_mass_kg=bench.rig.clamp_mass_kg + self.extra_clamp_mass_kg)
+        return super().run(replace(bench, rig=heavier), specimen, clock, rng)
 
     def pull(self, time_s: Float) -> Float:
         since = time_s - self.rest_s

@@ -28,8 +28,8 @@ value and the forms differ by tens of per cent. Effects scale the film's answer 
 Designs of recordings: a dict with `protocol` (chirp, sphs, cyclic, step, cycle, tap, weight), for step also `loading`
 (electrical or mechanical), and any of
 
-    all         rest_before_s (60; time since the last recording), extra_clamp_mass_kg (0; on the clamp and in the rig
-                file), pre_extension_mm (0; film held that much longer, relaxed, displacement recorded from there),
+    all         rest_before_s (60; time since the last recording), extra_clamp_mass_kg (0; on the clamp and in the
+                metadata), pre_extension_mm (0; film held that much longer, relaxed, displacement recorded from there),
                 sample_rate_hz, temperature (False; record it), warmer_k (none; room warmer by that, temperature recorded)
     chirp       strain_pp at low frequency (0.02), frequency_start_hz (1), frequency_stop_hz (100), sweep (log), sweep_s (6),
                 rest_s (2), repeats (2), knee_hz (30; above it the amplitude falls as 1/f)

@@ -250,15 +250,13 @@ def _recordings(
         noise = sensors.noise(values.size, noise_sd[name], specimen.pink_share, rng)
         recorded[name] = Channel(name, time_ns, sensors.quantised(values + noise, step), resolution=step)
     extra, held = float(p.design["extra_clamp_mass_kg"]), float(p.design["pre_extension_mm"])
-    constants: dict[str, Any] = dict(specimen.rig_file)
-    constants["clamp_mass_kg"] += extra
     rig = RigConstants(
         rig_id="truth-rig",
         load_cell_range_n=span,
         noise_sd={
             name: float(np.hypot(noise_sd[name], (recorded[name].resolution or 0.0) / 12**0.5)) for name in names
         },
-        **constants,
+        **specimen.rig_file,
     )
     geometry = dict(specimen.geometry)
     if held:
@@ -274,6 +272,7 @@ def _recordings(
         material=specimen.kind,
         rig_id="truth-rig",
         rest_before_s=float(p.design["rest_before_s"]),
+        extra_clamp_mass_kg=extra or None,
         **geometry,
         **p.metadata,
     )

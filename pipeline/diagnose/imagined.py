@@ -1,0 +1,114 @@
+"""What fits say of recordings that were not made, how surely, and which of many proposals is worth making."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.designs import OFTEN, Proposal, imagined, repeated
+from pipeline.diagnose.extend import Extended, ExtendedFit
+from pipeline.diagnose.features import TAP_RING, WEIGHT_GAIN
+from pipeline.diagnose.noise_density import NoiseLaw
+from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.session import Session, make_session
+from pipeline.diagnose.solve import central
+from schemas.errors import NotIdentifiableError
+
+Float = NDArray[np.float64]
+
+_CALIBRATIONS = (TAP_RING, WEIGHT_GAIN)
+_MODEL_ERROR = 0.15
+"""Share of a predicted difference that counts as noise: no cause has exactly its form."""
+
+
+def made_up(final: ExtendedFit, proposal: Proposal) -> tuple[Session, Simulation] | None:
+    """The proposed recordings after a session, and their simulation; None where they would have no features."""
+    session = final.of.session
+    try:
+        new = imagined(session, final.of.model.physical(final.theta), proposal)
+        later = make_session([*session.recordings, *new], _laws(session, len(new)))
+    except NotIdentifiableError:
+        return None
+    number = len(session.recordings)
+    # What severities are relative to stays that of the session at hand, however large the new recording is.
+    part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
+    return part, Simulation(part, final.of.simulation)
+
+
+def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
+    """Noise of a session's channels, with that of so many further recordings: as loud as that of the others."""
+    return {
+        key: replace(law, white=np.append(law.white, np.full(number, np.median(law.white))))
+        for key, law in session.laws.items()
+    }
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a fit says of recordings that were not made, and how surely; whitened.
+
+    of : the fit's model on them; values : (N,) features; moves : (N, N) covariance that its own uncertainty gives them
+    """
+
+    fit: ExtendedFit
+    of: Extended
+    values: Float
+    moves: Float
+
+    @classmethod
+    def of_fit(cls, part: Session, simulation: Simulation, fit: ExtendedFit) -> Seen:
+        of = fit.of.on(part, simulation, np.ones(part.size))
+        of = replace(of, model=of.model.with_loads(part.loaded))
+        rows = central(of.data_residual, fit.x, *of.limits)
+        return cls(fit, of, part.whiten(of.predict(fit.x)), rows @ fit.covariance @ rows.T)
+
+    def against(self, others: Float) -> float:
+        """χ² that these recordings would say against the fit, were they as `others` (N,) say."""
+        difference = others - self.values
+        return self.shown(difference, difference)
+
+    def shown(self, change: Float, forms: Float) -> float:
+        """χ² of a change (N,) that the fit does not follow, where `forms` (N,) is predicted by forms that are wrong by a share."""
+        if not (np.isfinite(change).all() and np.isfinite(forms).all()):
+            return 0.0
+        # What forms may be wrong by is weighed down for the fit as well: it takes less of the change up. Calibrations have no forms.
+        noise = np.diag(1 + (np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, _MODEL_ERROR) * forms) ** 2)
+        return float(change @ np.linalg.solve(noise + self.moves, change))
+
+
+class Judged(Protocol):
+    """A proposal, and what it is worth."""
+
+    @property
+    def proposal(self) -> Proposal: ...
+
+    def merit(self) -> float: ...
+
+    def times(self, often: float) -> Self:
+        """What so many times the data would be worth at most."""
+
+
+J = TypeVar("J", bound=Judged)
+
+
+def best_of(
+    proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None], least: float, enough: float
+) -> J | None:
+    """Of proposals what has the most merit; where that is not `enough`, it or the best of what can be repeated often, whichever has
+    more; None where that is less than the `least`."""
+
+    def best(some: Iterable[Proposal]) -> list[J]:
+        """Best first."""
+        judged = [judge(p) for p in some]
+        return sorted((j for j in judged if j is not None), key=lambda j: j.merit(), reverse=True)
+
+    found = best(proposals)
+    if not any(j.merit() >= enough for j in found[:1]):
+        hopeful = [repeated(j.proposal) for j in found if j.times(OFTEN.get(j.proposal.test, 1)).merit() >= enough]
+        again = best([p for p in hopeful if p is not None][:1])
+        found = sorted([*again, *found[:1]], key=lambda j: j.merit(), reverse=True)
+    return found[0] if found and found[0].merit() >= least else None

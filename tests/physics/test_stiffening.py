@@ -1,0 +1,47 @@
+"""A film that stiffens: what the tangent rises by at a strain does not ask how the film came there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pipeline.diagnose.effects import Course, Scale
+from pipeline.diagnose.mechanisms import effect_of
+
+Float = NDArray[np.float64]
+RISE, LARGEST = 0.2, 0.12
+
+
+def tension(strain: Float, uneven: float, *, periodic: bool) -> Float:
+    """Of a spring of 3 N/mm and 50 mm under a strain (P,), over that of the spring at 1."""
+    course = Course(
+        strain=strain[None],
+        tension=150.0 * strain[None],
+        periodic=periodic,
+        rest_force_n=np.ones((1, 1)),
+        largest_tension_n=18.0,
+        largest_fall_n=18.0,
+        stiffness=np.full((1, 1), 3.0 + 0j),
+        static=3.0,
+        interval_s=np.full((1, 1), 0.01),
+        scale=Scale(LARGEST, 5.0, 100.0, 4000.0, 50.0, 0.2),
+    )
+    (stiffer,) = effect_of("strain_stiffening", {"stiffening": RISE, "asymmetry": uneven}).tension
+    return np.asarray(stiffer(course)[0] / 150.0)
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("periodic", [True, False], ids=["period", "ramp"])
+def test_the_tangent_rises_by_the_severity_at_the_largest_strain(uneven: float, periodic: bool) -> None:
+    strain = np.linspace(0.0, LARGEST, 2001)
+    slope = np.gradient(tension(strain, uneven, periodic=periodic), strain)
+    assert slope[0] == pytest.approx(1.0, abs=1e-3)
+    assert slope[-1] == pytest.approx(1 + RISE, rel=1e-3)
+    half = 1 + RISE * (uneven / 2 + (1 - uneven) / 4)
+    assert slope[1000] == pytest.approx(half, rel=1e-3)
+
+
+def test_a_ramp_and_a_period_through_the_same_strains_pull_alike() -> None:
+    strain = LARGEST / 2 * (1 - np.cos(2 * np.pi * np.arange(64) / 64))
+    assert tension(strain, 0.4, periodic=False) == pytest.approx(tension(strain, 0.4, periodic=True))

@@ -1,0 +1,61 @@
+"""Which recording is worth making to see a doubt go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.diagnose.departures import Departure
+from pipeline.diagnose.designs import Proposal
+from pipeline.diagnose.doubt import of_number
+from pipeline.diagnose.proving import _ENOUGH, _LEAST, _Judged
+
+TEST = Proposal({"protocol": "sphs", "loading": "electrical"}, "a test")
+WAY = Departure("the actuation follows the voltage in another way", 12.0, 1, 0.08)
+SPANS = Departure("the stiffness differs from recording to recording", 25.0, 9, 0.08)
+SAYS = st.floats(0.0, 1e3)
+
+
+def judged(says: float, add: float = 5.0, found: Departure = WAY) -> _Judged:
+    return _Judged(TEST, 200.0, add, ((found, says),), ())
+
+
+@given(says=SAYS, more=st.floats(1.0, 1e3), found=st.sampled_from([WAY, SPANS]))
+def test_the_more_a_recording_says_of_a_doubt_the_better(says: float, more: float, found: Departure) -> None:
+    assert judged(says + more, found=found).merit() >= judged(says, found=found).merit()
+
+
+def test_a_recording_that_says_nothing_leaves_the_doubt_where_it_is() -> None:
+    """Just as much is left as is tolerated: that is the least for which a recording is proposed."""
+    alone = judged(0.0, add=0.0)
+    excess = of_number(WAY).tolerates(WAY, 200.0) * (200.0 + WAY.excess)
+    assert alone.merit() == pytest.approx(excess / WAY.excess)
+    assert alone.merit() < _LEAST
+    tolerated = replace(WAY, statistic=3.0)
+    assert not of_number(tolerated).met_by(tolerated, 200.0)
+    assert judged(0.0, add=0.0, found=tolerated).merit() > _LEAST
+
+
+def test_the_form_of_a_cause_shows_where_the_cause_does() -> None:
+    """Of two tests that say as much of a doubt, that counts for less in which the cause is most of what is seen."""
+    assert judged(30.0, add=160.0).merit() < judged(30.0, add=1.0).merit() < _ENOUGH
+
+
+def test_of_tests_that_are_sure_that_in_which_the_causes_show_most_is_best() -> None:
+    assert _ENOUGH < judged(500.0, add=1.0).merit() < judged(100.0, add=50.0).merit()
+
+
+def test_the_worst_doubt_counts() -> None:
+    both = _Judged(TEST, 200.0, 5.0, ((WAY, 300.0), (SPANS, 0.0)), ())
+    assert both.merit() == judged(0.0, found=SPANS).merit()
+
+
+def test_what_explains_more_in_place_of_the_causes_has_to_fall_behind_by_that() -> None:
+    ahead = replace(WAY, statistic=231.0)
+    little, much = (_Judged(TEST, 200.0, 5.0, (), ((ahead, says),)) for says in (20.0, 80.0))
+    assert little.merit() < _LEAST < much.merit()
+    assert little.times(4.0).merit() == replace(much, add=20.0).merit()
+    assert much.separation() == 80.0
