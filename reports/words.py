@@ -18,6 +18,8 @@ FOLLOWED = {
     "median_s": "median life",
     "clamp_frequency_hz": "frequency of the clamp alone",
     "damping_ratio": "damping ratio of the clamp alone",
+    "loaded_clamp_frequency_hz": "frequency of the clamp with a further mass",
+    "loaded_damping_ratio": "damping ratio of the clamp with a further mass",
     "force_gain": "gain of the force channel",
     "force_offset_n": "offset of the force channel",
     "modulus_over_batch": "modulus over the median of its batch",

@@ -930,7 +930,10 @@ _ALL: tuple[Table, ...] = (
         "what the calibrations of a rig gave",
         (
             _RECORDING,
-            _t("quantity", "clamp_frequency_hz, damping_ratio, force_gain or force_offset_n"),
+            _t(
+                "quantity",
+                "clamp_frequency_hz, damping_ratio, force_gain or force_offset_n; with a further mass on the clamp loaded_clamp_frequency_hz, loaded_damping_ratio",
+            ),
             _t("unit", "unit of value"),
             _r(
                 "value",

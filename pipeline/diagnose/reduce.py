@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,14 +55,16 @@ def reduce(recording: Recording) -> RecordingFeatures:
             where=metadata.recording_id,
             expected=", ".join(sorted({f"{loading} {protocol}" for protocol, loading in _REDUCERS})),
         )
-    nodes = response_nodes(recording.rig)
+    # With what was on the clamp, where it rings.
+    heavy = replace(recording, rig=recording.rig.loaded(metadata.extra_clamp_mass_kg))
+    nodes = response_nodes(heavy.rig)
     noise: list[NoiseSample] = []
     values: dict[str, float] = {}
     warnings: list[str] = []
     if metadata.loading == CALIBRATION:
         blocks = [calibration_block(recording)]
     else:
-        blocks, noise, values, warnings = _REDUCERS[key](recording, nodes)
+        blocks, noise, values, warnings = _REDUCERS[key](heavy, nodes)
         hum = hum_block(recording) if metadata.loading in (MECHANICAL, ELECTRICAL) else None
         blocks += [] if hum is None else [hum]
     values |= _values(recording)

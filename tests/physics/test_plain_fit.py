@@ -1,5 +1,7 @@
 """The plain model's search: where rig files are far from the truth, and how sure its film is."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -23,6 +25,36 @@ def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, m
     film, band = truth.truth.specimen.film, np.geomspace(1.0, 100.0, 30)
     error = np.abs(found.model.physical(found.theta).film.stiffness(band) / film.stiffness(band) - 1)
     assert error.max() < 0.02
+
+
+def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None:
+    """Their frequencies are √(kL/M) and √(kL/(M + m)) of one clamp: alone, neither says what M is."""
+    truth = true_session(895730046, compact_designs()[:4], (Effect("rig_constants", 0.08, {}),))
+    taps: tuple[dict[str, Any], ...] = ({"protocol": "tap"}, {"protocol": "tap", "extra_clamp_mass_kg": 0.2})
+
+    def mass(*designs: dict[str, Any]) -> tuple[float, float]:
+        session = make_session([reduce(r) for r in truth.extended(*designs).recordings])
+        found = fit_plain(session, Simulation(session))
+        of = Extended(session, Simulation(session), found.model, (), np.ones(session.size))
+        fit = of.refined(of.fit(found.theta, most=3))
+        place = next(i for i, name in enumerate(found.model.names) if "clamp mass" in name)
+        assert [n for n in found.model.names if n.startswith("rig 1")] == []
+        return float(found.model.physical(fit.theta).rigs[0].mass[0, 0]), float(np.sqrt(fit.covariance[place, place]))
+
+    bare, both = mass(taps[0]), mass(*taps)
+    true = truth.truth.rig.hidden.law.mass
+    assert abs(both[0] / true - 1) < 0.01
+    assert abs(bare[0] / true - 1) > 0.01
+    assert both[1] < 0.3 * bare[1]
+
+
+def test_a_recording_with_a_mass_on_the_clamp_has_the_response_of_the_heavier_one() -> None:
+    truth = true_session(895730046, compact_designs()[:4], ())
+    chirp = next(d for d in compact_designs() if d["protocol"] == "chirp")
+    session = make_session([reduce(r) for r in truth.extended({**chirp, "extra_clamp_mass_kg": 0.1}).recordings])
+    assert session.loaded == ((0, 0.0), (0, 1e-4))
+    found = fit_plain(session, Simulation(session))
+    assert found.chi2 < 1.2 * session.size
 
 
 def test_a_damper_is_surer_than_its_spring_and_time_where_only_their_product_shows() -> None:
