@@ -186,7 +186,7 @@ def test_held_out_is_what_the_rest_can_predict() -> None:
     [
         (717_170_018, Effect("humidity", 1.24e-3, {"period_s": 1104.0}), "the stiffness comes and goes over the session"),
         (717_170_032, Effect("edge_tear", 1.26e-3, {"jumps": 3.5}), "the stiffness changes for good"),
-        (700_215_001, Effect("clamp_misalignment", 5.794e-4, {"rate_s": 4.254e-3}), "the force follows the strain in another way"),
+        (700_235_015, Effect("clamp_misalignment", 2.313e-3, {"rate_s": 1.984e-2}), "the force follows the strain in another way"),
     ],
 )  # fmt: skip
 def test_a_faint_cause_of_no_list_is_not_named_without_doubt(seed: int, effect: Effect, what: str) -> None:
@@ -226,6 +226,25 @@ def test_a_warmer_room_tells_warming_from_cycles() -> None:
     assert _split(found, session, (effect,))
 
 
+@pytest.mark.parametrize(
+    ("seed", "effect", "proposed"),
+    [
+        (700_230_084, Effect("gain_error", -0.0876, {"channel": "displacement"}), "taps on the clamp, without film, and again with"),
+        (700_220_018, Effect("wrinkling", 0.01033, {"rise_s": 0.1019, "recovery_s": 0.5493, "hysteresis": 0.03978}), "an SPHS"),
+    ],
+    ids=lambda v: v.id if isinstance(v, Effect) else "",
+)  # fmt: skip
+def test_the_recording_proposed_leaves_the_right_cause_alone(seed: int, effect: Effect, proposed: str) -> None:
+    """Mass and stiffness of the rig, wrong alike, are a gain of either channel, but for a known mass; and a doubt that came of the form
+    of a cause in one kind of test is settled in another."""
+    session = made(Case(seed), (effect,))
+    found = observe(session)
+    assert found.verdict == "ambiguous"
+    assert found.next_recording is not None
+    assert proposed in found.next_recording.text
+    assert _split(found, session, (effect,))
+
+
 def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
     """A voltage that is offset and a permittivity that falls with the field look alike until the polarity is turned; an offset that is
     rectified, which the session cannot tell from one that is not, shows at a low voltage alone."""
@@ -242,7 +261,7 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
             140_430_015,
             Effect("gain_error", 0.29, {"channel": "force"}),
             {"gain_error", "rig_constants"},
-            "known weights",
+            "more on it",
         ),
         (
             140_430_014,

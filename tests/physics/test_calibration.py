@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from pipeline.tabulate.calibrations import calibration_table
 from pipeline.transform.calibration import TapCalibration, calibrate, sharpen
 from pipeline.transform.rig import RigModel
 from schemas.errors import NotIdentifiableError
@@ -97,6 +98,19 @@ def test_what_rings_is_held_against_the_rig_file(ringing) -> None:
     )
     with pytest.raises(NotIdentifiableError, match="samples"):
         calibrate(slow)
+
+
+def test_a_tap_with_a_mass_on_the_clamp_is_none_of_the_clamp_alone(ringing) -> None:
+    """The clamp's own mass is the less by that, so that what rings is what the file expects of both."""
+    rig = RigConstants(clamp_mass_kg=1e3 * TRUTH.mass - 0.05, load_cell_stiffness_n_per_mm=TRUTH.load_cell)
+    found = calibrate(tapped(ringing, rig=rig, extra_clamp_mass_kg=0.05))
+    assert isinstance(found, TapCalibration)
+    assert (found.warnings, found.extra_mass_kg) == ((), 0.05)
+    assert found.frequency_hz == pytest.approx(52.0, rel=1e-4)
+    assert sharpen(rig, found) == rig
+    quantities = calibration_table("run-1", found).column("quantity").to_pylist()
+    assert quantities == ["loaded_clamp_frequency_hz", "loaded_damping_ratio"]
+    assert any("rig file expects" in w for w in calibrate(tapped(ringing, rig=rig)).warnings)
 
 
 def hung(levels, *, gain=1.02, offset=0.03, sd=1e-3, seed=0, masses=(0.02, 0.05, 0.1, 0.15)):

@@ -29,6 +29,7 @@ def test_all_keys_from_text_and_back() -> None:
         "stretch_1": "2.0",
         "layers": "1",
         "masses_kg": "0.1, 0.2,0.5",
+        "extra_clamp_mass_kg": "0.05",
         "controller": "closed",
         "rest_before_s": "0",
         "failure_site": "rod",
@@ -144,3 +145,16 @@ def test_missing_channels_of_the_nearest_alternative() -> None:
     assert missing_channels(chirp, {"stress"}) == ("stretch",)
     assert all(p.required for p in PROTOCOLS.values())
     assert not math.isnan(len(PROTOCOLS))
+
+
+def test_a_mass_on_the_clamp_adds_to_its_own_and_lowers_its_frequency() -> None:
+    rig = RigConstants(
+        clamp_mass_kg=0.1, load_cell_stiffness_n_per_mm=20.0, clamp_frequency_hz=70.0, clamp_frequency_hz_sd=0.1
+    )
+    heavy = rig.loaded(0.3)
+    assert heavy.clamp_mass_kg == pytest.approx(0.4)
+    assert (heavy.clamp_frequency_hz, heavy.clamp_frequency_hz_sd) == pytest.approx((35.0, 0.05))
+    assert heavy.load_cell_stiffness_n_per_mm == 20.0
+    assert rig.loaded(None) is rig.loaded(0.0) is rig
+    unknown = RigConstants(load_cell_stiffness_n_per_mm=20.0)
+    assert unknown.loaded(0.3) is unknown
