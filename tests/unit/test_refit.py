@@ -69,3 +69,23 @@ def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyP
     fitted.clear()
     assert [f.chi2 for f in refit.tried(base, found, cast(Any, None), 8, goal=450.0)] == pytest.approx([400.0, 994.0])
     assert fitted == ["slack", "gain_error"]
+
+
+def test_what_the_best_can_be_taken_for_is_fitted_wherever_it_stands_in_the_screen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A screen sees next to nothing of a strong cause whose place the material can take."""
+    fitted: list[str] = []
+
+    def fit(base: object, score: Score, *_: object) -> Any:
+        fitted.append(score.chosen.id)
+        chi2 = 1000.0 - 1.2 * score.statistic
+        return SimpleNamespace(chi2=chi2, log_evidence=-chi2 / 2, of=SimpleNamespace(chosen=(score.chosen,)))
+
+    monkeypatch.setattr(refit, "refit", fit)
+    monkeypatch.setattr(refit, "noise_chi2", lambda _: 390.0)
+    monkeypatch.setattr(refit, "_from_the_films_of", lambda best, fit, base: fit)
+    ids = {"passive_strip": 500.0, "slack": 45.0, "gain_error": 5.0, "missing_relaxation": 1.0}
+    found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
+    refit.tried(cast(Any, SimpleNamespace(chi2=1000.0)), found, cast(Any, None), 1)
+    assert fitted == ["passive_strip", "missing_relaxation"]
