@@ -104,12 +104,12 @@ def showing(proposals: Sequence[Proposal], causes: Sequence[Mechanism]) -> list[
     return [p for p in proposals if any(_KINDS[p.test] & m.shows and p.test not in m.faint for m in causes)]
 
 
-def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
+def catalogue(session: Session, warmer_k: float | None) -> list[Proposal]:
     """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity,
     faster; and the calibrations of its rig.
 
     None is larger than what the session has: that could bring effects of its own, or the end of the film. `warmer_k`: how much
-    warmer a room is made.
+    warmer a room is made; None: of a warmer room nothing is asked.
     """
     largest = session.scale.strain if session.scale.strain > 0 else _USUAL_STRAIN
     swings = [2 * r.values.get("largest_strain", 0.0) for r in session.recordings if r.protocol == "chirp"]
@@ -151,6 +151,7 @@ def catalogue(session: Session, warmer_k: float) -> list[Proposal]:
             ({**p.design, _WARMER: warmer_k, "rest_before_s": _TO_WARM_S},),
         )
         for p in chirps
+        if warmer_k is not None
     ]
     if session.scale.voltage_kv > 0:
         found += _electrical(session.scale.voltage_kv)

@@ -21,8 +21,11 @@ from pipeline.diagnose.results import NextRecording
 _LEAST, _ENOUGH = 1.0, 2.0
 """What is tolerated of a quantity over what would be left of it: from which a recording is proposed, and below which a longer one is,
 if that leaves less."""
-_OF_FORM = 0.03
+_OF_FORM = 0.02
 """Share of what causes add in a recording that a quantity follows of what their forms differ by."""
+_SHOWN = 1.0
+"""χ² that causes must add in a recording for them to show there."""
+_OF_WARMTH = "thermal_softening"
 _NOTHING = 1e-3
 """χ² that is nothing."""
 
@@ -50,7 +53,8 @@ def proving_recording(
         )
 
     causes = [c.mechanism for c in final.of.chosen[:1]]
-    best = best_of(showing(catalogue(final.of.session, LITTLE_WARMER_K), causes), judge, _LEAST, _ENOUGH)
+    warmer_k = LITTLE_WARMER_K if any(c.id == _OF_WARMTH for c in final.of.chosen) else None
+    best = best_of(showing(catalogue(final.of.session, warmer_k), causes), judge, _LEAST, _ENOUGH)
     if best is None:
         return None
     names = " and ".join(c.id for c in final.of.chosen)
@@ -72,11 +76,11 @@ class _Judged:
     instead: tuple[tuple[Departure, float], ...]
 
     def merit(self) -> float:
-        """What is tolerated of a quantity over what would be left of it, were the causes true; of the worst. Where that is enough of
-        all, the more the better that the causes show."""
+        """What is tolerated of a quantity over what would be left of it, were the causes true; of the worst. Nothing where the causes do
+        not show: what they do there nobody has seen."""
         beside = [self._over_left(d, says) for d, says in self.beside]
         worst = min([*beside, *(self._over_ahead(d, says) for d, says in self.instead)])
-        return worst if worst < _ENOUGH else _ENOUGH + self.add
+        return worst if self.add > _SHOWN else 0.0
 
     def _over_left(self, found: Departure, says: float) -> float:
         # The further recording has nothing of it, so that its best value goes down with what is known of it; but the form has.
