@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipeline.diagnose.departures import Departure
 from pipeline.diagnose.designs import Proposal
 from pipeline.diagnose.doubt import of_number
-from pipeline.diagnose.proving import _ENOUGH, _LEAST, _Judged
+from pipeline.diagnose.proving import _LEAST, _Judged
 
 TEST = Proposal({"protocol": "sphs", "loading": "electrical"}, "a test")
 WAY = Departure("the actuation follows the voltage in another way", 12.0, 1, 0.08)
@@ -45,7 +45,7 @@ def test_where_the_causes_do_not_show_nothing_is_decided() -> None:
 
 def test_the_form_of_a_cause_shows_where_the_cause_does() -> None:
     """Of two tests that say as much of a doubt, that counts for less in which the cause is most of what is seen."""
-    assert judged(30.0, add=160.0).merit() < judged(30.0, add=2.0).merit() < _ENOUGH
+    assert judged(60.0, add=160.0).merit() < judged(60.0, add=2.0).merit()
 
 
 def test_the_worst_doubt_counts() -> None:
