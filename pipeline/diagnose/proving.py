@@ -18,9 +18,9 @@ from pipeline.diagnose.further import CLOSE
 from pipeline.diagnose.imagined import Seen, best_of, made_up
 from pipeline.diagnose.results import NextRecording
 
-_LEAST, _ENOUGH = 1.0, 2.0
-"""What is tolerated of a quantity over what would be left of it: from which a recording is proposed, and below which a longer one is,
-if that leaves less."""
+_ENOUGH = 1.0
+"""What is tolerated of a quantity over what would be left of it, from which a recording is proposed; a longer one only where no other
+comes to that, for the more it says the more the forms differ."""
 _OF_FORM = 0.02
 """Share of what causes add in a recording that a quantity follows of what their forms differ by."""
 _SHOWN = 1.0
@@ -54,7 +54,7 @@ def proving_recording(
 
     causes = [c.mechanism for c in final.of.chosen[:1]]
     warmer_k = LITTLE_WARMER_K if any(c.id == _OF_WARMTH for c in final.of.chosen) else None
-    best = best_of(showing(catalogue(final.of.session, warmer_k), causes), judge, _LEAST, _ENOUGH)
+    best = best_of(showing(catalogue(final.of.session, warmer_k), causes), judge, _ENOUGH, _ENOUGH)
     if best is None:
         return None
     names = " and ".join(c.id for c in final.of.chosen)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipeline.diagnose.departures import Departure
 from pipeline.diagnose.designs import Proposal
 from pipeline.diagnose.doubt import of_number
-from pipeline.diagnose.proving import _LEAST, _Judged
+from pipeline.diagnose.proving import _ENOUGH, _Judged
 
 TEST = Proposal({"protocol": "sphs", "loading": "electrical"}, "a test")
 WAY = Departure("the actuation follows the voltage in another way", 12.0, 1, 0.08)
@@ -33,10 +33,10 @@ def test_a_recording_that_says_nothing_leaves_the_doubt_where_it_is() -> None:
     alone = judged(0.0, add=1.01)
     excess = of_number(WAY).tolerates(WAY, 200.0) * (200.0 + WAY.excess)
     assert alone.merit() == pytest.approx(excess / WAY.excess, rel=0.02)
-    assert alone.merit() < _LEAST
+    assert alone.merit() < _ENOUGH
     tolerated = replace(WAY, statistic=3.0)
     assert not of_number(tolerated).met_by(tolerated, 200.0)
-    assert judged(0.0, add=1.01, found=tolerated).merit() > _LEAST
+    assert judged(0.0, add=1.01, found=tolerated).merit() > _ENOUGH
 
 
 def test_where_the_causes_do_not_show_nothing_is_decided() -> None:
@@ -56,6 +56,6 @@ def test_the_worst_doubt_counts() -> None:
 def test_what_explains_more_in_place_of_the_causes_has_to_fall_behind_by_that() -> None:
     ahead = replace(WAY, statistic=231.0)
     little, much = (_Judged(TEST, 200.0, 5.0, (), ((ahead, says),)) for says in (20.0, 80.0))
-    assert little.merit() < _LEAST < much.merit()
+    assert little.merit() < _ENOUGH < much.merit()
     assert little.times(4.0).merit() == replace(much, add=20.0).merit()
     assert much.separation() == 80.0
