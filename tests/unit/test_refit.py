@@ -49,7 +49,8 @@ def test_a_search_ends(chi2: float, fall: float, least: float, reach: float, fou
     assert len(taken) == rounds
 
 
-def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+def fitted_without_a_session(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Fits explain 1.2 × what the screen promised; the mechanisms that are fitted from now on."""
     fitted: list[str] = []
 
     def fit(base: object, score: Score, *_: object) -> Any:
@@ -59,6 +60,11 @@ def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(refit, "refit", fit)
     monkeypatch.setattr(refit, "noise_chi2", lambda _: 390.0)
+    return fitted
+
+
+def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted = fitted_without_a_session(monkeypatch)
     ids = {"slack": 500.0, "clamp_slip": 45.0, "gain_error": 5.0, "wrinkling": 5.0}
     found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
     base: Any = SimpleNamespace(chi2=1000.0)
@@ -75,15 +81,7 @@ def test_what_the_best_can_be_taken_for_is_fitted_wherever_it_stands_in_the_scre
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A screen sees next to nothing of a strong cause whose place the material can take."""
-    fitted: list[str] = []
-
-    def fit(base: object, score: Score, *_: object) -> Any:
-        fitted.append(score.chosen.id)
-        chi2 = 1000.0 - 1.2 * score.statistic
-        return SimpleNamespace(chi2=chi2, log_evidence=-chi2 / 2, of=SimpleNamespace(chosen=(score.chosen,)))
-
-    monkeypatch.setattr(refit, "refit", fit)
-    monkeypatch.setattr(refit, "noise_chi2", lambda _: 390.0)
+    fitted = fitted_without_a_session(monkeypatch)
     monkeypatch.setattr(refit, "_from_the_films_of", lambda best, fit, base: fit)
     ids = {"passive_strip": 500.0, "slack": 45.0, "gain_error": 5.0, "missing_relaxation": 1.0}
     found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
