@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.diagnose.effects import Course, Scale
+from pipeline.diagnose.effects import Course
 from pipeline.diagnose.mechanisms import effect_of
+from tests.physics.courses import of_a_spring
 
 Float = NDArray[np.float64]
 LOSS, CYCLES, LARGEST = 0.08, 2.0, 0.1
@@ -16,19 +17,7 @@ TURN = 2 * np.pi * np.arange(64) / 64
 
 def course(strain: Float, cycles: tuple[Float, Float] | None = None, *, periodic: bool = True) -> Course:
     """A spring of 3 N/mm and 30 mm under a strain over time (..., P)."""
-    return Course(
-        strain=strain,
-        tension=90.0 * strain,
-        periodic=periodic,
-        rest_force_n=np.ones((1, 1)),
-        largest_tension_n=9.0,
-        largest_fall_n=9.0,
-        stiffness=np.full((1, 1), 3.0 + 0j),
-        static=3.0,
-        interval_s=np.full((1, 1), 1 / 64),
-        scale=Scale(LARGEST, 5.0, 100.0, 4000.0, 30.0, 0.2),
-        cycles=cycles,
-    )
+    return of_a_spring(strain, length_mm=30.0, largest=LARGEST, periodic=periodic, cycles=cycles)
 
 
 def added(of: Course, rejoining: float) -> Float:

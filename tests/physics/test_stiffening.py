@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.diagnose.effects import Course, Scale
 from pipeline.diagnose.mechanisms import effect_of
+from tests.physics.courses import of_a_spring
 
 Float = NDArray[np.float64]
 RISE, LARGEST = 0.2, 0.12
@@ -15,18 +15,7 @@ RISE, LARGEST = 0.2, 0.12
 
 def tension(strain: Float, uneven: float, *, periodic: bool) -> Float:
     """Of a spring of 3 N/mm and 50 mm under a strain (P,), over that of the spring at 1."""
-    course = Course(
-        strain=strain[None],
-        tension=150.0 * strain[None],
-        periodic=periodic,
-        rest_force_n=np.ones((1, 1)),
-        largest_tension_n=18.0,
-        largest_fall_n=18.0,
-        stiffness=np.full((1, 1), 3.0 + 0j),
-        static=3.0,
-        interval_s=np.full((1, 1), 0.01),
-        scale=Scale(LARGEST, 5.0, 100.0, 4000.0, 50.0, 0.2),
-    )
+    course = of_a_spring(strain[None], length_mm=50.0, largest=LARGEST, periodic=periodic)
     (stiffer,) = effect_of("strain_stiffening", {"stiffening": RISE, "asymmetry": uneven}).tension
     return np.asarray(stiffer(course)[0] / 150.0)
 
