@@ -41,10 +41,11 @@ _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
 OFTEN = {"chirp": 10, "cyclic": 10, "sphs": 3}
-"""How many times as many sweeps, cycles or periods are made where a few do not decide. More periods would show what no model is right
-to."""
+"""How many times as many sweeps, cycles or periods are made where a few do not decide. More periods show what no model is right to."""
+MOST_OFTEN = {"sphs": 10}
+"""The same where nothing else decides."""
 _TIMES = {2: "twice", 2 * OFTEN["chirp"]: "twenty times"}
-_PERIODS = {100: "a hundred", 100 * OFTEN["sphs"]: "three hundred"}
+_PERIODS = {100: "a hundred", 100 * OFTEN["sphs"]: "three hundred", 100 * MOST_OFTEN["sphs"]: "a thousand"}
 _USUAL_HZ, _WIDE_HZ = 100.0, 300.0
 """Ends of the band of a test, and of one that has the resonance of most load cells in it."""
 _KINDS = {
@@ -176,23 +177,21 @@ def _extra_kg(session: Session) -> float:
     return float(min(_WEIGHTS_KG, key=lambda kg: abs(np.log(kg / clamp))))
 
 
-def repeated(proposal: Proposal) -> Proposal | None:
-    """The same sweeps, cycles or periods as many times as often as `OFTEN` says; None for other tests, and for those with a rest or another room."""
+def repeated(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
+    """The same sweeps, cycles or periods as many times as often as `often` says; None for other tests, and for those with a rest or
+    another room."""
     design = proposal.design
-    if {_WARMER, "rest_before_s"} & set(design):
+    if proposal.test not in often or {_WARMER, "rest_before_s"} & set(design):
         return None
     if proposal.test == "chirp":
-        number = int(float(design["repeats"])) * OFTEN["chirp"]
+        number = int(float(design["repeats"])) * often["chirp"]
         return _sweeps(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
     if proposal.test == "cyclic":
-        cycles = float(design["cycles"]) * OFTEN["cyclic"]
+        cycles = float(design["cycles"]) * often["cyclic"]
         return _cycles(float(design["strain_pp"]), float(design["frequency_hz"]), cycles)
-    if proposal.test == "sphs":
-        kv, polarity = float(design["drive_kv"]), float(design.get("polarity", 1.0))
-        return _multisine(
-            kv, polarity, float(design["frequency_stop_hz"]), int(float(design["periods"])) * OFTEN["sphs"]
-        )
-    return None
+    kv, polarity = float(design["drive_kv"]), float(design.get("polarity", 1.0))
+    periods = int(float(design["periods"])) * often["sphs"]
+    return _multisine(kv, polarity, float(design["frequency_stop_hz"]), periods)
 
 
 def _multisine(kv: float, polarity: float, stop_hz: float, periods: int) -> Proposal:

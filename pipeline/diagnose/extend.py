@@ -310,14 +310,21 @@ class ExtendedFit:
             else:
                 total -= float(np.log(c.prior[1])) + 0.5 * np.log(2 * np.pi)
         if searched:
-            places = model + np.array(searched)
-            inside = self.covariance[np.ix_(places, places)]
-            # A direction that the data leave open is as wide as its plausible range, not wider.
-            widest = np.array([self._widest(self.of.coordinates[i]) for i in searched])
-            volumes = np.linalg.eigvalsh(inside / np.outer(widest, widest))
-            total += 0.5 * float(np.sum(np.log(np.clip(volumes, 1e-30, 1.0)))) + float(np.sum(np.log(widest)))
-            total += 0.5 * len(searched) * np.log(2 * np.pi)
+            total += self.log_volume(self.covariance) + 0.5 * len(searched) * np.log(2 * np.pi)
         return float(total)
+
+    def log_volume(self, covariance: Float) -> float:
+        """Logarithm of the volume that a covariance (P, P) of all entries leaves to those of the mechanisms that are searched.
+
+        A direction that the data leave open is as wide as its plausible range, not wider.
+        """
+        searched = [i for i, c in enumerate(self.of.coordinates) if not c.fixed]
+        if not searched:
+            return 0.0
+        places = self.of.model.size + np.array(searched)
+        widest = np.array([self._widest(self.of.coordinates[i]) for i in searched])
+        volumes = np.linalg.eigvalsh(covariance[np.ix_(places, places)] / np.outer(widest, widest))
+        return 0.5 * float(np.sum(np.log(np.clip(volumes, 1e-30, 1.0)))) + float(np.sum(np.log(widest)))
 
     @staticmethod
     def _widest(c: Coordinate) -> float:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.designs import OFTEN, Proposal, imagined, repeated
+from pipeline.diagnose.designs import MOST_OFTEN, OFTEN, Proposal, imagined, repeated
 from pipeline.diagnose.extend import Extended, ExtendedFit
 from pipeline.diagnose.features import TAP_RING, WEIGHT_GAIN
 from pipeline.diagnose.noise_density import NoiseLaw
@@ -51,12 +51,14 @@ def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
 class Seen:
     """What a fit says of recordings that were not made, and how surely; whitened.
 
-    of : the fit's model on them; values : (N,) features; moves : (N, N) covariance that its own uncertainty gives them
+    of : the fit's model on them; values : (N,) features; rows : (N, P) how they move with its entries; moves : (N, N) covariance
+    that its own uncertainty gives them
     """
 
     fit: ExtendedFit
     of: Extended
     values: Float
+    rows: Float
     moves: Float
 
     @classmethod
@@ -64,7 +66,7 @@ class Seen:
         of = fit.of.on(part, simulation, np.ones(part.size))
         of = replace(of, model=of.model.with_loads(part.loaded))
         rows = central(of.data_residual, fit.x, *of.limits)
-        return cls(fit, of, part.whiten(of.predict(fit.x)), rows @ fit.covariance @ rows.T)
+        return cls(fit, of, part.whiten(of.predict(fit.x)), rows, rows @ fit.covariance @ rows.T)
 
     def against(self, others: Float) -> float:
         """χ² that these recordings would say against the fit, were they as `others` (N,) say."""
@@ -75,9 +77,25 @@ class Seen:
         """χ² of a change (N,) that the fit does not follow, where `forms` (N,) is predicted by forms that are wrong by a share."""
         if not (np.isfinite(change).all() and np.isfinite(forms).all()):
             return 0.0
-        # What forms may be wrong by is weighed down for the fit as well: it takes less of the change up. Calibrations have no forms.
-        noise = np.diag(1 + (np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, _MODEL_ERROR) * forms) ** 2)
-        return float(change @ np.linalg.solve(noise + self.moves, change))
+        return float(change @ np.linalg.solve(self._spread(forms), change))
+
+    def narrowed(self, forms: Float) -> float:
+        """Change of twice the log evidence by what the recordings would say of the parameters of its causes, where `forms` (N,) is
+        predicted by forms that are wrong by a share: the more they are free to do, the more it costs."""
+        if not np.isfinite(forms).all():
+            return 0.0
+        before = self.fit.covariance
+        held = self.rows @ before
+        after = before - held.T @ np.linalg.solve(self._spread(forms), held)
+        return 2 * (self.fit.log_volume(after) - self.fit.log_volume(before))
+
+    def _spread(self, forms: Float) -> Float:
+        """(N, N) covariance of the noise, of what forms are wrong by and of the fit's uncertainty.
+
+        What forms may be wrong by is weighed down for the fit as well: it takes less of a change up. Calibrations have no forms.
+        """
+        wrong = np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, _MODEL_ERROR) * forms
+        return np.asarray(np.diag(1 + wrong**2) + self.moves)
 
 
 class Judged(Protocol):
@@ -95,20 +113,33 @@ class Judged(Protocol):
 J = TypeVar("J", bound=Judged)
 
 
-def best_of(
-    proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None], least: float, enough: float
-) -> J | None:
-    """Of proposals what has the most merit; where that is not `enough`, it or the best of what can be repeated often, whichever has
-    more; None where that is less than the `least`."""
+@dataclass(frozen=True)
+class Wanted:
+    """Merit that a proposal has at `least`; from which nothing is made very often, and from which nothing is made often, for it."""
+
+    least: float
+    good: float
+    enough: float
+
+
+def best_of(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None], wanted: Wanted) -> J | None:
+    """Of proposals what has the most merit, those included that are made often or very often where none is good without; None where
+    no one has the least."""
 
     def best(some: Iterable[Proposal]) -> list[J]:
         """Best first."""
         judged = [judge(p) for p in some]
         return sorted((j for j in judged if j is not None), key=lambda j: j.merit(), reverse=True)
 
+    def longer(often: Mapping[str, int], worth: float) -> list[J]:
+        """The best that, made so many times as often, may be worth that much."""
+        hopeful = [j for j in found if j.times(often.get(j.proposal.test, 1)).merit() >= worth]
+        again = [p for p in (repeated(j.proposal, often) for j in hopeful) if p is not None]
+        return best(again[:1])
+
     found = best(proposals)
-    if not any(j.merit() >= enough for j in found[:1]):
-        hopeful = [repeated(j.proposal) for j in found if j.times(OFTEN.get(j.proposal.test, 1)).merit() >= enough]
-        again = best([p for p in hopeful if p is not None][:1])
-        found = sorted([*again, *found[:1]], key=lambda j: j.merit(), reverse=True)
-    return found[0] if found and found[0].merit() >= least else None
+    chosen = found[:1]
+    for often, asked in ((OFTEN, wanted.enough), (MOST_OFTEN, wanted.good)):
+        if not any(j.merit() >= asked for j in chosen):
+            chosen = sorted([*longer(often, asked), *chosen], key=lambda j: j.merit(), reverse=True)[:1]
+    return chosen[0] if chosen and chosen[0].merit() >= wanted.least else None

@@ -8,6 +8,7 @@ recordings at hand make it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,15 +18,17 @@ from scipy.special import log_expit, log_ndtr
 from pipeline.diagnose.designs import WARMER_K, Proposal, catalogue, showing
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.further import CLOSE
-from pipeline.diagnose.imagined import Seen, best_of, made_up
+from pipeline.diagnose.imagined import Seen, Wanted, best_of, made_up
 from pipeline.diagnose.mechanisms import Mechanism
 from pipeline.diagnose.results import NextRecording
 
 _ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
-_UNDECIDED, _SURELY = 0.1, 0.03
-"""Probability that a recording leaves two causes undecided, above which it is not proposed; and above which a longer one is, if that
-is surer."""
+_WANTED = Wanted(*(-math.log(undecided) for undecided in (0.5, 0.1, 0.03)))
+"""Of the probability that a recording leaves two causes undecided: above the first it is not proposed, above the others longer ones
+are, if they are surer."""
+_MOST = 0.99
+"""Largest probability that is stated: forms may be others than any in the list."""
 _LITTLE = 1e-9
 """χ² that says nothing."""
 _STEPS = 10
@@ -41,23 +44,25 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
     best = best_of(
         showing(catalogue(final.of.session, WARMER_K), causes),
         lambda proposal: _judged(proposal, believed, alternatives),
-        least=-float(np.log(_UNDECIDED)),
-        enough=-float(np.log(_SURELY)),
+        _WANTED,
     )
     if best is None:
         return None
     rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
-    return NextRecording(best.proposal.designs, f"{best.proposal.text}: tells {rivals} apart", best.separation())
+    chance = min(1 - math.exp(-best.merit()), _MOST)
+    text = f"{best.proposal.text}: tells {rivals} apart with a probability of {100 * chance:.0f} %"
+    return NextRecording(best.proposal.designs, text, best.separation())
 
 
 @dataclass(frozen=True)
 class _Apart:
     """A form believed and a rival in a recording that was not made: what χ² would say against the rival were the form true, and
-    against the form were the rival true; and what puts the form ahead so far."""
+    against the form were the rival true; what puts the form ahead so far, and what it would gain by having fewer parameters."""
 
     if_form: float
     if_rival: float
     ahead: float
+    simpler: float
 
     @property
     def log_undecided(self) -> float:
@@ -65,7 +70,8 @@ class _Apart:
 
         What χ² says has four times itself as variance.
         """
-        either = ((self.if_form, self.ahead), (self.if_rival, -self.ahead))
+        later = self.ahead + self.simpler
+        either = ((self.if_form, later), (self.if_rival, -later))
         margins = [(says + ahead - _ENOUGH) / (2 * np.sqrt(max(says, _LITTLE))) for says, ahead in either]
         true = log_expit([self.ahead / 2, -self.ahead / 2])
         return float(np.logaddexp(*(true + log_ndtr(np.negative(margins)))))
@@ -133,4 +139,6 @@ def _ahead(form: ExtendedFit, rival: ExtendedFit) -> float:
 
 def _apart(form: Seen, rival: Seen) -> _Apart:
     ahead = _ahead(form.fit, rival.fit)
-    return _Apart(rival.against(form.values), form.against(rival.values), ahead)
+    apart = form.values - rival.values
+    simpler = form.narrowed(apart) - rival.narrowed(apart)
+    return _Apart(rival.against(form.values), form.against(rival.values), ahead, simpler)

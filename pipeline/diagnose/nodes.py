@@ -21,8 +21,8 @@ _LOWEST_HZ, _HIGHEST_HZ = 1e-4, 2e4
 _PER_DECADE = 24
 _PER_WIDTH = 4.0
 """Nodes per half width of the lightest resonance that is expected."""
-_RESONANCE = (0.88, 1.7)
-"""Range about the clamp-alone frequency in which the resonance with a film may lie."""
+_RESONANCE = (0.75, 1.7)
+"""Range about the clamp-alone frequency in which the resonance with a film may lie, with a clamp up to 1.7 times as heavy as stated."""
 _GRADED = 0.06
 """Spacing over the distance from that range, both logarithmic: cubics then miss a pole there by 1e-5 of its part."""
 

@@ -15,7 +15,7 @@ from pipeline.diagnose.designs import LITTLE_WARMER_K, Proposal, catalogue, show
 from pipeline.diagnose.doubt import of_number
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.further import CLOSE
-from pipeline.diagnose.imagined import Seen, best_of, made_up
+from pipeline.diagnose.imagined import Seen, Wanted, best_of, made_up
 from pipeline.diagnose.results import NextRecording
 
 _ENOUGH = 1.0
@@ -54,7 +54,7 @@ def proving_recording(
 
     causes = [c.mechanism for c in final.of.chosen[:1]]
     warmer_k = LITTLE_WARMER_K if any(c.id == _OF_WARMTH for c in final.of.chosen) else None
-    best = best_of(showing(catalogue(final.of.session, warmer_k), causes), judge, _ENOUGH, _ENOUGH)
+    best = best_of(showing(catalogue(final.of.session, warmer_k), causes), judge, Wanted(_ENOUGH, _ENOUGH, _ENOUGH))
     if best is None:
         return None
     names = " and ".join(c.id for c in final.of.chosen)

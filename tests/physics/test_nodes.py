@@ -16,10 +16,12 @@ MASS_KG, STIFFNESS_N_PER_MM = 0.36, 34.0
 @given(
     ratio=st.floats(0.004, 0.03),
     stated=st.floats(0.5, 2.5),
-    alone=st.floats(0.97, 1.03),
+    alone=st.floats(0.97, 1.25),
     film=st.floats(0.0, 0.2),
 )
-def test_a_resonance_lighter_than_stated_is_carried(ratio: float, stated: float, alone: float, film: float) -> None:
+def test_a_resonance_lighter_or_lower_than_stated_is_carried(
+    ratio: float, stated: float, alone: float, film: float
+) -> None:
     """At worst half way between two nodes by 0.3 % of the peak, of either sign in turn: features take means over many nodes."""
     mass = 1e-3 * MASS_KG
     damping = ratio * 2 * np.sqrt(STIFFNESS_N_PER_MM * mass)
