@@ -281,7 +281,7 @@ def _gain(draft: Draft, d: Record) -> list[Block]:
     if before is None:
         return []
     parts = sorted(json.loads(d["held_out_parts"] or "{}").items(), key=lambda part: -part[1]["before"])
-    names = ["all held-out data", *(name for name, _ in parts)]
+    names = ["all together", *(name for name, _ in parts)]
     first = [before, *(p["before"] for _, p in parts)]
     second = [after, *(p["after"] for _, p in parts)]
     words = f"{significant(before, 2)} times the noise with the plain model"

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.diagnose.designs import Proposal
+from pipeline.diagnose.imagined import Wanted, best_of
 from pipeline.diagnose.next_recording import _ENOUGH, _Apart
 
 SAYS = st.floats(0.0, 1e4)
@@ -47,3 +51,31 @@ def test_a_rival_that_can_imitate_the_form_pays_for_its_parameters() -> None:
     """A delay that a lag with three parameters follows: a recording that holds these three leaves the delay alone."""
     as_free, freer = _Apart(60.0, 6.0, 0.0, 0.0), _Apart(60.0, 6.0, 0.0, -6.0)
     assert freer.log_undecided < as_free.log_undecided - 0.5
+
+
+@dataclass(frozen=True)
+class Worth:
+    """A proposal that is worth so much a period."""
+
+    proposal: Proposal
+    each: float
+
+    def merit(self) -> float:
+        return self.each * float(self.proposal.design["periods"])
+
+    def times(self, often: float) -> Worth:
+        return Worth(self.proposal, self.each * often)
+
+
+SPHS = Proposal(
+    {"protocol": "sphs", "loading": "electrical", "drive_kv": 5.0, "frequency_stop_hz": 100.0, "periods": 100.0},
+    "an SPHS",
+)
+
+
+@pytest.mark.parametrize(
+    ("each", "periods"), [(0.04, 100.0), (0.02, 300.0), (0.005, 1000.0), (0.0015, None), (0.0009, None)]
+)
+def test_longer_ones_are_proposed_only_where_shorter_ones_leave_a_doubt(each: float, periods: float | None) -> None:
+    best = best_of([SPHS], lambda p: Worth(p, each), Wanted(least=1.0, good=2.0, enough=4.0))
+    assert (None if best is None else best.proposal.design["periods"]) == periods
