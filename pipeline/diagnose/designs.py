@@ -40,11 +40,12 @@ _NS = 1_000_000_000
 _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
-OFTEN = {"chirp": 10, "cyclic": 10, "sphs": 3}
-"""How many times as many sweeps, cycles or periods are made where a few do not decide. More periods show what no model is right to."""
+OFTEN = {"chirp": 10, "cyclic": 10, "sphs": 3, "step": 10}
+"""How many times as many sweeps, cycles, periods or voltage steps are made where a few do not decide. More periods show what no model is right to."""
 MOST_OFTEN = {"sphs": 10}
 """The same where nothing else decides."""
 _TIMES = {2: "twice", 2 * OFTEN["chirp"]: "twenty times"}
+_STEPS = {3: "three", 3 * OFTEN["step"]: "thirty"}
 _PERIODS = {100: "a hundred", 100 * OFTEN["sphs"]: "three hundred", 100 * MOST_OFTEN["sphs"]: "a thousand"}
 _USUAL_HZ, _WIDE_HZ = 100.0, 300.0
 """Ends of the band of a test, and of one that has the resonance of most load cells in it."""
@@ -178,7 +179,7 @@ def _extra_kg(session: Session) -> float:
 
 
 def repeated(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
-    """The same sweeps, cycles or periods as many times as often as `often` says; None for other tests, and for those with a rest or
+    """The same sweeps, cycles, periods or voltage steps as many times as often as `often` says; None for other tests, and for those with a rest or
     another room."""
     design = proposal.design
     if proposal.test not in often or {_WARMER, "rest_before_s"} & set(design):
@@ -190,6 +191,8 @@ def repeated(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
         cycles = float(design["cycles"]) * often["cyclic"]
         return _cycles(float(design["strain_pp"]), float(design["frequency_hz"]), cycles)
     kv, polarity = float(design["drive_kv"]), float(design.get("polarity", 1.0))
+    if proposal.test == "step":
+        return _steps(kv, polarity, int(float(design["cycles"])) * often["step"])
     periods = int(float(design["periods"])) * often["sphs"]
     return _multisine(kv, polarity, float(design["frequency_stop_hz"]), periods)
 
@@ -208,6 +211,22 @@ def _multisine(kv: float, polarity: float, stop_hz: float, periods: int) -> Prop
             **sign,
         },
         f"an SPHS with a peak of {kv:g} kV{side}, {_PERIODS[periods]} periods of 2 s{wide}",
+    )
+
+
+def _steps(kv: float, polarity: float, number: int) -> Proposal:
+    side, sign = _polarity(polarity)
+    return Proposal(
+        {
+            "protocol": "step",
+            "loading": "electrical",
+            "drive_kv": kv,
+            "on_s": 5.0,
+            "off_s": 5.0,
+            "cycles": float(number),
+            **sign,
+        },
+        f"{_STEPS[number]} voltage steps of {kv:g} kV{side}, 5 s on and 5 s off",
     )
 
 
@@ -249,24 +268,10 @@ def _electrical(highest: float) -> list[Proposal]:
     for share in (0.125, 0.25, 0.5, 1.0):
         for polarity in (1.0, -1.0):
             kv = round(share * highest, 2)
-            side, sign = _polarity(polarity)
             found.append(_multisine(kv, polarity, _USUAL_HZ, 100))
             if polarity > 0 and share == 1.0:
                 found.append(_multisine(kv, polarity, _WIDE_HZ, 100))
-            found.append(
-                Proposal(
-                    {
-                        "protocol": "step",
-                        "loading": "electrical",
-                        "drive_kv": kv,
-                        "on_s": 5.0,
-                        "off_s": 5.0,
-                        "cycles": 3.0,
-                        **sign,
-                    },
-                    f"three voltage steps of {kv:g} kV{side}, 5 s on and 5 s off",
-                )
-            )
+            found.append(_steps(kv, polarity, 3))
     return found
 
 

@@ -200,7 +200,7 @@ def _specimens(site: Site, standings: Sequence[Brief]) -> Section | None:
             )
         )  # fmt: skip
         blocks.append(Many(figures))
-    blocks.append(campaign.specimen_table(site, "", "true", "", "Specimens with a model", limit=_SPECIMENS_SHOWN))
+    blocks.append(campaign.specimen_table(site, "", "true", "", "Models and verdicts", limit=_SPECIMENS_SHOWN))
     more = len(standings) - _SPECIMENS_SHOWN
     text = f"{digits(more, 'specimen')} more are not shown here. " if more > 0 else ""
     blocks.append(Text(flow(text, link("All specimens", SPECIMENS)), "sub"))

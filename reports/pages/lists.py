@@ -230,7 +230,7 @@ def specimens(site: Site, part: Part, parts: Sequence[Part]) -> Page:
         )
     )
     these = f"specimen_id BETWEEN {literal(begin)} AND {literal(end)}"
-    table = specimen_table(site, "", these, "", "Specimens with a model", limit=PART)
+    table = specimen_table(site, "", these, "", "Models and verdicts", limit=PART)
     if table.rows:
         blocks.append(table)
     query = Query(
