@@ -68,3 +68,17 @@ def test_a_study_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(study_diagnosis, "HERE", tmp_path)
     assert study_diagnosis.main(["--minutes", "0", "--log", str(kept.path), "--clean", "2", "--jobs", "1"]) == 1
     assert (tmp_path / "diagnosis.svg").exists()
+
+
+def test_further_severities_count_for_their_share_alone() -> None:
+    asked = study_diagnosis.cases(3, "compact", 2, 1, 1, 1, 9)
+    assert set(study_diagnosis.cases(3, "compact", 2, 1, 1, 1)) < set(asked)
+    found = [
+        replace(JUDGEMENT, case=case, covered=case.seed % 2 == 0, verdict="none" if case.seed % 3 else "named")
+        for case in asked
+        if case.effects
+    ]
+    with_more = study_diagnosis.rates(study_diagnosis.Sorts.of(found))
+    without = study_diagnosis.rates(study_diagnosis.Sorts.of([j for j in found if j.case.seed % 10_000 < 8000]))
+    differ = [one.name for one, other in zip(with_more, without, strict=True) if list(one.hits) != list(other.hits)]
+    assert differ == ["severity within its 90 % interval (forms that define it)"]
