@@ -7,8 +7,8 @@ The truth rig of `tests.hidden_effects` integrates in time and gives every effec
 are multiples of the smallest detectable one of the same specimen's clean session, which is one of the clean ones. Rates stand with
 95 % intervals (Clopper and Pearson). `--minutes` ends the study early: what was not begun is left out and counted. Targets that are
 missed are named. A share that is wanted within ten points needs more than the forty effects whose severity is defined: further ones
-count for that share alone. Every judgement is kept in `diagnosis.jsonl`, or `--log`: a study that was ended goes on where it stopped, as long
-as the code is the same. The seed is a fresh one for every study that begins, where none is given.
+count for that share alone. Every judgement is kept in `diagnosis.jsonl`, or `--log`: a study that was ended goes on where it
+stopped, as long as the code is the same. The seed is a fresh one for every study that begins, where none is given.
 """
 
 from __future__ import annotations
@@ -66,9 +66,11 @@ def cases(
     sorts.append(both)
     sorts.append([Case(seed * 10_000 + 5000 + i, size, ((UNLISTED[i % len(UNLISTED)], 4.0),)) for i in range(unlisted)])
     exact = [id for id in MECHANISMS if KINDS[id].exact]
-    more = range(severities)
-    chosen = [(exact[i % len(exact)], MULTIPLES[(i + i // len(exact)) % len(MULTIPLES)]) for i in more]
-    sorts.append([Case(seed * 10_000 + _FOR_SEVERITY + i, size, (effect,)) for i, effect in enumerate(chosen)])
+    further = []
+    for i in range(severities):
+        multiple = MULTIPLES[(i + i // len(exact)) % len(MULTIPLES)]
+        further.append(Case(seed * 10_000 + _FOR_SEVERITY + i, size, ((exact[i % len(exact)], multiple),)))
+    sorts.append(further)
     placed = [((k + 0.5) / len(sort), case) for sort in sorts for k, case in enumerate(sort)]
     return [case for _, case in sorted(placed, key=lambda pair: pair[0])]
 
@@ -86,6 +88,11 @@ def rate(hits: Sequence[bool]) -> str:
 def separable(j: Judgement) -> bool:
     """Whether the truth and what was named are no declared hard pair, and the effect no gain that the material absorbs."""
     return j.hidden[0] != "gain_error" and not any({j.hidden[0], j.first} <= group for group in INSEPARABLE)
+
+
+def for_severity(j: Judgement) -> bool:
+    """Whether a judgement of a hidden effect counts for the severity alone."""
+    return bool(j.hidden) and j.case.seed % 10_000 >= _FOR_SEVERITY
 
 
 @dataclass(frozen=True)
@@ -119,8 +126,8 @@ class Sorts:
     @classmethod
     def of(cls, found: Sequence[Judgement]) -> Sorts:
         shown = [j for j in found if j.verdict != "not detectable"]
-        more = [j for j in shown if j.hidden and j.case.seed % 10_000 >= _FOR_SEVERITY]
-        shown = [j for j in shown if j not in more]
+        more = [j for j in shown if for_severity(j)]
+        shown = [j for j in shown if not for_severity(j)]
         return cls(
             clean=[j for j in shown if not j.hidden],
             single=[j for j in shown if len(j.hidden) == 1 and j.hidden[0] in MECHANISMS],
@@ -209,8 +216,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"Left out, for its features cannot be read: {why}.\n")
     print("\n".join(report(found)))
     print(f"\nMissed: {'; '.join(missed(found)) or 'nothing'}.")
-    more = Sorts.of(found).severities
-    (HERE / "diagnosis.svg").write_text(confusion_svg([j for j in found if j not in more]), encoding="utf-8")
+    drawn = [j for j in found if not for_severity(j)]
+    (HERE / "diagnosis.svg").write_text(confusion_svg(drawn), encoding="utf-8")
     return int(bool(missed(found)))
 
 
