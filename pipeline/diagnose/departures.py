@@ -9,7 +9,7 @@ taken off, so that the sum of squares of the scores is χ² under the null.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,13 +77,13 @@ class Departure:
         return np.asarray(self.values) @ _slopes(of, x, self.effects) if self.effects else np.zeros(of.session.size)
 
 
-def departures(fit: ExtendedFit) -> tuple[Departure, ...]:
-    """Every quantity left free beside a fitted model, the least probable first."""
+def departures(fit: ExtendedFit, among: Collection[str] | None = None) -> tuple[Departure, ...]:
+    """Every quantity left free beside a fitted model, the least probable first; of those with these texts alone if `among` is given."""
     of, session = fit.of, fit.of.session
     absorbed = absorbed_by(fit)
     found = []
     for free in _free(session):
-        if not free.effects:
+        if not free.effects or (among is not None and free.text not in among):
             continue
         rows = _slopes(of, fit.x, free.effects)
         seen = of.weight[:, None] * session.whiten(np.nan_to_num(rows).T)

@@ -41,7 +41,8 @@ _PAUSE_S = 60.0
 _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
 OFTEN = {"chirp": 10, "cyclic": 10, "sphs": 3, "step": 10}
-"""How many times as many sweeps, cycles, periods or voltage steps are made where a few do not decide. More periods show what no model is right to."""
+"""How many times as many sweeps, cycles, periods or voltage steps are made where a few do not decide. More periods show what no model
+is right to."""
 MOST_OFTEN = {"sphs": 10}
 """The same where nothing else decides."""
 _TIMES = {2: "twice", 2 * OFTEN["chirp"]: "twenty times"}
@@ -179,8 +180,8 @@ def _extra_kg(session: Session) -> float:
 
 
 def repeated(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
-    """The same sweeps, cycles, periods or voltage steps as many times as often as `often` says; None for other tests, and for those with a rest or
-    another room."""
+    """The same sweeps, cycles, periods or voltage steps as many times as often as `often` says; None for other tests, and for those
+    with a rest or another room."""
     design = proposal.design
     if proposal.test not in often or {_WARMER, "rest_before_s"} & set(design):
         return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pipeline.diagnose.departures import Departure
+from pipeline.diagnose.departures import Departure, departures
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.further import CLOSE
 
@@ -65,13 +65,11 @@ def of_number(found: Departure) -> Doubt:
     return DOUBT_OF_SOME if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
 
 
-def beside_causes(
-    plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure], beside: Sequence[Departure]
-) -> tuple[Departure, ...]:
-    """Of quantities left free beside the causes those that are no form of theirs, and explain much of the same without them."""
+def beside_causes(plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure]) -> tuple[Departure, ...]:
+    """Quantities left free beside the causes that are no form of theirs, and explain much of the same without them, `alone`."""
     fall = plain.chi2 - final.chi2
     stands = {d.text for d in alone if d.excess > of_number(d).in_place * fall}
-    return tuple(d for d in beside if of_number(d).met_by(d, fall) and d.text in stands)
+    return tuple(d for d in departures(final, stands) if of_number(d).met_by(d, fall))
 
 
 def instead_of_causes(plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure]) -> tuple[Departure, ...]:

@@ -67,9 +67,10 @@ class View:
     test: str
     k0: float = 1.0
 
-    def times(self, order: int) -> View:
-        """The view at multiples of its frequencies, where harmonics are."""
-        return replace(self, frequency_hz=self.frequency_hz * order)
+    def overtones(self) -> tuple[View, View, View]:
+        """The view, and that at the multiples 2 and 3 of its frequencies, where harmonics are."""
+        second, third = (replace(self, frequency_hz=self.frequency_hz * order) for order in (2, 3))
+        return self, second, third
 
     def at(self, index: NDArray[np.int64]) -> View:
         """The view at some frequencies (places on the last axis)."""

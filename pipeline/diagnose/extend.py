@@ -20,7 +20,7 @@ from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parame
 from pipeline.diagnose.plain import bounds, deviations
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.session import Session
-from pipeline.diagnose.solve import LEAST_DAMPING, Solution, central, minimise
+from pipeline.diagnose.solve import CAREFULLY, LEAST_DAMPING, NEVER, Solution, central, minimise
 
 Float = NDArray[np.float64]
 
@@ -172,21 +172,21 @@ class Extended:
         return np.concatenate([data, deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
 
     def fit(
-        self,
-        start: Float,
-        *,
-        most: int = 15,
-        near: ExtendedFit | None = None,
-        jacobian: Float | None = None,
-        thorough: bool = True,
+        self, start: Float, *, most: int = 15, near: ExtendedFit | None = None, thorough: bool = True
     ) -> ExtendedFit:
-        """The optimum from `start`. `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian."""
-        low, high = self.limits
-        if near is not None:
-            jacobian = self._lent(near)
+        """The optimum from `start`. `near`, a fit of the same plain model elsewhere or with other mechanisms, lends the columns of its
+        Jacobian that are the plain model's."""
+        lent = None if near is None else self._lent(near)
         found = minimise(
-            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
-        )
+            self.residual, start, *self.limits, most=most, jacobian=lent, moving=self.model.size, thorough=thorough,
+            trusted=NEVER if near is None else CAREFULLY,
+        )  # fmt: skip
+        return ExtendedFit(self, found)
+
+    def again(self, fit: ExtendedFit, *, most: int = 15, thorough: bool = True) -> ExtendedFit:
+        """The optimum from a fit with the same mechanisms, or more of them, and other weights, whose Jacobian is nearly right."""
+        start = self.entries(fit.theta, [fit.values[fit.of.chosen.index(c)] for c in self.chosen])
+        found = minimise(self.residual, start, *self.limits, most=most, jacobian=self._lent(fit), thorough=thorough)
         return ExtendedFit(self, found)
 
     def refined(self, fit: ExtendedFit) -> ExtendedFit:
@@ -200,27 +200,33 @@ class Extended:
         Entries that can change places (a mass and its error) are parted by priors that are 10⁸ times weaker than the data:
         forward differences see a slope there that is none, and damping in proportion to the data holds them where they are.
         """
-        jacobian, own = fit.solution.jacobian, fit.x.size
-        return ExtendedFit(
-            self,
-            minimise(
-                self.residual, fit.x, *self.limits, most=most, jacobian=jacobian, moving=own, thorough=False,
-                damping=LEAST_DAMPING,
-            ),
+        found = minimise(
+            self.residual, fit.x, *self.limits, most=most, jacobian=fit.solution.jacobian, thorough=False,
+            damping=LEAST_DAMPING,
         )  # fmt: skip
+        return ExtendedFit(self, found)
 
     def room(self, start: Float, most: int, near: ExtendedFit) -> Float:
         """Entries with the material and the rig at their best for the mechanisms as they stand at `start`."""
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
-        lent, own = self._lent(near), self.model.size
-        return minimise(self.residual, start, low, high, most=most, jacobian=lent, moving=own, thorough=False).x
+        found = minimise(
+            self.residual, start, low, high, most=most, jacobian=self._lent(near), thorough=False, trusted=CAREFULLY
+        )
+        return found.x
 
     def _lent(self, near: ExtendedFit) -> Float:
         """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""
-        shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
-        jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), self.limits[0].size))
-        jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
+        size, (_, sd) = self.model.size, self._priors
+        theirs = {(near.of.chosen[c.owner], c.parameter): size + i for i, c in enumerate(near.of.coordinates)}
+        place = [theirs.get((self.chosen[c.owner], c.parameter), -1) for c in self.coordinates]
+        columns = np.concatenate([np.arange(size), place]).astype(np.int64)
+        shared, shaped = np.flatnonzero(columns >= 0), np.flatnonzero(np.isfinite(sd))
+        rows = self.session.size + int(np.isfinite(self.model.prior_sd).sum())
+        jacobian = np.zeros((rows + shaped.size, columns.size))
+        jacobian[:rows, shared] = near.solution.jacobian[:rows, columns[shared]]
+        jacobian[: self.session.size] *= (self.weight / near.of.weight)[:, None]
+        jacobian[rows + np.arange(shaped.size), size + shaped] = 1 / sd[shaped]
         return jacobian
 
     def with_weight(self, weight: Float) -> Extended:
@@ -301,8 +307,7 @@ class ExtendedFit:
         """
         model = self.of.model.size
         total = -0.5 * self.chi2
-        own = self.x[model:]
-        searched = [i for i, c in enumerate(self.of.coordinates) if not c.fixed]
+        own, searched = self.x[model:], self._searched
         for i in searched:
             c = self.of.coordinates[i]
             if c.parameter.role == SEVERITY:
@@ -318,13 +323,15 @@ class ExtendedFit:
 
         A direction that the data leave open is as wide as its plausible range, not wider.
         """
-        searched = [i for i, c in enumerate(self.of.coordinates) if not c.fixed]
-        if not searched:
-            return 0.0
-        places = self.of.model.size + np.array(searched)
-        widest = np.array([self._widest(self.of.coordinates[i]) for i in searched])
+        places = self.of.model.size + np.array(self._searched, dtype=np.int64)
+        widest = np.array([self._widest(self.of.coordinates[i]) for i in self._searched])
         volumes = np.linalg.eigvalsh(covariance[np.ix_(places, places)] / np.outer(widest, widest))
         return 0.5 * float(np.sum(np.log(np.clip(volumes, 1e-30, 1.0)))) + float(np.sum(np.log(widest)))
+
+    @property
+    def _searched(self) -> list[int]:
+        """Numbers of the mechanisms' entries that are searched."""
+        return [i for i, c in enumerate(self.of.coordinates) if not c.fixed]
 
     @staticmethod
     def _widest(c: Coordinate) -> float:

@@ -115,7 +115,7 @@ J = TypeVar("J", bound=Judged)
 
 @dataclass(frozen=True)
 class Wanted:
-    """Merit that a proposal has at `least`; from which nothing is made very often, and from which nothing is made often, for it."""
+    """Merit that a proposal has at `least`; from which on nothing is made very often (`good`) and nothing often (`enough`) for more."""
 
     least: float
     good: float
@@ -139,7 +139,10 @@ def best_of(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None]
 
     found = best(proposals)
     chosen = found[:1]
-    for often, asked in ((OFTEN, wanted.enough), (MOST_OFTEN, wanted.good)):
+    for often, asked, worth in (
+        (OFTEN, wanted.enough, wanted.enough),
+        (MOST_OFTEN, wanted.good, wanted.least),
+    ):
         if not any(j.merit() >= asked for j in chosen):
-            chosen = sorted([*longer(often, asked), *chosen], key=lambda j: j.merit(), reverse=True)[:1]
+            chosen = sorted([*longer(often, worth), *chosen], key=lambda j: j.merit(), reverse=True)[:1]
     return chosen[0] if chosen and chosen[0].merit() >= wanted.least else None

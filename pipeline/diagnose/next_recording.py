@@ -39,11 +39,11 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
     if not alternatives:
         return None
-    believed = _forms(final)
+    believed, rivals = _forms(final), [form for fit in alternatives for form in _forms(fit)]
     causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
     best = best_of(
         showing(catalogue(final.of.session, WARMER_K), causes),
-        lambda proposal: _judged(proposal, believed, alternatives),
+        lambda proposal: _judged(proposal, believed, rivals),
         _WANTED,
     )
     if best is None:
@@ -110,7 +110,8 @@ def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequenc
 
 
 def _forms(fit: ExtendedFit) -> list[ExtendedFit]:
-    """A fit, and those with other forms of its first cause that do as well: whichever is true, a recording has to tell."""
+    """A fit, and those with other forms of its first cause that do as well: whichever is true, a recording has to tell it from the
+    others."""
     first, *others = fit.of.chosen
     found = [fit]
     for variant in first.mechanism.variants:

@@ -181,6 +181,8 @@ class MultisineFamily:
         number = np.array([p.state for p in places])
         frequency = places[0].block.frequency_hz[None, :n]
         self.view = state_view(session, number, frequency, MULTISINE, strain=np.zeros((number.size, 1)))
+        every = np.arange(self._measured.shape[1]) / self._period
+        self._at_lines = replace(self.view, frequency_hz=every[None, :])
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family."""
@@ -233,8 +235,7 @@ class MultisineFamily:
 
     def _bent(self, physical: Physical, effect: Effect, loads: Loads, acting: Complex) -> Complex:
         """What elements and readings add to −F, at all lines (S, L), to first order in the waveform."""
-        count = acting.shape[1]
-        view = replace(self.view, frequency_hz=(np.arange(count) / self._period)[None, :])
+        count, view = acting.shape[1], self._at_lines
         rig = rig_of(physical, self.rig, effect)
         film = film_at(physical, effect, view)
         own = dynamic(rig, view, effect, film.k)

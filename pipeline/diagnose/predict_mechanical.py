@@ -60,13 +60,18 @@ class MechanicalFamily(Family, ABC):
         return Linear(np.atleast_2d(k), np.atleast_2d(own), np.atleast_2d(response))
 
     def loop(
-        self, physical: Physical, effect: Effect, view: View, cycles: tuple[Float, Float] | None = None
+        self,
+        physical: Physical,
+        effect: Effect,
+        views: tuple[View, View, View],
+        cycles: tuple[Float, Float] | None = None,
     ) -> tuple[Loop, list[Complex]]:
-        """Film and rig about elements at the frequencies of a view and their multiples, and what of the tension's harmonics 2 and 3
+        """Film and rig about elements at the frequencies of a view and its overtones, and what of the tension's harmonics 2 and 3
         reaches the load cell, (S, C) each."""
+        view = views[0]
         shape = self.states.size, view.frequency_hz.shape[1]
         rig = rig_of(physical, self.rig, effect)
-        at = [self.linear(physical, effect, view.times(order)) for order in (1, 2, 3)]
+        at = [self.linear(physical, effect, v) for v in views]
         k0, no_clamp = np.full(shape, physical.film.k0, dtype=complex), np.ones(shape, dtype=complex)
         found = Loop(
             np.broadcast_to(view.frequency_hz, shape),
@@ -78,7 +83,7 @@ class MechanicalFamily(Family, ABC):
         passing = [
             rig.gain
             / (found.dynamic[order] + found.k[order] * rig.compliance)
-            * channel(effect.force, view.times(order))
+            * channel(effect.force, views[order - 1])
             for order in (2, 3)
         ]
         return found, passing
@@ -114,7 +119,7 @@ class CyclicFamily(MechanicalFamily):
             f[state, 0], strain[state, 0] = p.block.frequency_hz[0], p.block.amplitude[0]
             if "mean_strain" in p.block.support:
                 self._mean_strain[state] = float(p.block.support["mean_strain"][0])
-        self._own = replace(self.view, frequency_hz=f, strain=strain)
+        self._own = replace(self.view, frequency_hz=f, strain=strain).overtones()
         self._groups = self._cyclic_groups()
         self._cycles = self._group_cycles()
 
@@ -151,9 +156,9 @@ class CyclicFamily(MechanicalFamily):
 
     def _with_elements(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> Float:
         """Features with the describing functions of the elements: of the response, of mean and harmonics."""
-        rig, view = rig_of(physical, self.rig, effect), self._own
+        rig, view = rig_of(physical, self.rig, effect), self._own[0]
         still = 1 + physical.film.k0 * rig.compliance
-        loop, passing = self.loop(physical, effect, view, self._cycles)
+        loop, passing = self.loop(physical, effect, self._own, self._cycles)
         mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, view.strain.shape)
         found = describe(effect.tension, loop, view.strain, mean_strain, rest, loads, view.scale)
         k = linear.k * found.factor
@@ -189,7 +194,7 @@ class CyclicFamily(MechanicalFamily):
 
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the family as the plain film has them: what onsets are measured against."""
-        view = self._own
+        view = self._own[0]
         linear = self.linear(physical, NONE, view)
         compliance, travel = physical.rigs[self.rig].compliance, view.strain * view.scale.length_mm
         swing = np.abs(linear.k * linear.dynamic / (linear.dynamic + linear.k * compliance)) * travel

@@ -76,8 +76,8 @@ class SweepFamily(MechanicalFamily):
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float) -> None:
         super().__init__(session, places, nodes, SWEEP)
-        self._coarse = self._coarse_view()
-        self._log_hz: Float = np.log(self._coarse.frequency_hz[0])
+        self._coarse = self._coarse_view().overtones()
+        self._log_hz: Float = np.log(self._coarse[0].frequency_hz[0])
         self._at_log_hz = Places.among(self._log_hz, self._log_hz)
 
     def _coarse_view(self) -> View:
@@ -158,10 +158,10 @@ class SweepFamily(MechanicalFamily):
 
     def _passed(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> list[_Passed]:
         """What elements add to each sweep."""
-        rig, view = rig_of(physical, self.rig, effect), self._coarse
+        rig, view = rig_of(physical, self.rig, effect), self._coarse[0]
         compliance = float(rig.compliance[0, 0])
         length = view.scale.length_mm
-        loop, passing = self.loop(physical, effect, view)
+        loop, passing = self.loop(physical, effect, self._coarse)
         still = 1 + physical.film.k0 * compliance
         outside = np.broadcast_to(channels(effect, self.view), linear.k.shape)
         by_size, mean = any(isinstance(element, BySize) for element in effect.tension), loop.mean()

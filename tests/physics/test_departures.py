@@ -46,9 +46,12 @@ def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIG
 
 @pytest.mark.parametrize("seed", range(301, 303))
 def test_nothing_departs_where_nothing_is_hidden(seed: int) -> None:
-    found = beside_the_plain_model(seed)
+    fit = plain_model(seed)
+    found = departures(fit)
     assert len(found) >= 9
     assert min(d.p_value for d in found) > 1e-4, found[0]
+    alone = departures(fit, {found[-1].text})
+    assert alone == tuple(d for d in found if d.text == found[-1].text)
     # No knot of the stiffness above the band: a change there shows through the edges of windows alone, and no noise law holds for it.
     assert max(d.degrees_of_freedom for d in found) <= 2 * np.count_nonzero(np.geomspace(5.0, 160.0, 26) < 110)
 

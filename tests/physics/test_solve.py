@@ -54,6 +54,24 @@ def test_linear_problems_end_at_least_squares_whatever_jacobian_is_lent(seed: in
     assert found.chi2 <= float(np.sum(residual(best) ** 2)) + 0.05
 
 
+def test_steps_teach_the_jacobian_what_it_was_not_lent() -> None:
+    """A search with a Jacobian from elsewhere ends in fewer simulations than columns by differences at every step would take."""
+    rng = np.random.default_rng(4)
+    design, asked = rng.normal(size=(60, 12)), [0]
+
+    def residual(x: Float) -> Float:
+        asked[0] += 1
+        return np.asarray(design @ np.expm1(x) + np.sin(np.arange(60)))
+
+    wide = np.full(12, 3.0)
+    best = minimise(residual, np.zeros(12), -wide, wide)
+    asked[0] = 0
+    found = minimise(residual, np.full(12, 0.15), -wide, wide, jacobian=best.jacobian, thorough=False)
+    assert found.converged
+    assert found.chi2 == pytest.approx(best.chi2, abs=0.05)
+    assert asked[0] < 3 * 12
+
+
 def test_a_simulation_that_is_not_finite_never_wins() -> None:
     found = minimise(lambda x: np.array([np.nan, x[0]]), np.array([1.0]), np.array([-1.0]), np.array([2.0]))
     assert not found.converged

@@ -74,7 +74,7 @@ SPHS = Proposal(
 
 
 @pytest.mark.parametrize(
-    ("each", "periods"), [(0.04, 100.0), (0.02, 300.0), (0.005, 1000.0), (0.0015, None), (0.0009, None)]
+    ("each", "periods"), [(0.04, 100.0), (0.02, 300.0), (0.005, 1000.0), (0.0015, 1000.0), (0.0009, None)]
 )
 def test_longer_ones_are_proposed_only_where_shorter_ones_leave_a_doubt(each: float, periods: float | None) -> None:
     best = best_of([SPHS], lambda p: Worth(p, each), Wanted(least=1.0, good=2.0, enough=4.0))
