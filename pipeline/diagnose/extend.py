@@ -20,7 +20,7 @@ from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parame
 from pipeline.diagnose.plain import bounds, deviations
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.session import Session
-from pipeline.diagnose.solve import CAREFULLY, LEAST_DAMPING, NEVER, Solution, central, minimise
+from pipeline.diagnose.solve import CAREFULLY, LEAST_DAMPING, MOSTLY, NEVER, Solution, central, minimise
 
 Float = NDArray[np.float64]
 
@@ -186,7 +186,9 @@ class Extended:
     def again(self, fit: ExtendedFit, *, most: int = 15, thorough: bool = True) -> ExtendedFit:
         """The optimum from a fit with the same mechanisms, or more of them, and other weights, whose Jacobian is nearly right."""
         start = self.entries(fit.theta, [fit.values[fit.of.chosen.index(c)] for c in self.chosen])
-        found = minimise(self.residual, start, *self.limits, most=most, jacobian=self._lent(fit), thorough=thorough)
+        found = minimise(
+            self.residual, start, *self.limits, most=most, jacobian=self._lent(fit), thorough=thorough, trusted=MOSTLY
+        )
         return ExtendedFit(self, found)
 
     def refined(self, fit: ExtendedFit) -> ExtendedFit:
@@ -202,7 +204,7 @@ class Extended:
         """
         found = minimise(
             self.residual, fit.x, *self.limits, most=most, jacobian=fit.solution.jacobian, thorough=False,
-            damping=LEAST_DAMPING,
+            damping=LEAST_DAMPING, trusted=MOSTLY,
         )  # fmt: skip
         return ExtendedFit(self, found)
 

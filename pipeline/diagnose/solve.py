@@ -62,7 +62,7 @@ def minimise(
     moving: int | None = None,
     thorough: bool = True,
     damping: float = DAMPING,
-    trusted: tuple[float, float] = MOSTLY,
+    trusted: tuple[float, float] = NEVER,
 ) -> Solution:
     """Least sum of squares of `residual` (M,) from `start` (P,) within `low` … `high`; entries with equal bounds stay.
 

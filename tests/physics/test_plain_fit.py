@@ -11,6 +11,7 @@ from pipeline.diagnose.plain import fit_plain
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.session import make_session
+from tests.hidden_effects.judging import Case, made
 from tests.hidden_effects.truth import Effect, compact_designs
 from tests.hidden_effects.truth import make_session as true_session
 
@@ -25,6 +26,14 @@ def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, m
     film, band = truth.truth.specimen.film, np.geomspace(1.0, 100.0, 30)
     error = np.abs(found.model.physical(found.theta).film.stiffness(band) / film.stiffness(band) - 1)
     assert error.max() < 0.02
+
+
+def test_a_third_arm_is_found_where_two_leave_nearly_everything() -> None:
+    """A search of three arms that stops short looks as if two would do, and the third like a hidden cause."""
+    session = make_session([reduce(r) for r in made(Case(700_267_027), ()).recordings])
+    found = fit_plain(session, Simulation(session))
+    assert found.model.arms == 3
+    assert found.chi2 < 1.2 * session.size
 
 
 def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None:
