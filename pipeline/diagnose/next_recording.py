@@ -48,9 +48,9 @@ def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> N
     )
     if best is None:
         return None
-    rivals = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
+    names = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
     chance = min(1 - math.exp(-best.merit()), _MOST)
-    text = f"{best.proposal.text}: tells {rivals} apart with a probability of {100 * chance:.0f} %"
+    text = f"{best.proposal.text}: tells {names} apart with a probability of {100 * chance:.0f} %"
     return NextRecording(best.proposal.designs, text, best.separation())
 
 
