@@ -184,11 +184,14 @@ def scaled(unit: str, largest: float) -> tuple[float, str]:
 
 
 def percent(share: float | None, digits: int = 2) -> str:
-    """A share as percent to so many digits, whole percents from 10 on."""
+    """A share as percent to so many digits, whole percents from 10 on; what is not all of it is never 100 %."""
     if share is None or not math.isfinite(share):
         return ABSENT
     value = 100 * share
-    text = fixed(value, 0) if abs(value) >= 10 else significant(value, digits)
+    if 99.5 <= value < 100:
+        text = fixed(value, 1) if value < 99.95 else fixed(min(value, 99.99), 2)
+    else:
+        text = fixed(value, 0) if abs(value) >= 10 else significant(value, digits)
     return f"{text}{NBSP}%"
 
 

@@ -44,6 +44,22 @@ def test_no_false_uncertainty(sd: float | None) -> None:
     assert plain(numbers.pm(1.5, sd, "N")) == "1.50 N, ± unresolved"
 
 
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [
+        (1.0, "100 %"),
+        (0.9993, "99.9 %"),
+        (0.9997, "99.97 %"),
+        (0.999999, "99.99 %"),
+        (0.997, "99.7 %"),
+        (0.994, "99 %"),
+        (0.0512, "5.1 %"),
+    ],
+)
+def test_what_is_not_all_is_not_a_hundred_percent(share: float, expected: str) -> None:
+    assert plain(numbers.percent(share)) == expected
+
+
 def test_absent() -> None:
     assert numbers.pm(None, 0.1) == numbers.significant(math.nan) == numbers.percent(None) == "–"
 
