@@ -98,7 +98,7 @@ def _elsewhere(outcome: Outcome) -> Float | None:
     """
     plain, untempered = outcome.plain, outcome.untempered
     if plain is not untempered:
-        further = untempered.of.again(plain)
+        further = untempered.of.fit(plain.theta)
         if further.chi2 < _FAR_BETTER * untempered.chi2:
             return further.theta
     if not outcome.singles or plain.chi2 - outcome.singles[0].chi2 > _MANY * outcome.threshold:
@@ -132,7 +132,7 @@ def _decided(of: Extended, start: Float) -> Outcome:
     if not (listed or unlisted):
         return nothing
     weighted = of.with_weight(tempered(session, untempered.misfit))
-    plain = weighted.refined(weighted.again(untempered))
+    plain = weighted.refined(weighted.fit(untempered.theta))
     weakened = signatures(changes, plain)
     singles = confirmed(tried(plain, scores(weakened), weakened, CANDIDATES))
     gained = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
@@ -210,7 +210,7 @@ def _alternatives(plain: ExtendedFit, final: ExtendedFit, singles: Sequence[Exte
             fit = of.fit(start, most=_ROUGHLY, near=final, thorough=False)
             if fit.chi2 > final.chi2 + _ON_THE_WAY * (plain.chi2 - final.chi2):
                 continue
-            fit = of.again(fit, most=20)
+            fit = of.fit(fit.x, most=20)
         else:
             fit = single
         if _as_good(plain, final, fit):

@@ -20,7 +20,7 @@ from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parame
 from pipeline.diagnose.plain import bounds, deviations
 from pipeline.diagnose.predict import Simulation
 from pipeline.diagnose.session import Session
-from pipeline.diagnose.solve import CAREFULLY, LEAST_DAMPING, MOSTLY, NEVER, Solution, central, minimise
+from pipeline.diagnose.solve import LEAST_DAMPING, Solution, central, minimise
 
 Float = NDArray[np.float64]
 
@@ -172,22 +172,20 @@ class Extended:
         return np.concatenate([data, deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
 
     def fit(
-        self, start: Float, *, most: int = 15, near: ExtendedFit | None = None, thorough: bool = True
+        self,
+        start: Float,
+        *,
+        most: int = 15,
+        near: ExtendedFit | None = None,
+        jacobian: Float | None = None,
+        thorough: bool = True,
     ) -> ExtendedFit:
-        """The optimum from `start`. `near`, a fit of the same plain model elsewhere or with other mechanisms, lends the columns of its
-        Jacobian that are the plain model's."""
-        lent = None if near is None else self._lent(near)
+        """The optimum from `start`. `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian."""
+        low, high = self.limits
+        if near is not None:
+            jacobian = self._lent(near)
         found = minimise(
-            self.residual, start, *self.limits, most=most, jacobian=lent, moving=self.model.size, thorough=thorough,
-            trusted=NEVER if near is None else CAREFULLY,
-        )  # fmt: skip
-        return ExtendedFit(self, found)
-
-    def again(self, fit: ExtendedFit, *, most: int = 15, thorough: bool = True) -> ExtendedFit:
-        """The optimum from a fit with the same mechanisms, or more of them, and other weights, whose Jacobian is nearly right."""
-        start = self.entries(fit.theta, [fit.values[fit.of.chosen.index(c)] for c in self.chosen])
-        found = minimise(
-            self.residual, start, *self.limits, most=most, jacobian=self._lent(fit), thorough=thorough, trusted=MOSTLY
+            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
         )
         return ExtendedFit(self, found)
 
@@ -202,33 +200,27 @@ class Extended:
         Entries that can change places (a mass and its error) are parted by priors that are 10⁸ times weaker than the data:
         forward differences see a slope there that is none, and damping in proportion to the data holds them where they are.
         """
-        found = minimise(
-            self.residual, fit.x, *self.limits, most=most, jacobian=fit.solution.jacobian, thorough=False,
-            damping=LEAST_DAMPING, trusted=MOSTLY,
+        jacobian, own = fit.solution.jacobian, fit.x.size
+        return ExtendedFit(
+            self,
+            minimise(
+                self.residual, fit.x, *self.limits, most=most, jacobian=jacobian, moving=own, thorough=False,
+                damping=LEAST_DAMPING,
+            ),
         )  # fmt: skip
-        return ExtendedFit(self, found)
 
     def room(self, start: Float, most: int, near: ExtendedFit) -> Float:
         """Entries with the material and the rig at their best for the mechanisms as they stand at `start`."""
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
-        found = minimise(
-            self.residual, start, low, high, most=most, jacobian=self._lent(near), thorough=False, trusted=CAREFULLY
-        )
-        return found.x
+        lent, own = self._lent(near), self.model.size
+        return minimise(self.residual, start, low, high, most=most, jacobian=lent, moving=own, thorough=False).x
 
     def _lent(self, near: ExtendedFit) -> Float:
         """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""
-        size, (_, sd) = self.model.size, self._priors
-        theirs = {(near.of.chosen[c.owner], c.parameter): size + i for i, c in enumerate(near.of.coordinates)}
-        place = [theirs.get((self.chosen[c.owner], c.parameter), -1) for c in self.coordinates]
-        columns = np.concatenate([np.arange(size), place]).astype(np.int64)
-        shared, shaped = np.flatnonzero(columns >= 0), np.flatnonzero(np.isfinite(sd))
-        rows = self.session.size + int(np.isfinite(self.model.prior_sd).sum())
-        jacobian = np.zeros((rows + shaped.size, columns.size))
-        jacobian[:rows, shared] = near.solution.jacobian[:rows, columns[shared]]
-        jacobian[: self.session.size] *= (self.weight / near.of.weight)[:, None]
-        jacobian[rows + np.arange(shaped.size), size + shaped] = 1 / sd[shaped]
+        shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
+        jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), self.limits[0].size))
+        jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
         return jacobian
 
     def with_weight(self, weight: Float) -> Extended:

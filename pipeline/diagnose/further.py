@@ -73,14 +73,14 @@ def _beside(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[Exten
     """Causes beside the best single one, on the scale that its form is seen to need; None where that is no finer, or shows none."""
     alone = singles[0]
     raw = alone.of.with_weight(np.ones(untempered.of.session.size))
-    share = share_of_form(untempered, finished(raw.again(alone, most=_ROUGHLY)))
+    share = share_of_form(untempered, finished(raw.fit(alone.x, most=_ROUGHLY)))
     if share > _MUCH_BETTER * SHARE:
         return None
     weight = tempered(untempered.of.session, untempered.misfit, share)
 
     def moved(fit: ExtendedFit) -> ExtendedFit:
         of = fit.of.with_weight(weight)
-        return of.refined(of.again(fit, most=_ROUGHLY))
+        return of.refined(of.fit(fit.x, most=_ROUGHLY))
 
     plain, base = moved(plain), finished(moved(alone))
     best, shown = _added(plain, [base], secants(base), share)
@@ -180,4 +180,4 @@ def _in_order(final: ExtendedFit, order: NDArray[np.int64]) -> ExtendedFit:
     if np.array_equal(order, np.arange(order.size)):
         return final
     of = replace(final.of, chosen=tuple(final.of.chosen[i] for i in order))
-    return finished(of.again(final, most=3))
+    return finished(of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3))

@@ -7,7 +7,7 @@ recordings within a protocol (levels, repeats), or blocks of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +70,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
         for fit in (plain, extended):
             of = fit.of.on(rest, simulation, fit.of.weight[chosen])
             rows = np.concatenate([chosen, np.arange(session.size, fit.solution.residual.size)])
-            known = replace(fit.solution, residual=fit.solution.residual[rows], jacobian=fit.solution.jacobian[rows])
-            again = of.again(ExtendedFit(of, known), most=_MOST, thorough=False)
+            again = of.fit(fit.x, most=_MOST, jacobian=fit.solution.jacobian[rows], thorough=False)
             values.append(fit.of.predict(again.x))
             errors.append(session.whiten(session.value - values[-1]))
         entries.append(again.x[again.of.model.size :])  # of the extended model, the last

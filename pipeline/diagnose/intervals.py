@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.mechanisms import SEVERITY
-from pipeline.diagnose.solve import MOSTLY, minimise
+from pipeline.diagnose.solve import minimise
 
 Float = NDArray[np.float64]
 
@@ -58,6 +58,7 @@ def _rise(fit: ExtendedFit, entry: int, step: float) -> float:
     start = np.clip(fit.x + step * fit.covariance[:, entry] / fit.covariance[entry, entry], low, high)
     low[entry] = high[entry] = start[entry] = fit.x[entry] + step
     held = minimise(
-        fit.of.residual, start, low, high, most=_STEPS, jacobian=fit.solution.jacobian, thorough=False, trusted=MOSTLY
-    )
+        fit.of.residual, start, low, high, most=_STEPS, jacobian=fit.solution.jacobian, moving=fit.of.model.size,
+        thorough=False,
+    )  # fmt: skip
     return held.chi2 - fit.chi2

@@ -162,7 +162,7 @@ def _to_its_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFi
     for _ in range(_MOST_ROUNDS):
         if fit.solution.converged:
             break
-        again = fit.of.fit(fit.x, most=_ROUGHLY, near=fit, thorough=False)
+        again = fit.of.fit(fit.x, most=_ROUGHLY, jacobian=fit.solution.jacobian, thorough=False)
         fall, fit = fit.chi2 - again.chi2, again
         if not fall > _STILL_FALLING * abs(base.chi2 - again.chi2) or fit.chi2 - _FAR_MORE * fall > reach:
             break
@@ -222,7 +222,7 @@ def _as_the_files_say(of: Extended, base: ExtendedFit) -> Float:
 
 def finished(fit: ExtendedFit) -> ExtendedFit:
     """The same optimum, confirmed with central differences."""
-    found = fit.of.refined(fit.of.again(fit, most=_THOROUGHLY))
+    found = fit.of.refined(fit.of.fit(fit.x, most=_THOROUGHLY))
     for _ in range(_CONFIRMATIONS):
         again = fit.of.further(found, most=_TRIALS)
         fall = found.chi2 - again.chi2
@@ -242,14 +242,16 @@ def settled(fit: ExtendedFit) -> ExtendedFit:
         if np.allclose(weight, fit.of.weight, rtol=_SAME_WEIGHT):
             break
         of = fit.of.with_weight(weight)
-        fit = of.refined(of.again(fit, most=_THOROUGHLY))
+        fit = of.refined(of.fit(fit.x, most=_THOROUGHLY))
     return fit
 
 
 def without(fit: ExtendedFit, number: int) -> ExtendedFit:
     """The optimum without mechanism `number` of a fit."""
-    of = replace(fit.of, chosen=tuple(c for i, c in enumerate(fit.of.chosen) if i != number))
-    return finished(of.again(fit, most=_ROUGHLY))
+    chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
+    values = tuple(v for i, v in enumerate(fit.values) if i != number)
+    of = replace(fit.of, chosen=chosen)
+    return finished(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
 
 
 def _above_onset(base: ExtendedFit, of: Extended, score: Score, signatures: Signatures) -> list[Mapping[str, float]]:

@@ -1,7 +1,6 @@
 """Nonlinear least squares within bounds: Levenberg's and Marquardt's method, made for cheap, smooth, redundant simulations.
 
-The residual's Jacobian is taken by forward differences, corrected by every step (Broyden 1965) and taken anew where steps fall
-short of what it promises. Belongs here: the search alone.
+The residual's Jacobian is taken by forward differences and reused while steps go well. Belongs here: the search alone.
 """
 
 from __future__ import annotations
@@ -13,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 
 _DIFFERENCE, _CENTRAL = 1e-4, 3e-4
 _ENOUGH = 0.02
 """Fall of χ² that ends a search: far below what statistics can tell."""
 _RIDGE = 1e-10
 _STILL, _HOPELESS = 1e-7, 1e7
-MOSTLY, CAREFULLY, NEVER = (0.15, np.inf), (0.4, 1.6), (np.inf, np.inf)
-"""Fall over promised fall, at least and at most, with which a corrected Jacobian is good enough: near an optimum, on the way to one, and
-where the way decides which one is found."""
+_KEPT = (0.4, 1.6)
+"""Fall over promised fall within which old columns are good enough."""
 DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 _MOST_STEP = 1.5
 """Longest step of one entry: entries are logarithms or scaled to their range."""
@@ -59,17 +56,15 @@ def minimise(
     *,
     most: int = 25,
     jacobian: Float | None = None,
-    moving: int | None = None,
+    moving: int = 0,
     thorough: bool = True,
     damping: float = DAMPING,
-    trusted: tuple[float, float] = NEVER,
 ) -> Solution:
     """Least sum of squares of `residual` (M,) from `start` (P,) within `low` … `high`; entries with equal bounds stay.
 
-    jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are taken anew at every step
-    thorough : the end is confirmed with a Jacobian of its own
+    jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed at every step, the others when steps
+        fall short of what they promise. `thorough`: the end is confirmed with a Jacobian of its own.
     damping : to begin with, relative to what the data say of each entry alone
-    trusted : fall over promised fall, at least and at most, with which the Jacobian is not taken anew
     Never fails: a search that does not converge says so.
     """
     x = np.clip(start, low, high)
@@ -77,13 +72,12 @@ def minimise(
     chi2 = float(r @ r)
     if not np.isfinite(chi2):
         return Solution(x, r, np.zeros((r.size, x.size)), np.inf, False)
-    everything = np.flatnonzero(low < high)
-    recent = everything[:0] if moving is None else everything[everything >= moving]
+    everything, recent = np.flatnonzero(low < high), np.flatnonzero((low < high) & (np.arange(x.size) >= moving))
     if jacobian is None:
         own, fresh = _renewed(residual, np.zeros((r.size, x.size)), x, r, high, everything), True
     else:
         own, fresh = _renewed(residual, jacobian.copy(), x, r, high, recent), False
-    converged = mended = False
+    converged = False
     for _ in range(most):
         gradient = own.T @ r
         free = everything[~_held(x, gradient, low, high)[everything]]
@@ -96,23 +90,19 @@ def minimise(
         new = residual(trial)
         value = float(new @ new)
         if np.isfinite(value) and value < chi2:
-            fall, moved, change = chi2 - value, trial - x, new - r
-            x, r, chi2, mended = trial, new, value, False
+            fall = chi2 - value
+            x, r, chi2 = trial, new, value
             damping = max(damping / 5, LEAST_DAMPING)
             if fall < _ENOUGH and (fresh or not thorough):
                 converged = True
                 break
-            fresh = fall < _ENOUGH or not trusted[0] * promised < fall < trusted[1] * promised
-            own = own if fresh else _corrected(own, moved, change)
+            fresh = jacobian is None or fall < _ENOUGH or not _KEPT[0] * promised < fall < _KEPT[1] * promised
             own = _renewed(residual, own, x, r, high, everything if fresh else recent)
         elif not fresh:
             if promised < _ENOUGH and not thorough:
                 converged = True
                 break
-            if mended or not np.isfinite(value):
-                own, fresh = _renewed(residual, own, x, r, high, everything), True
-            else:
-                own, mended = _corrected(own, trial - x, new - r), True
+            own, fresh = _renewed(residual, own, x, r, high, everything), True
         elif promised < _ENOUGH or float(np.abs(move).max()) < _STILL:
             # What is promised that little and does not come is the end as well.
             converged = True
@@ -128,7 +118,7 @@ def _held(x: Float, gradient: Float, low: Float, high: Float) -> NDArray[np.bool
     return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
 
 
-def _step(jacobian: Float, gradient: Float, free: Int, damping: float) -> Float:
+def _step(jacobian: Float, gradient: Float, free: NDArray[np.int64], damping: float) -> Float:
     part = jacobian[:, free]
     normal = part.T @ part
     diagonal = np.maximum(np.diag(normal), 1e-9)
@@ -138,17 +128,8 @@ def _step(jacobian: Float, gradient: Float, free: Int, damping: float) -> Float:
     return move * (_MOST_STEP / longest) if longest > _MOST_STEP else move
 
 
-def _corrected(jacobian: Float, moved: Float, change: Float) -> Float:
-    """The Jacobian (M, P), in place, with the least correction by which it gives the change (M,) that a step (P,) has made."""
-    along = np.einsum("ij,ij->j", jacobian, jacobian) * moved
-    length = float(moved @ along)
-    if length > 0:
-        jacobian += np.outer(change - jacobian @ moved, along / length)
-    return jacobian
-
-
 def _renewed(
-    residual: Callable[[Float], Float], jacobian: Float, x: Float, at: Float, high: Float, columns: Int
+    residual: Callable[[Float], Float], jacobian: Float, x: Float, at: Float, high: Float, columns: NDArray[np.int64]
 ) -> Float:
     """The Jacobian (M, P) with some columns taken anew, in place: forward differences, backward at an upper bound."""
     for i in columns:

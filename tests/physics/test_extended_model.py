@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from pipeline.diagnose.extend import Chosen, Coordinate, Extended, ExtendedFit
 from pipeline.diagnose.imagined import Seen
 from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.solve import central
 from tests.physics.test_departures import plain_model
 
 COORDINATES = [Coordinate(0, p) for m in MECHANISMS.values() for p in m.parameters]
@@ -38,25 +37,11 @@ def test_errors_of_factors_add_up_as_logarithms(id: str, name: str) -> None:
 
 @pytest.fixture(scope="module")
 def softened() -> ExtendedFit:
-    """A film that does not soften, fitted with one that does, with blocks that count for less and less."""
+    """A film that does not soften, fitted with one that does."""
     plain = plain_model(311)
-    weight = np.linspace(1.0, 0.5, plain.of.session.size)
     chosen = (Chosen("amplitude_softening", MECHANISMS["amplitude_softening"].variants[0]),)
-    of = Extended(plain.of.session, plain.of.simulation, plain.of.model, chosen, weight)
+    of = Extended(plain.of.session, plain.of.simulation, plain.of.model, chosen, plain.of.weight)
     return of.refined(of.fit(of.entries(plain.theta, ({"drop": 0.02},)), most=3))
-
-
-def test_a_jacobian_is_lent_to_other_weights_and_more_mechanisms(softened: ExtendedFit) -> None:
-    gain = Chosen("gain_error", MECHANISMS["gain_error"].variants[0])
-    of = softened.of
-    more = Extended(of.session, of.simulation, of.model, (gain, *of.chosen), np.ones(of.session.size))
-    lent = more._lent(softened)
-    own = central(more.residual, more.entries(softened.theta, ({"gain": 1e-9}, softened.values[0])), *more.limits)
-    gains = more.model.size + np.array([i for i, c in enumerate(more.coordinates) if c.owner == 0])
-    assert not lent[:, gains].any()
-    known = np.setdiff1d(np.arange(own.shape[1]), gains)
-    size = np.linalg.norm(own[:, known], axis=0)
-    assert (np.linalg.norm(lent[:, known] - own[:, known], axis=0) < 1e-3 * size + 1e-6).all()
 
 
 def test_what_a_recording_says_of_a_cause_makes_it_dearer(softened: ExtendedFit) -> None:

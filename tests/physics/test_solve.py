@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.diagnose.solve import CAREFULLY, LEAST_DAMPING, MOSTLY, NEVER, central, minimise
+from pipeline.diagnose.solve import LEAST_DAMPING, central, minimise
 
 Float = NDArray[np.float64]
 FAR = np.full(2, 50.0)
@@ -39,10 +39,8 @@ def test_entries_with_equal_bounds_stay() -> None:
 
 
 @settings(max_examples=50)
-@given(st.integers(0, 10_000), st.sampled_from([MOSTLY, CAREFULLY, NEVER]))
-def test_linear_problems_end_at_least_squares_whatever_jacobian_is_lent(
-    seed: int, trusted: tuple[float, float]
-) -> None:
+@given(st.integers(0, 10_000))
+def test_linear_problems_end_at_least_squares_whatever_jacobian_is_lent(seed: int) -> None:
     rng = np.random.default_rng(seed)
     design, target = rng.normal(size=(20, 4)), 5 * rng.normal(size=20)
     best, *_ = np.linalg.lstsq(design, target, rcond=None)
@@ -52,26 +50,8 @@ def test_linear_problems_end_at_least_squares_whatever_jacobian_is_lent(
 
     lent = -design * (1 + 0.3 * rng.normal(size=design.shape))
     wide = np.full(4, 100.0)
-    found = minimise(residual, np.zeros(4), -wide, wide, most=100, jacobian=lent, moving=2, trusted=trusted)
+    found = minimise(residual, np.zeros(4), -wide, wide, most=100, jacobian=lent, moving=2)
     assert found.chi2 <= float(np.sum(residual(best) ** 2)) + 0.05
-
-
-def test_steps_teach_the_jacobian_what_it_was_not_lent() -> None:
-    """A search with a Jacobian from elsewhere ends in fewer simulations than columns by differences at every step would take."""
-    rng = np.random.default_rng(4)
-    design, asked = rng.normal(size=(60, 12)), [0]
-
-    def residual(x: Float) -> Float:
-        asked[0] += 1
-        return np.asarray(design @ np.expm1(x) + np.sin(np.arange(60)))
-
-    wide = np.full(12, 3.0)
-    best = minimise(residual, np.zeros(12), -wide, wide)
-    asked[0] = 0
-    found = minimise(residual, np.full(12, 0.15), -wide, wide, jacobian=best.jacobian, thorough=False, trusted=MOSTLY)
-    assert found.converged
-    assert found.chi2 == pytest.approx(best.chi2, abs=0.05)
-    assert asked[0] < 3 * 12
 
 
 def test_a_simulation_that_is_not_finite_never_wins() -> None:
