@@ -138,10 +138,8 @@ def operator_support(made: Operator) -> dict[str, Float]:
     return arrays
 
 
-def operator_of(found: FeatureBlock, nodes: int) -> Operator | None:
-    """The operator of a block, None where it has none."""
-    if "re_data" not in found.support:
-        return None
+def operator_of(found: FeatureBlock, nodes: int) -> Operator:
+    """The operator of a block of functionals."""
 
     def matrix(name: str) -> scipy.sparse.csr_array:
         columns, rows = found.support[f"{name}_columns"], found.support[f"{name}_rows"]

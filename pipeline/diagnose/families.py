@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from pipeline.diagnose.base import Physical
 from pipeline.diagnose.blocks import operator_of
 from pipeline.diagnose.effects import Effect, Factor, Film, Rig, View
 from pipeline.diagnose.features import CHIRP_RESPONSE
+from pipeline.diagnose.functionals import Operator
+from pipeline.diagnose.node_weights import NodeWeights
 from pipeline.diagnose.session import Place, Session
 from pipeline.fit.model import RelaxationModel
 
@@ -36,25 +38,12 @@ class Family:
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, test: str) -> None:
         self.session, self.places, self.test = session, tuple(places), test
         operators = [operator_of(p.block, nodes.size) for p in self.places]
-        used = np.zeros(nodes.size, dtype=bool)
-        for found in operators:
-            if found is not None:
-                used[np.unique(found.re.indices)] = True
-                used[np.unique(found.im.indices)] = True
-        columns = np.flatnonzero(used)
+        columns = np.unique(np.concatenate([part.indices for o in operators for part in (o.re, o.im)]))
         self.frequency = nodes[columns]
         self.states, number = np.unique([p.state for p in self.places], return_inverse=True)
         self.state_of = dict(zip((id(p) for p in self.places), number.tolist(), strict=True))
         self.rows = np.concatenate([np.arange(p.first, p.stop) for p in self.places])
-        ends = np.cumsum([0, *(p.block.size for p in self.places)])
-        self._parts = [(slice(int(a), int(b)), int(n)) for a, b, n in zip(ends[:-1], ends[1:], number, strict=True)]
-        # Dense: most functionals see so many nodes that their places would be more to read than the zeros between.
-        self._operator: Float = np.zeros((int(ends[-1]), 2 * columns.size))
-        for (rows, _), found in zip(self._parts, operators, strict=True):
-            if found is None:
-                raise ValueError("a block without operator")
-            self._operator[rows, : columns.size] = found.re[:, columns].toarray()
-            self._operator[rows, columns.size :] = found.im[:, columns].toarray()
+        self._operators = [Operator(o.re[:, columns], o.im[:, columns]) for o in operators]
         self.rig = int(session.states.rig[self.states[0]])
         self.view = self._view()
 
@@ -100,12 +89,30 @@ class Family:
         same = [n for n in found if self.session.states.recording[self.states[n]] == recording]
         return same[-1] if same else next(iter(found))
 
+    @cached_property
+    def _weights(self) -> NodeWeights:
+        """Of all blocks."""
+        return NodeWeights(self._operators)
+
+    @cached_property
+    def _weights_by_state(self) -> list[tuple[Int, NodeWeights]]:
+        """Rows of the blocks of each state, and their weights."""
+        ends = np.cumsum([0, *(p.block.size for p in self.places)])
+        found = []
+        for state in range(self.states.size):
+            own = [i for i, p in enumerate(self.places) if self.state_of[id(p)] == state]
+            rows = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in own])
+            found.append((rows, NodeWeights([self._operators[i] for i in own])))
+        return found
+
     def apply(self, response: Complex) -> Float:
         """Features (rows,) of a response (1 or S, J) at the nodes."""
-        seen = np.concatenate([response.real, response.imag], axis=1)
-        if len(seen) == 1:
-            return np.asarray(self._operator @ seen[0])
-        return np.concatenate([self._operator[rows] @ seen[state] for rows, state in self._parts])
+        if len(response) == 1:
+            return self._weights.apply(response[0])
+        values = np.empty(self.rows.size)
+        for own, (rows, weights) in zip(response, self._weights_by_state, strict=True):
+            values[rows] = weights.apply(own)
+        return values
 
 
 def state_view(session: Session, number: Int, frequency: Float, test: str, *, strain: Float | None = None) -> View:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -44,13 +45,14 @@ class Remembered:
     def __init__(self, predict: Predict, inputs: Inputs, rig: int) -> None:
         self._predict, self._rig = predict, rig
         self._numbers, self._functions = tuple(inputs.physical), tuple(inputs.effect)
+        self._seen = attrgetter(*self._functions)
         self._bends = bool(inputs.effect & {"tension", "reading"})
         self._hidden = {name: float("nan") for name in _MATERIAL if name not in inputs.physical}
         self._known: OrderedDict[tuple[object, ...], Float] = OrderedDict()
 
     def __call__(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family, not to be changed; `loads` where the effect has elements or readings."""
-        seen = tuple([getattr(effect, name) for name in self._functions])
+        seen = self._seen(effect)
         loads = loads if self._bends else None
         key = (*[self._number(physical, name) for name in self._numbers], seen, loads)
         values = self._known.get(key)

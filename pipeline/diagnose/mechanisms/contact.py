@@ -37,7 +37,8 @@ def _slip(values: Values, variant: str) -> Effect:
         k = np.broadcast_to(course.stiffness, shape).reshape(-1, shape[-1])[near, 0]
         interval = np.broadcast_to(course.interval_s, shape).reshape(-1, shape[-1])[near].T
         static, arm, decay = _film(k, course.static, interval)
-        stiff = static + arm + hardening * course.static
+        held_by = static + hardening * course.static
+        stiff = held_by + arm
         # Slip flows with the excess over the holding force, until the springs about it have taken that up.
         flow = -np.expm1(-interval * stiff / course.static / creep) / stiff
         first, last = np.full((2, near.size), float(_TURNS if course.periodic else 1))
@@ -48,7 +49,7 @@ def _slip(values: Values, variant: str) -> Effect:
         for turn in range(1, int(np.ceil(last.max())) + 1):
             for i in range(path.shape[0]):
                 relaxing = relaxing * decay[i]
-                pull = path[i] - (static + hardening * course.static) * slip - relaxing
+                pull = path[i] - held_by * slip - relaxing
                 more = (pull - np.minimum(np.maximum(pull, -held), held)) * flow[i]
                 slip = slip + more
                 relaxing = relaxing + arm * more

@@ -48,14 +48,17 @@ def _damping(values: Values, variant: str) -> Effect:
         with np.errstate(divide="ignore"):
             alone = np.where(rig.mass > 0, 1 / np.sqrt(np.maximum(rig.mass * rig.compliance, 1e-300)), np.inf)
         reference = max(view.scale.strain, 1e-12) * alone
-        # The film's strain moves the clamp by k/kL of the whole: x′ = x0 (k/kL)/(own + k/kL).
-        total = own
-        pulled = view.strain * omega * np.abs(k * rig.compliance)
+        # The film's strain moves the clamp by k/kL of the whole: x′ = x0 (k/kL)/(own + k/kL). The drag adds to its imaginary part.
+        alone_with_film = own + k * rig.compliance
+        still, moving = alone_with_film.real**2, alone_with_film.imag
+        pulled = view.strain * omega * np.abs(k * rig.compliance) / reference
+        at_speed = omega * ratio * critical
+        drag = felt = np.zeros_like(moving)
         for _ in range(_ROUNDS):
-            speed = pulled / np.maximum(np.abs(total + k * rig.compliance), 1e-9) / reference
-            braked = own + 1j * omega * ratio * critical * speed ** values["growth"]
-            total = 0.5 * (total + braked)
-        return np.asarray(braked)
+            speed = pulled / np.maximum(np.sqrt(still + (moving + felt) ** 2), 1e-9)
+            drag = at_speed * speed ** values["growth"]
+            felt = 0.5 * (felt + drag)
+        return np.asarray(own + 1j * drag)
 
     def second(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
         # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp: μ/(4ζ₂).
