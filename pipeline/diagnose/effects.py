@@ -72,6 +72,11 @@ class View:
         second, third = (replace(self, frequency_hz=self.frequency_hz * order) for order in (2, 3))
         return self, second, third
 
+    def power_of_jw(self, exponent: float, *, tau: float = 1.0, lowest_hz: float) -> Complex:
+        """(jωτ)^exponent, (1 or S, J), at `lowest_hz` below that: its angle is the same at all frequencies."""
+        size = (2 * np.pi * tau * np.maximum(self.frequency_hz, lowest_hz)) ** exponent
+        return np.asarray(size * np.exp(0.5j * np.pi * exponent))
+
     def at(self, index: NDArray[np.int64]) -> View:
         """The view at some frequencies (places on the last axis)."""
         return replace(

@@ -43,7 +43,7 @@ def _frequency(values: Values, variant: str) -> Effect:
 
     def slopes(view: View) -> Complex:
         # A power of jω falls with the frequency by that share per decade and has the phase that causality asks for.
-        return np.asarray((1j * np.maximum(view.frequency_hz, _LOWEST_HZ)) ** power)
+        return view.power_of_jw(power, tau=0.5 / np.pi, lowest_hz=_LOWEST_HZ)
 
     return Effect(actuation=(slopes,)) if power else Effect()
 

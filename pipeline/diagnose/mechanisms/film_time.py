@@ -28,7 +28,7 @@ def _arm(values: Values, variant: str) -> Effect:
     ratio, tau, spread = values["stiffness_ratio"], values["time_constant_s"], values["spread"]
 
     def more(film: Film, view: View) -> Film:
-        z = _fractional(view, tau, spread)
+        z = view.power_of_jw(spread, tau=tau, lowest_hz=_LOWEST_HZ)
         return Film(film.k + ratio * view.k0 * z / (1 + z), film.share)
 
     return Effect(film=(more,)) if ratio else Effect()
@@ -38,15 +38,10 @@ def _power(values: Values, variant: str) -> Effect:
     ratio, exponent = values["stiffness_ratio"], values["exponent"]
 
     def more(film: Film, view: View) -> Film:
-        return Film(film.k + ratio * view.k0 * _fractional(view, 1.0, exponent), film.share)
+        z = view.power_of_jw(exponent, lowest_hz=_LOWEST_HZ)
+        return Film(film.k + ratio * view.k0 * z, film.share)
 
     return Effect(film=(more,)) if ratio else Effect()
-
-
-def _fractional(view: View, tau: float, exponent: float) -> Complex:
-    """(jωτ)^exponent at the frequencies of a view; its angle is the same at all of them."""
-    size = (2 * np.pi * tau * np.maximum(view.frequency_hz, _LOWEST_HZ)) ** exponent
-    return np.asarray(size * np.exp(0.5j * np.pi * exponent))
 
 
 def _warm(values: Values, variant: str) -> Effect:
