@@ -201,8 +201,7 @@ def nested(text: str | None) -> dict[str, dict[str, Any]]:
 
 def amount(mechanism: str, parameter: str, value: Any) -> str:
     """A severity as read: {value, sd} gives value ± SD in the parameter's unit, a bare number the number, text itself."""
-    known = MECHANISMS.get(mechanism)
-    shown = known.parameters.get(parameter, Parameter("")) if known else Parameter("")
+    shown = _shown(mechanism, parameter)
     if isinstance(value, dict):
         number, sd = value.get("value"), value.get("sd")
         if not isinstance(number, int | float):
@@ -221,11 +220,29 @@ def parameter_words(mechanism: str, parameter: str) -> str:
 
 
 def severity(mechanism: str, parameters: Mapping[str, Any]) -> str:
-    """All parameters of a severity in one line."""
-    parts = [(parameter_words(mechanism, key), amount(mechanism, key, value)) for key, value in parameters.items()]
+    """All parameters of a severity in one line; those that are hardly known by their 90 % intervals."""
+    parts = [(parameter_words(mechanism, key), _held(mechanism, key, value)) for key, value in parameters.items()]
     if len(parts) == 1:
         return parts[0][1]
     return ", ".join(f"{words} {text}" for words, text in parts)
+
+
+_HARDLY = 10.0
+"""Upper over lower end of a 90 % interval from which a value with a standard deviation would say more than is known."""
+
+
+def _held(mechanism: str, parameter: str, value: Any) -> str:
+    lower, upper = (value.get(end) for end in ("lower", "upper")) if isinstance(value, dict) else (None, None)
+    if lower and upper and lower > 0 and upper > _HARDLY * lower:
+        shown = _shown(mechanism, parameter)
+        ends = (significant(end * shown.factor, 2) for end in (lower, upper))
+        return f"{with_unit(' to '.join(ends), shown.unit)} (90 %)"
+    return amount(mechanism, parameter, value)
+
+
+def _shown(mechanism: str, parameter: str) -> Parameter:
+    known = MECHANISMS.get(mechanism)
+    return known.parameters.get(parameter, Parameter("")) if known else Parameter("")
 
 
 def main(mechanism: str, parameters: Mapping[str, Any]) -> dict[str, Any]:

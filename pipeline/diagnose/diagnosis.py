@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose import features as kinds
 from pipeline.diagnose.decide import Outcome, decide
-from pipeline.diagnose.discrepancies import described, discrepancies
+from pipeline.diagnose.discrepancies import described, discrepancies, left_by_causes
 from pipeline.diagnose.extend import ExtendedFit
 from pipeline.diagnose.features import RecordingFeatures
 from pipeline.diagnose.held_out import held_out, supported_by
@@ -95,7 +95,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         smallest_detectable=reported(smallest, context),
         invisible=invisible(session.kinds),
         could_not_ask=could_not_ask(session),
-        unexplained=_unexplained(outcome) if verdict == UNKNOWN else _doubted(outcome) if verdict == AMBIGUOUS else (),
+        unexplained=_told(outcome, verdict, extended),
         plain_film=outcome.untempered.of.model.physical(outcome.untempered.theta).film,
         residuals=_residuals(session, outcome.untempered, extended),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
@@ -269,6 +269,12 @@ def _effective_size(plain: ExtendedFit) -> float:
     r = plain.misfit
     rho = float(np.clip(np.sum(r[1:] * r[:-1]) / max(float(r @ r), 1e-300), 0.0, 0.99))
     return max(r.size * (1 - rho) / (1 + rho), 10.0)
+
+
+def _told(outcome: Outcome, verdict: str, extended: ExtendedFit | None) -> tuple[str, ...]:
+    """What speaks against the verdict, or is beside it."""
+    against = _unexplained(outcome) if verdict == UNKNOWN else _doubted(outcome) if verdict == AMBIGUOUS else ()
+    return against if extended is None else (*against, *left_by_causes(outcome.untempered, extended))
 
 
 def _unexplained(outcome: Outcome) -> tuple[str, ...]:

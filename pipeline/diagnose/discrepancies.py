@@ -1,4 +1,4 @@
-"""What the plain simulation gets wrong, place by place, in numbers and words."""
+"""What the plain simulation gets wrong, place by place, in numbers and words; what an extended one leaves."""
 
 from __future__ import annotations
 
@@ -41,17 +41,42 @@ _PARTS = 3
 _SPLIT_FROM = 12
 
 
+_LEFT, _TIMES_THE_NOISE, _STAYS = 1e-6, 3.0, 0.5
+"""What the causes leave is told where it is no noise at that level, so many times the noise, and more than that share of what the
+plain model leaves there: the rest is the form of the causes."""
+_MOST_TOLD = 3
+
+
 def discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
     """Every block of the session in its bands or spans of time, with χ² and a sentence; worst first.
 
     All are listed, also those within the noise: a page chooses by p-value, which counts the noise's own uncertainty.
     """
+    return tuple(sorted(_everywhere(fit), key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
+
+
+def left_by_causes(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
+    """Where causes mend next to nothing of what is far beyond the noise, the worst places in words; whatever they explain elsewhere."""
+    found = [
+        now
+        for before, now in zip(_everywhere(plain), _everywhere(extended), strict=True)
+        if now.p_value < _LEFT
+        and now.chi2 > _TIMES_THE_NOISE**2 * now.degrees_of_freedom
+        and now.chi2 > _STAYS * before.chi2
+    ]
+    worst = sorted(found, key=lambda d: -d.chi2 / d.degrees_of_freedom)[:_MOST_TOLD]
+    more = (f"{len(found) - len(worst)} more places of this kind.",) if len(found) > len(worst) else ()
+    return (*(f"{d.recording_id}: {d.statement[0].lower()}{d.statement[1:]}" for d in worst), *more)
+
+
+def _everywhere(fit: ExtendedFit) -> list[Discrepancy]:
+    """Every block in its bands or spans of time, in the order of the session."""
     session = fit.of.session
-    simulated = fit.of.predict(fit.x)
+    simulated, residual = fit.of.predict(fit.x), fit.of.data_residual(fit.x)
     found = []
     for p in session.places:
         for where, rows in _spans(p):
-            r = fit.misfit[p.first + rows]
+            r = residual[p.first + rows]
             chi2 = float(r @ r)
             probability = block_probability(chi2, rows.size, NOISE_SPREAD)
             statement = _statement(session, p, rows, simulated[p.first + rows], where, probability)
@@ -60,7 +85,7 @@ def discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
                     session.recordings[p.recording].recording_id, where, chi2, rows.size, probability, statement
                 )
             )
-    return tuple(sorted(found, key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
+    return found
 
 
 def described(kind: str) -> str:
@@ -104,6 +129,8 @@ def _statement(
     subject = f"{_WORDS[p.block.kind][0].upper()}{_WORDS[p.block.kind][1:]} ({where})"
     if probability > 0.01:
         return f"{subject} is simulated within the noise."
+    if p.block.kind == features.TAP_RING:
+        return _ring_missed(subject, difference, sd, value)
     if p.block.kind == features.REST_HUM:
         return f"{subject}: there is more power at the mains' frequency than in its neighbourhood."
     size = float(np.sqrt(np.mean(value**2)))
@@ -114,6 +141,19 @@ def _statement(
         lean = ", simulated too high" if mean * float(np.sign(np.mean(value))) > 0 else ", simulated too low"
     share = f"{_figure(100 * relative)} % of it" if relative < 3 else "more than there is"
     return f"{subject} is missed by {share}{lean}: {_figure(rms)} times the noise."
+
+
+def _ring_missed(subject: str, difference: Float, sd: Float, value: Float) -> str:
+    """Logarithm of the frequency and damping ratio, whichever is farther off."""
+    worse = int(np.argmax(np.abs(difference / sd)))
+    share = np.expm1(difference[0]) if worse == 0 else difference[1] / value[1]
+    what = "frequency" if worse == 0 else "damping"
+    times = float(np.abs(difference[worse] / sd[worse]))
+    lean = "high" if difference[worse] > 0 else "low"
+    return (
+        f"{subject} has its {what} simulated {_figure(100 * abs(float(share)))} % too {lean}: {_figure(times)} times the noise;"
+        " clamp or load cell were others then."
+    )
 
 
 def _figure(value: float) -> str:

@@ -163,7 +163,8 @@ class Diagnosis:
         the extension's own parameters (onset types: largest load over onset, less 1)
     invisible : mechanisms that leave no trace in these recordings
     could_not_ask : questions that these recordings cannot answer, in words
-    unexplained : what is left where the verdict is unknown, or what speaks for a cause that is in no list, in words
+    unexplained : what is left where the verdict is unknown, what speaks for a cause that is in no list, and where the causes mend next
+        to nothing of what is far beyond the noise, in words
     explained : share of the plain model's misfit that the mechanisms explain together; NaN for none
     left_p_value : of smooth patterns that they leave, on the scale that allows their form to be a little wrong; NaN for none
     """

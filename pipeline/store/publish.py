@@ -31,7 +31,7 @@ counts as well."""
 _THREADS, _MEMORY = 1, ("32MB", "128MB", "512MB", "2GB")
 """What DuckDB may use while it edits the copy, however many rows there are and whatever machine it is on; the rest goes to its file.
 The first is enough but for very long texts, of which it holds a row group at a time."""
-_OUT_OF_MEMORY = ("failed to allocate", "failed to pin")
+_OUT_OF_MEMORY = ("failed to allocate", "could not allocate", "failed to pin")
 _ROW_GROUP = 4096
 """Rows that DuckDB compresses together, which it does in memory: of the usual 122880 those with much text are too many."""
 READABLE_FROM = {"storage_compatibility_version": "v1.2.0"}

@@ -226,6 +226,23 @@ def test_a_warmer_room_tells_warming_from_cycles() -> None:
     assert _split(found, session, (effect,))
 
 
+def test_what_a_cause_does_not_mend_is_told_beside_its_name() -> None:
+    """The amplifier lags, and the clamp was 10 g heavier when it was tapped: the lag's name does not hide the other."""
+    lag = Effect("drive_lag", 2e-3, {"fall_ratio": 1.8, "slew_kv_per_s": 2700.0})
+    session = made(Case(4242), (lag,))
+    tap = session.make_recording("tap", taps=4, tap_every_s=8.0, extra_clamp_mass_kg=0.01)
+    tap = replace(tap, metadata=replace(tap.metadata, extra_clamp_mass_kg=None))
+    alone, found = observe(session), diagnose([reduce(recording) for recording in (*session.recordings, tap)])
+    assert (alone.verdict, alone.mechanisms, alone.unexplained) == ("named", ("drive_lag",), ())
+    assert (found.verdict, found.mechanisms) == ("named", ("drive_lag",))
+    (left,) = found.unexplained
+    rig = session.truth.specimen.rig
+    # Simulated with the mass of the session, which the tap had not.
+    percent = 100 * ((1 + 1e-5 / rig.mass) ** 0.5 - 1)
+    assert left.startswith(f"{tap.metadata.recording_id}: the clamp's ring after a tap")
+    assert f"frequency simulated {percent:.2g} % too high" in left
+
+
 @pytest.mark.parametrize(
     ("seed", "effect", "proposed"),
     [

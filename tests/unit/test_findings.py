@@ -15,6 +15,7 @@ from pipeline.findings import diagnoses
 from pipeline.store.publish import Changes, publish
 from pipeline.tabulate.diagnoses import diagnosis_tables, undiagnosed_tables
 from schemas.errors import UsageError
+from schemas.mechanisms import severity
 from tests.unit.test_tabulate_diagnoses import FIRST, NAMED, SECOND
 
 
@@ -111,3 +112,17 @@ def test_a_lab_of_an_earlier_release_without_diagnoses(tmp_path: Path) -> None:
     publish(made, Changes())
     assert diagnoses(made, [], as_json=False) == "No diagnoses are published for this lab."
     assert json.loads(diagnoses(made, [], as_json=True)) == []
+
+
+def test_a_shape_that_is_hardly_known_is_told_by_its_interval() -> None:
+    """± more than the value itself would say more than is known."""
+    told = severity(
+        "drive_lag",
+        {
+            "rise_time_constant_s": {"value": 3.11e-4, "sd": 9e-6, "lower": 2.96e-4, "upper": 3.27e-4},
+            "slew_kv_per_s": {"value": 8770.8, "sd": 17359.5, "lower": 328.7, "upper": 226_710.8},
+            "form": "monitored",
+        },
+    )
+    told = told.replace("\N{NARROW NO-BREAK SPACE}", " ").replace("\N{NO-BREAK SPACE}", " ")
+    assert told == "rise time constant 0.311 ± 0.009 ms, slew rate 330 to 230 000 kV/s (90 %), form monitored"

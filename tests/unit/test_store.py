@@ -15,6 +15,7 @@ import pytest
 from ingest.atomic import written_whole
 from pipeline.analyse.carried import carried_table, results_of
 from pipeline.lab import Lab
+from pipeline.store import publish as publishing
 from pipeline.store.carry import Codec
 from pipeline.store.checks import violations
 from pipeline.store.journal import Freshness, Outcome, entries, read_outcome, read_tables, write_entry
@@ -338,6 +339,32 @@ def test_long_texts_get_the_memory_that_they_ask_for(lab: Lab) -> None:
     publish(lab, Changes(insertions=[{"recordings": TABLES["recordings"].rows([recording("a")])}, {"carried": rows}]))
     assert select(lab, "SELECT count(*), min(length(payload)) FROM carried") == [(60, 1_000_000)]
     assert list(lab.work.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        'Checkpoint failed for database "building". Original error: could not allocate block of size 2.0 MiB (29.6 MiB/30.5 MiB used)',
+        "failed to pin block of size 256.0 KiB (30.5 MiB/30.5 MiB used)",
+    ],
+)
+def test_a_build_that_is_short_of_memory_is_made_again_with_more(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, told: str
+) -> None:
+    """DuckDB says it in several ways, and not always as an error of memory."""
+    allowed = []
+    finish = publishing._finish
+
+    def short_at_first(connection: duckdb.DuckDBPyConnection) -> Any:
+        allowed.append(connection.execute("SELECT current_setting('memory_limit')").fetchone())
+        if len(allowed) == 1:
+            raise duckdb.IOException(told)
+        return finish(connection)
+
+    monkeypatch.setattr(publishing, "_finish", short_at_first)
+    publish(lab, added(recording("a")))
+    assert select(lab, "SELECT recording_id FROM recordings") == [("a",)]
+    assert len(set(allowed)) == 2
 
 
 def test_a_file_of_large_row_groups_is_made_anew(lab: Lab) -> None:
