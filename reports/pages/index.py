@@ -59,7 +59,7 @@ def page(site: Site) -> Page:
         bar=site.bar("", INDEX),
         when=_night(run) if run else "",
         sub=_sub(run, counts),
-        opening=(Tally(_tally(run, counts)),),
+        opening=(Tally(tally(run, counts)),),
         sections=tuple(sections),
         provenance=(
             *site.provenance(run["run_id"] if run else None),
@@ -102,7 +102,7 @@ def _counts(site: Site) -> dict[tuple[str, bool], int]:
     return {(r["status"] or "", bool(r["tonight"])): r["files"] for r in site.results.rows(_COUNTS)}
 
 
-def _tally(run: Record | None, counts: dict[tuple[str, bool], int]) -> tuple[Count, ...]:
+def tally(run: Record | None, counts: dict[tuple[str, bool], int]) -> tuple[Count, ...]:
     """What came of the files that the last run found; nothing is left out because it is 0."""
 
     def tonight(status: str) -> int:
@@ -123,6 +123,10 @@ def _tally(run: Record | None, counts: dict[tuple[str, bool], int]) -> tuple[Cou
     ]
     if run is not None and run["failed"]:
         entries.append((run["failed"], "✕ failed", "refused"))
+    # With other code or other constants of a rig, what is known is made again.
+    known = of_run("ingested", "ok") + of_run("quarantined", "quarantined") - sum(n for n, _, _ in entries[:3])
+    if known > 0:
+        entries.insert(5, (known, "known, made again", ""))
     return tuple(Count(whole(n), text, kind if n else "") for n, text, kind in entries)
 
 

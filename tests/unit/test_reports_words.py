@@ -8,6 +8,7 @@ import pytest
 
 from reports import findings
 from reports.evidence import Standing
+from reports.pages.index import tally
 from reports.pages.lives import decisive
 from reports.pages.trouble import reason
 from schemas import mechanisms
@@ -169,3 +170,13 @@ def test_exact_tests_are_believed_before_asymptotic_ones() -> None:
 )
 def test_reason_and_remedy(stored: str | None, why: str, remedy: str) -> None:
     assert reason(stored) == (why, remedy)
+
+
+def test_a_night_that_makes_what_is_known_again_says_so() -> None:
+    """After an update nothing is new and nothing is reused: the files found must be somewhere in the tally all the same."""
+    run = {"ingested": 230, "quarantined": 2, "duplicates": 1, "reused": 0, "pending": 0, "unmapped": 0, "failed": 0}
+    known = {("ok", False): 229, ("damaged", False): 1, ("quarantined", False): 2, ("duplicate", False): 1}
+    found = {c.text: c.number for c in tally(run, known)}
+    assert found["known, made again"] == "232"
+    new = {(status, True): count for (status, _), count in known.items()}
+    assert "known, made again" not in {c.text for c in tally(run, new)}
