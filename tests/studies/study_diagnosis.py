@@ -200,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--per-mechanism", type=int, default=8)
     parser.add_argument("--pairs", type=int, default=40)
     parser.add_argument("--unlisted", type=int, default=42)
-    parser.add_argument("--severities", type=int, default=60)
+    parser.add_argument("--severities", type=int, default=120)
     parser.add_argument("--minutes", type=float, default=float("inf"))
     parser.add_argument("--log", type=Path, default=HERE / "diagnosis.jsonl")
     given = parser.parse_args(arguments)
