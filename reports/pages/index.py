@@ -112,21 +112,23 @@ def tally(run: Record | None, counts: dict[tuple[str, bool], int]) -> tuple[Coun
         value = run[column] if run is not None else None
         return int(value) if value is not None else tonight(status)
 
-    entries = [
+    came_in = [
         (tonight("ok"), "came in, whole", ""),
         (tonight("damaged"), "▲ damaged, used in part", "damaged"),
         (tonight("quarantined"), "✕ refused", "refused"),
+    ]
+    # With other code or other constants of a rig, what is known is made again.
+    known = of_run("ingested", "ok") + of_run("quarantined", "quarantined") - sum(n for n, _, _ in came_in)
+    entries = [
+        *came_in,
         (of_run("duplicates", "duplicate"), "duplicate", ""),
         (of_run("reused", ""), "unchanged, reused", ""),
+        *([(known, "known, made again", "")] if known > 0 else []),
         (of_run("pending", "pending"), "pending", ""),
         (of_run("unmapped", ""), "without a mapping", ""),
     ]
     if run is not None and run["failed"]:
         entries.append((run["failed"], "✕ failed", "refused"))
-    # With other code or other constants of a rig, what is known is made again.
-    known = of_run("ingested", "ok") + of_run("quarantined", "quarantined") - sum(n for n, _, _ in entries[:3])
-    if known > 0:
-        entries.insert(5, (known, "known, made again", ""))
     return tuple(Count(whole(n), text, kind if n else "") for n, text, kind in entries)
 
 
