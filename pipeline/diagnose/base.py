@@ -6,7 +6,7 @@ actuation constant, the amplifier's gain and the sensing constants, as far as th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,6 +54,52 @@ class Physical:
     amplifier: tuple[float, ...]
     pf_per_n: float
     pf_per_mm: float
+
+    @property
+    def k0(self) -> float:
+        """N/mm, main spring of the film."""
+        return self.film.k0
+
+    @property
+    def members(self) -> tuple[Physical, ...]:
+        return (self,)
+
+
+@dataclass(frozen=True)
+class Several:
+    """Several θ at once, in physical terms: `members` (B,); all else as in `Physical` and one by one along a first axis, (B, 1, 1).
+
+    All have the same rigs, with the same masses on their clamps.
+    """
+
+    members: tuple[Physical, ...]
+    k0: Float
+    rigs: tuple[Rig, ...]
+    actuation: Float
+    amplifier: tuple[Float, ...]
+    pf_per_n: Float
+    pf_per_mm: Float
+
+    @classmethod
+    def of(cls, members: Sequence[Physical]) -> Several:
+        def column(values: Iterable[float]) -> Float:
+            return np.array(list(values))[:, None, None]
+
+        def stacked(rigs: Sequence[Rig]) -> Rig:
+            mass, compliance, damping, gain = (
+                np.array([getattr(r, name) for r in rigs]) for name in ("mass", "compliance", "damping", "gain")
+            )
+            return Rig(mass, compliance, damping, gain, rigs[0].extra)
+
+        return cls(
+            tuple(members),
+            column(m.k0 for m in members),
+            tuple(stacked(rigs) for rigs in zip(*(m.rigs for m in members), strict=True)),
+            column(m.actuation for m in members),
+            tuple(column(gains) for gains in zip(*(m.amplifier for m in members), strict=True)),
+            column(m.pf_per_n for m in members),
+            column(m.pf_per_mm for m in members),
+        )
 
 
 @dataclass(frozen=True)

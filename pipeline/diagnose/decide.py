@@ -80,7 +80,8 @@ class Outcome:
 
 def decide(session: Session, simulation: Simulation, fitted: PlainFit) -> Outcome:
     """Verdict for a session whose plain model is fitted."""
-    of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
+    about = simulation.about(fitted.model.physical(fitted.theta))
+    of = Extended(session, about, fitted.model, (), np.ones(session.size))
     start = fitted.theta
     for _ in range(_RESTARTS):
         outcome = _decided(of, start)
@@ -116,8 +117,8 @@ _FAR_BETTER = 0.9
 def _decided(of: Extended, start: Float) -> Outcome:
     session = of.session
     untempered = of.refined(of.fit(start, most=3))
-    against = of.simulation.measured_against(of.model.physical(untempered.theta))
-    of = replace(of, simulation=against)
+    film = of.model.physical(untempered.theta)
+    of = replace(of, simulation=of.simulation.about(film).measured_against(film))
     untempered = ExtendedFit(of, untempered.solution)
     changes = secants(untempered)
     looked = signatures(changes, untempered)

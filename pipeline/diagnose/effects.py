@@ -45,8 +45,9 @@ class View:
     temperature_k : measured temperature less that of the first recording with one, NaN where not recorded;
         `first_temperature_s`: session's time when that began, NaN where none has one
     rest_force_n : tension before the recording, NaN where not known
-    k0 : N/mm, main spring of the plain film
+    k0 : N/mm, main spring of the plain film, (B, 1, 1) of several at once
     test : `sweep`, `cyclic`, `ramp`, `step` (of voltage) or `multisine`
+    few : whether the frequencies are few nodes, which carry a resonance about as wide as one that is known and no narrower one
     """
 
     frequency_hz: Float
@@ -65,7 +66,8 @@ class View:
     rest_force_n: Float
     scale: Scale
     test: str
-    k0: float = 1.0
+    k0: float | Float = 1.0
+    few: bool = False
 
     def overtones(self) -> tuple[View, View, View]:
         """The view, and that at the multiples 2 and 3 of its frequencies, where harmonics are."""
@@ -228,6 +230,11 @@ class Effect:
     reading: tuple[Callable[[Reading], Float], ...] = ()
     drift: tuple[Callable[[Float, Float, float], Float], ...] = ()
     hum_n: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def of_spectra(self) -> bool:
+        """Whether it acts on spectra, or on the voltage, alone: several films and rigs can be simulated at once under it."""
+        return not (self.tension or self.reading or self.opening or self.monitor_wave)
 
     def __or__(self, other: Effect) -> Effect:
         return Effect(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(Effect)})

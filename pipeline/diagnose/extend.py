@@ -159,17 +159,40 @@ class Extended:
         """(N,) features."""
         return self.simulation.predict(self.model, x[: self.model.size], self.effect(x))
 
+    def predict_several(self, several: Float) -> Float:
+        """(B, N) features of several x (B, P)."""
+        model, found = self.model.size, np.empty((len(several), self.session.size))
+        alike: dict[bytes, list[int]] = {}
+        for i, x in enumerate(several):
+            alike.setdefault(x[model:].tobytes(), []).append(i)
+        for rows in alike.values():
+            effect = self.effect(several[rows[0]])
+            found[rows] = self.simulation.predict_several(self.model, several[rows, :model], effect)
+        return found
+
     def data_residual(self, x: Float) -> Float:
         """(N,) whitened, not weighted."""
         return self.session.whiten(self.session.value - self.predict(x))
 
     def residual(self, x: Float) -> Float:
         """(N + priors,) what the fit makes small."""
+        return np.concatenate([self.weight * self.data_residual(x), self._beside_data(x)])
+
+    def _beside_data(self, x: Float) -> Float:
+        """(priors,) deviations from what is known beforehand, in standard deviations."""
         own = x[self.model.size :]
         mean, sd = self._priors
         shaped = np.isfinite(sd)
-        data = self.weight * self.data_residual(x)
-        return np.concatenate([data, deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
+        return np.concatenate([deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
+
+    def data_residuals(self, several: Float) -> Float:
+        """(B, N) of several x (B, P), as above."""
+        return self.session.whiten((self.session.value - self.predict_several(several)).T).T
+
+    def residuals(self, several: Float) -> Float:
+        """(B, N + priors) of several x (B, P), as above."""
+        data = self.weight * self.data_residuals(several)
+        return np.concatenate([data, np.array([self._beside_data(x) for x in several])], axis=1)
 
     def fit(
         self,
@@ -185,13 +208,14 @@ class Extended:
         if near is not None:
             jacobian = self._lent(near)
         found = minimise(
-            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
-        )
+            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough,
+            several=self.residuals,
+        )  # fmt: skip
         return ExtendedFit(self, found)
 
     def refined(self, fit: ExtendedFit) -> ExtendedFit:
         """The same optimum with a Jacobian by central differences."""
-        jacobian = central(self.residual, fit.x, *self.limits)
+        jacobian = central(self.residuals, fit.x, *self.limits)
         return ExtendedFit(self, replace(fit.solution, jacobian=jacobian))
 
     def further(self, fit: ExtendedFit, *, most: int) -> ExtendedFit:
@@ -205,7 +229,7 @@ class Extended:
             self,
             minimise(
                 self.residual, fit.x, *self.limits, most=most, jacobian=jacobian, moving=own, thorough=False,
-                damping=LEAST_DAMPING,
+                damping=LEAST_DAMPING, several=self.residuals,
             ),
         )  # fmt: skip
 
@@ -214,7 +238,10 @@ class Extended:
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
         lent, own = self._lent(near), self.model.size
-        return minimise(self.residual, start, low, high, most=most, jacobian=lent, moving=own, thorough=False).x
+        return minimise(
+            self.residual, start, low, high, most=most, jacobian=lent, moving=own, thorough=False,
+            several=self.residuals,
+        ).x  # fmt: skip
 
     def _lent(self, near: ExtendedFit) -> Float:
         """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""

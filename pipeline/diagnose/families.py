@@ -7,20 +7,22 @@ through all operators in one product. What the response is, and what is not line
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.base import Physical
+from pipeline.diagnose.base import Physical, Several
 from pipeline.diagnose.blocks import operator_of
-from pipeline.diagnose.effects import Effect, Factor, Film, Rig, View
+from pipeline.diagnose.effects import NONE, Effect, Factor, Film, Rig, View
 from pipeline.diagnose.features import CHIRP_RESPONSE
 from pipeline.diagnose.functionals import Operator
 from pipeline.diagnose.node_weights import NodeWeights
+from pipeline.diagnose.nodes import POINTS, carried, fewer_nodes, interpolation
 from pipeline.diagnose.session import Place, Session
 from pipeline.fit.model import RelaxationModel
 
@@ -29,11 +31,18 @@ Complex = NDArray[np.complex128]
 Int = NDArray[np.int64]
 
 
+_WORTH = 0.7
+"""Share of the nodes of a family at most with which it is worth while to have few of them."""
+
+
 class Family:
     """Blocks of one rig and one test kind that share nodes.
 
     `frequency` (J,) Hz the nodes that any of them uses; `states` (S,) numbers of the session's states in use.
     """
+
+    _of_nodes: ClassVar[tuple[str, ...]] = ("_weights", "_weights_by_state")
+    """What is made when it is first needed, for the nodes at hand."""
 
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float, test: str) -> None:
         self.session, self.places, self.test = session, tuple(places), test
@@ -51,6 +60,37 @@ class Family:
         view = state_view(self.session, self.states, self.frequency[None, :], self.test)
         profiles = self._profiles()
         return view if profiles is None else replace(view, strain=profiles[0], elapsed=profiles[1])
+
+    def with_few_nodes(self, physical: Physical) -> Self | None:
+        """The same features from few nodes about the resonance of a film and rig; None where these are hardly fewer.
+
+        Its predictions raise `Elsewhere` where a resonance is not carried by them.
+        """
+        rig, film = rig_of(physical, self.rig, NONE), film_at(physical, NONE, self.view)
+        found = fewer_nodes(self.frequency, (dynamic(rig, self.view, NONE, film.k) + film.k * rig.compliance)[0])
+        if found.size > _WORTH * self.frequency.size or found.size <= POINTS:
+            return None
+        weights = interpolation(found, self.frequency, POINTS)
+        other = copy.copy(self)
+        for made in self._of_nodes:
+            other.__dict__.pop(made, None)
+        other.frequency = found
+        other._operators = [Operator(o.re @ weights, o.im @ weights) for o in self._operators]
+        known, wanted = (np.log(np.maximum(f, 1e-9)) for f in (self.frequency, found))
+
+        def at_them(profile: Float) -> Float:
+            if profile.shape[1] == 1:
+                return profile
+            return np.array([np.interp(wanted, known, row) for row in profile])
+
+        other.view = replace(
+            self.view,
+            frequency_hz=found[None, :],
+            strain=at_them(self.view.strain),
+            elapsed=at_them(self.view.elapsed),
+            few=True,
+        )
+        return other
 
     def _profiles(self) -> tuple[Float, Float] | None:
         """Strain amplitude and mechanical cycles so far at the nodes, for sweeps; None for other tests."""
@@ -106,12 +146,12 @@ class Family:
         return found
 
     def apply(self, response: Complex) -> Float:
-        """Features (rows,) of a response (1 or S, J) at the nodes."""
-        if len(response) == 1:
-            return self._weights.apply(response[0])
-        values = np.empty(self.rows.size)
-        for own, (rows, weights) in zip(response, self._weights_by_state, strict=True):
-            values[rows] = weights.apply(own)
+        """Features (rows,) of a response (1 or S, J) at the nodes; of several (B, 1 or S, J) at once (B, rows)."""
+        if response.shape[-2] == 1:
+            return self._weights.apply(response[..., 0, :])
+        values = np.empty((*response.shape[:-2], self.rows.size))
+        for state, (rows, weights) in enumerate(self._weights_by_state):
+            values[..., rows] = weights.apply(response[..., state, :])
         return values
 
 
@@ -142,7 +182,7 @@ def state_view(session: Session, number: Int, frequency: Float, test: str, *, st
     )
 
 
-def rig_of(physical: Physical, number: int, effect: Effect) -> Rig:
+def rig_of(physical: Physical | Several, number: int, effect: Effect) -> Rig:
     """Constants of a rig with the effects on them, and with what is on its clamp."""
     rig = physical.rigs[number]
     for change in effect.rig:
@@ -151,11 +191,16 @@ def rig_of(physical: Physical, number: int, effect: Effect) -> Rig:
 
 
 def dynamic(rig: Rig, view: View, effect: Effect, k: Complex) -> Complex:
-    """1 + (−Mω² + jωcL)/kL at the view's frequencies, with a film of stiffness k (1 or S, J) N/mm on the clamp."""
+    """1 + (−Mω² + jωcL)/kL at the view's frequencies, with a film of stiffness k (..., 1 or S, J) N/mm on the clamp.
+
+    Raises `Elsewhere` where the view has few nodes that do not carry the resonance of both.
+    """
     omega = 2 * np.pi * view.frequency_hz
     own: Complex = np.asarray(1 + rig.compliance * (-rig.mass * omega**2 + 1j * omega * rig.damping), dtype=complex)
     for change in effect.clamp:
         own = change(own, rig, view, k)
+    if view.few:
+        carried(own + k * rig.compliance)
     return own
 
 
@@ -168,11 +213,14 @@ def channel(functions: Sequence[Factor], view: View) -> Complex | Float | float:
     return product
 
 
-def film_at(physical: Physical, effect: Effect, view: View) -> Film:
-    """The film at the frequencies of a view, (1 or S, J)."""
-    film = Film(_stiffness(physical.film, view))
+def film_at(physical: Physical | Several, effect: Effect, view: View) -> Film:
+    """The film at the frequencies of a view, (1 or S, J); several (B, 1 or S, J)."""
+    if isinstance(physical, Several):
+        film = Film(np.array([_stiffness(m.film, view) for m in physical.members]))
+    else:
+        film = Film(_stiffness(physical.film, view))
     if effect.film:
-        view = replace(view, k0=physical.film.k0)
+        view = replace(view, k0=physical.k0)
     for change in effect.film:
         film = change(film, view)
     return film

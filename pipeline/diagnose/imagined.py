@@ -65,7 +65,7 @@ class Seen:
     def of_fit(cls, part: Session, simulation: Simulation, fit: ExtendedFit) -> Seen:
         of = fit.of.on(part, simulation, np.ones(part.size))
         of = replace(of, model=of.model.with_loads(part.loaded))
-        rows = central(of.data_residual, fit.x, *of.limits)
+        rows = central(of.data_residuals, fit.x, *of.limits)
         return cls(fit, of, part.whiten(of.predict(fit.x)), rows, rows @ fit.covariance @ rows.T)
 
     def against(self, others: Float) -> float:

@@ -59,6 +59,6 @@ def _rise(fit: ExtendedFit, entry: int, step: float) -> float:
     low[entry] = high[entry] = start[entry] = fit.x[entry] + step
     held = minimise(
         fit.of.residual, start, low, high, most=_STEPS, jacobian=fit.solution.jacobian, moving=fit.of.model.size,
-        thorough=False,
+        thorough=False, several=fit.of.residuals,
     )  # fmt: skip
     return held.chi2 - fit.chi2

@@ -46,11 +46,12 @@ class NodeWeights:
         return sum(b.weights.size for b in self._blocks)
 
     def apply(self, response: Complex) -> Float:
-        """(N,) features of one response (J,) at the nodes."""
+        """(N,) features of one response (J,) at the nodes; of several (B, J) at once (B, N)."""
         seen = np.ascontiguousarray(response).view(np.float64)
-        values = np.empty(self.rows)
+        values = np.empty((*response.shape[:-1], self.rows))
         for b in self._blocks:
-            values[b.rows] = b.weights @ seen[b.parts]
+            # One response by the matrix, several by a product of matrices: a matrix by one row of many is read anew each time.
+            values[..., b.rows] = b.weights @ seen[b.parts] if seen.ndim == 1 else seen[:, b.parts] @ b.weights.T
         return values
 
 

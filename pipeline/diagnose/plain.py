@@ -88,7 +88,11 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
 
 def refit(session: Session, simulation: Simulation, model: BaseModel, start: Float, *, most: int = 40) -> PlainFit:
     """The optimum of a plain model from a start nearby."""
-    found = minimise(lambda x: residual_of(session, simulation, model, x), start, *bounds(model), most=most)
+    about = simulation.about(model.physical(start))
+    found = minimise(
+        lambda x: residual_of(session, about, model, x), start, *bounds(model), most=most,
+        several=lambda several: residuals_of(session, about, model, several),
+    )  # fmt: skip
     return PlainFit(model, found.x, found, found.chi2, found.residual[: session.size])
 
 
@@ -119,6 +123,12 @@ def residual_of(session: Session, simulation: Simulation, model: BaseModel, thet
     return np.concatenate([data, deviations(model, theta)])
 
 
+def residuals_of(session: Session, simulation: Simulation, model: BaseModel, several: Float) -> Float:
+    """(B, N + P′) of several θ (B, P), as above."""
+    data = session.whiten((session.value - simulation.predict_several(model, several)).T).T
+    return np.concatenate([data, np.array([deviations(model, theta) for theta in several])], axis=1)
+
+
 def deviations(model: BaseModel, theta: Float) -> Float:
     """(P′,) deviations of θ from its prior in standard deviations, for the entries that have one."""
     known = np.isfinite(model.prior_sd)
@@ -138,21 +148,27 @@ def _best(
     if widened:
         model = model.widened
 
+    starts = _starts(session, model, lower)
+    near = model.physical(starts[0]) if lower is None else lower.model.physical(lower.theta)
+    about = simulation.about(near)
+
     def residual(theta: Float) -> Float:
-        return residual_of(session, simulation, model, theta)
+        return residual_of(session, about, model, theta)
+
+    def residuals(several: Float) -> Float:
+        return residuals_of(session, about, model, several)
 
     def searched(starts: Sequence[Float]) -> list[Solution]:
         """The finite ends of searches from these starts, up to the first that has found what there is."""
         ends = []
         for start in starts:
-            end = minimise(residual, start, *bounds(model), most=_MOST)
+            end = minimise(residual, start, *bounds(model), most=_MOST, several=residuals)
             if np.isfinite(end.chi2):
                 ends.append(end)
                 if end.converged and end.chi2 < _SOUND * session.size:
                     break
         return ends
 
-    starts = _starts(session, model, lower)
     found = searched(starts)
     if min((end.chi2 for end in found), default=np.inf) >= _ASTRAY * session.size:
         found += searched(_with_other_clamps(session, model))

@@ -14,10 +14,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.base import BaseModel, Physical
+from pipeline.diagnose.base import BaseModel, Physical, Several
 from pipeline.diagnose.describing import Loads
 from pipeline.diagnose.effects import NONE, Effect
-from pipeline.diagnose.families import channel, rig_of, state_view
+from pipeline.diagnose.families import Family, channel, rig_of, state_view
 from pipeline.diagnose.features import (
     CYCLE_FORCE,
     CYCLIC_CAPACITANCE,
@@ -35,7 +35,7 @@ from pipeline.diagnose.features import (
 )
 from pipeline.diagnose.features_rest import hum_score
 from pipeline.diagnose.mains import HUM_HZ
-from pipeline.diagnose.nodes import response_nodes
+from pipeline.diagnose.nodes import Elsewhere, response_nodes
 from pipeline.diagnose.predict_capacitance import CapacitanceFamily
 from pipeline.diagnose.predict_electrical import CAPACITANCE, FORCE, VOLTAGE, MultisineFamily, StepFamily
 from pipeline.diagnose.predict_mechanical import CYCLIC, RAMP, CyclicFamily, MechanicalFamily, RampFamily
@@ -45,6 +45,8 @@ from pipeline.diagnose.session import Place, Session
 from schemas.metadata import RigConstants
 
 Float = NDArray[np.float64]
+
+Predicting = MechanicalFamily | StepFamily | MultisineFamily | CapacitanceFamily
 
 _STEPS = {STEP_FORCE: FORCE, STEP_CAPACITANCE: CAPACITANCE, STEP_VOLTAGE: VOLTAGE}
 _MULTISINES = (SPHS_RESPONSE, SPHS_DETECTION, SPHS_VOLTAGE, SPHS_CAPACITANCE)
@@ -67,7 +69,7 @@ class Simulation:
         groups: dict[tuple[object, ...], list[Place]] = {}
         for p in session.places:
             groups.setdefault((int(session.rig[p.recording]), *_family_key(p)), []).append(p)
-        self._families: list[MechanicalFamily | StepFamily | MultisineFamily | CapacitanceFamily] = []
+        self._families: list[Predicting] = []
         for key, places in groups.items():
             nodes = session.recordings[places[0].recording].nodes
             if key[1:] == ("step", VOLTAGE):
@@ -80,7 +82,8 @@ class Simulation:
                 self._families.append(MultisineFamily(session, places))
             elif key[1] == CYCLIC_CAPACITANCE:
                 self._families.append(CapacitanceFamily(session, places, nodes, CYCLIC))
-        self._predictions = [Remembered(f.predict, f.inputs, f.rig) for f in self._families]
+        self._about = None if whole is None else whole._about
+        self._predictions = self._remembered()
         self._single = [p for p in session.places if p.block.kind in (REST_HUM, TAP_RING, WEIGHT_GAIN)]
         self._known: tuple[Physical, Loads] | None = None
         self._drifting = [(p, _drift(session, p)) for p in session.places if "drift_s" in p.block.support]
@@ -94,16 +97,43 @@ class Simulation:
             values[family.rows] = predicted(physical, effect, loads)
         for place in self._single:
             values[place.first : place.stop] = self._one(place, physical, effect)
+        self._add_drift(values, effect)
+        return values
+
+    def predict_several(self, model: BaseModel, thetas: Float, effect: Effect = NONE) -> Float:
+        """(B, N) features of the session at several θ (B, P) with the same effects: at once where these are of spectra alone."""
+        if not effect.of_spectra:
+            return np.array([self.predict(model, theta, effect) for theta in thetas])
+        physicals = [model.physical(theta) for theta in thetas]
+        values = np.zeros((len(physicals), self.session.size))
+        for family, predicted in zip(self._families, self._predictions, strict=True):
+            values[:, family.rows] = predicted.several(physicals, effect)
+        for place in self._single:
+            values[:, place.first : place.stop] = [self._one(place, p, effect) for p in physicals]
+        self._add_drift(values, effect)
+        return values
+
+    def _add_drift(self, values: Float, effect: Effect) -> None:
+        """What drifts add to features (..., N)."""
         for drift in effect.drift:
             for place, (recording_s, session_s, weight, rest) in self._drifting:
-                values[place.first : place.stop] += weight @ drift(recording_s, session_s, rest)
-        return values
+                values[..., place.first : place.stop] += weight @ drift(recording_s, session_s, rest)
+
+    def about(self, physical: Physical) -> Simulation:
+        """The same simulation with nodes that do for films and rigs much like one, which are fewer."""
+        other = copy.copy(self)
+        other._about = physical
+        other._predictions = other._remembered()
+        return other
 
     def measured_against(self, physical: Physical) -> Simulation:
         """The same simulation with onsets measured against the loads of one film, whatever film is simulated."""
         other = copy.copy(self)
         other._reference = self.loads(physical)
         return other
+
+    def _remembered(self) -> list[Remembered]:
+        return [_remembered(f, self._about) for f in self._families]
 
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the session as the plain film has them: what onsets are measured against."""
@@ -138,6 +168,26 @@ class Simulation:
             return np.asarray(place.block.value)
         omega = 1 / np.sqrt(mass * compliance)
         return np.array([np.log(omega / (2 * np.pi)), damping * omega * compliance / 2])
+
+
+def _remembered(family: Predicting, about: Physical | None) -> Remembered:
+    """The predictions of a family: from few nodes as long as these carry the resonance, where they are known to do so about one film."""
+    own = family.with_few_nodes(about) if about is not None and isinstance(family, Family) else None
+    few = family if own is None else own
+
+    def predict(physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        try:
+            return few.predict(physical, effect, loads)
+        except Elsewhere:
+            return family.predict(physical, effect, loads)
+
+    def several(physicals: Sequence[Physical], effect: Effect) -> Sequence[Float]:
+        try:
+            return few.of_spectra(Several.of(physicals), effect)
+        except Elsewhere:
+            return [predict(p, effect, None) for p in physicals]
+
+    return Remembered(predict, several, family.inputs, family.rig)
 
 
 def _family_key(p: Place) -> tuple[object, ...]:

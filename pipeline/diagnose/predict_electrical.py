@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.base import Physical
+from pipeline.diagnose.base import Physical, Several
 from pipeline.diagnose.describing import Loads, along
 from pipeline.diagnose.effects import NONE, Course, Edge, Effect, View, Wave, bent
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of, state_view
@@ -41,10 +41,13 @@ _INPUTS = {
 }
 
 
-def electrical_response(physical: Physical, effect: Effect, rig_number: int, view: View, output: str) -> Complex:
-    """H, ΔC/V² or V/command at the frequencies of a view, (1 or S, J); the square of the voltage is that measured."""
+def electrical_response(
+    physical: Physical | Several, effect: Effect, rig_number: int, view: View, output: str
+) -> Complex:
+    """H, ΔC/V² or V/command at the frequencies of a view, (1 or S, J); the square of the voltage is that measured. Of several at once
+    (B, 1 or S, J)."""
     if output == VOLTAGE:
-        gain = np.full((1, view.frequency_hz.shape[1]), physical.amplifier[rig_number], dtype=complex)
+        gain = physical.amplifier[rig_number] * np.ones((1, view.frequency_hz.shape[1]), dtype=complex)
         return np.asarray(gain * channel(effect.monitor, view) * channel(effect.voltage, view))
     rig = rig_of(physical, rig_number, effect)
     film = film_at(physical, effect, view)
@@ -54,7 +57,7 @@ def electrical_response(physical: Physical, effect: Effect, rig_number: int, vie
     response = drive / (own + film.k * rig.compliance)
     if output == FORCE:
         return np.asarray(rig.gain * response * channel(effect.force, view))
-    sensed = -physical.pf_per_n * own * response * physical.film.k0 / film.k
+    sensed = -physical.pf_per_n * own * response * physical.k0 / film.k
     return np.asarray(sensed * channel(effect.capacitance, view) * channel(effect.electrode, view))
 
 
@@ -82,6 +85,13 @@ class StepFamily(Family):
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family."""
+        values = self.of_spectra(physical, effect)
+        if self.output == FORCE and loads is not None and (effect.tension or effect.reading):
+            self._along(values, physical, effect, loads)
+        return values
+
+    def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
+        """Features (rows,) without elements and readings; of several at once (B, rows)."""
         response = electrical_response(physical, effect, self.rig, self.view, self.output)
         if self.output != VOLTAGE and (effect.film_voltage or effect.squared):
             response = response * self._drive_factor(effect)[:, None]
@@ -90,8 +100,6 @@ class StepFamily(Family):
             values = np.where(self._on, self._after(response, edges, 1.0), self._after(response, edges, -1.0))
         else:
             values = self.apply(np.atleast_2d(response))
-        if self.output == FORCE and loads is not None and (effect.tension or effect.reading):
-            self._along(values, physical, effect, loads)
         if self.output == CAPACITANCE and effect.electrode:
             self._electrode(values, effect)
         return values
@@ -144,7 +152,7 @@ class StepFamily(Family):
         for p in self.places:
             rest = self.session.recordings[p.recording].values.get("capacitance_rest_pf", 0.0)
             state = self.state_of[id(p)]
-            values[at : at + p.block.size] += rest * (now[state] / start[state] - 1)
+            values[..., at : at + p.block.size] += rest * (now[state] / start[state] - 1)
             at += p.block.size
 
     def loads(self, physical: Physical) -> Loads:
@@ -186,19 +194,31 @@ class MultisineFamily:
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family."""
-        shape = len(self.places), self._lines.size
+        if loads is None or not (effect.tension or effect.reading) or self.output != FORCE:
+            return self.of_spectra(physical, effect)
+        acting = self._acting(effect)
+        return self._features(physical, effect, acting, self._bent(physical, effect, loads, acting))
+
+    def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
+        """Features (rows,) without elements and readings; of several at once (B, rows)."""
         if self.output == VOLTAGE:
             return self._amplified(physical, effect)
-        nonlinear = bool(effect.film_voltage or effect.squared)
-        bent = loads is not None and bool(effect.tension or effect.reading) and self.output == FORCE
-        if self.kind == SPHS_DETECTION and not nonlinear and not bent:
-            return np.zeros(self.rows.size)
-        response = np.broadcast_to(electrical_response(physical, effect, self.rig, self.view, self.output), shape)
-        acting = self._measured
-        if nonlinear:
-            interval = self._period / self._wave.shape[1]
-            acting = _lines(squared(effect, Wave(self._wave, self._wave**2, interval, self.session.scale)))
-        extra = self._bent(physical, effect, loads, acting) if bent and loads is not None else None
+        return self._features(physical, effect, self._acting(effect), None)
+
+    def _acting(self, effect: Effect) -> Complex:
+        """(S, L) lines of what acts on the film in place of the square of the measured voltage."""
+        if not _nonlinear(effect):
+            return self._measured
+        interval = self._period / self._wave.shape[1]
+        return _lines(squared(effect, Wave(self._wave, self._wave**2, interval, self.session.scale)))
+
+    def _features(self, physical: Physical | Several, effect: Effect, acting: Complex, extra: Complex | None) -> Float:
+        """Features (..., rows) of what acts, and of what elements and readings add to it, (S, L)."""
+        nonlinear = _nonlinear(effect)
+        if self.kind == SPHS_DETECTION and not nonlinear and extra is None:
+            return np.zeros((*np.shape(physical.k0)[:1], self.rows.size))
+        response = electrical_response(physical, effect, self.rig, self.view, self.output)
+        response = np.broadcast_to(response, (*response.shape[:-2], len(self.places), self._lines.size))
         if self.kind == SPHS_DETECTION:
             given = self._measured[:, self._lines]
             value = response * (acting[:, self._lines] - self._near(acting) * given)
@@ -213,20 +233,19 @@ class MultisineFamily:
                 value = value * acting[:, self._lines] / self._measured[:, self._lines]
             if extra is not None:
                 value = value + extra[:, self._lines] / self._measured[:, self._lines]
-        return np.concatenate([value.real, value.imag], axis=1).ravel()
+        return _flattened(value)
 
-    def _amplified(self, physical: Physical, effect: Effect) -> Float:
+    def _amplified(self, physical: Physical | Several, effect: Effect) -> Float:
         """Voltage over command at the lines of the command, from the command's own period."""
         n = self.view.frequency_hz.shape[1]
-        value = np.full((len(self.places), n), physical.amplifier[self.rig], dtype=complex)
+        value = physical.amplifier[self.rig] * np.ones((len(self.places), n), dtype=complex)
         if effect.monitor_wave:
             asked = physical.amplifier[self.rig] * self._command
             wave = Wave(asked, asked**2, self._period / asked.shape[1], self.session.scale)
             for change in effect.monitor_wave:
                 wave = change(wave)
             value = (_lines(wave.film_kv) / self._asked)[:, self._lines]
-        value = value * channel(effect.voltage, self.view)
-        return np.concatenate([value.real, value.imag], axis=1).ravel()
+        return _flattened(value * channel(effect.voltage, self.view))
 
     def _near(self, acting: Complex) -> Complex:
         """Ratio of what acts to what was measured at the excited lines, at the others."""
@@ -264,6 +283,17 @@ class MultisineFamily:
             plain = rest + _wave(force - total, self._wave.shape[1])
             total = total - _lines(bent(plain, loads.reading_n, effect.reading))
         return total
+
+
+def _nonlinear(effect: Effect) -> bool:
+    """Whether another voltage, or not its square, acts on the film."""
+    return bool(effect.film_voltage or effect.squared)
+
+
+def _flattened(value: Complex) -> Float:
+    """(..., 2 S n) real and imaginary parts of the values (..., S, n) of each place."""
+    parts = np.concatenate([value.real, value.imag], axis=-1)
+    return parts.reshape(*parts.shape[:-2], -1)
 
 
 def _lines(wave: Float) -> Complex:

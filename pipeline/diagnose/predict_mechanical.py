@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.base import Physical
+from pipeline.diagnose.base import Physical, Several
 from pipeline.diagnose.describing import PHASES, Loads, Loop, along, describe, harmonics
 from pipeline.diagnose.effects import NONE, Course, Effect, Rig, View, bent
 from pipeline.diagnose.families import Family, channel, dynamic, film_at, rig_of
 from pipeline.diagnose.features import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
+from pipeline.diagnose.nodes import carried
 from pipeline.diagnose.remembered import Inputs
 from pipeline.diagnose.session import Place, Session
 
@@ -31,7 +32,7 @@ CYCLIC, RAMP = "cyclic", "ramp"
 
 @dataclass(frozen=True)
 class Linear:
-    """Film k N/mm, clamp 1 + (−Mω² + jωcL)/kL and response F/x0 N/mm at a family's nodes, (1 or S, J) each."""
+    """Film k N/mm, clamp 1 + (−Mω² + jωcL)/kL and response F/x0 N/mm at a family's nodes, (1 or S, J) each, of several (B, 1 or S, J)."""
 
     k: Complex
     dynamic: Complex
@@ -50,7 +51,11 @@ class MechanicalFamily(Family, ABC):
             id(p): slice(int(a), int(b)) for p, a, b in zip(self.places, starts[:-1], starts[1:], strict=True)
         }
 
-    def linear(self, physical: Physical, effect: Effect, view: View | None = None) -> Linear:
+    def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
+        """Features (rows,) without elements and readings; of several at once (B, rows)."""
+        return self.apply(self.linear(physical, effect).response)
+
+    def linear(self, physical: Physical | Several, effect: Effect, view: View | None = None) -> Linear:
         """The response without elements and readings, at the nodes or at the frequencies of another view."""
         at = self.view if view is None else view
         rig = rig_of(physical, self.rig, effect)
@@ -162,7 +167,10 @@ class CyclicFamily(MechanicalFamily):
         mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, view.strain.shape)
         found = describe(effect.tension, loop, view.strain, mean_strain, rest, loads, view.scale)
         k = linear.k * found.factor
-        closed = rig.gain * k / (linear.dynamic + k * rig.compliance)
+        impedance = linear.dynamic + k * rig.compliance
+        if self.view.few:
+            carried(impedance)
+        closed = rig.gain * k / impedance
         values = self.apply(np.atleast_2d(closed * channels(effect, self.view)))
         unit = found.turn / np.abs(found.turn)
         force = [h * unit**m * p for m, h, p in zip((2, 3), (found.second, found.third), passing, strict=True)]
@@ -211,7 +219,7 @@ class RampFamily(MechanicalFamily):
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
-        values = self.apply(self.linear(physical, effect).response)
+        values = self.of_spectra(physical, effect)
         if loads is not None and (effect.tension or effect.reading):
             self._along(values, physical, effect, rig_of(physical, self.rig, effect), loads)
         return values

@@ -7,8 +7,9 @@ each instant (`sweep_course`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from pipeline.diagnose.describing import Loads, Places, sweep_table
 from pipeline.diagnose.effects import NONE, BySize, Effect, View, bent
 from pipeline.diagnose.families import rig_of
 from pipeline.diagnose.features import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE
+from pipeline.diagnose.nodes import POINTS
 from pipeline.diagnose.predict_mechanical import Linear, MechanicalFamily, channels
 from pipeline.diagnose.session import Place, Session
 from pipeline.diagnose.sweep_course import SweepCourse
@@ -74,8 +76,11 @@ class _Passed:
 class SweepFamily(MechanicalFamily):
     """Blocks of sweeps."""
 
+    _of_nodes = (*MechanicalFamily._of_nodes, "_sweeps", "_alike")
+
     def __init__(self, session: Session, places: Sequence[Place], nodes: Float) -> None:
         super().__init__(session, places, nodes, SWEEP)
+        self._whole: SweepFamily | None = None
         self._coarse = self._coarse_view().overtones()
         self._log_hz: Float = np.log(self._coarse[0].frequency_hz[0])
         self._at_log_hz = Places.among(self._log_hz, self._log_hz)
@@ -88,9 +93,18 @@ class SweepFamily(MechanicalFamily):
         counted = np.linspace(0, inside.size - 1, _COARSE).astype(int)
         return self.view.at(inside[np.unique(np.concatenate([spaced.clip(0, inside.size - 1), counted]))])
 
+    def with_few_nodes(self, physical: Physical) -> Self | None:
+        """See `Family`; elements are asked at the same coarse frequencies."""
+        other = super().with_few_nodes(physical)
+        if other is not None:
+            other._whole = self
+        return other
+
     @cached_property
     def _sweeps(self) -> list[_Sweep]:
         """Every sweep; made when they are first needed over time."""
+        if self._whole is not None:
+            return [replace(s, course=s.course.with_nodes(self.frequency, POINTS)) for s in self._whole._sweeps]
         found = []
         for own in self.places:
             if own.block.kind != CHIRP_RESPONSE:

@@ -6,7 +6,7 @@ Belongs here: what a family depends on, and the memory of what it predicted. The
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -20,8 +20,9 @@ from pipeline.diagnose.effects import Effect
 
 Float = NDArray[np.float64]
 Predict = Callable[[Physical, Effect, Loads | None], Float]
+PredictSeveral = Callable[[Sequence[Physical], Effect], Sequence[Float]]
 
-_KEPT = 32
+_KEPT = 48
 """Predictions kept of a family: those at one point of a search and beside it in each direction."""
 _MATERIAL = "actuation", "pf_per_n", "pf_per_mm"
 
@@ -42,8 +43,9 @@ class Inputs:
 class Remembered:
     """Predictions of a family from its inputs alone: all else is hidden from it, so that none can be missing unnoticed."""
 
-    def __init__(self, predict: Predict, inputs: Inputs, rig: int) -> None:
-        self._predict, self._rig = predict, rig
+    def __init__(self, predict: Predict, several: PredictSeveral, inputs: Inputs, rig: int) -> None:
+        """`several`: the same for several films and rigs at once, (B, rows), under effects of spectra."""
+        self._predict, self._predict_several, self._rig = predict, several, rig
         self._numbers, self._functions = tuple(inputs.physical), tuple(inputs.effect)
         self._seen = attrgetter(*self._functions)
         self._bends = bool(inputs.effect & {"tension", "reading"})
@@ -54,18 +56,41 @@ class Remembered:
         """Features (rows,) of the family, not to be changed; `loads` where the effect has elements or readings."""
         seen = self._seen(effect)
         loads = loads if self._bends else None
-        key = (*[self._number(physical, name) for name in self._numbers], seen, loads)
+        key = self._key(physical, seen, loads)
         values = self._known.get(key)
         if values is None:
-            functions: dict[str, Any] = dict(zip(self._functions, seen, strict=True))
-            visible = Physical(**{**vars(physical), **self._hidden})
-            values = self._predict(visible, Effect(**functions), loads)
-            self._known[key] = values
-            if len(self._known) > _KEPT:
-                self._known.popitem(last=False)
+            values = self._predict(self._visible(physical), self._felt(seen), loads)
+            self._keep(key, values)
         else:
             self._known.move_to_end(key)
         return values
+
+    def several(self, physicals: Sequence[Physical], effect: Effect) -> list[Float]:
+        """Features (rows,) of the family for each, as above; `effect` is one of spectra."""
+        seen = self._seen(effect)
+        keys = [self._key(p, seen, None) for p in physicals]
+        found = {key: self._known[key] for key in keys if key in self._known}
+        new = {key: self._visible(p) for key, p in zip(keys, physicals, strict=True) if key not in found}
+        if new:
+            made = self._predict_several(list(new.values()), self._felt(seen))
+            for key, values in zip(new, made, strict=True):
+                found[key] = values
+                self._keep(key, values)
+        return [found[key] for key in keys]
+
+    def _key(self, physical: Physical, seen: object, loads: Loads | None) -> tuple[object, ...]:
+        return (*[self._number(physical, name) for name in self._numbers], seen, loads)
+
+    def _visible(self, physical: Physical) -> Physical:
+        return Physical(**{**vars(physical), **self._hidden})
+
+    def _felt(self, seen: Any) -> Effect:
+        return Effect(**dict(zip(self._functions, seen, strict=True)))
+
+    def _keep(self, key: tuple[object, ...], values: Float) -> None:
+        self._known[key] = values
+        if len(self._known) > _KEPT:
+            self._known.popitem(last=False)
 
     def _number(self, physical: Physical, name: str) -> object:
         """What is told of one of the inputs: the same where it is the same."""

@@ -6,6 +6,8 @@ amplitude at each instant.
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
@@ -39,8 +41,8 @@ class SweepCourse:
         inside = np.flatnonzero((bins >= low / _BELOW) & (bins <= high * _BEYOND))
         self._inside, self._bins = slice(int(inside[0]), int(inside[-1]) + 1), bins.size
         self._samples = scipy.fft.next_fast_len(int(np.ceil(_ROOM * inside.size)))
-        self._nodes_from = int(frequency[0] <= 0)
-        self._between = interpolation(np.concatenate([[0.0], frequency[self._nodes_from :]]), bins[inside])
+        self._inside_hz = bins[inside]
+        self._from(frequency)
         rising = np.argsort(f)
         at = np.log(bins[inside])
         self._log_f, self._moment = np.log(f[rising]), moment[rising]
@@ -54,6 +56,17 @@ class SweepCourse:
         self.log_hz = np.interp(np.arange(self._samples) * (count / self._samples), *self._passes)
         """(T,) log frequency of the input at the complex samples"""
         self._unturned = np.exp(-1j * np.angle(self.signal(self.input)))
+
+    def _from(self, frequency: Float, points: int = 4) -> None:
+        self._nodes_from = int(frequency[0] <= 0)
+        nodes = np.concatenate([[0.0], frequency[self._nodes_from :]])
+        self._between = interpolation(nodes, self._inside_hz, points)
+
+    def with_nodes(self, frequency: Float, points: int) -> SweepCourse:
+        """The same with responses given at other nodes (J,), and polynomials through `points` of them."""
+        other = copy.copy(self)
+        other._from(frequency, points)
+        return other
 
     def log_hz_of_samples(self) -> Float:
         """(n,) log frequency of the input at the samples of the piece."""

@@ -256,8 +256,9 @@ def _plain(seed: int, size: str, material: str | None) -> _Plain:
     silent, left = _left(truth, fit)
     without_noise = Simulation(silent)
 
-    def whitened(theta: Float) -> Float:
-        return session.whiten(-_placed(session, silent, without_noise.predict(of.model, theta))[0])
+    def whitened(thetas: Float) -> Float:
+        found = without_noise.predict_several(of.model, thetas)
+        return np.array([session.whiten(-_placed(session, silent, values)[0]) for values in found])
 
     # What is measured of the drive has noise as well, and with it the simulation: what absorbs is asked without.
     jacobian = fit.solution.jacobian.copy()

@@ -62,7 +62,7 @@ def test_a_simulation_that_is_not_finite_never_wins() -> None:
 
 def test_central_differences_are_of_third_order() -> None:
     x = np.array([0.3, -0.2])
-    found = central(lambda v: np.exp(3 * v), x, -FAR, FAR)
+    found = central(lambda several: np.exp(3 * several), x, -FAR, FAR)
     assert found == pytest.approx(np.diag(3 * np.exp(3 * x)), rel=1e-6)
 
 

@@ -68,7 +68,7 @@ def _dissipated(film: Film, view: View) -> Float:
     if view.test != "sweep":
         return np.zeros((1, 1))
     passed = np.abs(np.diff(view.elapsed, axis=-1))
-    each = (own[:, 1:] + own[:, :-1]) / 2 * passed
+    each = (own[..., 1:] + own[..., :-1]) / 2 * passed
     upwards = view.elapsed[:, -1:] >= view.elapsed[:, :1]
     total = each.sum(axis=-1, keepdims=True)
     so_far = np.concatenate([np.zeros_like(total), np.cumsum(each, axis=-1)], axis=-1)

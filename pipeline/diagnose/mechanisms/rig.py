@@ -17,6 +17,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
+from pipeline.diagnose.nodes import carried
 
 Complex = NDArray[np.complex128]
 
@@ -67,7 +68,10 @@ def _damping(values: Values, variant: str) -> Effect:
         omega = 2 * np.pi * view.frequency_hz
         r = omega / (values["tuning"] * alone)
         spring, share = 1 + 2j * values["width"] * r, 4 * values["width"] * ratio
-        return np.asarray(own - rig.compliance * rig.mass * share * omega**2 * spring / (spring - r**2))
+        of_the_second = spring - r**2
+        if view.few:
+            carried(of_the_second)
+        return np.asarray(own - rig.compliance * rig.mass * share * omega**2 * spring / of_the_second)
 
     if variant == "damper":
         return Effect(rig=(more,))
