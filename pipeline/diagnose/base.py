@@ -6,7 +6,7 @@ actuation constant, the amplifier's gain and the sensing constants, as far as th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from pipeline.fit.model import RelaxationModel
 from pipeline.fit.rig import RigPrior
 
 Float = NDArray[np.float64]
+Int = NDArray[np.int64]
 
 CLAMP_MASS = "clamp mass"
 _NEAR, _FARTHEST = 8.0, 60.0
@@ -99,6 +100,29 @@ class Several:
             tuple(column(gains) for gains in zip(*(m.amplifier for m in members), strict=True)),
             column(m.pf_per_n for m in members),
             column(m.pf_per_mm for m in members),
+        )
+
+    @cached_property
+    def films(self) -> tuple[tuple[RelaxationModel, ...], Int]:
+        """The films (F,) that differ, and which of them each member (B,) has."""
+        place: dict[RelaxationModel, int] = {}
+        number = [place.setdefault(m.film, len(place)) for m in self.members]
+        return tuple(place), np.array(number)
+
+    def some(self, places: Sequence[int], hidden: Mapping[str, float]) -> Several:
+        """Members at some places, with fields that take one value for all."""
+        at = np.array(places)
+
+        def rig(whole: Rig) -> Rig:
+            return Rig(whole.mass[at], whole.compliance[at], whole.damping[at], whole.gain[at], whole.extra)
+
+        fields = {name: getattr(self, name)[at] for name in ("k0", "actuation", "pf_per_n", "pf_per_mm")}
+        given = {name: np.full_like(fields[name], value) for name, value in hidden.items()}
+        return Several(
+            members=tuple(self.members[i] for i in places),
+            rigs=tuple(rig(r) for r in self.rigs),
+            amplifier=tuple(gain[at] for gain in self.amplifier),
+            **{**fields, **given},
         )
 
 

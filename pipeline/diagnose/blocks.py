@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
@@ -39,6 +39,10 @@ class Signals:
     spectrum: Callable[[Float], Complex] | None = None
     noise_sd: float = 0.0
     largest_response: float = 1.0
+
+    def during(self, first: int, stop: int) -> Signals:
+        """The samples first … stop − 1 as a record of their own, before which all rested."""
+        return replace(self, input=self.input[first:stop], output=self.output[first:stop])
 
 
 def block(

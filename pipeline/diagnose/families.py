@@ -24,7 +24,7 @@ from pipeline.diagnose.functionals import Operator
 from pipeline.diagnose.node_weights import NodeWeights
 from pipeline.diagnose.nodes import POINTS, carried, fewer_nodes, interpolation
 from pipeline.diagnose.session import Place, Session
-from pipeline.fit.model import RelaxationModel
+from pipeline.fit.model import RelaxationModel, stiffnesses
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -48,7 +48,7 @@ class Family:
         self.session, self.places, self.test = session, tuple(places), test
         operators = [operator_of(p.block, nodes.size) for p in self.places]
         columns = np.unique(np.concatenate([part.indices for o in operators for part in (o.re, o.im)]))
-        self.frequency = nodes[columns]
+        self.frequency, self._nodes = nodes[columns], nodes
         self.states, number = np.unique([p.state for p in self.places], return_inverse=True)
         self.state_of = dict(zip((id(p) for p in self.places), number.tolist(), strict=True))
         self.rows = np.concatenate([np.arange(p.first, p.stop) for p in self.places])
@@ -66,8 +66,11 @@ class Family:
 
         Its predictions raise `Elsewhere` where a resonance is not carried by them.
         """
-        rig, film = rig_of(physical, self.rig, NONE), film_at(physical, NONE, self.view)
-        found = fewer_nodes(self.frequency, (dynamic(rig, self.view, NONE, film.k) + film.k * rig.compliance)[0])
+        # What a family does not see between the ends of its nodes may hold the resonance.
+        within = self._nodes[(self._nodes >= self.frequency[0]) & (self._nodes <= self.frequency[-1])]
+        rig, whole = rig_of(physical, self.rig, NONE), replace(self.view, frequency_hz=within[None, :])
+        k = film_at(physical, NONE, whole).k
+        found = fewer_nodes(within, (dynamic(rig, whole, NONE, k) + k * rig.compliance)[0])
         if found.size > _WORTH * self.frequency.size or found.size <= POINTS:
             return None
         weights = interpolation(found, self.frequency, POINTS)
@@ -216,7 +219,8 @@ def channel(functions: Sequence[Factor], view: View) -> Complex | Float | float:
 def film_at(physical: Physical | Several, effect: Effect, view: View) -> Film:
     """The film at the frequencies of a view, (1 or S, J); several (B, 1 or S, J)."""
     if isinstance(physical, Several):
-        film = Film(np.array([_stiffness(m.film, view) for m in physical.members]))
+        films, number = physical.films
+        film = Film(stiffnesses(films, view.frequency_hz)[number])
     else:
         film = Film(_stiffness(physical.film, view))
     if effect.film:

@@ -35,17 +35,33 @@ _TOP = 0.5
 """Log frequency below the highest band that says how the film goes on above the sweep."""
 _CLEAR = 0.3
 """Least |1 − Mω²/kL| at which the film's stiffness is read off a response."""
+_REMEMBERED = 3
+"""Sweeps, the last one itself, in which all is that a film answers with while one passes: with all of many, time and memory would grow
+as the square of their number."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One sweep: samples first…stop−1 belong to it, it moves within start…end; `number` from 1."""
+    """One sweep: samples first…stop−1 belong to it, it moves within start…end; `number` from 1. `before`: samples of the recording
+    before those that are counted."""
 
     first: int
     stop: int
     start: int
     end: int
     number: int
+    before: int = 0
+
+    def since(self, sample: int) -> Sweep:
+        """The same, counted from a sample on."""
+        return replace(
+            self,
+            first=self.first - sample,
+            stop=self.stop - sample,
+            start=self.start - sample,
+            end=self.end - sample,
+            before=self.before + sample,
+        )
 
 
 def chirp_blocks(
@@ -70,7 +86,7 @@ def chirp_blocks(
     )
     blocks: list[FeatureBlock] = []
     warnings = []
-    for sweep in pieces:
+    for i, sweep in enumerate(pieces):
         if found.lost[sweep.first : sweep.stop].any():
             warnings.append(f"sweep {sweep.number} has gaps and is left out")
             continue
@@ -82,8 +98,13 @@ def chirp_blocks(
             components=_components(names, bands, part, recording.rig) + found.mains,
             largest_response=float(np.abs(bands.kernels @ part).max()),
         )
-        blocks.append(_response(signals, sweep, piece, bands, length))
-        blocks += _harmonics(signals, sweep, piece, bands, length)
+        recent = signals
+        if len(pieces) > _REMEMBERED:
+            since = pieces[max(i + 1 - _REMEMBERED, 0)].first
+            recent = signals.during(since, sweep.stop)
+            sweep = sweep.since(since)
+        blocks.append(_response(recent, sweep, piece, bands, length))
+        blocks += _harmonics(recent, sweep, piece, bands, length)
     if not blocks:
         raise NotIdentifiableError("every sweep has gaps", where=where)
     blocks += _levels(signals, found, pieces, rest, amplitude / length)
@@ -183,7 +204,7 @@ def _response(signals: Signals, sweep: Sweep, piece: Piece, bands: Bands, length
         frequency=bands.frequency,
         amplitude=bands.amplitude / length,
         cycle=float(sweep.number),
-        time=(sweep.first + bands.moment) * signals.interval_s,
+        time=(sweep.before + sweep.first + bands.moment) * signals.interval_s,
         support={
             "profile_hz": bands.frequency,
             "profile_mm": bands.amplitude,
@@ -225,7 +246,7 @@ def _harmonics(signals: Signals, sweep: Sweep, piece: Piece, bands: Bands, lengt
             frequency=middle,
             amplitude=np.interp(middle, f, bands.amplitude[order]) / length,
             cycle=float(sweep.number),
-            time=(sweep.first + np.interp(middle, f, time)) * signals.interval_s,
+            time=(sweep.before + sweep.first + np.interp(middle, f, time)) * signals.interval_s,
             support={
                 "order": found.order.astype(float),
                 "within_hz": found.within.ravel(),

@@ -107,7 +107,7 @@ def _added(
         for base in bases:
             looked = signatures(changes, base)
             found = scores(looked)
-            if not found or looked.p_value(found[0].statistic) > SECOND_LEVEL:
+            if not found or not looked.reaches(found[0].statistic, SECOND_LEVEL):
                 continue
             promising = [s for s in found if _promising(plain, base, s, share)]
             further += tried(base, promising, looked, 2, goal=best.chi2)

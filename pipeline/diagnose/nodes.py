@@ -50,7 +50,9 @@ def response_nodes(rig: RigConstants) -> Float:
     return np.concatenate([[0.0], np.exp(_graded((start, end), (low, high), fine, coarse, _GRADED))])
 
 
-def _graded(whole: tuple[float, float], dense: tuple[float, float], fine: float, coarse: float, grading: float) -> Float:
+def _graded(
+    whole: tuple[float, float], dense: tuple[float, float], fine: float, coarse: float, grading: float
+) -> Float:
     """Places (j,) from end to end, `fine` apart within `dense` and ever farther away from it, up to `coarse`."""
     x, (low, high) = [whole[0]], dense
     while x[-1] < whole[1]:

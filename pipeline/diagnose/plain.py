@@ -46,6 +46,8 @@ _MOST = 30
 _PLACES = 6
 _SOUND = 1.3
 """χ² per value at which a search has found what there is: no other start can do clearly better."""
+_SAME, _SAME_CHI2, _AGREEING = 1e-4, 0.1, 3
+"""Share of χ², and χ², within which ends of searches are one; how many of the best have to be for the others not to be tried."""
 _ASTRAY = 1000.0
 """χ² per value from which a search has gone astray, and is tried anew with other clamps."""
 _OTHER_CLAMPS, _TRIED = tuple(float(v) for v in np.exp(np.arange(-10, 11) / 10)), 3
@@ -159,13 +161,15 @@ def _best(
         return residuals_of(session, about, model, several)
 
     def searched(starts: Sequence[Float]) -> list[Solution]:
-        """The finite ends of searches from these starts, up to the first that has found what there is."""
-        ends = []
+        """The finite ends of searches from these starts, up to the first that has found what there is, or on which several agree."""
+        ends: list[Solution] = []
         for start in starts:
             end = minimise(residual, start, *bounds(model), most=_MOST, several=residuals)
             if np.isfinite(end.chi2):
                 ends.append(end)
-                if end.converged and end.chi2 < _SOUND * session.size:
+                best = min(e.chi2 for e in ends)
+                same = sum(e.converged and e.chi2 < best + max(_SAME * best, _SAME_CHI2) for e in ends)
+                if end.converged and (end.chi2 < _SOUND * session.size or same >= _AGREEING):
                     break
         return ends
 

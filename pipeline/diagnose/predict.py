@@ -82,7 +82,7 @@ class Simulation:
                 self._families.append(MultisineFamily(session, places))
             elif key[1] == CYCLIC_CAPACITANCE:
                 self._families.append(CapacitanceFamily(session, places, nodes, CYCLIC))
-        self._about = None if whole is None else whole._about
+        self._about: Physical | None = None if whole is None else whole._about
         self._predictions = self._remembered()
         self._single = [p for p in session.places if p.block.kind in (REST_HUM, TAP_RING, WEIGHT_GAIN)]
         self._known: tuple[Physical, Loads] | None = None
@@ -104,12 +104,12 @@ class Simulation:
         """(B, N) features of the session at several θ (B, P) with the same effects: at once where these are of spectra alone."""
         if not effect.of_spectra:
             return np.array([self.predict(model, theta, effect) for theta in thetas])
-        physicals = [model.physical(theta) for theta in thetas]
-        values = np.zeros((len(physicals), self.session.size))
+        physicals = Several.of([model.physical(theta) for theta in thetas])
+        values = np.zeros((len(thetas), self.session.size))
         for family, predicted in zip(self._families, self._predictions, strict=True):
             values[:, family.rows] = predicted.several(physicals, effect)
         for place in self._single:
-            values[:, place.first : place.stop] = [self._one(place, p, effect) for p in physicals]
+            values[:, place.first : place.stop] = [self._one(place, p, effect) for p in physicals.members]
         self._add_drift(values, effect)
         return values
 
@@ -181,11 +181,11 @@ def _remembered(family: Predicting, about: Physical | None) -> Remembered:
         except Elsewhere:
             return family.predict(physical, effect, loads)
 
-    def several(physicals: Sequence[Physical], effect: Effect) -> Sequence[Float]:
+    def several(physicals: Several, effect: Effect) -> Float:
         try:
-            return few.of_spectra(Several.of(physicals), effect)
+            return few.of_spectra(physicals, effect)
         except Elsewhere:
-            return [predict(p, effect, None) for p in physicals]
+            return family.of_spectra(physicals, effect)
 
     return Remembered(predict, several, family.inputs, family.rig)
 

@@ -238,7 +238,7 @@ class MultisineFamily:
     def _amplified(self, physical: Physical | Several, effect: Effect) -> Float:
         """Voltage over command at the lines of the command, from the command's own period."""
         n = self.view.frequency_hz.shape[1]
-        value = physical.amplifier[self.rig] * np.ones((len(self.places), n), dtype=complex)
+        value: Complex = np.asarray(physical.amplifier[self.rig] * np.ones((len(self.places), n), dtype=complex))
         if effect.monitor_wave:
             asked = physical.amplifier[self.rig] * self._command
             wave = Wave(asked, asked**2, self._period / asked.shape[1], self.session.scale)

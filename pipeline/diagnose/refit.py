@@ -83,28 +83,36 @@ def tried(
         fits = [refit(base, form, looked, reach) for form in hopeful]
         return [max(fits, key=lambda f: f.log_evidence)] if fits else []
 
-    for id in list(by_id)[:mechanisms]:
-        kept += fitted(by_id[id])
+    for name in list(by_id)[:mechanisms]:
+        kept += fitted(by_id[name])
     if not kept:
         return kept
     best = max(kept, key=lambda f: f.log_evidence)
-    for id in list(by_id)[mechanisms:]:
-        if id in _ABSORBED and id in best.of.chosen[-1].mechanism.confusable:
-            kept += fitted(by_id[id])
-    return [_from_the_films_of(best, f, base) if _taken_for(f, best) else f for f in kept]
+    for name in list(by_id)[mechanisms:]:
+        if name in _ABSORBED and name in best.of.chosen[-1].mechanism.confusable:
+            kept += fitted(by_id[name])
+    near = [f for f in kept if _taken_for(f, best)]
+    again = {id(f): _from_the_films_of(best, f, base) for f in near}
+    if near:
+        again[id(best)] = _from_the_films_of(min(near, key=lambda f: f.chi2), best, base)
+    return [again.get(id(f), f) for f in kept]
 
 
 def _taken_for(fit: ExtendedFit, best: ExtendedFit) -> bool:
     """Whether a mechanism is another than the best one and may have been left at the film that makes room for something else."""
     one, other = fit.of.chosen[-1].mechanism, best.of.chosen[-1].mechanism
     confusable = one.id in other.confusable or other.id in one.confusable
-    return one.id != other.id and one.id in _ABSORBED and confusable and fit.chi2 > best.chi2 + _CLOSE_CALL
+    return one.id != other.id and one.id in _ABSORBED and confusable
 
 
 def _from_the_films_of(best: ExtendedFit, fit: ExtendedFit, base: ExtendedFit) -> ExtendedFit:
     """The fit, or a better one of its mechanism about the film and the rig of the best one."""
     again = fit.of.fit(fit.of.entries(best.theta, fit.values), most=_ROUGHLY, thorough=False)
-    return min(fit, _to_its_end(base, again, np.inf), key=lambda f: f.chi2)
+    ends = [fit, _to_its_end(base, again, np.inf)]
+    if min(f.chi2 for f in ends) < best.chi2 + _CLOSE_CALL:
+        # Rough ends do not say which of two valleys is the deeper one, nor which is the wider.
+        return max((finished(f) for f in ends), key=lambda f: f.log_evidence)
+    return min(ends, key=lambda f: f.chi2)
 
 
 def _rivals(base: ExtendedFit, best: ExtendedFit) -> float:

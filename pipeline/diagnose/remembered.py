@@ -6,7 +6,7 @@ Belongs here: what a family depends on, and the memory of what it predicted. The
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.base import Physical
+from pipeline.diagnose.base import Physical, Several
 from pipeline.diagnose.describing import Loads
 from pipeline.diagnose.effects import Effect
 
 Float = NDArray[np.float64]
 Predict = Callable[[Physical, Effect, Loads | None], Float]
-PredictSeveral = Callable[[Sequence[Physical], Effect], Sequence[Float]]
+PredictSeveral = Callable[[Several, Effect], Float]
 
 _KEPT = 48
 """Predictions kept of a family: those at one point of a search and beside it in each direction."""
@@ -65,14 +65,14 @@ class Remembered:
             self._known.move_to_end(key)
         return values
 
-    def several(self, physicals: Sequence[Physical], effect: Effect) -> list[Float]:
+    def several(self, physicals: Several, effect: Effect) -> list[Float]:
         """Features (rows,) of the family for each, as above; `effect` is one of spectra."""
         seen = self._seen(effect)
-        keys = [self._key(p, seen, None) for p in physicals]
-        found = {key: self._known[key] for key in keys if key in self._known}
-        new = {key: self._visible(p) for key, p in zip(keys, physicals, strict=True) if key not in found}
+        keys = [self._key(p, seen, None) for p in physicals.members]
+        new = {key: place for place, key in enumerate(keys) if key not in self._known}
+        found = {key: self._known[key] for key in keys if key not in new}
         if new:
-            made = self._predict_several(list(new.values()), self._felt(seen))
+            made = self._predict_several(physicals.some(list(new.values()), self._hidden), self._felt(seen))
             for key, values in zip(new, made, strict=True):
                 found[key] = values
                 self._keep(key, values)

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit, effect_of_all, orthonormal
 from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
@@ -78,6 +79,13 @@ class Signatures:
         if statistic <= known:
             return max(tail, 1 / _DRAWS)
         return float(0.002 * np.exp(-(statistic - known) / 2))
+
+    def reaches(self, statistic: float, level: float) -> bool:
+        """Whether the p-value of Λ is at most `level`; without draws where that of one point, or of all as if each were alone, says so."""
+        alone = float(ndtr(-np.sqrt(max(statistic, 0.0))))
+        if alone > level or alone * self.length.size <= level:
+            return alone <= level
+        return self.p_value(statistic) <= level
 
     def threshold(self, level: float) -> float:
         """Λ that the best reaches by chance with probability `level`."""

@@ -5,6 +5,7 @@ Does not belong here: how the parameters are found (`varpro`, `forward`) or how 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,16 +48,7 @@ class RelaxationModel:
 
     def stiffness(self, frequency_hz: ArrayLike) -> Complex:
         """Complex dynamic stiffness in N/mm at frequencies in Hz; shape of the input."""
-        omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
-        total = np.empty(omega.shape, dtype=complex)
-        total.real, total.imag = self.k0, omega * self.c_inf
-        for k, t in zip(self.k, self.tau, strict=True):
-            # In parts, for a complex division costs more than all the rest of it.
-            turn = omega * t
-            loss = k * turn / (1 + turn**2)
-            total.real += loss * turn
-            total.imag += loss
-        return total
+        return np.asarray(stiffnesses((self,), frequency_hz)[0])
 
     def relaxation(self, time_s: ArrayLike) -> Float:
         """Relaxation function k0 + Σ kᵢ e^{−t/τᵢ} in N/mm at t > 0 in s. A pure dashpot has none (`ValueError`)."""
@@ -67,3 +59,22 @@ class RelaxationModel:
         for k, tau in zip(self.k, self.tau, strict=True):
             total = total + k * np.exp(-t / tau)
         return np.asarray(total)
+
+
+def stiffnesses(models: Sequence[RelaxationModel], frequency_hz: ArrayLike) -> Complex:
+    """Complex dynamic stiffness in N/mm of several models with as many arms each, one by one along a first axis; else as above."""
+    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
+
+    def column(values: Iterable[float]) -> Float:
+        return np.array(list(values)).reshape(-1, *[1] * omega.ndim)
+
+    total = np.empty((len(models), *omega.shape), dtype=complex)
+    total.real, total.imag = column(m.k0 for m in models), omega * column(m.c_inf for m in models)
+    for i in range(len(models[0].k)):
+        k, tau = column(m.k[i] for m in models), column(m.tau[i] for m in models)
+        # In parts, for a complex division costs more than all the rest of it.
+        turn = omega * tau
+        loss = k * turn / (1 + turn**2)
+        total.real += loss * turn
+        total.imag += loss
+    return total

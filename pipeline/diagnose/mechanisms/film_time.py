@@ -85,7 +85,7 @@ def _strip(values: Values, variant: str) -> Effect:
     def in_series(film: Film, view: View) -> Film:
         s = 2j * np.pi * view.frequency_hz * tau
         passive = view.k0 * (1 - compliant) / compliant * (1 + relaxing * s / (1 + s))
-        share = passive / (film.k + passive)
+        share: Complex = np.asarray(passive / (film.k + passive), dtype=complex)
         return Film(film.k * share, film.share * share)
 
     return Effect(film=(in_series,))

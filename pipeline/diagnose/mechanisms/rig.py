@@ -68,7 +68,7 @@ def _damping(values: Values, variant: str) -> Effect:
         omega = 2 * np.pi * view.frequency_hz
         r = omega / (values["tuning"] * alone)
         spring, share = 1 + 2j * values["width"] * r, 4 * values["width"] * ratio
-        of_the_second = spring - r**2
+        of_the_second: Complex = np.asarray(spring - r**2, dtype=complex)
         if view.few:
             carried(of_the_second)
         return np.asarray(own - rig.compliance * rig.mass * share * omega**2 * spring / of_the_second)
