@@ -214,9 +214,7 @@ def amount(mechanism: str, parameter: str, value: Any) -> str:
 
 def parameter_words(mechanism: str, parameter: str) -> str:
     """What a parameter of a severity means, in words."""
-    known = MECHANISMS.get(mechanism)
-    found = known.parameters.get(parameter) if known else None
-    return found.words if found else parameter.replace("_", " ")
+    return _shown(mechanism, parameter).words or parameter.replace("_", " ")
 
 
 def severity(mechanism: str, parameters: Mapping[str, Any]) -> str:

@@ -32,6 +32,8 @@ _SPLIT = (4.0, 24.0)
 _FINER = 32
 _SLOW_BINS = 24
 """Bins of a stretch below which coloured noise is integrated over the frequencies of the whole record instead."""
+_BLENDED = 0.4, 1.0
+"""Shares of these bins between which both are."""
 _MAINS_SPREAD_HZ = 0.03
 """How far the frequency of mains is from its nominal value, as a standard deviation over a record: grids keep it that well."""
 _LINE_NODES = 5
@@ -144,9 +146,7 @@ class Functionals:
 
     def _split(self, frequency: Float) -> Float:
         """1 below the frequencies that are integrated finely, 0 above, smooth between."""
-        turns = frequency * self.count * self.interval_s
-        s = np.clip((turns - _SPLIT[0]) / (_SPLIT[1] - _SPLIT[0]), 0, 1)
-        return np.asarray(1 - s**3 * (10 - 15 * s + 6 * s**2))
+        return _smooth_fall(frequency * self.count * self.interval_s, *_SPLIT)
 
     def covariances(self, components: Sequence[Component]) -> Float:
         """(components, n, n) covariance of the functionals for each part of the noise with coefficient 1.
@@ -174,14 +174,17 @@ class Functionals:
         """Frequencies (m,) in Hz and spectra (n, m) there, whose products times a density sum to a covariance."""
         size = scipy.fft.next_fast_len(self.kernels.shape[1], real=True)
         spectrum = scipy.fft.rfft(self.kernels, size, axis=1)
-        edge = min(_SLOW_BINS, size // 4)
-        spectrum *= np.sqrt(2 / size)
+        edge = max(min(_SLOW_BINS, size // 4), 1)
+        end = edge / size * self.size
+        slow = int(np.ceil(end))
+        # The fine bins give way to the coarse ones little by little: at a seam a functional of its frequency would be counted wrongly.
+        fine = _smooth_fall(np.arange(1, slow) / end, *_BLENDED)
+        coarse = 1 - _smooth_fall(np.arange(spectrum.shape[1]) / edge, *_BLENDED)
+        spectrum *= np.sqrt(2 / size * coarse)
         if size % 2 == 0:
             spectrum[:, -1] /= np.sqrt(2)
-        spectrum[:, :edge] = 0.0
         power = spectrum.real**2 + spectrum.imag**2
-        slow = int(np.ceil((edge - 0.5) / size * self.size))
-        low = self._spectrum[:, 1:slow] * np.sqrt(2 / self.size)
+        low = self._spectrum[:, 1:slow] * np.sqrt(2 / self.size * fine)
         largest = np.maximum(power.max(axis=1), (low.real**2 + low.imag**2).max(axis=1))
         bright = np.flatnonzero((power > _DARK * largest[:, None]).any(axis=0))
         frequency = np.concatenate([self.frequency[1:slow], bright / (size * self.interval_s)])
@@ -233,6 +236,12 @@ def _sparse(dense: Float, tolerance: Float | None) -> scipy.sparse.csr_array:
     dropped = (total <= allowed[:, None]).sum(axis=1)
     limit = order[np.arange(size.shape[0]), np.minimum(dropped, size.shape[1] - 1)]
     return scipy.sparse.csr_array(np.where(size >= limit[:, None], dense, 0.0))
+
+
+def _smooth_fall(at: Float, start: float, end: float) -> Float:
+    """1 up to `start`, 0 from `end` on, smooth between."""
+    s = np.clip((at - start) / (end - start), 0, 1)
+    return np.clip(1 - s**3 * (10 - 15 * s + 6 * s**2), 0, 1)
 
 
 def half_cosine(count: int) -> Float:

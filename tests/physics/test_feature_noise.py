@@ -62,6 +62,17 @@ def test_pink_noise_between_windows_is_correlated_as_predicted() -> None:
     assert np.cov(seen.T) / np.outer(scale, scale) == pytest.approx(predicted / np.outer(scale, scale), abs=0.12)
 
 
+@pytest.mark.parametrize("samples", [1000, 1300, 5000])
+def test_noise_of_any_frequency_is_counted_once(samples: int) -> None:
+    """White noise through a gain of one is summed over frequencies: fine ones, then coarse ones, and nothing lost between them."""
+    length, cycles = 1000, np.arange(2.0, 60.0, 0.25)
+    window = np.hanning(length)
+    kernels = window * np.cos(2 * np.pi * cycles[:, None] * np.arange(length) / length)
+    seen = Functionals(kernels, 0, samples, 0.01)
+    summed, exact = seen.covariances([Component("force", 0, np.ones_like), Component("force", 0)])
+    assert np.diag(summed) == pytest.approx(np.diag(exact), rel=0.003)
+
+
 @pytest.mark.parametrize("line_hz", HUM_HZ)
 def test_a_hum_of_any_phase_adds_its_component(line_hz: float) -> None:
     rng = np.random.default_rng(5)

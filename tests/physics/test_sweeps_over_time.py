@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.diagnose import blocks, features_chirp
 from pipeline.diagnose.extend import Chosen, Extended, effect_of_all
 from pipeline.diagnose.plain import fit_plain
 from pipeline.diagnose.power import beyond_arms
@@ -179,3 +180,35 @@ def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
     assert np.array_equal(beyond[~relaxing], looked.length[~relaxing])
     weak = relaxing & looked.weak
     assert np.all(beyond[weak] < 0.7 * looked.length[weak])
+
+
+MANY_SWEEPS = {"protocol": "chirp", "strain_pp": 0.03, "repeats": 7}
+
+
+def test_of_many_sweeps_each_is_read_with_those_just_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read with all the others, seven cost five times as much as need be and twenty fifteen times: the square of their number."""
+    truth = true_session(613, (MANY_SWEEPS,), ())
+    seen: list[int] = []
+
+    class Counted(blocks.Functionals):
+        def __init__(self, kernels: np.ndarray, first: int, count: int, interval_s: float) -> None:
+            seen.append(count)
+            super().__init__(kernels, first, count, interval_s)
+
+    monkeypatch.setattr(blocks, "Functionals", Counted)
+    found, counts = {}, {}
+    for remembered in (features_chirp._REMEMBERED, 99):
+        monkeypatch.setattr(features_chirp, "_REMEMBERED", remembered)
+        seen.clear()
+        session = make_session([reduce(r) for r in truth.recordings])
+        found[remembered], counts[remembered] = session, sum(seen)
+    few, whole = found.values()
+    assert [p.block.label for p in few.places] == [p.block.label for p in whole.places]
+    assert np.array_equal(few.value, whole.value)
+    assert few.covariate("time_s") == pytest.approx(whole.covariate("time_s"))
+    fitted = fit_plain(whole, Simulation(whole))
+    one, other = (Simulation(s).predict(fitted.model, fitted.theta) for s in (few, whole))
+    assert np.abs((one - other) / whole.sd).max() < 0.05
+    assert few.sd == pytest.approx(whole.sd, rel=0.05)
+    read, all_read = counts.values()
+    assert read < 0.6 * all_read
