@@ -61,17 +61,11 @@ class Physical:
         """N/mm, main spring of the film."""
         return self.film.k0
 
-    @property
-    def members(self) -> tuple[Physical, ...]:
-        return (self,)
-
 
 @dataclass(frozen=True)
 class Several:
-    """Several θ at once, in physical terms: `members` (B,); all else as in `Physical` and one by one along a first axis, (B, 1, 1).
-
-    All have the same rigs, with the same masses on their clamps.
-    """
+    """Several θ of one model at once, in physical terms: `members` (B,); all else as in `Physical`, one by one along a first axis
+    (B, 1, 1)."""
 
     members: tuple[Physical, ...]
     k0: Float

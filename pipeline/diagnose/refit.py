@@ -83,23 +83,26 @@ def tried(
         fits = [refit(base, form, looked, reach) for form in hopeful]
         return [max(fits, key=lambda f: f.log_evidence)] if fits else []
 
-    for name in list(by_id)[:mechanisms]:
-        kept += fitted(by_id[name])
+    for id in list(by_id)[:mechanisms]:
+        kept += fitted(by_id[id])
     if not kept:
         return kept
     best = max(kept, key=lambda f: f.log_evidence)
-    for name in list(by_id)[mechanisms:]:
-        if name in _ABSORBED and name in best.of.chosen[-1].mechanism.confusable:
-            kept += fitted(by_id[name])
-    near = [f for f in kept if _taken_for(f, best)]
-    again = {id(f): _from_the_films_of(best, f, base) for f in near}
-    if near:
-        again[id(best)] = _from_the_films_of(min(near, key=lambda f: f.chi2), best, base)
-    return [again.get(id(f), f) for f in kept]
+    for id in list(by_id)[mechanisms:]:
+        if id in _ABSORBED and id in best.of.chosen[-1].mechanism.confusable:
+            kept += fitted(by_id[id])
+    near = [f for f in kept if _taken_for(f, best) and _taken_for(best, f) and f.chi2 < best.chi2 + _CLOSE_CALL]
+
+    def again(fit: ExtendedFit) -> ExtendedFit:
+        if fit is best and near:
+            return _from_the_films_of(min(near, key=lambda f: f.chi2), best, base)
+        return _from_the_films_of(best, fit, base) if _taken_for(fit, best) else fit
+
+    return [again(f) for f in kept]
 
 
 def _taken_for(fit: ExtendedFit, best: ExtendedFit) -> bool:
-    """Whether a mechanism is another than the best one and may have been left at the film that makes room for something else."""
+    """Whether a mechanism is another than the best one, alike, and may have been left at the film that makes room for something else."""
     one, other = fit.of.chosen[-1].mechanism, best.of.chosen[-1].mechanism
     confusable = one.id in other.confusable or other.id in one.confusable
     return one.id != other.id and one.id in _ABSORBED and confusable

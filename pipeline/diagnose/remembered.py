@@ -71,6 +71,8 @@ class Remembered:
         keys = [self._key(p, seen, None) for p in physicals.members]
         new = {key: place for place, key in enumerate(keys) if key not in self._known}
         found = {key: self._known[key] for key in keys if key not in new}
+        for key in found:
+            self._known.move_to_end(key)
         if new:
             made = self._predict_several(physicals.some(list(new.values()), self._hidden), self._felt(seen))
             for key, values in zip(new, made, strict=True):
