@@ -197,10 +197,10 @@ def survival_title(comparison: Row, summaries: Sequence[Row]) -> str:
 
     a, b = of(comparison["configuration_a"]), of(comparison["configuration_b"])
     if a is None or b is None:
-        first, second = (f"“{short(comparison[f'configuration_{x}'] or '', 40)}”" for x in "ab")
+        first, second = (f"“{short(comparison[f'configuration_{x}'] or '')}”" for x in "ab")
         return f"{first} and {second} live differently"
     longer, other = (a, b) if (a["restricted_mean_s"] or 0) >= (b["restricted_mean_s"] or 0) else (b, a)
-    who, than = (f"“{short(s['configuration'] or '', 40)}”" for s in (longer, other))
+    who, than = (f"“{short(s['configuration'] or '')}”" for s in (longer, other))
     if longer["failures"] == 0:
         return f"{who}: none of {word(longer['specimens'])} failed; {than}: {word(other['failures'])} of {word(other['specimens'])}"
     if longer["restricted_mean_s"] and other["restricted_mean_s"]:

@@ -92,7 +92,7 @@ def _names(panel: Panel, groups: Sequence[GroupCurve]) -> None:
         lines = lines if len(groups) <= _FEW else [short(g.name, 22)]
         wide, high = 6.6 * max(len(line) for line in lines), 14.0 * len(lines)
         if not g.failed:
-            text = f"{short(g.name, 40)}: {g.failed} of {g.total} failed"
+            text = f"{short(g.name)}: {g.failed} of {g.total} failed"
             y = float(panel.py([100.0])[0]) - 7
             panel.drawing.text(panel.right, y, text, size=11.3, colour=g.drawn.colour, anchor="end", bold=True)
             continue

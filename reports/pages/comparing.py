@@ -34,7 +34,7 @@ def self_sensing(draft: Draft) -> Section | None:
     rows = tuple(
         Row(
             (
-                draft.site.specimen(r["specimen_id"]), short(r["configuration"] or ABSENT, 40),
+                draft.site.specimen(r["specimen_id"]), short(r["configuration"] or ABSENT),
                 "one for both" if r["sensing_region"] == "active" else "separate",
                 pm(r["force_per_capacitive_strain_n"], r["force_per_capacitive_strain_n_sd"]),
                 percent(r["nonlinearity"]), pm(r["modulus_mpa"], r["modulus_mpa_sd"]),

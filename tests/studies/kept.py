@@ -114,6 +114,12 @@ class Kept:
             out.write(json.dumps(line) + "\n")
 
 
+def sessions_of(path: Path) -> list[Judgement]:
+    """All judgements of a log, whatever code made them: for what needs sessions in which it is known what is hidden."""
+    lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+    return [_judgement(j) for line in lines for j in line["found"]]
+
+
 def _short(value: Any) -> Any:
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 

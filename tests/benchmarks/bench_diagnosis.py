@@ -1,0 +1,105 @@
+"""Diagnosis of whole sessions, from the features of their recordings to the verdict with its proposal: processor time, one core."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.results import AMBIGUOUS, NONE, UNKNOWN
+from tests.hidden_effects.judging import Case, Judgement, made
+from tests.hidden_effects.truth import KINDS, Effect, random_effect
+from tests.studies.kept import sessions_of
+
+TITLE = "Diagnosis of a session, one core"
+MULTIPLE = 3.0
+SEED = 4_242
+STUDY = Path(__file__).resolve().parents[1] / "studies" / "diagnosis.jsonl"
+FULL = ("drive_lag", "cyclic_softening", "clamp_slip", "missing_relaxation")
+AIMS = {"compact": 5.0, "full": 20.0}
+"""Seconds, for orientation."""
+
+
+@dataclass(frozen=True)
+class _Timed:
+    """Seconds of reading recordings into features and of the diagnosis, what was hidden, and the verdict."""
+
+    reading: float
+    diagnosis: float
+    hidden: str
+    verdict: str
+
+
+def timed(case: Case, effects: tuple[Effect, ...]) -> _Timed:
+    recordings = made(case, effects).recordings
+    begin = time.process_time()
+    features = [reduce(recording) for recording in recordings]
+    read = time.process_time()
+    found = diagnose(features)
+    return _Timed(read - begin, time.process_time() - read, effects[0].id if effects else "", found.verdict)
+
+
+def hidden(judgement: Judgement) -> tuple[Effect, ...]:
+    """What a study has hidden in a session with one effect: its shape is drawn by the seed, its severity was found."""
+    (id, _), (severity,) = judgement.case.effects[0], judgement.severities
+    rng = np.random.default_rng([judgement.case.seed, 1, sum(map(ord, id))])
+    return (replace(random_effect(id, KINDS[id].typical, rng), severity=severity),)
+
+
+def one_of_each(known: Sequence[Judgement]) -> Iterator[Judgement]:
+    """The first session of every listed cause at `MULTIPLE` in a study that its diagnosis did not call clean."""
+    seen = set()
+    for j in known:
+        if len(j.case.effects) != 1 or j.verdict == NONE:
+            continue
+        (id, multiple), *_ = j.case.effects
+        if id not in seen and multiple == MULTIPLE and KINDS[id].listed:
+            seen.add(id)
+            yield j
+
+
+def run() -> list[dict[str, Any]]:
+    timed(Case(SEED), ())  # imports, compilation and caches
+    clean = {size: [timed(Case(SEED + i, size), ()) for i in range(3)] for size in AIMS}
+    base = float(np.median([t.diagnosis for t in clean["compact"]]))
+    single = [timed(j.case, hidden(j)) for j in one_of_each(sessions_of(STUDY))]
+    rng = np.random.default_rng(1)
+    strong = [timed(Case(SEED, "full"), (random_effect(id, KINDS[id].typical, rng),)) for id in FULL]
+    doubtful = [t for t in single if t.verdict in (AMBIGUOUS, UNKNOWN)]
+    return [
+        _row("compact session of 10 recordings, nothing hidden", clean["compact"], "compact", base),
+        _row(
+            f"the same, one cause at {MULTIPLE:g} times the smallest detectable, each cause once, named",
+            [t for t in single if t not in doubtful],
+            "compact",
+            base,
+        ),
+        _row("the same, of which the verdict leaves more than one open", doubtful, "compact", base),
+        _row("full session of 30 recordings, nothing hidden", clean["full"], "full", base),
+        _row("the same, a strong cause", strong, "full", base),
+    ]
+
+
+def _row(name: str, found: Sequence[_Timed], size: str, base: float) -> dict[str, Any]:
+    if not found:
+        return {"name": name, "note": "none"}
+    seconds = np.array([t.diagnosis for t in found])
+    within = int(np.sum(seconds <= AIMS[size]))
+    worst = found[int(np.argmax(seconds))]
+    longest = f", longest {worst.hidden} {seconds.max():.1f} s" if worst.hidden else ""
+    note = (
+        f"{len(found)} sessions, {within} within {AIMS[size]:g} s, quartiles {np.quantile(seconds, 0.25):.1f} and"
+        f" {np.quantile(seconds, 0.75):.1f} s{longest}; recordings into features before: {np.median([t.reading for t in found]):.1f} s"
+    )
+    return {
+        "name": name,
+        "seconds": float(np.median(seconds)),
+        "ratio": float(np.median(seconds)) / base,
+        "note": note,
+    }
