@@ -73,16 +73,16 @@ def run() -> list[dict[str, Any]]:
     strong = [timed(Case(SEED, "full"), (random_effect(id, KINDS[id].typical, rng),)) for id in FULL]
     doubtful = [t for t in single if t.verdict in (AMBIGUOUS, UNKNOWN)]
     return [
-        _row("compact session of 10 recordings, nothing hidden", clean["compact"], "compact", base),
+        _row("compact session of 10 recordings: nothing hidden", clean["compact"], "compact", base),
         _row(
-            f"the same, one cause at {MULTIPLE:g} times the smallest detectable, each cause once, named",
+            f"compact session: one cause at {MULTIPLE:g} times the smallest detectable, each once, named",
             [t for t in single if t not in doubtful],
             "compact",
             base,
         ),
-        _row("the same, of which the verdict leaves more than one open", doubtful, "compact", base),
-        _row("full session of 30 recordings, nothing hidden", clean["full"], "full", base),
-        _row("the same, a strong cause", strong, "full", base),
+        _row("compact session: one such cause, the verdict leaves more open", doubtful, "compact", base),
+        _row("full session of 30 recordings: nothing hidden", clean["full"], "full", base),
+        _row("full session: one strong cause", strong, "full", base),
     ]
 
 
