@@ -172,11 +172,16 @@ class Extended:
 
     def data_residual(self, x: Float) -> Float:
         """(N,) whitened, not weighted."""
-        return self.session.whiten(self.session.value - self.predict(x))
+        return np.asarray(self.data_residuals(x[None])[0])
 
-    def residual(self, x: Float) -> Float:
-        """(N + priors,) what the fit makes small."""
-        return np.concatenate([self.weight * self.data_residual(x), self._beside_data(x)])
+    def data_residuals(self, several: Float) -> Float:
+        """(B, N) of several x (B, P), as above."""
+        return self.session.whiten((self.session.value - self.predict_several(several)).T).T
+
+    def residuals(self, several: Float) -> Float:
+        """(B, N + priors) what the fit makes small, of several x (B, P)."""
+        data = self.weight * self.data_residuals(several)
+        return np.concatenate([data, np.array([self._beside_data(x) for x in several])], axis=1)
 
     def _beside_data(self, x: Float) -> Float:
         """(priors,) deviations from what is known beforehand, in standard deviations."""
@@ -185,32 +190,25 @@ class Extended:
         shaped = np.isfinite(sd)
         return np.concatenate([deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
 
-    def data_residuals(self, several: Float) -> Float:
-        """(B, N) of several x (B, P), as above."""
-        return self.session.whiten((self.session.value - self.predict_several(several)).T).T
-
-    def residuals(self, several: Float) -> Float:
-        """(B, N + priors) of several x (B, P), as above."""
-        data = self.weight * self.data_residuals(several)
-        return np.concatenate([data, np.array([self._beside_data(x) for x in several])], axis=1)
-
     def fit(
         self,
-        start: Float,
+        start: Float | ExtendedFit,
         *,
         most: int = 15,
         near: ExtendedFit | None = None,
         jacobian: Float | None = None,
         thorough: bool = True,
     ) -> ExtendedFit:
-        """The optimum from `start`. `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian."""
-        low, high = self.limits
+        """The optimum from `start`: entries, or a fit of this model whose search goes on.
+
+        `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian.
+        """
         if near is not None:
             jacobian = self._lent(near)
+        begin = start.solution if isinstance(start, ExtendedFit) else start
         found = minimise(
-            self.residual, start, low, high, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough,
-            several=self.residuals,
-        )  # fmt: skip
+            self.residuals, begin, *self.limits, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
+        )
         return ExtendedFit(self, found)
 
     def refined(self, fit: ExtendedFit) -> ExtendedFit:
@@ -224,24 +222,18 @@ class Extended:
         Entries that can change places (a mass and its error) are parted by priors that are 10⁸ times weaker than the data:
         forward differences see a slope there that is none, and damping in proportion to the data holds them where they are.
         """
-        jacobian, own = fit.solution.jacobian, fit.x.size
-        return ExtendedFit(
-            self,
-            minimise(
-                self.residual, fit.x, *self.limits, most=most, jacobian=jacobian, moving=own, thorough=False,
-                damping=LEAST_DAMPING, several=self.residuals,
-            ),
-        )  # fmt: skip
+        own = fit.x.size
+        found = minimise(
+            self.residuals, fit.solution, *self.limits, most=most, moving=own, thorough=False, damping=LEAST_DAMPING
+        )
+        return ExtendedFit(self, found)
 
     def room(self, start: Float, most: int, near: ExtendedFit) -> Float:
         """Entries with the material and the rig at their best for the mechanisms as they stand at `start`."""
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
         lent, own = self._lent(near), self.model.size
-        return minimise(
-            self.residual, start, low, high, most=most, jacobian=lent, moving=own, thorough=False,
-            several=self.residuals,
-        ).x  # fmt: skip
+        return minimise(self.residuals, start, low, high, most=most, jacobian=lent, moving=own, thorough=False).x
 
     def _lent(self, near: ExtendedFit) -> Float:
         """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""

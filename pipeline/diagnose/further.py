@@ -42,11 +42,15 @@ _NOISE = 3.0
 _WHERE = 0.9
 """Share of what a cause adds that counts as the place where it does."""
 SECOND_LEVEL = 1e-3
+_WORTH_A_LOOK = 0.1
+"""Level that a further cause must reach with changes about another model than that in which it would be one."""
 _MUCH_BETTER = 0.5
 """Share of the assumed error of forms below which a cause is on a scale of its own."""
 _EXACT = 0.02
 """Share that a form is wrong by below which it is its cause's own, and what stays is another's."""
 _ROUGHLY = 6
+_OUT_OF_REACH = 24.0
+"""χ² over that of other causes which no evidence makes up for."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +70,16 @@ def several(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[Exten
     best, shown = _added(plain, worth, changes)
     if len(best.of.chosen) > 1:
         return Searched(plain, tuple(singles), _needed(plain, best, shown))
-    return _beside(untempered, plain, singles) or Searched(plain, tuple(singles), best)
+    return _beside(untempered, plain, singles, changes) or Searched(plain, tuple(singles), best)
 
 
-def _beside(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit]) -> Searched | None:
-    """Causes beside the best single one, on the scale that its form is seen to need; None where that is no finer, or shows none."""
+def _beside(
+    untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit], changes: Secants
+) -> Searched | None:
+    """Causes beside the best single one, on the scale that its form is seen to need; None where that is no finer, or shows none.
+
+    `changes`, those about the plain model, say whether there may be any that is worth the trouble of those about the cause.
+    """
     alone = singles[0]
     raw = alone.of.with_weight(np.ones(untempered.of.session.size))
     share = share_of_form(untempered, finished(raw.fit(alone.x, most=_ROUGHLY)))
@@ -83,6 +92,10 @@ def _beside(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[Exten
         return of.refined(of.fit(fit.x, most=_ROUGHLY))
 
     plain, base = moved(plain), finished(moved(alone))
+    looked = signatures(changes, base)
+    found = scores(looked)
+    if not found or not looked.reaches(found[0].statistic, _WORTH_A_LOOK):
+        return None
     best, shown = _added(plain, [base], secants(base), share)
     if len(best.of.chosen) > 1:
         best = _needed(plain, best, shown, share)
@@ -108,9 +121,12 @@ def _added(
             looked = signatures(changes, base)
             found = scores(looked)
             if not found or not looked.reaches(found[0].statistic, SECOND_LEVEL):
+                if base is bases[0] and beyond_noise(plain, base) < _NOISE:
+                    break  # what the best leaves is noise: others with a cause more could explain nothing else
                 continue
             promising = [s for s in found if _promising(plain, base, s, share)]
-            further += tried(base, promising, looked, 2, goal=best.chi2)
+            goal = min([best.chi2 - CLOSE, *(f.chi2 + _OUT_OF_REACH for f in further)])
+            further += tried(base, promising, looked, 2, goal=goal)
         better = [f for f in further if _worthwhile(plain, best, f, shown, share)]
         if not better:
             break

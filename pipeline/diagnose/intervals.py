@@ -58,7 +58,7 @@ def _rise(fit: ExtendedFit, entry: int, step: float) -> float:
     start = np.clip(fit.x + step * fit.covariance[:, entry] / fit.covariance[entry, entry], low, high)
     low[entry] = high[entry] = start[entry] = fit.x[entry] + step
     held = minimise(
-        fit.of.residual, start, low, high, most=_STEPS, jacobian=fit.solution.jacobian, moving=fit.of.model.size,
-        thorough=False, several=fit.of.residuals,
+        fit.of.residuals, start, low, high, most=_STEPS, jacobian=fit.solution.jacobian, moving=fit.of.model.size,
+        thorough=False,
     )  # fmt: skip
     return held.chi2 - fit.chi2

@@ -91,10 +91,7 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
 def refit(session: Session, simulation: Simulation, model: BaseModel, start: Float, *, most: int = 40) -> PlainFit:
     """The optimum of a plain model from a start nearby."""
     about = simulation.about(model.physical(start))
-    found = minimise(
-        lambda x: residual_of(session, about, model, x), start, *bounds(model), most=most,
-        several=lambda several: residuals_of(session, about, model, several),
-    )  # fmt: skip
+    found = minimise(lambda several: residuals_of(session, about, model, several), start, *bounds(model), most=most)
     return PlainFit(model, found.x, found, found.chi2, found.residual[: session.size])
 
 
@@ -119,14 +116,8 @@ def _of_all_orders(session: Session, simulation: Simulation, order: int | None, 
     return found
 
 
-def residual_of(session: Session, simulation: Simulation, model: BaseModel, theta: Float) -> Float:
-    """(N + P′,) whitened residual and the deviations from the prior."""
-    data = session.whiten(session.value - simulation.predict(model, theta))
-    return np.concatenate([data, deviations(model, theta)])
-
-
 def residuals_of(session: Session, simulation: Simulation, model: BaseModel, several: Float) -> Float:
-    """(B, N + P′) of several θ (B, P), as above."""
+    """(B, N + P′) whitened residuals of several θ (B, P), and their deviations from the prior."""
     data = session.whiten((session.value - simulation.predict_several(model, several)).T).T
     return np.concatenate([data, np.array([deviations(model, theta) for theta in several])], axis=1)
 
@@ -154,9 +145,6 @@ def _best(
     near = model.physical(starts[0]) if lower is None else lower.model.physical(lower.theta)
     about = simulation.about(near)
 
-    def residual(theta: Float) -> Float:
-        return residual_of(session, about, model, theta)
-
     def residuals(several: Float) -> Float:
         return residuals_of(session, about, model, several)
 
@@ -164,7 +152,7 @@ def _best(
         """The finite ends of searches from these starts, up to the first that has found what there is, or on which several agree."""
         ends: list[Solution] = []
         for start in starts:
-            end = minimise(residual, start, *bounds(model), most=_MOST, several=residuals)
+            end = minimise(residuals, start, *bounds(model), most=_MOST)
             if np.isfinite(end.chi2):
                 ends.append(end)
                 best = min(e.chi2 for e in ends)

@@ -102,7 +102,7 @@ class Simulation:
 
     def predict_several(self, model: BaseModel, thetas: Float, effect: Effect = NONE) -> Float:
         """(B, N) features of the session at several θ (B, P) with the same effects: at once where these are of spectra alone."""
-        if not effect.of_spectra:
+        if len(thetas) == 1 or not effect.of_spectra:
             return np.array([self.predict(model, theta, effect) for theta in thetas])
         physicals = Several.of([model.physical(theta) for theta in thetas])
         values = np.zeros((len(thetas), self.session.size))

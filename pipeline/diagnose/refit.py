@@ -29,7 +29,11 @@ _ABSORBED = frozenset(
     }
 )
 """Material and rig can take the place of these: they are restarted at several fixed severities."""
-_ROUGHLY, _THOROUGHLY = 6, 25
+_FEW, _ROUGHLY, _THOROUGHLY = 2, 6, 25
+"""Steps after which the searches from several starts are compared, of a rough fit, and of a thorough one."""
+_MOST_GOING_ON, _ASTRAY = 2, 10.0
+"""Searches of one mechanism that go on after that, and χ² over that of the base from which none that makes room for a first mechanism
+does."""
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 _FORMS = 2
 _MOST_STARTS = 3
@@ -141,23 +145,11 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     it will not come down to a χ² of `reach`.
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
-    starts: list[Mapping[str, float]] = [
-        scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))
-    ]
     far = score.chosen.id in _ABSORBED
-    if far:
-        starts += sorted(_levels(score, signatures), key=_remaining(base, of, score.chosen))[:_MOST_STARTS]
-    elif score.chosen.mechanism.onset:
-        starts += _above_onset(base, of, score, signatures)
-    fits = []
-    for values in starts:
-        x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
-        if far:
-            # The material first: it must make room before the severity may move.
-            x = of.room(x, _ROUGHLY, base)
-        fits.append(of.fit(x, most=_ROUGHLY, near=None if far else base, thorough=False))
-    if score.chosen.id == "rig_constants" and any(base.of.model.rigs):
-        fits.append(of.fit(_as_the_files_say(of, base), most=_ROUGHLY, thorough=False))
+    fits = [
+        f if f.solution.converged else of.fit(f, most=_ROUGHLY - _FEW, thorough=False)
+        for f in _going_on(_begun(base, of, score, signatures), base, far)
+    ]
     best = _to_its_end(base, min(fits, key=lambda f: f.chi2), reach)
     if far:
         best = _revived(base, best, reach)
@@ -168,12 +160,43 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     return best
 
 
+def _begun(base: ExtendedFit, of: Extended, score: Score, signatures: Signatures) -> list[ExtendedFit]:
+    """The first steps of the searches from all starts of one mechanism more."""
+    starts: list[Mapping[str, float]] = [
+        scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))
+    ]
+    far = score.chosen.id in _ABSORBED
+    if far:
+        starts += sorted(_levels(score, signatures), key=_remaining(base, of, score.chosen))[:_MOST_STARTS]
+    elif score.chosen.mechanism.onset:
+        starts += _above_onset(base, of, score, signatures)
+    begun = []
+    for values in starts:
+        x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
+        if far:
+            # The material first: it must make room before the severity may move.
+            x = of.room(x, _ROUGHLY, base)
+        begun.append(of.fit(x, most=_FEW, near=None if far else base, thorough=False))
+    if score.chosen.id == "rig_constants" and any(base.of.model.rigs):
+        begun.append(of.fit(_as_the_files_say(of, base), most=_FEW, thorough=False))
+    return begun
+
+
+def _going_on(begun: Sequence[ExtendedFit], base: ExtendedFit, far: bool) -> list[ExtendedFit]:
+    """Searches of one mechanism that are worth going on with, best first."""
+    by_chi2 = sorted(begun, key=lambda f: f.chi2)
+    if far and not base.of.chosen:
+        # The material is still making room: of two that are not lost, the one that is behind may end ahead.
+        return [f for f in by_chi2 if f is by_chi2[0] or f.chi2 < _ASTRAY * base.chi2]
+    return by_chi2[:_MOST_GOING_ON]
+
+
 def _to_its_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:
     """On from a rough optimum as long as that adds to what it explains: a strong effect is far from where a screen sees it."""
     for _ in range(_MOST_ROUNDS):
         if fit.solution.converged:
             break
-        again = fit.of.fit(fit.x, most=_ROUGHLY, jacobian=fit.solution.jacobian, thorough=False)
+        again = fit.of.fit(fit, most=_ROUGHLY, thorough=False)
         fall, fit = fit.chi2 - again.chi2, again
         if not fall > _STILL_FALLING * abs(base.chi2 - again.chi2) or fit.chi2 - _FAR_MORE * fall > reach:
             break
@@ -199,7 +222,7 @@ def _remaining(base: ExtendedFit, of: Extended, chosen: Chosen) -> Callable[[Map
     absorbed = absorbed_by(base)
 
     def remaining(values: Mapping[str, float]) -> float:
-        residual = of.residual(of.entries(_made_room(base, chosen, values), (*base.values, values)))
+        (residual,) = of.residuals(of.entries(_made_room(base, chosen, values), (*base.values, values))[None])
         seen = residual[: absorbed.shape[0]]
         kept = float(residual @ residual - np.sum((absorbed.T @ seen) ** 2))
         return kept if np.isfinite(kept) else np.inf

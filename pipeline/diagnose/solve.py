@@ -1,6 +1,7 @@
 """Nonlinear least squares within bounds: Levenberg's and Marquardt's method, made for cheap, smooth, redundant simulations.
 
-The residual's Jacobian is taken by forward differences and reused while steps go well. Belongs here: the search alone.
+The residual's Jacobian is taken by forward differences and brought up to date by secants while steps go well. Belongs here: the search
+alone.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ _ENOUGH = 0.02
 """Fall of χ² that ends a search: far below what statistics can tell."""
 _RIDGE = 1e-10
 _STILL, _HOPELESS = 1e-7, 1e7
-_KEPT = (0.4, 1.6)
-"""Fall over promised fall within which old columns are good enough."""
+_STRAIGHT = (0.8, 1.25)
+"""Fall over promised fall within which a step says well enough what has changed of the columns that are renewed as a search goes."""
 DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 _MOST_STEP = 1.5
 """Longest step of one entry: entries are logarithms or scaled to their range."""
@@ -51,8 +52,8 @@ class Solution:
 
 
 def minimise(
-    residual: Callable[[Float], Float],
-    start: Float,
+    residuals: Residuals,
+    start: Float | Solution,
     low: Float,
     high: Float,
     *,
@@ -61,28 +62,32 @@ def minimise(
     moving: int = 0,
     thorough: bool = True,
     damping: float = DAMPING,
-    several: Residuals | None = None,
 ) -> Solution:
-    """Least sum of squares of `residual` (M,) from `start` (P,) within `low` … `high`; entries with equal bounds stay.
+    """Least sum of squares of the residuals (M,) from `start` within `low` … `high` (P,); entries with equal bounds stay.
 
-    jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed at every step, the others when steps
-        fall short of what they promise. `thorough`: the end is confirmed with a Jacobian of its own.
+    start : entries (P,), or where an earlier search of the same residuals ended, to go on from
+    jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed as the search goes, all of them where a
+        step fails. Without, all are renewed at every step. `thorough`: the end is confirmed with a Jacobian of its own.
     damping : to begin with, relative to what the data say of each entry alone
-    several : the residuals (B, M) of several x (B, P) at once, where that is cheaper than one by one
     Never fails: a search that does not converge says so.
     """
-    columns = _Columns(several or _one_by_one(residual), high)
-    x = np.clip(start, low, high)
-    r = residual(x)
-    chi2 = float(r @ r)
-    if not np.isfinite(chi2):
-        return Solution(x, r, np.zeros((r.size, x.size)), np.inf, False)
-    everything, recent = np.flatnonzero(low < high), np.flatnonzero((low < high) & (np.arange(x.size) >= moving))
-    if jacobian is None:
-        own, fresh = columns.renewed(np.zeros((r.size, x.size)), x, r, everything), True
+    columns = _Columns(residuals, high)
+    everything = np.flatnonzero(low < high)
+    moves = everything[everything >= moving]
+    lent = isinstance(start, Solution) or jacobian is not None
+    if isinstance(start, Solution):
+        if not np.isfinite(start.chi2):
+            return start
+        x, r, chi2, own = start.x, start.residual, start.chi2, start.jacobian.copy()
     else:
-        own, fresh = columns.renewed(jacobian.copy(), x, r, recent), False
-    converged = False
+        x = np.clip(start, low, high)
+        r = residuals(x[None])[0]
+        chi2 = float(r @ r)
+        own = np.zeros((r.size, x.size)) if jacobian is None else jacobian.copy()
+        if not np.isfinite(chi2):
+            return Solution(x, r, np.zeros_like(own), np.inf, False)
+        own = columns.renewed(own, x, r, moves if lent else everything)
+    fresh, behind, converged = not lent, False, False
     for _ in range(most):
         gradient = own.T @ r
         free = everything[~_held(x, gradient, low, high)[everything]]
@@ -92,22 +97,26 @@ def minimise(
         move = _step(own, gradient, free, damping)
         promised = -float(move @ gradient)
         trial = np.clip(x + move, low, high)
-        new = residual(trial)
+        new = residuals(trial[None])[0]
         value = float(new @ new)
         if np.isfinite(value) and value < chi2:
             fall = chi2 - value
+            if lent and moves.size:
+                own += _secant(own, trial - x, new - r)
             x, r, chi2 = trial, new, value
             damping = max(damping / 5, LEAST_DAMPING)
+            behind = lent
             if fall < _ENOUGH and (fresh or not thorough):
                 converged = True
                 break
-            fresh = jacobian is None or fall < _ENOUGH or not _KEPT[0] * promised < fall < _KEPT[1] * promised
-            own = columns.renewed(own, x, r, everything if fresh else recent)
+            fresh = not lent or fall < _ENOUGH
+            if fresh or not _STRAIGHT[0] * promised < fall < _STRAIGHT[1] * promised:
+                own, behind = columns.renewed(own, x, r, everything if fresh else moves), False
         elif not fresh:
             if promised < _ENOUGH and not thorough:
                 converged = True
                 break
-            own, fresh = columns.renewed(own, x, r, everything), True
+            own, fresh, behind = columns.renewed(own, x, r, everything), True, False
         elif promised < _ENOUGH or float(np.abs(move).max()) < _STILL:
             # What is promised that little and does not come is the end as well.
             converged = True
@@ -116,7 +125,14 @@ def minimise(
             damping *= 10
             if damping > _HOPELESS:
                 break
+    if behind:
+        own = columns.renewed(own, x, r, moves)
     return Solution(x, r, own, chi2, converged)
+
+
+def _secant(jacobian: Float, move: Float, change: Float) -> Float:
+    """(M, P) least change of a Jacobian with which a step (P,) changes the residual as it did (Broyden 1965)."""
+    return np.outer(change - jacobian @ move, move / (move @ move))
 
 
 def _held(x: Float, gradient: Float, low: Float, high: Float) -> NDArray[np.bool_]:
@@ -148,10 +164,6 @@ class _Columns:
             moved[np.arange(places.size), places] += step
             jacobian[:, places] = ((self.residuals(moved) - at) / step[:, None]).T
         return jacobian
-
-
-def _one_by_one(residual: Callable[[Float], Float]) -> Residuals:
-    return lambda several: np.array([residual(x) for x in several])
 
 
 def central(residuals: Residuals, x: Float, low: Float, high: Float) -> Float:

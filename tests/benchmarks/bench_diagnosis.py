@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.results import AMBIGUOUS, NONE, UNKNOWN
-from tests.hidden_effects.judging import Case, Judgement, made
+from tests.hidden_effects.judging import Case, Judgement, hidden_in, made
 from tests.hidden_effects.truth import KINDS, Effect, random_effect
 from tests.studies.kept import sessions_of
 
@@ -45,13 +45,6 @@ def timed(case: Case, effects: tuple[Effect, ...]) -> _Timed:
     return _Timed(read - begin, time.process_time() - read, effects[0].id if effects else "", found.verdict)
 
 
-def hidden(judgement: Judgement) -> tuple[Effect, ...]:
-    """What a study has hidden in a session with one effect: its shape is drawn by the seed, its severity was found."""
-    (id, _), (severity,) = judgement.case.effects[0], judgement.severities
-    rng = np.random.default_rng([judgement.case.seed, 1, sum(map(ord, id))])
-    return (replace(random_effect(id, KINDS[id].typical, rng), severity=severity),)
-
-
 def one_of_each(known: Sequence[Judgement]) -> Iterator[Judgement]:
     """The first session of every listed cause at `MULTIPLE` in a study that its diagnosis did not call clean."""
     seen = set()
@@ -68,7 +61,7 @@ def run() -> list[dict[str, Any]]:
     timed(Case(SEED), ())  # imports, compilation and caches
     clean = {size: [timed(Case(SEED + i, size), ()) for i in range(3)] for size in AIMS}
     base = float(np.median([t.diagnosis for t in clean["compact"]]))
-    single = [timed(j.case, hidden(j)) for j in one_of_each(sessions_of(STUDY))]
+    single = [timed(j.case, hidden_in(j)) for j in one_of_each(sessions_of(STUDY))]
     rng = np.random.default_rng(1)
     strong = [timed(Case(SEED, "full"), (random_effect(id, KINDS[id].typical, rng),)) for id in FULL]
     doubtful = [t for t in single if t.verdict in (AMBIGUOUS, UNKNOWN)]

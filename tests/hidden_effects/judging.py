@@ -156,7 +156,7 @@ def effect_at(
     causes that it does not know, the features themselves tell.
     """
     kind = KINDS[id]
-    drawn = random_effect(id, kind.typical, rng)
+    drawn, sign = _drawn(id, rng)
     usual = all(
         drawn.shape.get(name, default) == default for name, default in kind.shape.items() if isinstance(default, str)
     )
@@ -170,8 +170,24 @@ def effect_at(
         if found is None:
             return None
         least = found
-    severity = multiple * least
-    return replace(drawn, severity=-severity if kind.signed and rng.random() < 0.5 else severity)
+    return replace(drawn, severity=sign * multiple * least)
+
+
+def _drawn(id: str, rng: np.random.Generator) -> tuple[Effect, float]:
+    """A random effect of usual severity, and the sign that it is to have."""
+    drawn = random_effect(id, KINDS[id].typical, rng)
+    return drawn, -1.0 if KINDS[id].signed and rng.random() < 0.5 else 1.0
+
+
+def _drawing(case: Case) -> np.random.Generator:
+    return np.random.default_rng([case.seed, len(case.effects), *(sum(map(ord, id)) for id, _ in case.effects)])
+
+
+def hidden_in(judgement: Judgement) -> tuple[Effect, ...]:
+    """What was hidden in a session that has been judged: shapes are drawn by the seed, severities were found."""
+    rng = _drawing(judgement.case)
+    drawn = [_drawn(id, rng)[0] for id, _ in judgement.case.effects]
+    return tuple(replace(e, severity=s) for e, s in zip(drawn, judgement.severities, strict=True))
 
 
 def judged(case: Case) -> tuple[Judgement, ...]:
@@ -181,7 +197,7 @@ def judged(case: Case) -> tuple[Judgement, ...]:
 
 def judge(case: Case) -> Judgement:
     """Makes, diagnoses and compares a session."""
-    rng = np.random.default_rng([case.seed, len(case.effects), *(sum(map(ord, id)) for id, _ in case.effects)])
+    rng = _drawing(case)
     if not case.effects:
         diagnosis, session = clean(case.seed, case.size, case.material), None
         return _compared(case, diagnosis, session, ())

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit
+from pipeline.diagnose.effects import NONE
+from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit, effect_of_all
 from pipeline.diagnose.predict import Simulation
+from pipeline.diagnose.predict_sweeps import SweepFamily
 from pipeline.diagnose.reduce import reduce
 from pipeline.diagnose.session import make_session
 from pipeline.fit.model import RelaxationModel
@@ -112,3 +114,23 @@ def test_damping_beyond_the_cell_takes_energy(variant: str) -> None:
     none, some = (of.predict(of.entries(theta, ({"damping_ratio": z},))) for z in (0.0, 0.02))
     assert none == pytest.approx(plain, rel=1e-12)
     assert not np.allclose(some, plain)
+
+
+def test_drag_is_that_of_the_speed_which_it_leaves() -> None:
+    """The drag at a speed of the clamp, and the speed under that drag, are found together (to 10⁻⁶) beside a sharp resonance."""
+    truth = true_session(101, SWEEPS[1:], ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    simulation, film = Simulation(session), truth.truth.specimen.film
+    model = session.base_model(len(film.k))
+    theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
+    (family,) = (f for f in simulation._families if isinstance(f, SweepFamily))
+    physical, growth, ratio = model.physical(theta), 1.4, 0.05
+    drag = effect_of_all((Chosen("load_cell_damping", "drag"),), ({"damping_ratio": ratio, "growth": growth},))
+    plain, dragged = (family.linear(physical, effect) for effect in (NONE, drag))
+    rig, view = physical.rigs[family.rig], family.view
+    omega, alone = 2 * np.pi * view.frequency_hz, float(1 / np.sqrt(rig.mass * rig.compliance)[0, 0])
+    whole = dragged.dynamic + dragged.k * rig.compliance
+    speed = view.strain * omega * np.abs(dragged.k * rig.compliance / whole) / (view.scale.strain * alone)
+    expected = omega * ratio * 2 / alone * speed**growth
+    assert (dragged.dynamic - plain.dynamic).imag == pytest.approx(expected, rel=1e-5, abs=1e-12)
+    assert expected.max() > 0.01

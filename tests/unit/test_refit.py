@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.diagnose import refit
 from pipeline.diagnose.extend import Chosen
-from pipeline.diagnose.refit import _to_its_end
+from pipeline.diagnose.refit import _going_on, _to_its_end
 from pipeline.diagnose.screen import Score
 
 
@@ -47,6 +47,26 @@ def test_a_search_ends(chi2: float, fall: float, least: float, reach: float, fou
     fit: Any = Falling(chi2, fall, least, taken)
     assert _to_its_end(base, fit, reach).chi2 == pytest.approx(found)
     assert len(taken) == rounds
+
+
+@pytest.mark.parametrize(
+    ("far", "causes", "gone_on"),
+    [
+        (False, 0, [900.0, 950.0]),  # two of those that began at other severities
+        (True, 0, [900.0, 950.0, 990.0, 8_000.0]),  # all that are not lost
+        (True, 1, [900.0, 950.0]),  # beside a cause the material has made room already
+    ],
+)
+def test_the_best_of_several_searches_go_on(far: bool, causes: int, gone_on: list[float]) -> None:
+    base: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(chosen=(None,) * causes))
+    begun: Any = [SimpleNamespace(chi2=v) for v in (8_000.0, 990.0, np.inf, 950.0, 900.0, 20_000.0)]
+    assert [f.chi2 for f in _going_on(begun, base, far)] == gone_on
+
+
+def test_a_search_that_is_lost_goes_on_where_all_are() -> None:
+    base: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(chosen=()))
+    begun: Any = [SimpleNamespace(chi2=v) for v in (np.inf, 30_000.0)]
+    assert [f.chi2 for f in _going_on(begun, base, True)] == [30_000.0]
 
 
 def fitted_without_a_session(monkeypatch: pytest.MonkeyPatch) -> list[str]:

@@ -21,7 +21,7 @@ from pipeline.diagnose.nodes import carried
 
 Complex = NDArray[np.complex128]
 
-_ROUNDS = 12
+_ROUNDS, _FOUND, _NO_DRAG = 12, 1e-6, 1e-300
 
 
 def _constants(values: Values, variant: str) -> Effect:
@@ -52,14 +52,20 @@ def _damping(values: Values, variant: str) -> Effect:
         # The film's strain moves the clamp by k/kL of the whole: x′ = x0 (k/kL)/(own + k/kL). The drag adds to its imaginary part.
         alone_with_film = own + k * rig.compliance
         still, moving = alone_with_film.real**2, alone_with_film.imag
-        pulled = view.strain * omega * np.abs(k * rig.compliance) / reference
-        at_speed = omega * ratio * critical
-        drag = felt = np.zeros_like(moving)
+        speed = view.strain * omega * np.abs(k * rig.compliance) / reference
+        growth = values["growth"]
+        # log d + p/2 log |own + k/kL + jd|² = log of the drag at |…| = 1: nearly straight in log d, so that Newton's steps are few.
+        level = np.log(np.maximum(omega * ratio * critical * speed**growth, _NO_DRAG))
+        log_drag = level - growth / 2 * np.log(np.maximum(still + moving**2, _NO_DRAG))
         for _ in range(_ROUNDS):
-            speed = pulled / np.maximum(np.sqrt(still + (moving + felt) ** 2), 1e-9)
-            drag = at_speed * speed ** values["growth"]
-            felt = 0.5 * (felt + drag)
-        return np.asarray(own + 1j * drag)
+            drag = np.exp(log_drag)
+            whole = np.maximum(still + (moving + drag) ** 2, _NO_DRAG)
+            slope = np.maximum(1 + growth * drag * (moving + drag) / whole, 0.5)
+            step = (log_drag + growth / 2 * np.log(whole) - level) / slope
+            log_drag = log_drag - step
+            if np.abs(step).max(initial=0.0) < _FOUND:
+                break
+        return np.asarray(own + 1j * np.exp(log_drag))
 
     def second(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
         # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp: μ/(4ζ₂).
