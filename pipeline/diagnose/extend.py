@@ -228,12 +228,12 @@ class Extended:
         )
         return ExtendedFit(self, found)
 
-    def room(self, start: Float, most: int, near: ExtendedFit) -> Float:
-        """Entries with the material and the rig at their best for the mechanisms as they stand at `start`."""
+    def room(self, start: Float, most: int, near: ExtendedFit) -> Solution:
+        """Where the material and the rig are at their best for the mechanisms as they stand at `start`."""
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
         lent, own = self._lent(near), self.model.size
-        return minimise(self.residuals, start, low, high, most=most, jacobian=lent, moving=own, thorough=False).x
+        return minimise(self.residuals, start, low, high, most=most, jacobian=lent, moving=own, thorough=False)
 
     def _lent(self, near: ExtendedFit) -> Float:
         """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""

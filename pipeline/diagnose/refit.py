@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.screen import Score, Signatures, absorbed_by, scaled
+from pipeline.diagnose.solve import Solution
 from pipeline.diagnose.tempering import noise_chi2, outweighed
 
 Float = NDArray[np.float64]
@@ -31,9 +32,11 @@ _ABSORBED = frozenset(
 """Material and rig can take the place of these: they are restarted at several fixed severities."""
 _FEW, _ROUGHLY, _THOROUGHLY = 2, 6, 25
 """Steps after which the searches from several starts are compared, of a rough fit, and of a thorough one."""
-_MOST_GOING_ON, _ASTRAY = 2, 10.0
-"""Searches of one mechanism that go on after that, and χ² over that of the base from which none that makes room for a first mechanism
-does."""
+_MOST_GOING_ON = 2
+"""Searches of one mechanism that go on after that."""
+_ASTRAY, _STRONG = 10.0, 3.0
+"""χ² over that of the base from which a severity is lost however much room the material makes, and χ² of a base over the number of
+features from which none is."""
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 _FORMS = 2
 _MOST_STARTS = 3
@@ -146,10 +149,7 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
     far = score.chosen.id in _ABSORBED
-    fits = [
-        f if f.solution.converged else of.fit(f, most=_ROUGHLY - _FEW, thorough=False)
-        for f in _going_on(_begun(base, of, score, signatures), base, far)
-    ]
+    fits = _from_all_starts(base, of, score, signatures, far)
     best = _to_its_end(base, min(fits, key=lambda f: f.chi2), reach)
     if far:
         best = _revived(base, best, reach)
@@ -160,35 +160,38 @@ def refit(base: ExtendedFit, score: Score, signatures: Signatures, reach: float 
     return best
 
 
-def _begun(base: ExtendedFit, of: Extended, score: Score, signatures: Signatures) -> list[ExtendedFit]:
-    """The first steps of the searches from all starts of one mechanism more."""
+def _from_all_starts(
+    base: ExtendedFit, of: Extended, score: Score, signatures: Signatures, far: bool
+) -> list[ExtendedFit]:
+    """Rough ends of the searches for one mechanism more that are worth it. `far`: material and rig can take its place."""
     starts: list[Mapping[str, float]] = [
         scaled(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))
     ]
-    far = score.chosen.id in _ABSORBED
     if far:
         starts += sorted(_levels(score, signatures), key=_remaining(base, of, score.chosen))[:_MOST_STARTS]
     elif score.chosen.mechanism.onset:
         starts += _above_onset(base, of, score, signatures)
-    begun = []
-    for values in starts:
-        x = of.entries(_made_room(base, score.chosen, values), (*base.values, values))
-        if far:
-            # The material first: it must make room before the severity may move.
-            x = of.room(x, _ROUGHLY, base)
-        begun.append(of.fit(x, most=_FEW, near=None if far else base, thorough=False))
+    begins = [of.entries(_made_room(base, score.chosen, values), (*base.values, values)) for values in starts]
+    if far:
+        # The material first: it must make room before the severity may move.
+        begins = [room.x for room in _not_lost([of.room(x, _ROUGHLY, base) for x in begins], base)]
     if score.chosen.id == "rig_constants" and any(base.of.model.rigs):
-        begun.append(of.fit(_as_the_files_say(of, base), most=_FEW, thorough=False))
-    return begun
+        begins.append(_as_the_files_say(of, base))
+    near = None if far else base
+    if len(begins) == 1 or (far and not base.of.chosen):
+        # As long as the material makes room, the search that is behind may end ahead.
+        return [of.fit(x, most=_ROUGHLY, near=near, thorough=False) for x in begins]
+    begun = sorted((of.fit(x, most=_FEW, near=near, thorough=False) for x in begins), key=lambda f: f.chi2)
+    return [
+        f if f.solution.converged else of.fit(f, most=_ROUGHLY - _FEW, thorough=False) for f in begun[:_MOST_GOING_ON]
+    ]
 
 
-def _going_on(begun: Sequence[ExtendedFit], base: ExtendedFit, far: bool) -> list[ExtendedFit]:
-    """Searches of one mechanism that are worth going on with, best first."""
-    by_chi2 = sorted(begun, key=lambda f: f.chi2)
-    if far and not base.of.chosen:
-        # The material is still making room: of two that are not lost, the one that is behind may end ahead.
-        return [f for f in by_chi2 if f is by_chi2[0] or f.chi2 < _ASTRAY * base.chi2]
-    return by_chi2[:_MOST_GOING_ON]
+def _not_lost(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
+    """Those of several severities that the data may come to; of a strong effect, all."""
+    lost = np.inf if base.chi2 > _STRONG * base.of.session.size else _ASTRAY * base.chi2
+    least = min(room.chi2 for room in rooms)
+    return [room for room in rooms if room.chi2 <= max(lost, least)]
 
 
 def _to_its_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:

@@ -21,6 +21,8 @@ _ENOUGH = 0.02
 """Fall of χ² that ends a search: far below what statistics can tell."""
 _RIDGE = 1e-10
 _STILL, _HOPELESS = 1e-7, 1e7
+_KEPT = (0.4, 1.6)
+"""Fall over promised fall within which old columns are good enough."""
 _STRAIGHT = (0.8, 1.25)
 """Fall over promised fall within which a step says well enough what has changed of the columns that are renewed as a search goes."""
 DAMPING, LEAST_DAMPING = 1e-3, 1e-9
@@ -109,7 +111,7 @@ def minimise(
             if fall < _ENOUGH and (fresh or not thorough):
                 converged = True
                 break
-            fresh = not lent or fall < _ENOUGH
+            fresh = not lent or fall < _ENOUGH or not _KEPT[0] * promised < fall < _KEPT[1] * promised
             if fresh or not _STRAIGHT[0] * promised < fall < _STRAIGHT[1] * promised:
                 own, behind = columns.renewed(own, x, r, everything if fresh else moves), False
         elif not fresh:

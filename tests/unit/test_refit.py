@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.diagnose import refit
 from pipeline.diagnose.extend import Chosen
-from pipeline.diagnose.refit import _going_on, _to_its_end
+from pipeline.diagnose.refit import _not_lost, _to_its_end
 from pipeline.diagnose.screen import Score
 
 
@@ -50,23 +50,20 @@ def test_a_search_ends(chi2: float, fall: float, least: float, reach: float, fou
 
 
 @pytest.mark.parametrize(
-    ("far", "causes", "gone_on"),
+    ("chi2", "size", "kept"),
     [
-        (False, 0, [900.0, 950.0]),  # two of those that began at other severities
-        (True, 0, [900.0, 950.0, 990.0, 8_000.0]),  # all that are not lost
-        (True, 1, [900.0, 950.0]),  # beside a cause the material has made room already
+        ((900.0, 8_000.0, np.inf, 20_000.0), 900, [900.0, 8_000.0]),  # a weak effect is not that strong
+        ((900.0, 8_000.0, 20_000.0), 100, [900.0, 8_000.0, 20_000.0]),  # a strong one may be
+        ((40_000.0, 20_000.0, 30_000.0), 900, [20_000.0]),  # the nearest in any case
+        ((np.inf,), 900, [np.inf]),
     ],
 )
-def test_the_best_of_several_searches_go_on(far: bool, causes: int, gone_on: list[float]) -> None:
-    base: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(chosen=(None,) * causes))
-    begun: Any = [SimpleNamespace(chi2=v) for v in (8_000.0, 990.0, np.inf, 950.0, 900.0, 20_000.0)]
-    assert [f.chi2 for f in _going_on(begun, base, far)] == gone_on
-
-
-def test_a_search_that_is_lost_goes_on_where_all_are() -> None:
-    base: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(chosen=()))
-    begun: Any = [SimpleNamespace(chi2=v) for v in (np.inf, 30_000.0)]
-    assert [f.chi2 for f in _going_on(begun, base, True)] == [30_000.0]
+def test_severities_that_no_material_makes_room_for_are_left(
+    chi2: tuple[float, ...], size: int, kept: list[float]
+) -> None:
+    base: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(session=SimpleNamespace(size=size)))
+    rooms: Any = [SimpleNamespace(chi2=v) for v in chi2]
+    assert [room.chi2 for room in _not_lost(rooms, base)] == kept
 
 
 def fitted_without_a_session(monkeypatch: pytest.MonkeyPatch) -> list[str]:
