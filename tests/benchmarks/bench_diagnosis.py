@@ -87,8 +87,8 @@ def _row(name: str, found: Sequence[_Timed], size: str, base: float) -> dict[str
     worst = found[int(np.argmax(seconds))]
     longest = f", longest {worst.hidden} {seconds.max():.1f} s" if worst.hidden else ""
     note = (
-        f"{len(found)} sessions, {within} within {AIMS[size]:g} s, quartiles {np.quantile(seconds, 0.25):.1f} and"
-        f" {np.quantile(seconds, 0.75):.1f} s{longest}; recordings into features before: {np.median([t.reading for t in found]):.1f} s"
+        f"{len(found)} sessions, median {np.median(seconds):.1f} s (quartiles {np.quantile(seconds, 0.25):.1f} and"
+        f" {np.quantile(seconds, 0.75):.1f}), {within} within {AIMS[size]:g} s{longest}; recordings into features before: {np.median([t.reading for t in found]):.1f} s"
     )
     return {
         "name": name,
