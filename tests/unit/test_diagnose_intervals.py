@@ -29,7 +29,6 @@ def fit_of(bent: float) -> ExtendedFit:
         coordinates=(SimpleNamespace(parameter=parameter, fixed=False),),
         model=SimpleNamespace(size=1),
         limits=(np.array([-5.0, -5.0]), np.array([5.0, 5.0])),
-        residual=residual,
         residuals=lambda several: np.array([residual(x) for x in several]),
     )
     solution = SimpleNamespace(jacobian=jacobian)
