@@ -64,7 +64,7 @@ faults: $(DEVELOPMENT)
 	$(BIN)/python -m tests.faults.harness
 
 docs: $(DEVELOPMENT)
-	$(BIN)/python -m tests.docs --pictures $(wildcard $(DEMO)/lab)
+	$(BIN)/python -m tests.tools.docs --pictures $(wildcard $(DEMO)/lab)
 
 lint: $(DEVELOPMENT)
 	$(BIN)/ruff format --check .

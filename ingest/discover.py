@@ -1,7 +1,7 @@
 """Which files are there: a walk over the raw files and folders, each file with its format, mapping and state.
 
 Also the content hash that notices a file changing under it, and the look that tells a file still being written.
-Does not belong here: reading recordings; the lab's bookkeeping of what is new (pipeline.run).
+Does not belong here: reading recordings; the lab's bookkeeping of what is new (pipeline.nightly.night).
 """
 
 from __future__ import annotations

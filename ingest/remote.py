@@ -2,7 +2,7 @@
 
 The readers stay as they are: they get a local file. What lies beside the recordings and says how to read them (TOML
 files) is always fetched; a recording only when its content is not known yet, and it is removed once it is read.
-Does not belong here: which files are recordings (`ingest.discover`), what is new (`pipeline.looking`).
+Does not belong here: which files are recordings (`ingest.discover`), what is new (`pipeline.nightly.look`).
 """
 
 from __future__ import annotations

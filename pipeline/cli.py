@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from pipeline.arguments import Version, argument, days, jobs, processors, tracked
-from pipeline.lab import DEFAULT_LAB, Lab
+from pipeline.commands.arguments import Version, argument, days, jobs, processors, tracked
+from pipeline.lab.lab import DEFAULT_LAB, Lab
 from schemas.errors import DealabError, UsageError
 
 _DONE, _FAILED, _USAGE, _ATTENTION, _INTERRUPTED, _PIPE_CLOSED = 0, 1, 2, 3, 130, 141
@@ -54,15 +54,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _refused(error: DealabError, status: int) -> int:
-    from pipeline.show import safe
+    from pipeline.commands.show import safe
 
     print(f"dealab: {safe(str(error))}", file=sys.stderr)
     return status
 
 
 def _nightly(arguments: argparse.Namespace) -> int:
-    from pipeline.run import nightly
-    from pipeline.show import safe
+    from pipeline.commands.show import safe
+    from pipeline.nightly.night import nightly
 
     lab = Lab(arguments.lab)
     summary = nightly(
@@ -84,8 +84,8 @@ def _nightly(arguments: argparse.Namespace) -> int:
 
 
 def _sql(arguments: argparse.Namespace) -> int:
-    from pipeline.show import FORMATS
-    from pipeline.store.query import Query
+    from pipeline.commands.show import FORMATS
+    from pipeline.lab.query import Query
     from schemas.views import EXAMPLES
 
     if arguments.examples:
@@ -119,14 +119,14 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
-    from pipeline.findings import diagnoses
+    from pipeline.commands.diagnose import diagnoses
 
     print(diagnoses(Lab(arguments.lab), arguments.specimen, as_json=arguments.format == "json"))
     return _DONE
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    from pipeline.controller import ControllerStudy
+    from pipeline.commands.controller import ControllerStudy
     from pipeline.simulate.write import simulate_command
 
     study = ControllerStudy()
@@ -145,15 +145,15 @@ def _inspect(arguments: argparse.Namespace) -> int:
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    from pipeline.status import status
+    from pipeline.commands.status import status
 
     print(status(Lab(arguments.lab)))
     return _DONE
 
 
 def _annotate(arguments: argparse.Namespace) -> int:
-    from pipeline.annotations import annotate, check_annotation
-    from pipeline.store.manifest import known_recordings
+    from pipeline.lab.annotations import annotate, check_annotation
+    from pipeline.lab.manifest import known_recordings
 
     lab = Lab(arguments.lab)
     check_annotation(arguments.recording, arguments.why)
@@ -169,7 +169,7 @@ def _annotate(arguments: argparse.Namespace) -> int:
 
 
 def _prune(arguments: argparse.Namespace) -> int:
-    from pipeline.prune import Rule, plan, prune
+    from pipeline.commands.prune import Rule, plan, prune
 
     rule = Rule(arguments.samples_days, arguments.quarantine_days, arguments.gone)
     found = (plan if arguments.dry_run else prune)(Lab(arguments.lab), rule)
@@ -180,8 +180,8 @@ def _prune(arguments: argparse.Namespace) -> int:
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
-    from pipeline.doctor import installation, lab_checks
-    from pipeline.show import safe
+    from pipeline.commands.doctor import installation, lab_checks
+    from pipeline.commands.show import safe
 
     lab = Lab(arguments.lab)
     findings = list(installation())
@@ -201,7 +201,7 @@ def _schema(_arguments: argparse.Namespace) -> int:
 
 
 def _completion(arguments: argparse.Namespace) -> int:
-    from pipeline.completion import script
+    from pipeline.commands.completion import script
 
     commands = {}
     for name, (what, _, words, _) in _COMMANDS.items():
@@ -213,7 +213,7 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 
 def _schedule(arguments: argparse.Namespace) -> int:
-    from pipeline.schedule import Job, crontab, units
+    from pipeline.commands.schedule import Job, crontab, units
 
     job = Job(arguments.raw, arguments.lab, arguments.rigs, arguments.jobs, arguments.cluster)
     if arguments.cron:

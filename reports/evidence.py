@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from reports.curves import arms, band, rig, stiffness
+from reports.figures.curves import arms, band, rig, stiffness
 from reports.figures.responses import Curve, Float, Lines, Residual, residual
 from reports.results import Query, Results, Row
 

@@ -9,7 +9,11 @@ from dataclasses import dataclass
 from reports import manifest
 from reports.blocks import Page
 from reports.digests import Digests
-from reports.pages import campaign, control, index, lists, recording, specimen
+from reports.pages.campaign import page as campaign
+from reports.pages.index import control, lists
+from reports.pages.index import page as index
+from reports.pages.recording import page as recording
+from reports.pages.specimen import page as specimen
 from reports.site import CONTROL, INDEX, Site
 
 

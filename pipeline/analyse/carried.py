@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pipeline.analyse.carry import Codec
 from pipeline.analyse.session_features import Alone, SessionFeatures
-from pipeline.fit.time_domain import CycleFit, CycleFits
-from pipeline.store.carry import Codec
+from pipeline.fit.relaxation.time_domain import CycleFit, CycleFits
 from pipeline.transform.breakdown_life import Lifetime
 from pipeline.transform.calibration import TapCalibration, WeightCalibration
 from pipeline.transform.coats import Coat

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.fit.metrics import Geometry
-from pipeline.fit.time_domain import CycleFits, fit_cycle
+from pipeline.fit.relaxation.metrics import Geometry
+from pipeline.fit.relaxation.time_domain import CycleFits, fit_cycle
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 from schemas.recording import Channel, Recording

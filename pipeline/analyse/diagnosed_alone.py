@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import CYCLE, SYSTEM, SessionFeatures
-from pipeline.diagnose.contest import Contest
-from pipeline.diagnose.cycle_causes import large_cycle
-from pipeline.diagnose.cycle_diagnosis import diagnose_cycle
-from pipeline.diagnose.oscillator import SystemRecord
 from pipeline.diagnose.results import Diagnosis
-from pipeline.diagnose.system_diagnosis import diagnose_system
+from pipeline.diagnose.single.contest import Contest
+from pipeline.diagnose.single.cycle_causes import large_cycle
+from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle
+from pipeline.diagnose.single.oscillator import SystemRecord
+from pipeline.diagnose.single.system_diagnosis import diagnose_system
 from schemas.metadata import RecordingMetadata
 
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.diagnosed_alone import diagnosed_alone
 from pipeline.analyse.inputs import Measured
+from pipeline.analyse.rows.diagnoses import contest_tables, diagnosis_tables, undiagnosed_tables
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.features import RecordingFeatures
-from pipeline.diagnose.features_io import unpack
+from pipeline.diagnose.features.encode import unpack
+from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.results import Diagnosis
-from pipeline.tabulate.diagnoses import contest_tables, diagnosis_tables, undiagnosed_tables
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.protocols import CALIBRATION

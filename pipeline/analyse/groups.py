@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pipeline.analyse.analysis import Analysis
-from pipeline.fit.force_comparisons import compare_forces
-from pipeline.fit.force_map import fit_force_maps
-from pipeline.fit.survival_groups import survival_group
-from pipeline.tabulate.force_maps import force_map_tables
-from pipeline.tabulate.survival import survival_tables
+from pipeline.analyse.rows.force_maps import force_map_tables
+from pipeline.analyse.rows.survival import survival_tables
+from pipeline.fit.force.comparisons import compare_forces
+from pipeline.fit.force.force_map import fit_force_maps
+from pipeline.fit.survival.groups import survival_group
 from pipeline.transform.force_map import ForceMapReadings
 from schemas.lifetimes import LifetimeRow
 

@@ -6,16 +6,16 @@ from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.cycle import cycle_fits
+from pipeline.analyse.rows.calibrations import calibration_table
+from pipeline.analyse.rows.cycles import cycle_tables
+from pipeline.analyse.rows.lifetimes import lifetime_table
+from pipeline.analyse.rows.responses import distortion_table, response_table
+from pipeline.analyse.rows.self_sensing import loop_table, migration_tables, slow_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.tables import relaxation_of, response_of
-from pipeline.diagnose.features_io import pack
-from pipeline.diagnose.reduce import reduce, reducible
-from pipeline.fit.migration import migration
-from pipeline.tabulate.calibrations import calibration_table
-from pipeline.tabulate.cycles import cycle_tables
-from pipeline.tabulate.lifetimes import lifetime_table
-from pipeline.tabulate.responses import distortion_table, response_table
-from pipeline.tabulate.self_sensing import loop_table, migration_tables, slow_table
+from pipeline.diagnose.features.encode import pack
+from pipeline.diagnose.features.reduce import reduce, reducible
+from pipeline.fit.sensing.migration import migration
 from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.calibration import calibrate
 from pipeline.transform.capacitance_cycles import capacitance_cycles

@@ -9,15 +9,15 @@ import numpy as np
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured, all_of
-from pipeline.fit.coverage import FEWEST_COATS, fit_coverage
-from pipeline.fit.gains import propose_gains
-from pipeline.fit.metrics import Geometry
-from pipeline.fit.results import SpecimenFits
-from pipeline.fit.sensing import creep_modulus, fit_sensing
+from pipeline.analyse.rows.self_sensing import coverage_tables, gains_table, sensing_table
+from pipeline.analyse.rows.steps import step_table
+from pipeline.fit.relaxation.metrics import Geometry
+from pipeline.fit.relaxation.results import SpecimenFits
+from pipeline.fit.sensing.coverage import FEWEST_COATS, fit_coverage
+from pipeline.fit.sensing.gains import propose_gains
+from pipeline.fit.sensing.self_sensing import creep_modulus, fit_sensing
+from pipeline.fit.sensing.wrinkling import wrinkling
 from pipeline.fit.weighted import Estimate
-from pipeline.fit.wrinkling import wrinkling
-from pipeline.tabulate.self_sensing import coverage_tables, gains_table, sensing_table
-from pipeline.tabulate.steps import step_table
 from pipeline.transform.coats import Coat
 from pipeline.transform.loop import LoopResponse
 from pipeline.transform.step import StepAnalysis, StepResponse

@@ -31,7 +31,7 @@ class Alone:
 
 @dataclass(frozen=True)
 class SessionFeatures:
-    """`content` as `pipeline.diagnose.features_io` packs it; empty where `refused` says why there is none. `alone`: the record itself,
+    """`content` as `pipeline.diagnose.features.encode` packs it; empty where `refused` says why there is none. `alone`: the record itself,
     where it says something without a session."""
 
     content: str

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
+from pipeline.analyse.rows.fits import fit_tables
+from pipeline.analyse.rows.ladders import ladder_table
+from pipeline.analyse.rows.responses import AVERAGED, CORRECTED, response_table
 from pipeline.analyse.self_sensing import analyse_self_sensing
-from pipeline.fit.damaged import weighed
-from pipeline.fit.electrical import fit_electrical, fit_joint
-from pipeline.fit.ladder import ladder, wants_ladder
-from pipeline.fit.metrics import Geometry
-from pipeline.fit.predict import Prediction, predict
-from pipeline.fit.relaxation import fit_corrected, fit_specimen
-from pipeline.fit.results import ELECTRICAL, MECHANICAL, RelaxationFit, SpecimenFits
-from pipeline.fit.time_domain import CycleFits
-from pipeline.tabulate.fits import fit_tables
-from pipeline.tabulate.ladders import ladder_table
-from pipeline.tabulate.responses import AVERAGED, CORRECTED, response_table
+from pipeline.fit.relaxation.damaged import weighed
+from pipeline.fit.relaxation.electrical import fit_electrical, fit_joint
+from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
+from pipeline.fit.relaxation.ladder import ladder, wants_ladder
+from pipeline.fit.relaxation.metrics import Geometry
+from pipeline.fit.relaxation.predict import Prediction, predict
+from pipeline.fit.relaxation.results import ELECTRICAL, MECHANICAL, RelaxationFit, SpecimenFits
+from pipeline.fit.relaxation.time_domain import CycleFits
 from pipeline.transform.averaging import average
 from pipeline.transform.calibration import TapCalibration, WeightCalibration, sharpen
 from pipeline.transform.correction import blocked_force, correct_mechanical

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
-from pipeline.fit.weak_regions import check_layout, compare_regions, electrodes, on_grid
-from pipeline.simulate.thickness.continuous import continuous_thickness
-from pipeline.simulate.thickness.film import RodFilm, ThicknessMap
-from pipeline.simulate.thickness.incremental import incremental_thickness
-from pipeline.tabulate.weak_regions import weak_region_tables
+from pipeline.analyse.rows.weak_regions import weak_region_tables
+from pipeline.fit.survival.weak_regions import check_layout, compare_regions, electrodes, on_grid
+from pipeline.physics.thickness.continuous import continuous_thickness
+from pipeline.physics.thickness.film import RodFilm, ThicknessMap
+from pipeline.physics.thickness.incremental import incremental_thickness
 from schemas.errors import NotIdentifiableError
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import RecordingMetadata

@@ -11,21 +11,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose import features as kinds
-from pipeline.diagnose.decide import Outcome, decide
-from pipeline.diagnose.discrepancies import described, discrepancies, left_by_causes
-from pipeline.diagnose.extend import ExtendedFit
-from pipeline.diagnose.features import RecordingFeatures
-from pipeline.diagnose.held_out import held_out, supported_by
-from pipeline.diagnose.hum import with_hum
-from pipeline.diagnose.intervals import NORMAL_90, ends, linear
+from pipeline.diagnose.features import kinds as kinds
+from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
-from pipeline.diagnose.next_recording import next_recording
-from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.power import beyond_arms, reported, smallest_parameters
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.proving import proving_recording
-from pipeline.diagnose.refit import settled
+from pipeline.diagnose.proposals.next_recording import next_recording
+from pipeline.diagnose.proposals.proving import proving_recording
 from pipeline.diagnose.results import (
     AMBIGUOUS,
     NAMED,
@@ -38,10 +28,20 @@ from pipeline.diagnose.results import (
     NextRecording,
     Residuals,
 )
-from pipeline.diagnose.session import Session, make_session
-from pipeline.diagnose.structure import Structure, words
-from pipeline.diagnose.tempering import explained
-from pipeline.fit.model import RelaxationModel
+from pipeline.diagnose.search.decide import Outcome, decide
+from pipeline.diagnose.search.discrepancies import described, discrepancies, left_by_causes
+from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.diagnose.search.held_out import held_out, supported_by
+from pipeline.diagnose.search.intervals import NORMAL_90, ends, linear
+from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.search.power import beyond_arms, reported, smallest_parameters
+from pipeline.diagnose.search.refit import settled
+from pipeline.diagnose.search.structure import Structure, words
+from pipeline.diagnose.search.tempering import explained
+from pipeline.diagnose.simulation.hum import with_hum
+from pipeline.diagnose.simulation.session import Session, make_session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.film import RelaxationModel
 from schemas.mechanisms import UNLISTED
 
 Float = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.fit.model import RelaxationModel
+from pipeline.physics.film import RelaxationModel
 
 Float = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from pipeline.fit.model import RelaxationModel
+from pipeline.physics.film import RelaxationModel
 from pipeline.simulate.drive import Amplifier
 from pipeline.simulate.mechanics import Rig, StateSpace, assemble, integrate
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eig, expm
 from scipy.signal import lfilter
 
-from pipeline.fit.model import RelaxationModel
+from pipeline.physics.film import RelaxationModel
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]

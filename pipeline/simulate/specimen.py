@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.fit.model import RelaxationModel
+from pipeline.physics.film import RelaxationModel
 from pipeline.simulate.bench import Film
 from pipeline.simulate.tables import number, numbers, text
 from schemas.errors import UsageError

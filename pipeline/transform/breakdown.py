@@ -5,7 +5,7 @@ is told apart from it: the switch-on ramp, dips that recover, self-healing disch
 of the test, a switch-off, a gap, the end of the record. What the record cannot decide is said, not hidden.
 
 Belongs here: the verdict. Does not belong here: the trace (`breakdown_signal`), the other channels
-(`breakdown_evidence`), statistics of lifetimes (`pipeline.fit.survival`).
+(`breakdown_evidence`), statistics of lifetimes (`pipeline.fit.survival.kaplan_meier`).
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
+from pipeline.physics.rig import TONNES_PER_KG, RigModel, tied_by_frequency
 from pipeline.transform import quality
-from pipeline.transform.rig import TONNES_PER_KG, RigModel, tied_by_frequency
 from pipeline.transform.ringing import damped_sinusoid, rings
 from pipeline.transform.sampling import runs, sample, seconds
 from schemas.errors import NotIdentifiableError

@@ -15,9 +15,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.physics.rig import RigModel
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
-from pipeline.transform.rig import RigModel
 from schemas.metadata import RigConstants
 
 Float = NDArray[np.float64]

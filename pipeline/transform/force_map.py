@@ -1,7 +1,7 @@
 """Readings of a force-map recording: drop of tension in both directions, each time the voltage is on.
 
 Belongs here: from samples to one reading per cycle and direction. Does not belong here: means, permittivity and
-comparisons (`pipeline.fit.force_map`).
+comparisons (`pipeline.fit.force.force_map`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The source names instant fractions, rise, overshoot and recovery without defining them (thesis, section 5.4); the
 definitions here are the project's own and stand in `measure_steps`. Edges are found in `step_edges`, levels and the slow
-change in `step_levels`; fits over the steps of a specimen are in `pipeline.fit.sensing` and `pipeline.fit.wrinkling`.
+change in `step_levels`; fits over the steps of a specimen are in `pipeline.fit.sensing.self_sensing` and `pipeline.fit.sensing.wrinkling`.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import BETTER, INK, MODEL, SECOND, WRONG
-from reports.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
-from reports.svg import TICKS, Drawing
+from reports.figures.palette import BETTER, INK, MODEL, SECOND, WRONG
+from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
+from reports.figures.svg import TICKS, Drawing
 
 Float = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from reports.figures.palette import BAND, INK, RAW, SECOND, WRONG
+from reports.figures.plot import WIDE, Panel, Scale, linear
+from reports.figures.svg import Drawing
 from reports.names import short
-from reports.palette import BAND, INK, RAW, SECOND, WRONG
-from reports.plot import WIDE, Panel, Scale, linear
-from reports.svg import Drawing
 
 Float = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import INK, LOWER, LOWEST, MODEL, SECOND
-from reports.plot import WIDE, Panel, linear, symmetric
-from reports.svg import Drawing
+from reports.figures.palette import INK, LOWER, LOWEST, MODEL, SECOND
+from reports.figures.plot import WIDE, Panel, linear, symmetric
+from reports.figures.svg import Drawing
 from schemas.numbers import ordinal
 
 Float = NDArray[np.float64]

@@ -8,10 +8,10 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from reports.figures.palette import BAND, BETTER, INK, RULE, SECOND, WRONG, misfit
+from reports.figures.plot import WIDE, Panel, Scale
+from reports.figures.svg import Drawing
 from reports.names import short
-from reports.palette import BAND, BETTER, INK, RULE, SECOND, WRONG, misfit
-from reports.plot import WIDE, Panel, Scale
-from reports.svg import Drawing
 
 Float = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import MODEL, SECOND
-from reports.plot import tick_text
-from reports.svg import Drawing
+from reports.figures.palette import MODEL, SECOND
+from reports.figures.plot import tick_text
+from reports.figures.svg import Drawing
 
 Float = NDArray[np.float64]
 REGIONS = ("left", "centre", "right")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
+from reports.figures.palette import INK, SECOND, WRONG
+from reports.figures.plot import WIDE, Panel, logarithmic
 from reports.figures.responses import Lines
-from reports.palette import INK, SECOND, WRONG
-from reports.plot import WIDE, Panel, logarithmic
-from reports.svg import Drawing
+from reports.figures.svg import Drawing
 
 
 def compliance(lines: Lines, *, alt: str) -> Markup:

@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import INK, MODEL, WRONG
-from reports.plot import Panel, Scale, linear
-from reports.svg import Drawing
+from reports.figures.palette import INK, MODEL, WRONG
+from reports.figures.plot import Panel, Scale, linear
+from reports.figures.svg import Drawing
 from reports.words import plain
 from schemas.numbers import capital
 

@@ -6,9 +6,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import INK, MODEL
-from reports.plot import WIDE, Panel, linear, logarithmic
-from reports.svg import Drawing
+from reports.figures.palette import INK, MODEL
+from reports.figures.plot import WIDE, Panel, linear, logarithmic
+from reports.figures.svg import Drawing
 
 Float = NDArray[np.float64]
 

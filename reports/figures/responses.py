@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import INK, LOWER, LOWEST, MODEL, RAW, RULE, SECOND, WRONG
-from reports.plot import NARROW, WIDE, Panel, Scale, linear, logarithmic, nice, note, pointer, symmetric
-from reports.svg import Drawing
+from reports.figures.palette import INK, LOWER, LOWEST, MODEL, RAW, RULE, SECOND, WRONG
+from reports.figures.plot import NARROW, WIDE, Panel, Scale, linear, logarithmic, nice, note, pointer, symmetric
+from reports.figures.svg import Drawing
 from schemas.numbers import compact
 
 Float = NDArray[np.float64]

@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import BAND, BETTER, INK, MODEL, RAW, SECOND, WRONG, group
-from reports.plot import WIDE, Panel, Scale, linear, logarithmic, note
-from reports.svg import Drawing
+from reports.figures.palette import BAND, BETTER, INK, MODEL, RAW, SECOND, WRONG, group
+from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, note
+from reports.figures.svg import Drawing
 from schemas.numbers import compact
 
 Float = NDArray[np.float64]

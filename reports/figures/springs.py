@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import INK, LOWER, MODEL, RULE, SECOND, WRONG
-from reports.plot import WIDE, Panel, linear, logarithmic
-from reports.svg import Drawing
+from reports.figures.palette import INK, LOWER, MODEL, RULE, SECOND, WRONG
+from reports.figures.plot import WIDE, Panel, linear, logarithmic
+from reports.figures.svg import Drawing
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]

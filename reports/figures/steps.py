@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.palette import BAND, INK, MODEL, RAW, SECOND, WRONG, group
-from reports.plot import WIDE, Panel, Scale, linear, logarithmic, nice, note, symmetric, tick_text
-from reports.svg import Drawing
+from reports.figures.palette import BAND, INK, MODEL, RAW, SECOND, WRONG, group
+from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, note, symmetric, tick_text
+from reports.figures.svg import Drawing
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]

@@ -11,10 +11,10 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from reports.figures.palette import BAND, INK, RULE, SECOND, Group
+from reports.figures.plot import WIDE, Panel, Scale, logarithmic, note, symmetric, tick_text
+from reports.figures.svg import Drawing
 from reports.names import short
-from reports.palette import BAND, INK, RULE, SECOND, Group
-from reports.plot import WIDE, Panel, Scale, logarithmic, note, symmetric, tick_text
-from reports.svg import Drawing
 from schemas.numbers import pm
 
 Float = NDArray[np.float64]

@@ -43,7 +43,7 @@ from tests.bad_files.promises import (
     truth,
 )
 from tests.bad_files.seeds import READERS, Seed
-from tests.machine import machine, peak_mb, today
+from tests.helpers.machine import machine, peak_mb, today
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent

@@ -18,8 +18,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from ingest.mapping import FileMapping
-from tests.mcap_files import METADATA, START, packaged
-from tests.xlsx_files import write_xlsx
+from tests.helpers.mcap_files import METADATA, START, packaged
+from tests.helpers.xlsx_files import write_xlsx
 
 ABOUT = {**METADATA, "started_at": "2026-02-25T06:13:20+00:00"}
 TIME = np.arange(24) / 100

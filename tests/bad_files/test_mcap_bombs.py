@@ -16,7 +16,7 @@ import lz4.frame
 import pytest
 import zstandard
 
-from tests.mcap_files import (
+from tests.helpers.mcap_files import (
     DEFINITIONS,
     METADATA,
     START,
@@ -40,7 +40,7 @@ import json, sys
 from pathlib import Path
 from ingest.mcap_reader import read_mcap
 from schemas.errors import DealabError
-from tests.machine import peak_mb
+from tests.helpers.machine import peak_mb
 try:
     found = read_mcap(Path(sys.argv[1]))
     told = {"problems": found.problems, "values": {c.quantity: c.values.size for c in found.channels}}

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType
 from ingest.mcap_reader import read_mcap
 from schemas.errors import RefusedError, UnmappedError
 from schemas.recording import RawRecording
-from tests.mcap_files import (
+from tests.helpers.mcap_files import (
     DEFINITIONS,
     MAGIC,
     METADATA,

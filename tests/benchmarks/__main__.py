@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.machine import machine, today
+from tests.helpers.machine import machine, today
 
 HERE = Path(__file__).resolve().parent
 PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "duckdb", "mcap", "matplotlib")

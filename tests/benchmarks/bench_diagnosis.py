@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import AMBIGUOUS, NONE, UNKNOWN
 from tests.hidden_effects.judging import Case, Judgement, hidden_in, made
 from tests.hidden_effects.truth import KINDS, Effect, random_effect

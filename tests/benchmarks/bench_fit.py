@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.fit.relaxation import fit_specimen
+from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from schemas.metadata import RigConstants
 from tests.benchmarks import thesis_fit

@@ -32,13 +32,13 @@ _START = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
 _RATE_HZ = 20.0
 _NIGHT = """
 import json, sys, time
-import pipeline.run
+import pipeline.nightly.night
 from pipeline import Lab
-from tests.machine import peak_mb
+from tests.helpers.machine import peak_mb
 if sys.argv[4] == "no pages":
-    pipeline.run._report = lambda *_: None
+    pipeline.nightly.night._report = lambda *_: None
 begin, used = time.monotonic(), time.process_time()
-summary = pipeline.run.nightly([sys.argv[1]], Lab(sys.argv[2]), jobs=int(sys.argv[3]))
+summary = pipeline.nightly.night.nightly([sys.argv[1]], Lab(sys.argv[2]), jobs=int(sys.argv[3]))
 print(json.dumps({
     "seconds": time.monotonic() - begin,
     "parent_s": time.process_time() - used,

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.fit.survival import kaplan_meier
-from pipeline.fit.survival_tests import permutation_test
+from pipeline.fit.survival.kaplan_meier import kaplan_meier
+from pipeline.fit.survival.tests import permutation_test
 from pipeline.transform.breakdown import detect_breakdown
 from tests.studies.study_breakdown import simulate
 

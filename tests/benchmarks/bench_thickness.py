@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from pipeline.simulate.thickness.continuous import continuous_thickness
-from pipeline.simulate.thickness.film import RodFilm
-from pipeline.simulate.thickness.incremental import incremental_thickness
+from pipeline.physics.thickness.continuous import continuous_thickness
+from pipeline.physics.thickness.film import RodFilm
+from pipeline.physics.thickness.incremental import incremental_thickness
 
 TITLE = "Film thickness over rods, 20 000 elements"
 

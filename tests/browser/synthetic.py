@@ -14,7 +14,7 @@ from typing import Any
 import duckdb
 import numpy as np
 
-from pipeline.store.publish import READABLE_FROM
+from pipeline.lab.snapshot import READABLE_FROM
 from schemas.control import REMEMBER
 from schemas.tables import TABLES
 from schemas.views import VIEWS

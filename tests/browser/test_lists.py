@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reports.build import build_reports
-from reports.pages import lists
+from reports.pages.index import lists
 
 
 @given(st.integers(0, 2000))

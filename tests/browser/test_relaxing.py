@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from reports.build import build_reports
-from reports.pages import relaxing
+from reports.pages.specimen import relaxing
 from tests.browser import synthetic
 
 K0, SPRING, DAMPER = synthetic.SILICONE[0], 0.4, 0.8

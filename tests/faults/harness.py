@@ -29,8 +29,8 @@ from typing import Any
 from pipeline import Lab
 from tests.conftest import ROOT
 from tests.faults.lab_state import content, healthy, left_over, samples
-from tests.machine import machine, today
-from tests.small_lab import life, small_campaign
+from tests.helpers.machine import machine, today
+from tests.helpers.small_lab import life, small_campaign
 
 HERE = Path(__file__).resolve().parent
 SEED = 20_260_301

@@ -8,7 +8,7 @@ from typing import Any
 import duckdb
 
 from pipeline import Lab
-from pipeline.doctor import lab_checks
+from pipeline.commands.doctor import lab_checks
 from schemas.tables import TABLES
 
 VOLATILE = {"items": {"seconds", "run_id", "input_hash", "code_version"}, "recordings": {"run_id"}}

@@ -15,20 +15,20 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import pipeline.night
-import pipeline.run
+import pipeline.nightly.context
+import pipeline.nightly.night
 from pipeline import Lab
-from pipeline.stages.tasks import DerivedTask, RecordingTask, input_hash, mapping_hash, rig_hash
-from pipeline.store.journal import OK, Freshness, Outcome, write_entry
-from pipeline.tabulate.recordings import recordings_table
+from pipeline.analyse.rows.recordings import recordings_table
+from pipeline.lab.journal import OK, Freshness, Outcome, write_entry
+from pipeline.nightly.stages import DerivedTask, RecordingTask, input_hash, mapping_hash, rig_hash
 from schemas.tables import TABLES
-from tests.machine import peak_mb
+from tests.helpers.machine import peak_mb
 
 _START = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
 
 
 def perform(task: RecordingTask | DerivedTask) -> Outcome:
-    """Stands in for `pipeline.stages.tasks.perform`: a life for each recording, nothing for what is made from them."""
+    """Stands in for `pipeline.nightly.stages.perform`: a life for each recording, nothing for what is made from them."""
     if isinstance(task, DerivedTask):
         outcome = Outcome(task.item_id, task.stage, task.freshness, OK, 0.001, None, {"notes": []})
         write_entry(task.journal, outcome, {})
@@ -68,18 +68,18 @@ def file(raw: Path, number: int) -> None:
 
 def main(raw: Path, lab: Lab, number: int) -> dict[str, float]:
     """Memory in MB: the most that the first night had, and what Python's objects took in each of the other two."""
-    pipeline.night.perform = perform  # type: ignore[assignment]
-    pipeline.run._report = lambda *_: None  # type: ignore[assignment]
+    pipeline.nightly.context.perform = perform  # type: ignore[assignment]
+    pipeline.nightly.night._report = lambda *_: None  # type: ignore[assignment]
     for one in range(number):
         file(raw, one)
     told = {}
-    assert pipeline.run.nightly([raw], lab, jobs=0).counts.ingested == number
+    assert pipeline.nightly.night.nightly([raw], lab, jobs=0).counts.ingested == number
     told["first"] = peak_mb()
     for what, new in (("quiet", 0), ("one new", 1)):
         for one in range(new):
             file(raw, number + one)
         tracemalloc.start()
-        assert pipeline.run.nightly([raw], lab, jobs=0).counts.ingested == new
+        assert pipeline.nightly.night.nightly([raw], lab, jobs=0).counts.ingested == new
         told[what] = tracemalloc.get_traced_memory()[1] / (1 << 20)
         tracemalloc.stop()
     return told

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import duckdb
 
-import reports.pages.recording
-import reports.pages.specimen
+import reports.pages.recording.page
+import reports.pages.specimen.page
 from reports.blocks import Page
 from reports.site import Site
 from tests.browser import synthetic
-from tests.machine import peak_mb
+from tests.helpers.machine import peak_mb
 
 
 def lab(folder: Path, number: int) -> Path:
@@ -48,7 +48,7 @@ def page(site: Site, item: str) -> Page:
 
 def main(folder: Path) -> dict[str, float]:
     """Memory in MB: the most that the first report had, and what Python's objects took in one with nothing new."""
-    for module in (reports.pages.recording, reports.pages.specimen):
+    for module in (reports.pages.recording.page, reports.pages.specimen.page):
         module.page = page
     from reports.build import build_reports
 

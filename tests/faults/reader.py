@@ -11,7 +11,7 @@ import threading
 from pathlib import Path
 
 from pipeline import Lab
-from pipeline.store.query import Query
+from pipeline.lab.query import Query
 
 QUERY = """
 SELECT (SELECT max(run_id)::INT FROM runs) AS run,

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from pipeline import Lab
-from pipeline.run import nightly
-from tests.small_lab import chirp, small_campaign
+from pipeline.nightly.night import nightly
+from tests.helpers.small_lab import chirp, small_campaign
 
 
 def index_of(lab: Lab) -> str:

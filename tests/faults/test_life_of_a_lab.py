@@ -11,15 +11,15 @@ from pathlib import Path
 import duckdb
 import pytest
 
-import pipeline.run
+import pipeline.nightly.night
 from pipeline import Lab
 from pipeline.cli import main
-from pipeline.prune import Rule, plan, prune
-from pipeline.run import nightly
+from pipeline.commands.prune import Rule, plan, prune
+from pipeline.nightly.night import nightly
 from schemas.tables import TABLES
 from tests.conftest import ROOT
 from tests.faults.lab_state import content, healthy, select
-from tests.small_lab import START, life, small_campaign
+from tests.helpers.small_lab import START, life, small_campaign
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 LABS = ROOT / "tests" / "faults" / "labs"
@@ -27,7 +27,7 @@ LABS = ROOT / "tests" / "faults" / "labs"
 
 @pytest.fixture(autouse=True)
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
 
 
 @pytest.fixture

@@ -11,11 +11,11 @@ import duckdb
 import pytest
 
 from pipeline import Lab
-from pipeline.annotations import annotate
 from pipeline.cli import main
-from pipeline.run import nightly
+from pipeline.lab.annotations import annotate
+from pipeline.nightly.night import nightly
+from tests.helpers.session_files import write_recordings
 from tests.hidden_effects.truth import Session, make_session
-from tests.session_files import write_recordings
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 

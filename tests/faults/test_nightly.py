@@ -21,22 +21,22 @@ import pytest
 from filelock import FileLock
 
 import pipeline.analyse.recording as analyse
-import pipeline.looking
-import pipeline.night
-import pipeline.run
-import pipeline.stages.recording as stage
+import pipeline.nightly.context
+import pipeline.nightly.look
+import pipeline.nightly.night
+import pipeline.nightly.stage_recording as stage
 from pipeline import Lab
-from pipeline.annotations import annotate
-from pipeline.lock import exclusive
-from pipeline.looking import likely_new
-from pipeline.run import Summary, nightly
-from pipeline.status import status
+from pipeline.commands.status import status
+from pipeline.lab.annotations import annotate
+from pipeline.lab.lock import exclusive
+from pipeline.nightly.look import likely_new
+from pipeline.nightly.night import Summary, nightly
 from schemas.errors import LabError, UsageError
 from schemas.tables import TABLES
-from tests import mcap_files
 from tests.conftest import ROOT
 from tests.faults.lab_state import content, healthy, select
-from tests.small_lab import RIG, chirp, life, small_campaign
+from tests.helpers import mcap_files
+from tests.helpers.small_lab import RIG, chirp, life, small_campaign
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -59,7 +59,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.fixture
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """The pages have tests of their own."""
-    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def test_a_night_with_nothing_new_imports_nothing_heavy(made: tuple[Path, Path],
     """Importing takes longer than such a night's work."""
     lab = shutil.copytree(made[1], tmp_path / "lab")
     program = (
-        "import sys\nfrom pathlib import Path\nfrom pipeline import Lab\nfrom pipeline.run import nightly\n"
+        "import sys\nfrom pathlib import Path\nfrom pipeline import Lab\nfrom pipeline.nightly.night import nightly\n"
         f"nightly([{os.fspath(made[0])!r}], Lab(Path({os.fspath(lab)!r})), jobs=1)\n"
         f"summary = nightly([{os.fspath(made[0])!r}], Lab(Path({os.fspath(lab)!r})), jobs=1)\n"
         "print(summary.analysed, summary.report_problem)\n"
@@ -142,7 +142,7 @@ def test_a_night_with_one_new_recording_leaves_the_heavy_imports_to_its_worker(
 ) -> None:
     raw, lab = shutil.copytree(made[0], tmp_path / "raw"), tmp_path / "lab"
     program = (
-        "import sys\nfrom pathlib import Path\nfrom pipeline import Lab\nfrom pipeline.run import nightly\n"
+        "import sys\nfrom pathlib import Path\nfrom pipeline import Lab\nfrom pipeline.nightly.night import nightly\n"
         f"summary = nightly([{os.fspath(raw)!r}], Lab(Path({os.fspath(lab)!r})), jobs=1)\n"
         "print(summary.counts.ingested, summary.report_problem)\n"
         "print([name for name in ('pandas', 'scipy') if name in sys.modules])"
@@ -202,9 +202,11 @@ def test_changed_settings_redo_the_fits_only(night: Any) -> None:
 
 
 def test_changed_code_redoes_what_it_made(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    original = pipeline.night.code_version
+    original = pipeline.nightly.context.code_version
     monkeypatch.setattr(
-        pipeline.night, "code_version", lambda module: "other" if module.endswith("groups") else original(module)
+        pipeline.nightly.context,
+        "code_version",
+        lambda module: "other" if module.endswith("groups") else original(module),
     )
     night()
     assert redone(night.lab) == LIVES
@@ -289,7 +291,7 @@ def test_an_excluded_recording_leaves_the_analysis_and_comes_back(night: Any) ->
 
 def test_a_growing_file_waits(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        pipeline.looking, "growing", lambda files: [f for f in files if f.path.name == "P-1-chirp-0.mcap"]
+        pipeline.nightly.look, "growing", lambda files: [f for f in files if f.path.name == "P-1-chirp-0.mcap"]
     )
     os.utime(night.raw / "P-1-chirp-0.mcap")
     summary = night()

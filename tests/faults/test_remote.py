@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 
 import ingest.remote
-import pipeline.looking
-import pipeline.run
+import pipeline.nightly.look
+import pipeline.nightly.night
 from ingest.remote import RemoteFile, fetch, mirror
 from pipeline import Lab
-from pipeline.run import Summary, nightly
+from pipeline.nightly.night import Summary, nightly
 from schemas.errors import LabError, PendingError, UsageError
 from tests.faults.lab_state import content, healthy, select
-from tests.small_lab import RIG, life, small_campaign
+from tests.helpers.small_lab import RIG, life, small_campaign
 
 pytest.importorskip("s3fs", reason="the extra `remote` is not installed")
 pytest.importorskip("moto", reason="the server for tests is not installed")
@@ -49,7 +49,7 @@ def bucket(server: str, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixture
         ("AWS_ENDPOINT_URL", server),
     ):
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(pipeline.run, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
     name = f"raw-{abs(hash(request.node.name))}"
     made = boto3.resource("s3").create_bucket(Bucket=name)
     yield made
@@ -76,7 +76,7 @@ def no_fetching(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError(f"{file.url} is fetched")
 
     monkeypatch.setattr(ingest.remote, "fetch", fail)
-    monkeypatch.setattr(pipeline.looking, "fetch", fail)
+    monkeypatch.setattr(pipeline.nightly.look, "fetch", fail)
 
 
 def test_a_bucket_gives_what_the_folder_gives(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +103,7 @@ def test_a_bucket_gives_what_the_folder_gives(bucket: Any, tmp_path: Path, monke
 def test_an_object_put_a_moment_ago_is_known_the_next_time(
     bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline.looking, "_SETTLED_NS", 3_600_000_000_000)
+    monkeypatch.setattr(pipeline.nightly.look, "_SETTLED_NS", 3_600_000_000_000)
     fill(bucket, small_campaign(tmp_path / "raw", lives=1))
     lab = Lab(tmp_path / "lab")
     run(bucket, lab)
@@ -155,7 +155,7 @@ def test_an_object_that_changes_meanwhile_waits(bucket: Any, tmp_path: Path, mon
             bucket.put_object(Key="rig-1/L-0.mcap", Body=(raw / "P-1-chirp-0.mcap").read_bytes()[:1000])
         good(file, path)
 
-    monkeypatch.setattr(pipeline.looking, "fetch", changing)
+    monkeypatch.setattr(pipeline.nightly.look, "fetch", changing)
     first = run(bucket, lab)
     assert (first.counts.pending, first.counts.ingested) == (1, 2)
     assert fetched_files(lab) == ["rig-a.toml"]

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.execute import Casualty, KeptPool, LocalPool, SerialExecutor, run_all
+from pipeline.nightly.workers import Casualty, KeptPool, LocalPool, SerialExecutor, run_all
 from schemas.errors import LabError
 
 

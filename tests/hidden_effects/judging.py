@@ -18,18 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.diagnose.diagnosis import diagnose, film_of, main_key
-from pipeline.diagnose.extend import Extended, ExtendedFit, orthonormal
-from pipeline.diagnose.features import REST_HUM, FeatureBlock
-from pipeline.diagnose.hum import with_hum
-from pipeline.diagnose.plain import bounds, fit_plain
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.features.kinds import REST_HUM, FeatureBlock
+from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, HeldOut, Predicted
-from pipeline.diagnose.session import Place
-from pipeline.diagnose.session import Session as FeatureSession
-from pipeline.diagnose.session import make_session as session_of
-from pipeline.diagnose.solve import central
-from pipeline.fit.model import RelaxationModel
+from pipeline.diagnose.search.extend import Extended, ExtendedFit, orthonormal
+from pipeline.diagnose.search.plain import bounds, fit_plain
+from pipeline.diagnose.simulation.hum import with_hum
+from pipeline.diagnose.simulation.session import Place
+from pipeline.diagnose.simulation.session import Session as FeatureSession
+from pipeline.diagnose.simulation.session import make_session as session_of
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.film import RelaxationModel
+from pipeline.physics.least_squares import central
 from tests.hidden_effects.truth import (
     KINDS,
     Effect,

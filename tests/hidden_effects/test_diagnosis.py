@@ -15,15 +15,15 @@ import pytest
 from ingest.canonical import canonical
 from ingest.read import read_raw
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.features import RecordingFeatures
-from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.errors import NotIdentifiableError
 from schemas.mechanisms import UNLISTED
 from schemas.recording import Recording
+from tests.helpers.session_files import write_recordings
 from tests.hidden_effects.judging import Case, _covered, _split, judge, made, observe
 from tests.hidden_effects.truth import KINDS, Effect, compact_session
-from tests.session_files import write_recordings
 
 SEED = 103
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.diagnose.effects import NONE
-from pipeline.diagnose.extend import Chosen, Extended, ExtendedFit, effect_of_all
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.predict_sweeps import SweepFamily
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.session import make_session
-from pipeline.fit.model import RelaxationModel
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.search.extend import Chosen, Extended, ExtendedFit, effect_of_all
+from pipeline.diagnose.simulation.effects import NONE
+from pipeline.diagnose.simulation.session import make_session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.diagnose.simulation.sweeps import SweepFamily
+from pipeline.physics.film import RelaxationModel
 from tests.hidden_effects.truth import Effect, Session
 from tests.hidden_effects.truth import make_session as true_session
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.features import RecordingFeatures
-from pipeline.diagnose.records import rest_samples
-from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.features.records import rest_samples
+from pipeline.diagnose.features.reduce import reduce
 from pipeline.simulate.campaign import read_campaign, simulate_one
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import os
 import sys
 from collections.abc import Iterator
@@ -18,13 +19,10 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
-
 import numpy as np
 
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.reduce import reduce
+from pipeline.diagnose.features.reduce import reduce
 from tests.hidden_effects.truth import KINDS, compact_session
 
 SEED = 103
@@ -66,12 +64,16 @@ def differences(before: Any, after: Any, place: str = "") -> Iterator[str]:
 
 def main() -> int:
     names = [f"{id or 'nothing'} {seed}" for id, seed in SESSIONS]
-    with ProcessPoolExecutor() as pool:
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before the workers import numpy
+        os.environ.setdefault(name, "1")
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         found = dict(zip(names, pool.map(say, SESSIONS), strict=True))
     Path(sys.argv[1]).write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8")
     if len(sys.argv) < 3:
         return 0
-    differing = list(differences(json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")), json.loads(json.dumps(found))))
+    differing = list(
+        differences(json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")), json.loads(json.dumps(found)))
+    )
     print("\n".join(differing[:40]) or f"All {len(found)} verdicts are the same.")
     return 1 if differing else 0
 

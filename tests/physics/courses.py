@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.effects import Course, Scale
+from pipeline.diagnose.simulation.effects import Course, Scale
 
 Float = NDArray[np.float64]
 STIFFNESS_N_PER_MM = 3.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.diagnose.reduce import EPSILON_0_N_PER_KV2, actuation_prior
+from pipeline.diagnose.features.reduce import EPSILON_0_N_PER_KV2, actuation_prior
 from schemas.metadata import RecordingMetadata
 
 KEYS = {

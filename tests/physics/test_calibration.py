@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pipeline.tabulate.calibrations import calibration_table
+from pipeline.analyse.rows.calibrations import calibration_table
+from pipeline.physics.rig import RigModel
 from pipeline.transform.calibration import TapCalibration, calibrate, sharpen
-from pipeline.transform.rig import RigModel
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from tests.physics.rig_truth import Truth, recording

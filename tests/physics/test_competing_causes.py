@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.fit.competing_causes import UNKNOWN_CAUSE, aalen_johansen
-from pipeline.fit.survival import kaplan_meier
+from pipeline.fit.survival.competing_causes import UNKNOWN_CAUSE, aalen_johansen
+from pipeline.fit.survival.kaplan_meier import kaplan_meier
 from schemas.errors import RefusedError
 
 SITES = {0: None, 1: "rod", 2: "lead", 3: ""}

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.physics.rig import RigModel
 from pipeline.transform.correction import (
     blocked_force,
     calibrated,
@@ -17,7 +18,6 @@ from pipeline.transform.correction import (
     resonance_free,
 )
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
-from pipeline.transform.rig import RigModel
 from schemas.errors import NotIdentifiableError
 from tests.physics.rig_truth import POLYACRYLATE, Truth
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.diagnose.effects import NONE, Cracks, Effect
-from pipeline.diagnose.features import CYCLIC_CAPACITANCE
-from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.session import make_session
+from pipeline.diagnose.features.kinds import CYCLIC_CAPACITANCE
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.simulation.effects import NONE, Cracks, Effect
+from pipeline.diagnose.simulation.session import make_session
+from pipeline.diagnose.simulation.simulation import Simulation
 from tests.hidden_effects.judging import Case, judge
 from tests.hidden_effects.truth import make_session as true_session
 

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from pipeline.diagnose.contest import Contest
-from pipeline.diagnose.cycle_causes import large_cycle
-from pipeline.diagnose.cycle_diagnosis import diagnose_cycle, noise_sd
 from pipeline.diagnose.results import Diagnosis
+from pipeline.diagnose.single.contest import Contest
+from pipeline.diagnose.single.cycle_causes import large_cycle
+from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle, noise_sd
 from schemas.errors import NotIdentifiableError
 
 Float = NDArray[np.float64]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.diagnose.effects import Course
 from pipeline.diagnose.mechanisms import effect_of
+from pipeline.diagnose.simulation.effects import Course
 from tests.physics.courses import of_a_spring
 
 Float = NDArray[np.float64]

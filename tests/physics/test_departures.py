@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.diagnose.departures import Departure, departures
-from pipeline.diagnose.designs import Proposal
-from pipeline.diagnose.extend import Extended, ExtendedFit
-from pipeline.diagnose.imagined import Seen, made_up
-from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.screen import absorbed_by, unabsorbed
-from pipeline.diagnose.session import make_session
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.proposals.designs import Proposal
+from pipeline.diagnose.proposals.imagined import Seen, made_up
+from pipeline.diagnose.search.departures import Departure, departures
+from pipeline.diagnose.search.extend import Extended, ExtendedFit
+from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
+from pipeline.diagnose.simulation.session import make_session
+from pipeline.diagnose.simulation.simulation import Simulation
 from tests.hidden_effects.truth import Effect
 from tests.hidden_effects.truth import make_session as true_session
 

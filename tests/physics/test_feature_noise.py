@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.diagnose.features import REST_HUM, SPHS_RESPONSE, NoiseSample
-from pipeline.diagnose.functionals import Component, Functionals
-from pipeline.diagnose.mains import HUM_HZ, mains_components, mains_of
-from pipeline.diagnose.noise_density import NoiseLaw, noise_law, noise_sample
-from pipeline.diagnose.records import thin, thinned_gain
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.session import make_session
+from pipeline.diagnose.features.functionals import Component, Functionals
+from pipeline.diagnose.features.kinds import REST_HUM, SPHS_RESPONSE, NoiseSample
+from pipeline.diagnose.features.noise_density import NoiseLaw, noise_law, noise_sample
+from pipeline.diagnose.features.records import thin, thinned_gain
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.simulation.mains import HUM_HZ, mains_components, mains_of
+from pipeline.diagnose.simulation.session import make_session
 from tests.hidden_effects.truth import Effect
 from tests.hidden_effects.truth import make_session as true_session
 from tests.hidden_effects.truth.material import random_specimen

@@ -10,10 +10,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pipeline.analyse.cycle import cycle_fits
-from pipeline.fit.hyperelastic import LAWS, NEO_HOOKEAN, NON_AFFINE, OGDEN
-from pipeline.fit.time_domain import branch, fit_cycle
-from pipeline.tabulate.cycles import cycle_tables
-from pipeline.tabulate.fits import fit_tables
+from pipeline.analyse.rows.cycles import cycle_tables
+from pipeline.analyse.rows.fits import fit_tables
+from pipeline.fit.relaxation.time_domain import branch, fit_cycle
+from pipeline.physics.hyperelastic import LAWS, NEO_HOOKEAN, NON_AFFINE, OGDEN
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording

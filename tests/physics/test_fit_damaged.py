@@ -13,8 +13,8 @@ from scipy.stats import chi2
 
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.specimen import analyse_specimen
-from pipeline.fit.damaged import weighed
-from pipeline.fit.relaxation import fit_specimen
+from pipeline.fit.relaxation.damaged import weighed
+from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.transform.response import FrequencyResponse
 from schemas.metadata import RecordingMetadata
 from tests.physics.fit_truth import ACRYLATE, BAND, electrical, electrical_response, film, mechanical, response, rig

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.fit.electrical import fit_electrical, fit_joint
-from pipeline.fit.predict import predict, predict_response
-from pipeline.fit.relaxation import fit_specimen
-from pipeline.fit.results import SpecimenFits
-from pipeline.tabulate.fits import fit_tables
+from pipeline.analyse.rows.fits import fit_tables
+from pipeline.fit.relaxation.electrical import fit_electrical, fit_joint
+from pipeline.fit.relaxation.identify import fit_specimen
+from pipeline.fit.relaxation.predict import predict, predict_response
+from pipeline.fit.relaxation.results import SpecimenFits
 from schemas.errors import NotIdentifiableError
 from tests.physics.fit_truth import (
     ACRYLATE,

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.fit.kernels import (
+from pipeline.fit.relaxation.rig import combined, divided, rig_prior
+from pipeline.physics.film import RelaxationModel
+from pipeline.physics.relaxation_kernels import (
     Hold,
     Shape,
     hold_stiffness,
@@ -16,8 +18,6 @@ from pipeline.fit.kernels import (
     series_hold_values,
     stiffness_and_slopes,
 )
-from pipeline.fit.model import RelaxationModel
-from pipeline.fit.rig import combined, divided, rig_prior
 from schemas.metadata import RigConstants
 from tests.physics.fit_truth import (
     ACRYLATE,

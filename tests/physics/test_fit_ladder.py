@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.fit.ladder import ladder, wants_ladder
-from pipeline.fit.relaxation import fit_specimen
-from pipeline.tabulate.ladders import ladder_table
+from pipeline.analyse.rows.ladders import ladder_table
+from pipeline.fit.relaxation.identify import fit_specimen
+from pipeline.fit.relaxation.ladder import ladder, wants_ladder
 from tests.physics.fit_truth import ACRYLATE, BAND, film, relaxation_curve, response
 
 WIDE = np.logspace(-4, 4, 80)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.fit.assemble import assemble
-from pipeline.fit.order import arc_length, bic, choose, tail_probability
-from pipeline.fit.reference import find_reference
-from pipeline.fit.relaxation import fit_specimen
-from pipeline.fit.search import Search
+from pipeline.fit.relaxation.assemble import assemble
+from pipeline.fit.relaxation.identify import fit_specimen
+from pipeline.fit.relaxation.order import arc_length, bic, choose, tail_probability
+from pipeline.fit.relaxation.reference import find_reference
+from pipeline.fit.relaxation.search import Search
 from tests.physics.fit_truth import BAND, SILICONE, film, response
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.fit.metrics import Geometry, errors
-from pipeline.fit.model import RelaxationModel
-from pipeline.fit.relaxation import fit_corrected, fit_specimen
+from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
+from pipeline.fit.relaxation.metrics import Geometry, errors
+from pipeline.physics.film import RelaxationModel
 from pipeline.transform.correction import correct_mechanical
 from pipeline.transform.response import OUTPUT_PER_INPUT
 from schemas.errors import NotIdentifiableError

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares, nnls
 
-from pipeline.fit.assemble import assemble
-from pipeline.fit.kernels import Shape
-from pipeline.fit.linear import Linearisation, first_expansion
-from pipeline.fit.reference import find_reference
-from pipeline.fit.search import Search
-from pipeline.fit.varpro import LinearProblem, _non_negative, bounds, merged
+from pipeline.fit.relaxation.assemble import assemble
+from pipeline.fit.relaxation.linear import Linearisation, first_expansion
+from pipeline.fit.relaxation.reference import find_reference
+from pipeline.fit.relaxation.search import Search
+from pipeline.fit.relaxation.varpro import LinearProblem, _non_negative, bounds, merged
+from pipeline.physics.relaxation_kernels import Shape
 from tests.physics.fit_truth import (
     ACRYLATE,
     BAND,

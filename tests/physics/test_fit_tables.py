@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.fit.metrics import Geometry
-from pipeline.fit.relaxation import fit_corrected, fit_specimen
-from pipeline.tabulate.fits import fit_tables
+from pipeline.analyse.rows.fits import fit_tables
+from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
+from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.transform.correction import correct_mechanical
 from tests.physics.fit_truth import ACRYLATE, BAND, SLOW_BAND, STACK, film, mechanical, response, rig
 

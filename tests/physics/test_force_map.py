@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.fit.force_comparisons import compare_forces
-from pipeline.fit.force_map import fit_force_map, fit_force_maps
-from pipeline.fit.force_points import force_per_permittivity, force_points
-from pipeline.tabulate.force_maps import force_map_tables
+from pipeline.analyse.rows.force_maps import force_map_tables
+from pipeline.fit.force.comparisons import compare_forces
+from pipeline.fit.force.force_map import fit_force_map, fit_force_maps
+from pipeline.fit.force.points import force_per_permittivity, force_points
 from pipeline.transform.force_map import ForceMapReadings, ForceReading, measure_force_map
-from reports.pages.force import finding
+from reports.pages.specimen.force import finding
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording

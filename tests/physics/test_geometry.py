@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.fit.metrics import Geometry
-from pipeline.fit.sensing import actuation_per_voltage_squared, current_section_mm2
+from pipeline.fit.relaxation.metrics import Geometry
+from pipeline.fit.sensing.self_sensing import actuation_per_voltage_squared, current_section_mm2
 from pipeline.simulate.procedures.calibration import Calibration
 from pipeline.simulate.procedures.electrical import Electrical
 from pipeline.simulate.procedures.mechanical import Mechanical

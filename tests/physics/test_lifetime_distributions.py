@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from pipeline.fit.lifetime_distributions import (
+from pipeline.fit.survival.lifetime_distributions import (
     DISTRIBUTIONS,
     EXPONENTIAL,
     LOG_NORMAL,
@@ -14,7 +14,7 @@ from pipeline.fit.lifetime_distributions import (
     Lives,
     fit_distribution,
 )
-from pipeline.fit.log_location_scale import NORMAL, SMALLEST_EXTREME_VALUE, maximise
+from pipeline.fit.survival.log_location_scale import NORMAL, SMALLEST_EXTREME_VALUE, maximise
 from schemas.errors import NotIdentifiableError, RefusedError
 from tests.physics.survival_data import TREATED
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pipeline.analyse.recording import analyse_recording
-from pipeline.controller import ControllerStudy
-from pipeline.fit.gains import propose_gains
-from pipeline.fit.sensing import fit_sensing
+from pipeline.commands.controller import ControllerStudy
+from pipeline.fit.sensing.gains import propose_gains
+from pipeline.fit.sensing.self_sensing import fit_sensing
 from pipeline.simulate.campaign import load_campaign, simulate_one
 from pipeline.transform.loop import LoopResponse, measure_loop
 from pipeline.transform.step import measure_steps

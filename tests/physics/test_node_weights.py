@@ -7,8 +7,8 @@ import scipy.sparse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.diagnose.functionals import Operator
-from pipeline.diagnose.node_weights import NodeWeights
+from pipeline.diagnose.features.functionals import Operator
+from pipeline.diagnose.simulation.node_weights import NodeWeights
 
 
 @settings(max_examples=60, deadline=None)

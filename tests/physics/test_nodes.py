@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnose.nodes import POINTS, Elsewhere, carried, fewer_nodes, interpolation, response_nodes
+from pipeline.diagnose.simulation.nodes import POINTS, Elsewhere, carried, fewer_nodes, interpolation, response_nodes
 from schemas.metadata import RigConstants
 
 MASS_KG, STIFFNESS_N_PER_MM = 0.36, 34.0

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import _film_sd
-from pipeline.diagnose.extend import Extended
-from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.session import make_session
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.search.extend import Extended
+from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.simulation.session import make_session
+from pipeline.diagnose.simulation.simulation import Simulation
 from tests.hidden_effects.judging import Case, made
 from tests.hidden_effects.truth import Effect, compact_designs
 from tests.hidden_effects.truth import make_session as true_session

@@ -8,14 +8,14 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from pipeline.diagnose.base import BaseModel
-from pipeline.diagnose.effects import NONE, Effect
-from pipeline.diagnose.families import Family
+from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.mechanisms import MECHANISMS, effect_of
-from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.session import Session, make_session
+from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.simulation.effects import NONE, Effect
+from pipeline.diagnose.simulation.families import Family
+from pipeline.diagnose.simulation.parameters import BaseModel
+from pipeline.diagnose.simulation.session import Session, make_session
+from pipeline.diagnose.simulation.simulation import Simulation
 from tests.hidden_effects.judging import Case, made
 
 FORMS = [(id, variant) for id, m in MECHANISMS.items() for variant in m.variants or ("",)]

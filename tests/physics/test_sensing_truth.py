@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.fit.coverage import fit_coverage
-from pipeline.fit.migration import migration
-from pipeline.fit.wrinkling import wrinkling
+from pipeline.fit.sensing.coverage import fit_coverage
+from pipeline.fit.sensing.migration import migration
+from pipeline.fit.sensing.wrinkling import wrinkling
 from pipeline.transform.capacitance_cycles import capacitance_cycles
 from pipeline.transform.coats import Coat, measure_coat
 from pipeline.transform.step import measure_steps

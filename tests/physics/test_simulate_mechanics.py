@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from pipeline.fit.model import RelaxationModel
+from pipeline.physics.film import RelaxationModel
 from pipeline.simulate.mechanics import Propagator, Rig, assemble, integrate
 
 Complex = NDArray[np.complex128]

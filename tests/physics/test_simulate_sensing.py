@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.fit.migration import migration
-from pipeline.fit.wrinkling import wrinkling
+from pipeline.fit.sensing.migration import migration
+from pipeline.fit.sensing.wrinkling import wrinkling
 from pipeline.simulate.campaign import load_campaign, read_campaign, simulate_one
 from pipeline.simulate.plan import PACKAGED
 from pipeline.transform.capacitance_cycles import capacitance_cycles

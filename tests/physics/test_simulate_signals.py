@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.simulate import excitation
+from pipeline.physics import excitation
 from pipeline.simulate.bench import Signals
 from pipeline.simulate.drive import Amplifier
 from pipeline.simulate.sensors import Sensor, delayed, low_pass, random_stream

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.diagnose.solve import LEAST_DAMPING, central, minimise
+from pipeline.physics.least_squares import LEAST_DAMPING, central, minimise
 
 Float = NDArray[np.float64]
 FAR = np.full(2, 50.0)

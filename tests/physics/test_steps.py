@@ -8,14 +8,14 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from pipeline.fit.sensing import (
+from pipeline.fit.sensing.self_sensing import (
     actuation_per_voltage_squared,
     creep_modulus,
     current_section_mm2,
     fit_sensing,
     predicted_sensitivity,
 )
-from pipeline.fit.wrinkling import wrinkling
+from pipeline.fit.sensing.wrinkling import wrinkling
 from pipeline.transform.step import measure_steps
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants

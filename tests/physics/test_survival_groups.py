@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from pipeline.fit.survival_groups import SurvivalGroup, SurvivalResults, survival_group
-from pipeline.fit.survival_tests import EXACT_PERMUTATION, FISHER, LOG_RANK
-from pipeline.tabulate.lifetimes import lifetime_table
-from pipeline.tabulate.survival import survival_tables
+from pipeline.analyse.rows.lifetimes import lifetime_table
+from pipeline.analyse.rows.survival import survival_tables
+from pipeline.fit.survival.groups import SurvivalGroup, SurvivalResults, survival_group
+from pipeline.fit.survival.tests import EXACT_PERMUTATION, FISHER, LOG_RANK
 from schemas.lifetimes import END_OF_TEST, LifetimeRow
 from schemas.tables import TABLES
 
@@ -255,7 +255,7 @@ def test_tables_and_sql(results: SurvivalResults) -> None:
 
 
 def test_docstring_sql_runs(results: SurvivalResults) -> None:
-    import pipeline.tabulate.survival as module
+    import pipeline.analyse.rows.survival as module
 
     database = duckdb.connect()
     for name, table in survival_tables(results).items():

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from pipeline.fit.hazard_ratio import hazard_ratio
-from pipeline.fit.survival_comparisons import NO_TEST, compare, corrected, restricted_mean_difference
-from pipeline.fit.survival_tests import (
+from pipeline.fit.survival.comparisons import NO_TEST, compare, corrected, restricted_mean_difference
+from pipeline.fit.survival.hazard_ratio import hazard_ratio
+from pipeline.fit.survival.tests import (
     EXACT_PERMUTATION,
     GEHAN,
     LOG_RANK,

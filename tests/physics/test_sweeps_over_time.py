@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnose import blocks, features_chirp
-from pipeline.diagnose.extend import Chosen, Extended, effect_of_all
-from pipeline.diagnose.plain import fit_plain
-from pipeline.diagnose.power import beyond_arms
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.predict_sweeps import SweepFamily
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.screen import secants, signatures
-from pipeline.diagnose.session import Session, make_session
-from pipeline.diagnose.sweep_kernels import Piece, SweepReader, bands_of, harmonics_of
-from pipeline.fit.model import RelaxationModel
+from pipeline.diagnose.features import blocks, chirp
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.features.sweep_kernels import Piece, SweepReader, bands_of, harmonics_of
+from pipeline.diagnose.search.extend import Chosen, Extended, effect_of_all
+from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.search.power import beyond_arms
+from pipeline.diagnose.search.screen import secants, signatures
+from pipeline.diagnose.simulation.session import Session, make_session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.diagnose.simulation.sweeps import SweepFamily
+from pipeline.physics.film import RelaxationModel
 from tests.hidden_effects.truth import Effect
 from tests.hidden_effects.truth import Session as TrueSession
 from tests.hidden_effects.truth import make_session as true_session
@@ -197,8 +197,8 @@ def test_of_many_sweeps_each_is_read_with_those_just_before_it(monkeypatch: pyte
 
     monkeypatch.setattr(blocks, "Functionals", Counted)
     found, counts = {}, {}
-    for remembered in (features_chirp._REMEMBERED, 99):
-        monkeypatch.setattr(features_chirp, "_REMEMBERED", remembered)
+    for remembered in (chirp._REMEMBERED, 99):
+        monkeypatch.setattr(chirp, "_REMEMBERED", remembered)
         seen.clear()
         session = make_session([reduce(r) for r in truth.recordings])
         found[remembered], counts[remembered] = session, sum(seen)

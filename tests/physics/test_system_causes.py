@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from pipeline.diagnose.contest import Contest, contest
-from pipeline.diagnose.oscillator import DELAY, Oscillator, SystemRecord, linear
 from pipeline.diagnose.results import NAMED, NONE
-from pipeline.diagnose.system_causes import SystemQuestion, system_causes
-from pipeline.diagnose.system_discrepancies import system_discrepancies
+from pipeline.diagnose.single.contest import Contest, contest
+from pipeline.diagnose.single.oscillator import DELAY, Oscillator, SystemRecord, linear
+from pipeline.diagnose.single.system_causes import SystemQuestion, system_causes
+from pipeline.diagnose.single.system_discrepancies import system_discrepancies
 
 Float = NDArray[np.float64]
 Force = Callable[[float, float, float], tuple[float, float]]

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.simulate.thickness import layout
-from pipeline.simulate.thickness.assembly import q4
-from pipeline.simulate.thickness.continuous import continuous_thickness
-from pipeline.simulate.thickness.film import RodFilm, undeformed_mesh
-from pipeline.simulate.thickness.incremental import incremental_thickness
-from pipeline.simulate.thickness.ogden import energy, principal_stress, principal_tangent, stress_and_tangent
+from pipeline.physics.ogden import energy, principal_stress, principal_tangent, stress_and_tangent
+from pipeline.physics.thickness import layout
+from pipeline.physics.thickness.assembly import q4
+from pipeline.physics.thickness.continuous import continuous_thickness
+from pipeline.physics.thickness.film import RodFilm, undeformed_mesh
+from pipeline.physics.thickness.incremental import incremental_thickness
 
 stretch = st.floats(0.6, 3.2)
 

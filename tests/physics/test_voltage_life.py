@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from pipeline.fit.lifetime_distributions import Lives
-from pipeline.fit.voltage_life import fit_inverse_power_law
+from pipeline.fit.survival.lifetime_distributions import Lives
+from pipeline.fit.survival.voltage_life import fit_inverse_power_law
 from schemas.errors import NotIdentifiableError, RefusedError
 
 

@@ -7,8 +7,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from pipeline.diagnose.effects import Film, Scale, View
 from pipeline.diagnose.mechanisms import effect_of
+from pipeline.diagnose.simulation.effects import Film, Scale, View
 
 WARM = {"per_kelvin": 0.02, "rise_k": 5.0, "time_constant_s": 500.0}
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.fit.weak_regions import check_layout, compare_regions, electrodes, on_grid
-from pipeline.simulate.thickness.continuous import continuous_thickness
-from pipeline.simulate.thickness.film import RodFilm
-from pipeline.tabulate.weak_regions import weak_region_tables
+from pipeline.analyse.rows.weak_regions import weak_region_tables
+from pipeline.fit.survival.weak_regions import check_layout, compare_regions, electrodes, on_grid
+from pipeline.physics.thickness.continuous import continuous_thickness
+from pipeline.physics.thickness.film import RodFilm
 
 CASE_1 = ["left"] * 7 + ["centre"] * 10 + ["right"] * 3
 

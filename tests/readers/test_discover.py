@@ -26,7 +26,7 @@ from ingest.discover import (
 )
 from ingest.quarantine import entries, entry_name, quarantine, release, safe_name
 from schemas.errors import PendingError, RefusedError, UsageError
-from tests.found_files import discover
+from tests.helpers.found_files import discover
 
 TOML = """[[files]]
 match = "*.csv"

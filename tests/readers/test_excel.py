@@ -13,7 +13,7 @@ from ingest.mapping import FileMapping
 from ingest.read import read_raw
 from schemas.errors import RefusedError
 from schemas.recording import RawRecording
-from tests.xlsx_files import write_xlsx
+from tests.helpers.xlsx_files import write_xlsx
 
 
 def mapping(**options: Any) -> FileMapping:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest.mcap_blocks import BlockCollector, block_times, parse_block
-from tests.mcap_files import START, parsed_block
+from tests.helpers.mcap_files import START, parsed_block
 
 
 def _varint(number: int) -> bytes:

@@ -16,7 +16,7 @@ from ingest.mapping import FileMapping
 from ingest.mcap_messages import topic_fields
 from ingest.mcap_reader import read_mcap
 from schemas.errors import RefusedError, UnmappedError
-from tests.mcap_files import METADATA, START, block, descriptor_set, message_type
+from tests.helpers.mcap_files import METADATA, START, block, descriptor_set, message_type
 
 MS = 1_000_000
 Message = tuple[str, int, bytes]

@@ -17,7 +17,7 @@ from ingest.mcap_reader import read_mcap
 from ingest.mcap_writer import RecordingWriter
 from schemas.errors import RefusedError, UsageError
 from schemas.metadata import RecordingMetadata, RigConstants
-from tests.mcap_files import METADATA, START, message_type, parsed_block
+from tests.helpers.mcap_files import METADATA, START, message_type, parsed_block
 
 MS = 1_000_000
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -174,7 +174,7 @@ def test_an_exception_ends_the_recording_and_is_noted(tmp_path: Path) -> None:
 _KILLED = """
 import os, sys, numpy as np
 from ingest.mcap_writer import RecordingWriter
-from tests.mcap_files import METADATA, START
+from tests.helpers.mcap_files import METADATA, START
 writer = RecordingWriter(sys.argv[1], METADATA).open()
 writer.add_channel("voltage", "kV")
 for second in range(100):

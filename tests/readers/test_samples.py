@@ -19,7 +19,7 @@ from ingest.samples import PREVIEW_POINTS, preview, read_samples, samples_table,
 from schemas.errors import LabError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording, Source
-from tests.mcap_files import METADATA, START
+from tests.helpers.mcap_files import METADATA, START
 
 MS = 1_000_000
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.fit.relaxation import fit_specimen
-from pipeline.fit.time_domain import fit_cycle
+from pipeline.fit.relaxation.identify import fit_specimen
+from pipeline.fit.relaxation.time_domain import fit_cycle
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 

@@ -18,7 +18,7 @@ from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.transform.channels import drive
 from schemas.errors import RefusedError
 from schemas.recording import RawRecording, Recording
-from tests.found_files import discover
+from tests.helpers.found_files import discover
 
 Layout = Callable[[str], Path]
 

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.fit.lifetime_distributions import WEIBULL, Lives, fit_distribution
-from pipeline.fit.survival import kaplan_meier
-from pipeline.fit.survival_groups import survival_group
-from pipeline.fit.survival_tests import GEHAN, PETO, TARONE_WARE, rank_test
-from pipeline.fit.voltage_life import fit_inverse_power_law
+from pipeline.fit.survival.groups import survival_group
+from pipeline.fit.survival.kaplan_meier import kaplan_meier
+from pipeline.fit.survival.lifetime_distributions import WEIBULL, Lives, fit_distribution
+from pipeline.fit.survival.tests import GEHAN, PETO, TARONE_WARE, rank_test
+from pipeline.fit.survival.voltage_life import fit_inverse_power_law
 from schemas.errors import NotIdentifiableError, RefusedError
 from schemas.lifetimes import LifetimeRow
 

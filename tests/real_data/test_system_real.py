@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.diagnose.contest import contest
-from pipeline.diagnose.oscillator import SystemRecord
 from pipeline.diagnose.results import NAMED
-from pipeline.diagnose.system_causes import SystemQuestion, system_causes
-from pipeline.diagnose.system_discrepancies import system_discrepancies
+from pipeline.diagnose.single.contest import contest
+from pipeline.diagnose.single.oscillator import SystemRecord
+from pipeline.diagnose.single.system_causes import SystemQuestion, system_causes
+from pipeline.diagnose.single.system_discrepancies import system_discrepancies
 
 INTERVAL_S = 2**14 / 1e7
 LOUD_END, LENGTH = 40400, 8192

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from tests.machine import machine, today
+from tests.helpers.machine import machine, today
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.md"

@@ -17,9 +17,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.fit.order import tail_probability
-from pipeline.fit.relaxation import fit_corrected, fit_specimen
-from pipeline.fit.results import SpecimenFits
+from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
+from pipeline.fit.relaxation.order import tail_probability
+from pipeline.fit.relaxation.results import SpecimenFits
 from pipeline.transform.correction import correct_mechanical
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from schemas.metadata import RigConstants

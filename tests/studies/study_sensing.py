@@ -17,11 +17,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.fit.coverage import fit_coverage
-from pipeline.fit.migration import migration
-from pipeline.fit.sensing import fit_sensing
+from pipeline.fit.sensing.coverage import fit_coverage
+from pipeline.fit.sensing.migration import migration
+from pipeline.fit.sensing.self_sensing import fit_sensing
+from pipeline.fit.sensing.wrinkling import wrinkling
 from pipeline.fit.weighted import Estimate
-from pipeline.fit.wrinkling import wrinkling
 from pipeline.transform.capacitance_cycles import capacitance_cycles
 from pipeline.transform.coats import Coat
 from pipeline.transform.step import measure_steps

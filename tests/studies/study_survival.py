@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import integrate
 
-from pipeline.fit.lifetime_distributions import WEIBULL, Lives, fit_distribution
-from pipeline.fit.survival import Estimate, kaplan_meier
+from pipeline.fit.survival.kaplan_meier import Estimate, kaplan_meier
+from pipeline.fit.survival.lifetime_distributions import WEIBULL, Lives, fit_distribution
 
 
 @dataclass(frozen=True)

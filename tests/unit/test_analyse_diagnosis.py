@@ -37,7 +37,7 @@ def measured(recording: Recording) -> Measured:
 def at(one: Measured, days: float, **more: Any) -> Measured:
     """The same recording, reduced again as if it had been made so many days later."""
     (features,) = one.of(SessionFeatures)
-    from pipeline.diagnose.features_io import pack, unpack
+    from pipeline.diagnose.features.encode import pack, unpack
 
     found = unpack(features.content)
     moved = replace(found, started_at=found.started_at + timedelta(days=days), **more)

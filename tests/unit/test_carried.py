@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pipeline.analyse.carried import KINDS
-from pipeline.stages.groups import ANALYSES
-from pipeline.stages.tasks import (
+from pipeline.nightly.stage_groups import ANALYSES
+from pipeline.nightly.stages import (
     CALIBRATION_KINDS,
     DIAGNOSIS_KIND,
     DIAGNOSIS_TABLES,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.diagnose.extend import ExtendedFit
-from pipeline.diagnose.intervals import NORMAL_90, ends
 from pipeline.diagnose.mechanisms import SEVERITY
+from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.diagnose.search.intervals import NORMAL_90, ends
 
 Float = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from pipeline.diagnose.features import KINDS, FeatureBlock, NoiseSample, RecordingFeatures
-from pipeline.diagnose.features_io import pack, unpack
-from pipeline.diagnose.predict import Simulation
-from pipeline.diagnose.reduce import reduce
-from pipeline.diagnose.session import make_session
-from pipeline.fit.model import RelaxationModel
+from pipeline.diagnose.features.encode import pack, unpack
+from pipeline.diagnose.features.kinds import KINDS, FeatureBlock, NoiseSample, RecordingFeatures
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.simulation.session import make_session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.film import RelaxationModel
 from schemas.metadata import RigConstants
 from tests.hidden_effects.truth import make_session as true_session
 

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from pipeline import Lab
-from pipeline.findings import diagnoses
-from pipeline.store.publish import Changes, publish
-from pipeline.tabulate.diagnoses import diagnosis_tables, undiagnosed_tables
+from pipeline.analyse.rows.diagnoses import diagnosis_tables, undiagnosed_tables
+from pipeline.commands.diagnose import diagnoses
+from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import UsageError
 from schemas.mechanisms import severity
 from tests.unit.test_tabulate_diagnoses import FIRST, NAMED, SECOND

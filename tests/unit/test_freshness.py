@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.freshness import _closure, code_version, digest, digest_of_lists
-from pipeline.settings import Settings
-from pipeline.stages.tasks import MODULES
-from pipeline.store.journal import Freshness
+from pipeline.lab.journal import Freshness
+from pipeline.lab.settings import Settings
+from pipeline.nightly.freshness import _closure, code_version, digest, digest_of_lists
+from pipeline.nightly.stages import MODULES
 
 
 def names(module: str) -> set[str]:
@@ -17,20 +17,20 @@ def names(module: str) -> set[str]:
 def test_a_stage_depends_on_what_it_imports_also_inside_functions() -> None:
     recording = names(MODULES["recording"])
     assert {"transform/chirp.py", "ingest/mcap_reader.py", "ingest/canonical.py", "schemas/units.py"} <= recording
-    assert {"fit/relaxation.py", "transform/correction.py", "schemas/units.py"} <= names(MODULES["specimen"])
-    assert "fit/survival.py" in names(MODULES["group"])
-    assert {"diagnose/diagnosis.py", "diagnose/predict.py"} <= names(MODULES["diagnosis"])
-    assert not {name for name in recording if name.startswith("fit/survival")}, "lives are counted, not read again"
+    assert {"relaxation/identify.py", "transform/correction.py", "schemas/units.py"} <= names(MODULES["specimen"])
+    assert "survival/kaplan_meier.py" in names(MODULES["group"])
+    assert {"diagnose/diagnosis.py", "simulation/simulation.py"} <= names(MODULES["diagnosis"])
+    assert not {name for name in recording if name.startswith("survival/")}, "lives are counted, not read again"
 
 
 @pytest.mark.parametrize("stage", ["recording", "specimen", "group"])
 def test_a_change_of_how_causes_are_found_repeats_the_diagnosis_alone(stage: str) -> None:
-    assert not {"diagnose/diagnosis.py", "diagnose/predict.py", "diagnose/plain.py"} & names(MODULES[stage])
+    assert not {"diagnose/diagnosis.py", "simulation/simulation.py", "search/plain.py"} & names(MODULES[stage])
 
 
 def test_no_stage_depends_on_publishing_queries_pages_or_the_command_line() -> None:
     for module in MODULES.values():
-        apart = {"store/publish.py", "store/query.py", "pipeline/cli.py", "pipeline/run.py", "reports/build.py"}
+        apart = {"lab/snapshot.py", "lab/query.py", "pipeline/cli.py", "nightly/night.py", "reports/build.py"}
         assert not names(module) & apart
         assert not any(name.startswith("reports/") for name in names(module))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.diagnose import further
+from pipeline.diagnose.search import further
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from pipeline.lab import Lab
-from pipeline.store.inputs import _rows, fetch_results
-from pipeline.store.journal import Freshness, Outcome, entry_path, write_entry
-from pipeline.store.publish import Changes, publish
-from pipeline.store.reader import Reader
+from pipeline.lab.inputs import _rows, fetch_results
+from pipeline.lab.journal import Freshness, Outcome, entry_path, write_entry
+from pipeline.lab.lab import Lab
+from pipeline.lab.reader import Reader
+from pipeline.lab.snapshot import Changes, publish
 from schemas.tables import TABLES
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnose.designs import Proposal
-from pipeline.diagnose.imagined import Wanted, best_of
-from pipeline.diagnose.next_recording import _ENOUGH, _Apart
+from pipeline.diagnose.proposals.designs import Proposal
+from pipeline.diagnose.proposals.imagined import Wanted, best_of
+from pipeline.diagnose.proposals.next_recording import _ENOUGH, _Apart
 
 SAYS = st.floats(0.0, 1e4)
 AHEAD = st.floats(-9.0, 9.0)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.plan import Reading, Row
-from pipeline.planning import place_contents, set_aside, take_readings, write_rows
-from pipeline.stages.tasks import as_facts
-from pipeline.store.ledger import TABLES, Ledger
+from pipeline.nightly.ledger import TABLES, Ledger
+from pipeline.nightly.ownership import Reading, Row
+from pipeline.nightly.planning import place_contents, set_aside, take_readings, write_rows
+from pipeline.nightly.stages import as_facts
 from schemas.errors import DealabError, PendingError, RefusedError
 
 

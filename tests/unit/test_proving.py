@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnose.departures import Departure
-from pipeline.diagnose.designs import Proposal
-from pipeline.diagnose.doubt import of_number
-from pipeline.diagnose.proving import _ENOUGH, _Judged
+from pipeline.diagnose.proposals.designs import Proposal
+from pipeline.diagnose.proposals.proving import _ENOUGH, _Judged
+from pipeline.diagnose.search.departures import Departure
+from pipeline.diagnose.search.doubt import of_number
 
 TEST = Proposal({"protocol": "sphs", "loading": "electrical"}, "a test")
 WAY = Departure("the actuation follows the voltage in another way", 12.0, 1, 0.08)

@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline import Lab
-from pipeline.show import FORMATS, as_csv, as_json, as_table
-from pipeline.store.publish import Changes, publish
-from pipeline.store.query import Query
+from pipeline.commands.show import FORMATS, as_csv, as_json, as_table
+from pipeline.lab.query import Query
+from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import DealabError, LabError, UsageError
 from schemas.tables import TABLES
 from schemas.views import EXAMPLES

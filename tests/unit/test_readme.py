@@ -20,7 +20,7 @@ from ingest.read import read_raw
 from pipeline.cli import main
 from pipeline.simulate.plan import load_campaign
 from tests.browser import synthetic
-from tests.docs import PICTURES, README, SHOTS, renewed
+from tests.tools.docs import PICTURES, README, SHOTS, renewed
 
 TEXT = README.read_text(encoding="utf-8")
 

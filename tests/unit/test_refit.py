@@ -8,10 +8,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from pipeline.diagnose import refit
-from pipeline.diagnose.extend import Chosen
-from pipeline.diagnose.refit import _not_lost, _to_its_end
-from pipeline.diagnose.screen import Score
+from pipeline.diagnose.search import refit
+from pipeline.diagnose.search.extend import Chosen
+from pipeline.diagnose.search.refit import _not_lost, _to_its_end
+from pipeline.diagnose.search.screen import Score
 
 
 class Falling:

@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from pipeline.fit.model import RelaxationModel
-from reports import curves, evidence
-from reports.pages.places import clopper_pearson
-from reports.reference import POLYACRYLATE, SILICONE, STACK, reference
+from pipeline.physics.film import RelaxationModel
+from reports import evidence
+from reports.figures import curves
+from reports.pages.campaign.places import clopper_pearson
+from reports.pages.campaign.reference import POLYACRYLATE, SILICONE, STACK, reference
 from schemas.tables import TABLES
 
 F = np.geomspace(0.01, 200, 40)

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from reports.figures import film, recording, survival
+from reports.figures.palette import group, misfit
+from reports.figures.plot import Panel, Scale, apart, linear, logarithmic, nice, tick_text
 from reports.figures.responses import Curve, Lines, beyond, residual, response
-from reports.palette import group, misfit
-from reports.plot import Panel, Scale, apart, linear, logarithmic, nice, tick_text
-from reports.svg import DENSE, Drawing
+from reports.figures.svg import DENSE, Drawing
 
 SVG = "{http://www.w3.org/2000/svg}"
 

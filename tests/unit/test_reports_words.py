@@ -8,9 +8,9 @@ import pytest
 
 from reports import findings
 from reports.evidence import Standing
-from reports.pages.index import tally
-from reports.pages.lives import decisive
-from reports.pages.trouble import reason
+from reports.pages.campaign.lives import decisive
+from reports.pages.index.page import tally
+from reports.pages.index.trouble import reason
 from schemas import mechanisms
 from schemas.tables import TABLES
 

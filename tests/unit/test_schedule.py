@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.cli import _COMMANDS, main
-from pipeline.schedule import Job, crontab, units
+from pipeline.commands.schedule import Job, crontab, units
 from schemas.errors import UsageError
 
 AWKWARD = '/data/rig a/50 % "damp" $HOME\'s'

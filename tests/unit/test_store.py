@@ -14,15 +14,15 @@ import pytest
 
 from ingest.atomic import written_whole
 from pipeline.analyse.carried import carried_table, results_of
-from pipeline.lab import Lab
-from pipeline.store import publish as publishing
-from pipeline.store.carry import Codec
-from pipeline.store.checks import violations
-from pipeline.store.journal import Freshness, Outcome, entries, read_outcome, read_tables, write_entry
-from pipeline.store.ledger import Ledger
-from pipeline.store.manifest import learn, load
-from pipeline.store.publish import BATCH_PIECES, Changes, Deletion, batched, publish
-from pipeline.tabulate.recordings import recordings_rows
+from pipeline.analyse.carry import Codec
+from pipeline.analyse.rows.recordings import recordings_rows
+from pipeline.lab import snapshot as publishing
+from pipeline.lab.checks import violations
+from pipeline.lab.journal import Freshness, Outcome, entries, read_outcome, read_tables, write_entry
+from pipeline.lab.lab import Lab
+from pipeline.lab.manifest import load
+from pipeline.lab.snapshot import BATCH_PIECES, Changes, Deletion, batched, publish
+from pipeline.nightly.ledger import Ledger, learn
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from schemas.errors import LabError
 from schemas.lifetimes import LifetimeRow

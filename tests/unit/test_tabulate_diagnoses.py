@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from pipeline.diagnose.features import FeatureBlock, RecordingFeatures
+from pipeline.analyse.rows.diagnoses import diagnosis_tables, undiagnosed_tables
+from pipeline.diagnose.features.kinds import FeatureBlock, RecordingFeatures
 from pipeline.diagnose.results import (
     Candidate,
     Diagnosis,
@@ -20,8 +21,7 @@ from pipeline.diagnose.results import (
     NextRecording,
     Residuals,
 )
-from pipeline.fit.model import RelaxationModel
-from pipeline.tabulate.diagnoses import diagnosis_tables, undiagnosed_tables
+from pipeline.physics.film import RelaxationModel
 from schemas.metadata import RigConstants
 
 PLAIN, FILM = RelaxationModel(1.0, (4.0,), (0.025,)), RelaxationModel(0.9, (4.2,), (0.03,), 0.002)

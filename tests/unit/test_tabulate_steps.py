@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from pipeline.fit.sensing import SensingFit
+from pipeline.analyse.rows.self_sensing import sensing_table
+from pipeline.analyse.rows.steps import step_table, steps_from_rows
+from pipeline.fit.sensing.self_sensing import SensingFit
 from pipeline.fit.weighted import Estimate
-from pipeline.tabulate.self_sensing import sensing_table
-from pipeline.tabulate.steps import step_table, steps_from_rows
 from pipeline.transform.step import StepResponse
 
 

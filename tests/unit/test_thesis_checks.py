@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reports import thesis_checks as thesis
-from reports.pages.literature import _changed
-from reports.reference import POLYACRYLATE, SILICONE, STACK, ReferenceModel
+from reports.pages.campaign import thesis_checks as thesis
+from reports.pages.campaign.literature import _changed
+from reports.pages.campaign.reference import POLYACRYLATE, SILICONE, STACK, ReferenceModel
 
 
 @pytest.mark.parametrize(

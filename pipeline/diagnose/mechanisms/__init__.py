@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pipeline.diagnose.effects import Effect
 from pipeline.diagnose.mechanisms import actuation, contact, drift, drive, film_amplitude, film_time, rig, sensor
 from pipeline.diagnose.mechanisms.mechanism import SEVERITY, SHAPE, STAGES, Context, Mechanism, Parameter
+from pipeline.diagnose.simulation.effects import Effect
 
 _FAMILIES = (drive, actuation, film_time, film_amplitude, contact, rig, sensor, drift)
 MECHANISMS: dict[str, Mechanism] = {

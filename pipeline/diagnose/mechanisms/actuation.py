@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose import features
-from pipeline.diagnose.effects import Cracks, Effect, View, Wave
+from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
     BENT,
     ELECTRICAL,
@@ -18,6 +17,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
+from pipeline.diagnose.simulation.effects import Cracks, Effect, View, Wave
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -190,7 +190,7 @@ ELECTRODE_DEGRADATION = Mechanism(
             most=4.0,
         ),
     ),
-    shows=ELECTRICAL | {features.CYCLIC_CAPACITANCE},
+    shows=ELECTRICAL | {kinds.CYCLIC_CAPACITANCE},
     faint=("cyclic",),
     confusable={
         "baseline_drift": "there the capacitance stays",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose import features
-from pipeline.diagnose.effects import Effect
+from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import RAMPS, SHAPE, Mechanism, Parameter, Values
+from pipeline.diagnose.simulation.effects import Effect
 
 Float = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ BASELINE_DRIFT = Mechanism(
         Parameter("per_decade", "1", "fall per decade of time over the rest force", 0.01, 0.1, signed=True, least=-1.0),
         Parameter("onset_s", "s", "t0", 0.3, 30.0, SHAPE, least=1e-3),
     ),
-    shows=RAMPS | {features.CHIRP_LEVEL, features.CYCLIC_LEVEL, features.STEP_FORCE},
+    shows=RAMPS | {kinds.CHIRP_LEVEL, kinds.CYCLIC_LEVEL, kinds.STEP_FORCE},
     confusable={
         "thermal_softening": "temperature, and it is reversible",
         "electrode_degradation": "there the capacitance falls as well",

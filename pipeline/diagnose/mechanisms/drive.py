@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.effects import Effect, View, Wave
 from pipeline.diagnose.mechanisms.mechanism import AMPLIFIER, BENT, SHAPE, Context, Mechanism, Parameter, Values
+from pipeline.diagnose.simulation.effects import Effect, View, Wave
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose import features
-from pipeline.diagnose.effects import BySize, Course, Effect, Film, View
+from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
     CYCLES,
     ELECTRICAL,
@@ -22,10 +21,11 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
+from pipeline.diagnose.simulation.effects import BySize, Course, Effect, Film, View
 
 Float = NDArray[np.float64]
 
-_BENT = SWEEPS | CYCLES | RAMPS | MULTISINE_FORCE | {features.STEP_FORCE}
+_BENT = SWEEPS | CYCLES | RAMPS | MULTISINE_FORCE | {kinds.STEP_FORCE}
 
 
 def _amplitude(course: Course) -> Float:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.effects import Effect, Film, View
 from pipeline.diagnose.mechanisms.mechanism import (
     ELECTRICAL,
     MECHANICAL,
@@ -17,6 +16,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
+from pipeline.diagnose.simulation.effects import Effect, Film, View
 
 Complex = NDArray[np.complex128]
 Float = NDArray[np.float64]

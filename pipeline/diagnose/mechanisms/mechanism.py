@@ -10,24 +10,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from pipeline.diagnose import features
-from pipeline.diagnose.describing import Loads
-from pipeline.diagnose.effects import Effect, Scale
+from pipeline.diagnose.features import kinds
+from pipeline.diagnose.simulation.describing import Loads
+from pipeline.diagnose.simulation.effects import Effect, Scale
 
 STAGES = ("drive", "actuation", "film", "contact", "rig", "sensor", "drift")
 SEVERITY, SHAPE = "severity", "shape"
 Values = Mapping[str, float]
 
-SWEEPS = frozenset({features.CHIRP_RESPONSE, features.CHIRP_HARMONIC, features.CHIRP_LEVEL})
-CYCLES = frozenset({features.CYCLIC_RESPONSE, features.CYCLIC_HARMONIC, features.CYCLIC_LEVEL})
-RAMPS = frozenset({features.RELAXATION_FORCE, features.CYCLE_FORCE})
-MECHANICAL = SWEEPS | CYCLES | RAMPS | {features.CYCLIC_CAPACITANCE}
-MULTISINE_FORCE = frozenset({features.SPHS_RESPONSE, features.SPHS_DETECTION})
-STEP_SENSED = frozenset({features.STEP_FORCE, features.STEP_CAPACITANCE})
-ELECTRICAL = STEP_SENSED | {features.SPHS_RESPONSE, features.SPHS_CAPACITANCE}
+SWEEPS = frozenset({kinds.CHIRP_RESPONSE, kinds.CHIRP_HARMONIC, kinds.CHIRP_LEVEL})
+CYCLES = frozenset({kinds.CYCLIC_RESPONSE, kinds.CYCLIC_HARMONIC, kinds.CYCLIC_LEVEL})
+RAMPS = frozenset({kinds.RELAXATION_FORCE, kinds.CYCLE_FORCE})
+MECHANICAL = SWEEPS | CYCLES | RAMPS | {kinds.CYCLIC_CAPACITANCE}
+MULTISINE_FORCE = frozenset({kinds.SPHS_RESPONSE, kinds.SPHS_DETECTION})
+STEP_SENSED = frozenset({kinds.STEP_FORCE, kinds.STEP_CAPACITANCE})
+ELECTRICAL = STEP_SENSED | {kinds.SPHS_RESPONSE, kinds.SPHS_CAPACITANCE}
 """Kinds that follow H; with the lines that a linear film leaves empty: `BENT`."""
 BENT = ELECTRICAL | MULTISINE_FORCE
-AMPLIFIER = frozenset({features.SPHS_VOLTAGE, features.STEP_VOLTAGE})
+AMPLIFIER = frozenset({kinds.SPHS_VOLTAGE, kinds.STEP_VOLTAGE})
 
 
 @dataclass(frozen=True)

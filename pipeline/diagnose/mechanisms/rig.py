@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose import features
-from pipeline.diagnose.effects import Effect, Rig, View
+from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
     ELECTRICAL,
     MECHANICAL,
@@ -17,7 +16,8 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
-from pipeline.diagnose.nodes import carried
+from pipeline.diagnose.simulation.effects import Effect, Rig, View
+from pipeline.diagnose.simulation.nodes import carried
 
 Complex = NDArray[np.complex128]
 
@@ -99,7 +99,7 @@ RIG_CONSTANTS = Mechanism(
             signed=True, factor=True, least=-0.8,
         ),
     ),
-    shows=MECHANICAL | ELECTRICAL | {features.TAP_RING},
+    shows=MECHANICAL | ELECTRICAL | {kinds.TAP_RING},
     faint=("step", "cyclic", "relaxation", "cycle"),
     confusable={
         "missing_relaxation": "the error of the rig changes its sign at the clamp's frequency, an arm's does not",
@@ -123,7 +123,7 @@ LOAD_CELL_DAMPING = Mechanism(
         ),
         Parameter("width", "1", "damping ratio ζ₂ of the second mass", 0.02, 0.2, SHAPE, least=1e-3, most=1.0),
     ),
-    shows=MECHANICAL | ELECTRICAL | {features.TAP_RING},
+    shows=MECHANICAL | ELECTRICAL | {kinds.TAP_RING},
     faint=("step", "cyclic", "relaxation", "cycle"),
     confusable={"rig_constants": "phase within the resonance against magnitude beside it"},
     effect=_damping,

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose import features
-from pipeline.diagnose.effects import Effect, Factor, Reading, View
+from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
     AMPLIFIER,
     CYCLES,
@@ -23,6 +22,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
+from pipeline.diagnose.simulation.effects import Effect, Factor, Reading, View
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -105,7 +105,7 @@ GAIN_ERROR = Mechanism(
     parameters=(
         Parameter("gain", "1", "recorded over true, less 1", 1e-3, 0.2, signed=True, factor=True, least=-0.95),
     ),
-    shows=MECHANICAL | ELECTRICAL | AMPLIFIER | {features.WEIGHT_GAIN},
+    shows=MECHANICAL | ELECTRICAL | AMPLIFIER | {kinds.WEIGHT_GAIN},
     confusable={
         "thermal_softening": "a gain is constant in time",
         "rig_constants": "a gain has no resonance; force against displacement is never decided by one rig's data",
@@ -124,7 +124,7 @@ MAINS_HUM = Mechanism(
         Parameter("amplitude_n", "N", "amplitude at 50 Hz", 5e-4, 2e-2),
         Parameter("second", "1", "amplitude at 100 Hz over that at 50 Hz", 0.05, 1.0, SHAPE),
     ),
-    shows=frozenset({features.REST_HUM}),
+    shows=frozenset({kinds.REST_HUM}),
     confusable={"rig_constants": "mains are there with the drive off"},
     effect=_hum,
 )
@@ -138,8 +138,8 @@ SENSOR_SATURATION = Mechanism(
         Parameter("overload", "1", "largest force over the limit, less 1", 0.02, 1.0),
         Parameter("softness", "1", "ceiling over the limit, less 1", 0.003, 0.1, SHAPE),
     ),
-    shows=(SWEEPS | CYCLES | RAMPS | STEP_SENSED | {features.SPHS_RESPONSE, features.SPHS_DETECTION})
-    - {features.STEP_CAPACITANCE},
+    shows=(SWEEPS | CYCLES | RAMPS | STEP_SENSED | {kinds.SPHS_RESPONSE, kinds.SPHS_DETECTION})
+    - {kinds.STEP_CAPACITANCE},
     faint=("sphs", "step"),
     confusable={
         "slack": "the level of the clipping is that of the range, and both signs are cut",

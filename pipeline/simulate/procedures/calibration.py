@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulate import excitation
+from pipeline.physics import excitation
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, INTERVALS_PER_TIME_CONSTANT, Clock
 from pipeline.simulate.specimen import Specimen

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.simulate import excitation
+from pipeline.physics import excitation
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, Clock, amplifier_interval_s
 from pipeline.simulate.specimen import EPSILON_0_N_PER_KV2, Specimen

@@ -1,0 +1,352 @@
+"""Rows of a diagnosis: verdict, discrepancies, causes, the extended model, how far the film moved, what the figures show."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.kinds import FeatureBlock, RecordingFeatures
+from pipeline.diagnose.mechanisms import MECHANISMS
+from pipeline.diagnose.results import Diagnosis, Extension, Residuals
+from pipeline.diagnose.single.contest import Contest, Place
+from pipeline.physics.film import RelaxationModel
+from schemas.protocols import MECHANICAL
+from schemas.tables import ARMS, TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Float = NDArray[np.float64]
+
+_SHOWN_BLOCKS, _SHOWN_PER_KIND, _SHOWN_VALUES = 24, 4, 3000
+"""Blocks that are kept for figures: the most telling, some of each kind, and not more values than this."""
+_LEAST_SHOWN = 1e-12
+_PARAMETERS = ("k0", *(f"k{i}" for i in range(1, ARMS + 1)), *(f"tau{i}" for i in range(1, ARMS + 1)), "c_inf")
+
+
+def diagnosis_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures]) -> dict[str, pa.Table]:
+    """Arrow tables of one specimen's diagnosis. `features` (in any order) are those it was made from."""
+    shown = list(_blocks(diagnosis, features))
+    specimen = {"specimen_id": diagnosis.specimen_id}
+    tables = {
+        "diagnoses": TABLES["diagnoses"].rows([_diagnosis_row(diagnosis)]),
+        "discrepancies": TABLES["discrepancies"].rows(
+            {
+                **specimen,
+                "recording_id": d.recording_id or None,
+                "where_found": d.where_found,
+                "chi2": d.chi2,
+                "degrees_of_freedom": d.degrees_of_freedom,
+                "p_value": d.p_value,
+                "statement": d.statement,
+            }
+            for d in diagnosis.discrepancies
+        ),
+        "diagnosis_candidates": TABLES["diagnosis_candidates"].rows(
+            {
+                **specimen,
+                "mechanism": c.mechanism,
+                "likelihood_ratio": c.likelihood_ratio,
+                "bic": c.bic,
+                "probability": c.probability,
+                "severity": c.severity,
+                "severity_sd": c.severity_sd,
+                "gain": c.gain,
+                "explained": c.explained,
+                "form": c.variant or None,
+                "equation": c.equation,
+            }
+            for c in diagnosis.candidates
+        ),
+        "diagnosis_blocks": TABLES["diagnosis_blocks"].rows(
+            {
+                **specimen,
+                "recording_id": b.recording_id,
+                "kind": b.kind,
+                "block": b.label,
+                "position": b.position,
+                "feature_count": b.size,
+                "plain_rms": b.rms(b.plain),
+                "extended_rms": b.rms(b.extended) if diagnosis.extension is not None else None,
+            }
+            for b in shown
+        ),
+        "diagnosis_curves": _curves(diagnosis, shown),
+        "diagnosis_parameters": TABLES["diagnosis_parameters"].rows(_parameters(diagnosis)),
+    }
+    if diagnosis.extension is not None and diagnosis.extension.severities:
+        tables["model_fits"] = TABLES["model_fits"].rows([_fit_row(diagnosis, diagnosis.extension)])
+    return tables
+
+
+def contest_tables(diagnosis: Diagnosis, contest: Contest) -> dict[str, pa.Table]:
+    """The same of a record that was asked alone, whose causes have each their own gain."""
+    tables = diagnosis_tables(diagnosis, ())
+    rows = [_place_row(diagnosis, place) for place in contest.places]
+    tables["diagnosis_candidates"] = TABLES["diagnosis_candidates"].rows(rows)
+    if not diagnosis.plain_film.k:  # no film
+        tables.pop("model_fits", None)
+        tables.pop("diagnosis_parameters")
+    elif "model_fits" in tables:
+        own = {"loading": MECHANICAL, "method": "time_domain"}
+        tables["model_fits"] = TABLES["model_fits"].rows([{**row, **own} for row in tables["model_fits"].to_pylist()])
+    return tables
+
+
+def _place_row(d: Diagnosis, place: Place) -> dict[str, Any]:
+    entrant = place.entrant
+    main = next(iter(entrant.severity.values()), None)
+    return {
+        "specimen_id": d.specimen_id,
+        "mechanism": entrant.mechanism,
+        "severity": None if main is None else main.value,
+        "severity_sd": None if main is None else _finite(main.sd),
+        "gain": place.gain,
+        "gain_lower": place.lower,
+        "gain_upper": place.upper,
+        "held_out_error": place.after,
+        "explained": place.explained,
+        "form": entrant.form or None,
+        "equation": entrant.equation,
+    }
+
+
+def undiagnosed_tables(specimen_id: str, reasons: Sequence[str]) -> dict[str, pa.Table]:
+    """The row of a specimen whose recordings cannot be asked at all: no verdict, and why."""
+    row = {"specimen_id": specimen_id, "could_not_ask": list(reasons)}
+    return {"diagnoses": TABLES["diagnoses"].rows([row])}
+
+
+def _diagnosis_row(d: Diagnosis) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "specimen_id": d.specimen_id,
+        "verdict": d.verdict,
+        "mechanism": d.mechanism,
+        "mechanisms": list(d.mechanisms),
+        "also_possible": list(d.also_possible),
+        "p_value": d.p_value,
+        "supported_by": list(d.supported_by),
+        "smallest_detectable": json.dumps(_smallest(d)),
+        "invisible": list(d.invisible),
+        "could_not_ask": list(d.could_not_ask),
+        "unexplained": list(d.unexplained),
+        "recordings": len(d.residuals),
+    }
+    if d.extension is not None:
+        row |= {
+            "severity": json.dumps(_severity(d.extension)),
+            "feature_count": d.extension.size,
+            "chi2": d.extension.plain_chi2,
+            "chi2_extended": d.extension.chi2,
+        }
+    if d.held_out is not None:
+        held = d.held_out
+        row |= {
+            "held_out_error_before": held.before,
+            "held_out_error_after": held.after,
+            "gain": held.gain,
+            "gain_lower": held.lower,
+            "gain_upper": held.upper,
+            "held_out_parts": json.dumps({k: {"before": b, "after": a} for k, (b, a) in held.parts.items()}),
+        }
+    if d.next_recording is not None:
+        row |= {
+            "next_recording": d.next_recording.text,
+            "next_design": json.dumps([dict(design) for design in d.next_recording.designs]),
+            "next_separation": d.next_recording.separation,
+        }
+    return row
+
+
+def _smallest(d: Diagnosis) -> dict[str, dict[str, float]]:
+    return {m: {k: float(v) for k, v in own.items() if np.isfinite(v)} for m, own in d.smallest_detectable.items()}
+
+
+def _severity(extension: Extension) -> dict[str, dict[str, Any]]:
+    """Mechanism → key → {value, sd}; with the channel where it is a sensor's, with the form where there are several."""
+    found: dict[str, dict[str, Any]] = {}
+    for mechanism, estimates in extension.severities.items():
+        own: dict[str, Any] = {key: {k: _finite(v) for k, v in asdict(e).items()} for key, e in estimates.items()}
+        form = extension.variants.get(mechanism, "")
+        listed = MECHANISMS[mechanism]
+        if form and listed.stage == "sensor":
+            own["channel"] = form.partition(",")[0]
+        elif form and len(listed.variants) > 1:
+            own["form"] = form
+        found[mechanism] = own
+    return found
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _fit_row(d: Diagnosis, extension: Extension) -> dict[str, Any]:
+    """The extended model as a row of `model_fits`."""
+    film, sd = extension.film, _named(extension.film, extension.film_sd)
+    fitted = len(_film(film)) + sum(len(s) for s in extension.severities.values())
+    row: dict[str, Any] = {
+        "specimen_id": d.specimen_id,
+        "loading": "joint",
+        "method": "forward",
+        "model_order": film.order,
+        "k0_n_per_mm": film.k0,
+        "k0_n_per_mm_sd": sd.get("k0"),
+        "extension": ",".join(extension.severities),
+        "reduced_chi2": extension.chi2 / max(1, extension.size - fitted),
+        "held_out_error": None if d.held_out is None else d.held_out.after,
+        "selected": False,
+        "warnings": "",
+    }
+    for i, (k, c, c_sd) in enumerate(zip(film.k, film.c, extension.damper_sd, strict=True), 1):
+        row |= {
+            f"k{i}_n_per_mm": k,
+            f"k{i}_n_per_mm_sd": sd.get(f"k{i}"),
+            f"c{i}_n_s_per_mm": c,
+            f"c{i}_n_s_per_mm_sd": c_sd,
+        }
+    if film.c_inf > 0:
+        row[f"c{film.order}_n_s_per_mm"] = film.c_inf
+        row[f"c{film.order}_n_s_per_mm_sd"] = sd.get("c_inf")
+    return row
+
+
+def _named(film: RelaxationModel, values: Sequence[float]) -> dict[str, float]:
+    """Values in the order k0, k…, tau…, c_inf by name."""
+    n = len(film.k)
+    names = ["k0", *(f"k{i}" for i in range(1, n + 1)), *(f"tau{i}" for i in range(1, n + 1)), "c_inf"]
+    return dict(zip(names, values, strict=False))
+
+
+def _parameters(d: Diagnosis) -> Iterator[dict[str, Any]]:
+    """Each parameter of the film in the plain and in the extended model, and how far it moved."""
+    extension = d.extension
+    if extension is None:
+        return
+    plain, plain_sd = _film(extension.plain_film), _named(extension.plain_film, extension.plain_film_sd)
+    film, film_sd = _film(extension.film), _named(extension.film, extension.film_sd)
+    for name in _PARAMETERS:
+        before, after, sd = plain.get(name), film.get(name), film_sd.get(name)
+        if before is None and after is None:
+            continue
+        moved = None if before is None or after is None or not sd else abs(after - before) / sd
+        yield {
+            "specimen_id": d.specimen_id,
+            "parameter": name,
+            "unit": "s" if name.startswith("tau") else "N s/mm" if name == "c_inf" else "N/mm",
+            "plain": before,
+            "plain_sd": plain_sd.get(name),
+            "extended": after,
+            "extended_sd": sd,
+            "moved_sd": moved,
+        }
+
+
+def _film(film: RelaxationModel) -> dict[str, float]:
+    values = _named(film, (film.k0, *film.k, *film.tau, film.c_inf))
+    if film.c_inf <= 0:
+        values.pop("c_inf", None)
+    return values
+
+
+@dataclass(frozen=True)
+class _Block:
+    """A block of features with what both models say of it; (n,) each. `source` has its covariates, where it is known."""
+
+    recording_id: str
+    kind: str
+    label: str
+    position: int
+    measured: Float
+    plain: Float
+    extended: Float
+    sd: Float
+    frequency_hz: Float
+    time_s: Float
+    source: FeatureBlock | None
+
+    @property
+    def size(self) -> int:
+        return self.measured.size
+
+    def rms(self, simulated: Float) -> float:
+        """Root mean square residual in SD of the noise."""
+        return float(np.sqrt(np.mean(((self.measured - simulated) / np.maximum(self.sd, _LEAST_SHOWN)) ** 2)))
+
+    @property
+    def telling(self) -> float:
+        """χ² of the plain model beyond the noise, and what the extension takes off it."""
+        plain, extended = self.rms(self.plain) ** 2, self.rms(self.extended) ** 2
+        return self.size * (max(plain - 1, 0.0) + max(plain - extended, 0.0))
+
+
+def _blocks(d: Diagnosis, features: Sequence[RecordingFeatures]) -> Iterator[_Block]:
+    known = {r.recording_id: r for r in features}
+    for residuals in d.residuals:
+        source = known.get(residuals.recording_id)
+        yield from _blocks_of(residuals, source.blocks if source is not None else ())
+
+
+def _blocks_of(r: Residuals, sources: Sequence[FeatureBlock]) -> Iterator[_Block]:
+    pairs = list(zip(r.kind.tolist(), r.label.tolist(), strict=True))
+    by_name = {(b.kind, b.label): b for b in sources}
+    for position, (kind, label) in enumerate(dict.fromkeys(pairs)):
+        rows = np.array([pair == (kind, label) for pair in pairs])
+        source = by_name.get((kind, label))
+        yield _Block(
+            r.recording_id, kind, label, position, r.measured[rows], r.plain[rows], r.extended[rows], r.sd[rows],
+            r.frequency_hz[rows], r.time_s[rows], source if source is not None and source.size == rows.sum() else None,
+        )  # fmt: skip
+
+
+def _chosen(blocks: Sequence[_Block]) -> list[_Block]:
+    """The blocks to keep for figures, in their own order: the most telling, and of each kind some."""
+    ranked = sorted(range(len(blocks)), key=lambda i: (-blocks[i].telling, i))
+    wanted = set(ranked[:_SHOWN_BLOCKS])
+    of_kind: dict[str, int] = {}
+    for i in ranked:
+        of_kind[blocks[i].kind] = of_kind.get(blocks[i].kind, 0) + 1
+        if of_kind[blocks[i].kind] <= _SHOWN_PER_KIND or blocks[i].size <= _SHOWN_PER_KIND:
+            wanted.add(i)
+    kept, values = set(), 0
+    for i in ranked:
+        if i in wanted and values + blocks[i].size <= _SHOWN_VALUES:
+            kept.add(i)
+            values += blocks[i].size
+    return [b for i, b in enumerate(blocks) if i in kept]
+
+
+def _curves(d: Diagnosis, blocks: Sequence[_Block]) -> pa.Table:
+    """Values of the blocks that are kept for figures, one below the other."""
+    kept = _chosen(blocks)
+    parts = [_columns(b, extended=d.extension is not None) for b in kept]
+    joined = {name: np.concatenate([p[name] for p in parts]) for name in (parts[0] if parts else ())}
+    return TABLES["diagnosis_curves"].arrays(sum(b.size for b in kept), specimen_id=d.specimen_id, **joined)
+
+
+def _columns(b: _Block, *, extended: bool) -> dict[str, NDArray[Any]]:
+    nothing = np.full(b.size, np.nan)
+    source = b.source
+    half = b.size // 2
+    is_complex = source is not None and source.is_complex
+    return {
+        "recording_id": np.full(b.size, b.recording_id),
+        "kind": np.full(b.size, b.kind),
+        "block": np.full(b.size, b.label),
+        "position": np.arange(b.size),
+        "component": np.where(np.arange(b.size) < half, "real", "imaginary") if is_complex else np.full(b.size, ""),
+        "frequency_hz": b.frequency_hz,
+        "amplitude": nothing if source is None else source.amplitude,
+        "voltage_kv": nothing if source is None else source.voltage_kv,
+        "cycle": nothing if source is None else source.cycle,
+        "time_s": b.time_s,
+        "measured": b.measured,
+        "plain": b.plain,
+        "extended": b.extended if extended else nothing,
+        "sd": b.sd,
+    }

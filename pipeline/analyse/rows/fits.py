@@ -1,0 +1,148 @@
+"""Rows of `model_fits` and `predictions`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pipeline.fit.relaxation.predict import Prediction
+from pipeline.fit.relaxation.results import MECHANICAL, TIME_DOMAIN, Estimate, RelaxationFit, SpecimenFits
+from pipeline.fit.relaxation.time_domain import CycleFit, CycleFits
+from schemas.tables import ARMS, TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_PLAIN = (
+    "clamp_mass_kg",
+    "load_cell_stiffness_n_per_mm",
+    "load_cell_damping_n_s_per_mm",
+    "force_per_voltage_squared_n_per_kv2",
+)
+
+
+def fit_tables(
+    fits: Sequence[SpecimenFits],
+    predictions: Sequence[Prediction] = (),
+    cycles: Sequence[CycleFits] = (),
+    *,
+    extension: str = "",
+) -> dict[str, pa.Table]:
+    """Arrow tables. `extension` names the mechanisms in the models, empty for the plain ones."""
+    rows = [_row(group, fit, extension) for group in fits for fit in group.fits]
+    rows += [_cycle_row(group, fit) for group in cycles for fit in group.fits]
+    return {
+        "model_fits": TABLES["model_fits"].rows(rows),
+        "predictions": TABLES["predictions"].rows(
+            {
+                "specimen_id": p.specimen_id,
+                "fitted_on": p.fitted_on,
+                "predicted": p.predicted,
+                "magnitude_error": p.magnitude_error,
+                "phase_error_deg": p.phase_error_deg,
+                "relative_error": p.relative_error,
+            }
+            for p in predictions
+        ),
+    }
+
+
+def _row(group: SpecimenFits, fit: RelaxationFit, extension: str) -> dict[str, Any]:
+    size = fit.shape.size
+    row: dict[str, Any] = {
+        "specimen_id": group.specimen_id,
+        "loading": group.loading,
+        "method": group.method,
+        "model_order": fit.order,
+        "magnitude_error_n_per_mm": fit.magnitude_error,
+        "phase_error_deg": fit.phase_error_deg,
+        "extension": extension,
+        "frequency_lines": fit.lines,
+        "reduced_chi2": fit.reduced_chi2,
+        "bic": fit.bic,
+        "selected": fit.order == group.selected_order,
+        "warnings": _sentences(fit.warnings + group.warnings),
+        "order_p_value": fit.order_p_value,
+        "held_out_error": fit.held_out_error,
+        "frequency_low_hz": group.frequency_low_hz,
+        "frequency_high_hz": group.frequency_high_hz,
+        "positivity_chi2": group.positivity.chi2_per_line if group.positivity else None,
+        "modulus_mpa": fit.modulus_mpa,
+        "covariance": json.dumps(
+            {"names": list(fit.names), "material": size, "matrix": [[_short(v) for v in r] for r in fit.covariance]}
+        ),
+        "intervals": json.dumps(
+            {n: {"lower": e.lower, "upper": e.upper, "method": e.method} for n, e in fit.estimates.items()}
+        ),
+        "choices": json.dumps(dict(group.choices)),
+        "spread": _spread(group),
+    }
+    for name, column in _columns().items():
+        if name in fit.estimates:
+            row |= _estimate(column, fit.estimates[name])
+    return row
+
+
+def _spread(group: SpecimenFits) -> str | None:
+    spread = group.spread
+    if not spread.gain_sd and not spread.relative_sd:
+        return None
+    return json.dumps({"gain_sd": spread.gain_sd, "relative_sd": spread.relative_sd, "gains": dict(spread.gains)})
+
+
+def _columns() -> Mapping[str, str]:
+    arms = range(1, ARMS + 1)
+    named = (
+        {"k0": "k0_n_per_mm"} | {f"k{i}": f"k{i}_n_per_mm" for i in arms} | {f"c{i}": f"c{i}_n_s_per_mm" for i in arms}
+    )
+    return named | {name: name for name in _PLAIN}
+
+
+def _estimate(column: str, estimate: Estimate) -> dict[str, float | None]:
+    return {column: estimate.value, f"{column}_sd": estimate.sd}
+
+
+def _cycle_row(group: CycleFits, fit: CycleFit) -> dict[str, Any]:
+    """Branches as springs and dampers of a 1 mm cube (1 MPa = 1 N/mm); k0 is the law's slope at stretch 1."""
+    to_n_per_mm = 1e-3
+    row: dict[str, Any] = {
+        "specimen_id": group.specimen_id,
+        "loading": MECHANICAL,
+        "method": TIME_DOMAIN,
+        "model_order": fit.order,
+        "k0_n_per_mm": group.slope_at_rest(fit) * to_n_per_mm,
+        "extension": "",
+        "frequency_lines": fit.samples,
+        "selected": fit.order == group.selected_order,
+        "held_out_error": None,
+        "warnings": _sentences(
+            (
+                f"time-domain fit with {group.law} equilibrium stress, {'given' if group.fixed else 'fitted'}; as a 1 mm cube; "
+                f"root mean square error {fit.rmse:.4g} kPa ({100 * fit.relative_rmse:.2g} % of the peak), on the part left "
+                f"out {fit.held_out_rmse:.4g} kPa",
+                *fit.warnings,
+                *group.warnings,
+            )
+        ),
+        "choices": json.dumps({"held_out": group.selected_order}),
+        "covariance": json.dumps({"equilibrium": dict(fit.equilibrium), "unit": "kPa"}),
+    }
+    for i in range(len(fit.gamma)):
+        row[f"k{i + 1}_n_per_mm"] = fit.gamma[i] * to_n_per_mm
+        row[f"k{i + 1}_n_per_mm_sd"] = _times(fit.gamma_sd[i], to_n_per_mm)
+        row[f"c{i + 1}_n_s_per_mm"] = fit.eta[i] * to_n_per_mm
+        row[f"c{i + 1}_n_s_per_mm_sd"] = _times(fit.eta_sd[i], to_n_per_mm)
+    return row
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+def _sentences(parts: Sequence[str]) -> str:
+    return "; ".join(dict.fromkeys(parts))

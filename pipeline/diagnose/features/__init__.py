@@ -1,0 +1,1 @@
+"""From recordings to features: linear functionals of samples, each with its noise."""

@@ -1,0 +1,220 @@
+"""Features of sinusoids: response, harmonics and mean force for groups of cycles; the capacitance where it is recorded.
+
+Each group has its own least squares on a straight line and three harmonics. The start of the film from rest is in the
+operators, so that the first cycle counts as much as the last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.blocks import Signals, block, cycle_groups
+from pipeline.diagnose.features.functionals import Component, stacked
+from pipeline.diagnose.features.kinds import (
+    CYCLIC_CAPACITANCE,
+    CYCLIC_HARMONIC,
+    CYCLIC_LEVEL,
+    CYCLIC_RESPONSE,
+    FeatureBlock,
+    NoiseSample,
+)
+from pipeline.diagnose.features.records import bode_gain, record, rest_samples, strain_length_mm
+from pipeline.transform import sweeps
+from pipeline.transform.channels import drive
+from schemas.errors import NotIdentifiableError
+from schemas.recording import Recording
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_HARMONICS = 3
+_ROOM = 1.2
+"""Highest frequency of interest over that of the last harmonic: noise above it only leaks in, with a film that stiffens."""
+_FEWEST_REST = 8
+_FEWEST_PER_CYCLE = 10
+_MOST_CYCLES = 400
+_RESOLVING_REST_HZ = 4.0
+"""Slow tests are sampled ten times as fast as this, so that the rest before them is seen."""
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Cycles first…last (from 1) in samples start…stop−1, with the kernels of harmonics 1 … 3 (3, n)."""
+
+    first: int
+    last: int
+    start: int
+    stop: int
+    kernels: Complex
+
+    @property
+    def label(self) -> str:
+        return f"cycle {self.first}" if self.first == self.last else f"cycles {self.first} to {self.last}"
+
+
+def cyclic_blocks(
+    recording: Recording, nodes: Float
+) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
+    """Blocks, noise, values by name, warnings of a `cyclic`. Raises `NotIdentifiableError` where nothing can be read."""
+    source, where = drive(recording), recording.metadata.recording_id
+    names = source.input.quantity, source.output.quantity
+    frequency = recording.metadata.frequency_hz
+    if frequency is None:
+        raise NotIdentifiableError("frequency_hz is missing", where=where)
+    channels = {names[0]: source.input, names[1]: source.output}
+    capacitance = recording.channels.get("capacitance")
+    if capacitance is not None and capacitance.values.size:
+        channels["capacitance"] = capacitance
+    found = record(channels, recording, highest_hz=max(_ROOM * _HARMONICS * frequency, _RESOLVING_REST_HZ))
+    given = found.values[names[0]]
+    per_cycle = 1 / (frequency * found.interval_s)
+    rest = rest_samples(given, cycle=per_cycle)
+    if rest < _FEWEST_REST or per_cycle < _FEWEST_PER_CYCLE:
+        raise NotIdentifiableError(
+            f"{rest} samples of rest before the first cycle, {per_cycle:.3g} in a cycle",
+            where=where,
+            expected=f"at least {_FEWEST_REST} and {_FEWEST_PER_CYCLE}",
+        )
+    x, y = (found.values[q] - found.values[q][:rest].mean() for q in names)
+    moving = sweeps.motion(given)
+    stated = recording.metadata.cycles
+    whole = int(min(np.floor((moving.stop - rest) / per_cycle + 0.3), stated or _MOST_CYCLES, _MOST_CYCLES))
+    groups = _groups(rest, per_cycle, whole, x.size, found.lost)
+    if not groups:
+        raise NotIdentifiableError("no cycle without a gap", where=where)
+    factor = found.channel_factor(names[1], names[0])
+    signals = Signals(x, y, found.interval_s, nodes, found.mains, factor, slow=True, noise_sd=float(y[:rest].std()))
+    length = strain_length_mm(recording)
+    if "capacitance" in channels:
+        sensed = found.values["capacitance"]
+        sensing = replace(
+            signals,
+            output=sensed - sensed[:rest].mean(),
+            components=(Component("capacitance", 0), Component("capacitance", 1)),
+            factor=found.channel_factor("capacitance", names[0]),
+            noise_sd=float(sensed[:rest].std()),
+            largest_response=float(np.ptp(sensed) / np.ptp(x)),
+        )
+    blocks: list[FeatureBlock] = []
+    for group in groups:
+        blocks += _blocks(signals, group, names, frequency, length, rest)
+        if "capacitance" in channels:
+            blocks.append(_capacitance(sensing, group, frequency, length))
+    noise = [found.noise(q, v[:rest]) for q, v in zip(names, (x, y), strict=True)]
+    values = {
+        "largest_strain": float(np.abs(x).max()) / length,
+        "rest_force_n": float(found.values[names[1]][:rest].mean()),
+    }
+    if "capacitance" in channels:
+        values["capacitance_rest_pf"] = float(sensed[:rest].mean())
+        noise += [found.noise("capacitance", sensed[:rest])]
+    return blocks, [n for n in noise if n is not None], values, []
+
+
+def _groups(rest: int, per_cycle: float, whole: int, count: int, lost: NDArray[np.bool_]) -> list[_Group]:
+    groups = []
+    for a, b in cycle_groups(whole):
+        start, stop = round(rest + a * per_cycle), min(round(rest + b * per_cycle), count)
+        if lost[start:stop].any() or stop - start < 8:
+            continue
+        n = np.arange(start, stop)
+        turn = 2 * np.pi * (n - rest) / per_cycle
+        design = [np.ones(n.size), np.linspace(-1, 1, n.size)]
+        for m in range(1, _HARMONICS + 1):
+            design += [np.cos(m * turn), np.sin(m * turn)]
+        solve = np.linalg.pinv(np.column_stack(design))
+        groups.append(_Group(a + 1, b, start, stop, solve[2::2] - 1j * solve[3::2]))
+    return groups
+
+
+def _blocks(
+    signals: Signals, group: _Group, names: tuple[str, str], frequency: float, length: float, rest: int
+) -> list[FeatureBlock]:
+    window = slice(group.start, group.stop)
+    first = complex(group.kernels[0] @ signals.input[window])
+    response = group.kernels[:1] / first
+    measured = complex((response @ signals.output[window])[0])
+    gain = bode_gain(frequency, measured)
+    force, given = names[1], names[0]
+    components = (
+        Component(force, 0),
+        Component(force, 1),
+        Component(force, 2),
+        Component(given, 0, gain),
+        Component(given, 1, gain),
+        *signals.components,
+    )
+    signals = replace(signals, components=components, largest_response=abs(measured))
+    cycle, time = (group.first + group.last) / 2, (group.start + group.stop) / 2 * signals.interval_s
+    strain = abs(first) / length
+    mean = float(signals.input[window].mean()) / length
+    place = {"mean_strain": np.array([mean])}
+    orders = np.arange(2, _HARMONICS + 1)
+    turned = group.kernels[1:] * np.exp(-1j * np.angle(first) * orders)[:, None]
+    level = np.zeros(group.stop)
+    level[:rest] = -1 / rest
+    level[window] += 1 / (group.stop - group.start)
+    return [
+        block(
+            CYCLIC_RESPONSE,
+            group.label,
+            signals,
+            stacked(response),
+            group.start,
+            is_complex=True,
+            frequency=frequency,
+            amplitude=strain,
+            cycle=cycle,
+            time=time,
+            support=place,
+        ),
+        block(
+            CYCLIC_HARMONIC,
+            group.label,
+            signals,
+            stacked(turned),
+            group.start,
+            is_complex=True,
+            frequency=frequency,
+            amplitude=strain,
+            cycle=cycle,
+            time=time,
+            support=place | {"order": orders.astype(float)},
+        ),
+        block(
+            CYCLIC_LEVEL,
+            group.label,
+            signals,
+            level[None, :],
+            0,
+            is_complex=False,
+            frequency=frequency,
+            amplitude=strain,
+            cycle=cycle,
+            time=time,
+            support=place,
+            drifts=True,
+        ),
+    ]
+
+
+def _capacitance(signals: Signals, group: _Group, frequency: float, length: float) -> FeatureBlock:
+    """First and second harmonic of the capacitance over the displacement's fundamental, phases as for the force."""
+    first = complex(group.kernels[0] @ signals.input[group.start : group.stop])
+    turned = np.array([group.kernels[0] / first, group.kernels[1] * np.exp(-1j * np.angle(first)) / first])
+    return block(
+        CYCLIC_CAPACITANCE,
+        group.label,
+        signals,
+        stacked(turned),
+        group.start,
+        is_complex=True,
+        frequency=frequency * np.array([1.0, 2.0]),
+        amplitude=abs(first) / length,
+        cycle=(group.first + group.last) / 2,
+        time=(group.start + group.stop) / 2 * signals.interval_s,
+        support={"order": np.array([1.0, 2.0]), "input_mm": np.array([abs(first)])},
+    )

@@ -1,0 +1,210 @@
+"""Features of steps of displacement and of large cycles: means of the force in windows, against the rest before.
+
+Windows after a ramp are equally wide in log time, those of a cycle equally long while it loads and unloads. The measured
+displacement, ramps and all, is the input of the operators.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.blocks import Signals, block, log_windows, window_means
+from pipeline.diagnose.features.functionals import Component, lines_spectrum
+from pipeline.diagnose.features.kinds import CYCLE_FORCE, RELAXATION_FORCE, FeatureBlock, NoiseSample
+from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_samples, strain_length_mm
+from pipeline.transform.channels import drive
+from pipeline.transform.sampling import runs
+from schemas.errors import NotIdentifiableError
+from schemas.recording import Recording
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_PER_DECADE = 8
+_FEWEST_REST = 8
+_FEWEST_WINDOWS = 4
+_PER_BRANCH = 16
+_MOVING = 0.02
+"""Share of the step by which the displacement may miss its level and still count as held."""
+_RINGING_TURNS = 3.0
+_HIGHEST_HZ = 200.0
+_LONGEST = 60_000
+"""Samples to which a long record is thinned."""
+
+
+def relaxation_blocks(
+    recording: Recording, nodes: Float
+) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
+    """Blocks, noise, values, warnings of a mechanical `step`. Raises `NotIdentifiableError` where nothing can be read."""
+    found, x, y, names, rest = _prepared(recording)
+    noise = [found.noise(q, v[:rest]) for q, v in zip(names, (x, y), strict=True)]
+    holds = _holds(x, rest)
+    settling = _RINGING_TURNS / clamp_hz(recording.rig)
+    x = _held(x, rest, holds)
+    windows: list[tuple[int, int]] = []
+    ramps: list[int] = []
+    for begin, start, stop in holds:
+        # What the noise of the displacement within the ramp rings in the clamp is no part of the noise measured at rest.
+        first = start - begin + max(2, int(settling / found.interval_s))
+        made = [(begin + a, begin + b) for a, b in log_windows(first, stop - begin, _PER_DECADE, 2)]
+        windows += [w for w in made if not found.lost[w[0] : w[1]].any()]
+        ramps += [begin] * (len(windows) - len(ramps))
+    if len(windows) < _FEWEST_WINDOWS:
+        raise NotIdentifiableError(
+            f"{len(windows)} windows while the step is held",
+            where=recording.metadata.recording_id,
+            expected=f"at least {_FEWEST_WINDOWS}",
+        )
+    return _finished(recording, found, x, y, names, rest, windows, ramps, nodes, RELAXATION_FORCE, noise)
+
+
+def _held(x: Float, rest: int, holds: list[tuple[int, int, int]]) -> Float:
+    """The displacement with straight lines where it rests or holds and misses them by noise alone.
+
+    The noise of the displacement is then in its ramps only; what the film does not feel must not be predicted.
+    """
+    calm = x.copy()
+    for a, b in [(0, rest), *((start, stop) for _, start, stop in holds)]:
+        if b - a < 32:
+            continue
+        s = np.linspace(-1, 1, b - a)
+        line = np.polynomial.polynomial.polyval(s, np.polynomial.polynomial.polyfit(s, x[a:b], 1))
+        error = x[a:b] - line
+        blocks = error[: error.size // 16 * 16].reshape(16, -1).mean(axis=1)
+        if float(np.mean(blocks**2)) < 3 * float(np.mean(error**2)) * 16 / error.size:
+            calm[a:b] = line
+    return calm
+
+
+def cycle_blocks(
+    recording: Recording, nodes: Float
+) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
+    """Blocks, noise, values, warnings of a `cycle`. Raises `NotIdentifiableError` where nothing can be read."""
+    found, x, y, names, rest = _prepared(recording)
+    noise = [found.noise(q, v[:rest]) for q, v in zip(names, (x, y), strict=True)]
+    top = int(np.argmax(np.abs(x)))
+    moving = np.flatnonzero(np.abs(x - x[-1]) > 3e-3 * np.abs(x[top]))
+    last = int(moving[-1]) + 1 if moving.size and abs(x[-1]) < 0.5 * abs(x[top]) else x.size
+    windows = []
+    for a, b in ((rest, top), (top, last)):
+        edges = np.unique(np.rint(np.linspace(a, b, _PER_BRANCH + 1)).astype(int))
+        windows += [(int(p), int(q)) for p, q in itertools.pairwise(edges) if not found.lost[p:q].any()]
+    if len(windows) < _FEWEST_WINDOWS:
+        raise NotIdentifiableError("no cycle above the noise", where=recording.metadata.recording_id)
+    lines = _lines(x, found.interval_s, (rest, top, last))
+    return _finished(
+        recording, found, x, y, names, rest, windows, [rest] * len(windows), nodes, CYCLE_FORCE, noise, lines
+    )
+
+
+def _lines(x: Float, interval_s: float, corners: tuple[int, int, int]) -> Callable[[Float], Complex] | None:
+    """Spectrum of the two straight branches of a triangle, None where the displacement is none or does not come back."""
+    start, top, end = corners
+    fits = []
+    for a, b in ((start, top), (top, end)):
+        inner = np.arange(a + (b - a) // 20, b - (b - a) // 20)
+        if inner.size < 8:
+            return None
+        slope, level = np.polyfit(inner * interval_s, x[inner], 1)
+        if np.abs(x[inner] - slope * inner * interval_s - level).max() > 5e-3 * np.abs(x).max():
+            return None
+        fits.append((float(slope), float(level)))
+    (up, rise), (down, fall) = fits
+    if np.abs(x[end:]).mean() > 5e-3 * np.abs(x).max() if end < x.size else True:
+        return None
+    at = (fall - rise) / (up - down)
+    return lines_spectrum(np.array([-rise / up, at, -fall / down]), np.array([0.0, up * at + rise, 0.0]), interval_s)
+
+
+def _prepared(recording: Recording) -> tuple[Record, Float, Float, tuple[str, str], int]:
+    source = drive(recording)
+    names = source.input.quantity, source.output.quantity
+    rate = _LONGEST / max(recording.duration_s, 1e-9)
+    found = record({names[0]: source.input, names[1]: source.output}, recording, highest_hz=min(_HIGHEST_HZ, rate / 10))
+    given = found.values[names[0]]
+    rest = rest_samples(given)
+    if rest < _FEWEST_REST:
+        # A machine that starts with the record: its first sample is the rest.
+        rest = 1
+    x, y = (found.values[q] - found.values[q][:rest].mean() for q in names)
+    return found, x, y, names, rest
+
+
+def _holds(x: Float, rest: int) -> list[tuple[int, int, int]]:
+    """(start of the ramp, first held sample, end of the hold) of each step up or down."""
+    reach = float(np.abs(x).max())
+    noise = float(x[:rest].std()) if rest > 1 else 0.0
+    width = max(2, x.size // 2000)
+    moved = np.abs(x[width:] - x[:-width]) > max(_MOVING * reach, 6 * noise)
+    ramps = runs(moved)
+    merged: list[list[int]] = []
+    for a, b in ramps:
+        if merged and a - merged[-1][1] < 4 * width:
+            merged[-1][1] = b + width
+        else:
+            merged.append([a, b + width])
+    # The half-cosine or linear ends of a ramp move less than the threshold: a tenth of the ramp on both sides.
+    padded = [(max(a + width // 2 - (b - a) // 10, rest), min(b + (b - a) // 10, x.size)) for a, b in merged]
+    ends = [*(a for a, _ in padded[1:]), x.size][: len(padded)]
+    return [(a, b, e) for (a, b), e in zip(padded, ends, strict=True) if e - b > 8]
+
+
+def _finished(
+    recording: Recording,
+    found: Record,
+    x: Float,
+    y: Float,
+    names: tuple[str, str],
+    rest: int,
+    windows: list[tuple[int, int]],
+    ramps: list[int],
+    nodes: Float,
+    kind: str,
+    noise: list[NoiseSample | None],
+    spectrum: Callable[[Float], Complex] | None = None,
+) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
+    kernels = window_means(windows, 0, found.count)
+    kernels[:, :rest] -= 1 / rest
+    height = float(np.abs(x).max())
+    force = names[1]
+    components = tuple(Component(force, exponent) for exponent in (0, 1, 2)) + found.mains
+    factor = found.channel_factor(names[1], names[0])
+    signals = Signals(
+        x,
+        y,
+        found.interval_s,
+        nodes,
+        components,
+        factor,
+        slow=True,
+        spectrum=spectrum,
+        noise_sd=float(y[:rest].std()),
+        largest_response=float(np.abs(y).max()) / height,
+    )
+    length = strain_length_mm(recording)
+    at = np.array([(a + b) / 2 for a, b in windows])
+    strain = np.array([float(np.abs(x[a:b]).mean()) for a, b in windows]) / length
+    made = block(
+        kind,
+        "windows",
+        signals,
+        kernels,
+        0,
+        is_complex=False,
+        amplitude=strain,
+        cycle=1.0,
+        time=at * found.interval_s,
+        support={"since_s": (at - np.array(ramps)) * found.interval_s, "strain": _strains(x, windows, length)},
+        drifts=True,
+    )
+    values = {"largest_strain": height / length, "rest_force_n": float(found.values[force][:rest].mean())}
+    return [made], [n for n in noise if n is not None], values, []
+
+
+def _strains(x: Float, windows: list[tuple[int, int]], length: float) -> Float:
+    """Signed mean strain of each window."""
+    return np.array([float(x[a:b].mean()) for a, b in windows]) / length

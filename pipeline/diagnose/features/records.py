@@ -1,0 +1,216 @@
+"""A recording's input and output on one clock, thinned to what its features need, with rest and noise found in it.
+
+Belongs here: what all protocols share before their functionals are formed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.functionals import Component
+from pipeline.diagnose.features.kinds import NoiseSample
+from pipeline.diagnose.features.noise_density import noise_sample
+from pipeline.diagnose.simulation.mains import mains_of
+from pipeline.fit.relaxation.rig import rig_prior
+from pipeline.transform.channels import stretched_length
+from pipeline.transform.sampling import Sampled, runs, sample
+from schemas.errors import NotIdentifiableError
+from schemas.metadata import RigConstants
+from schemas.recording import Channel, Recording
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Bool = NDArray[np.bool_]
+
+_PASSED = 0.7
+"""Share of half the sample rate below which thinning leaves a spectrum as it is."""
+_CLEARLY_AWAY, _FIRST_LEVEL, _LEAVING, _LEAST_OF_STEP = 6.0, 40, 0.2, 0.25
+_LONGEST_FILL = 0.02
+"""Share of a channel that may be interpolated over gaps before its features are refused."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Channels on one clock.
+
+    Parameters
+    ----------
+    interval_s : s
+    values : quantity → (n,) without NaN; gaps are bridged by straight lines and marked in `lost`
+    lost : (n,) where a channel had no sample
+    sampled : the clock with the channels' start times and filters
+    thinned : samples of the recording per sample here
+    resolution : quantity → converter step, None where not known
+    """
+
+    interval_s: float
+    values: Mapping[str, Float]
+    lost: Bool
+    sampled: Sampled
+    thinned: int
+    resolution: Mapping[str, float | None]
+
+    @property
+    def count(self) -> int:
+        return self.lost.size
+
+    @property
+    def time_s(self) -> Float:
+        return np.asarray(np.arange(self.count) * self.interval_s, dtype=np.float64)
+
+    def channel_factor(self, output: str, input_: str) -> Callable[[Float], Complex]:
+        """What start differences and filters do to the spectrum of `output` against that of `input_`."""
+        return lambda frequency: np.asarray(1 / self.sampled.alignment(frequency, output, input_))
+
+    @property
+    def mains(self) -> tuple[Component, ...]:
+        """Mains in a channel, as far as thinning leaves them; no part of the noise until a session says how strong they are."""
+        return mains_of(lambda frequency: thinned_gain(frequency * self.interval_s / self.thinned, self.thinned))
+
+    def noise(self, quantity: str, values: Float, *, degree: int = 1, below_hz: float = np.inf) -> NoiseSample | None:
+        """Periodogram of a stretch (n,) of a channel without signal, or with one that a polynomial of that degree follows."""
+        passed_hz = _PASSED * 0.5 / self.interval_s if self.thinned > 1 else np.inf
+        return noise_sample(
+            quantity,
+            values,
+            self.interval_s,
+            degree=degree,
+            below_hz=min(below_hz, passed_hz),
+            setting=self.setting(quantity),
+        )
+
+    def setting(self, quantity: str) -> tuple[float, float]:
+        """Interval of the converter's samples in s and its step, to three digits."""
+        interval_s, step = self.interval_s / self.thinned, self.resolution.get(quantity) or 0.0
+        return float(f"{interval_s:.3e}"), float(f"{step:.2e}")
+
+
+def record(channels: Mapping[str, Channel], recording: Recording, *, highest_hz: float) -> Record:
+    """Channels on one clock with at least ten samples per cycle of `highest_hz`.
+
+    Raises `NotIdentifiableError` where channels have no common time or too much is lost.
+    """
+    sampled = sample(channels, recording.start_ns)
+    lost = ~sampled.finite
+    if lost.mean() > _LONGEST_FILL * 10:
+        raise NotIdentifiableError(
+            f"{100 * lost.mean():.0f} % of the samples are lost", where=recording.metadata.recording_id
+        )
+    values = {q: _bridged(v) for q, v in sampled.values.items()}
+    factor = max(1, int(np.floor(1 / (10 * highest_hz * sampled.interval_s))))
+    thinned = {q: thin(v, factor) for q, v in values.items()}
+    count = next(iter(thinned.values())).size
+    gone = np.zeros(count, dtype=bool)
+    for first, stop in runs(lost):
+        gone[max(first // factor - 1, 0) : stop // factor + 2] = True
+    return Record(
+        sampled.interval_s * factor,
+        thinned,
+        gone,
+        sampled,
+        factor,
+        {q: c.resolution for q, c in channels.items()},
+    )
+
+
+def thin(values: Float, factor: int) -> Float:
+    """Every `factor`-th sample after a symmetric low pass: the same for every channel, so that ratios do not change."""
+    if factor == 1:
+        return values
+    from scipy.signal import upfirdn  # half a second, which most recordings need not wait for
+
+    taps = _low_pass(factor)
+    half = 8 * factor
+    padded = np.concatenate([np.full(half, values[0]), values, np.full(half, values[-1])])
+    return np.asarray(upfirdn(taps, padded, 1, factor)[16:][: (values.size - 1) // factor + 1])
+
+
+def _low_pass(factor: int) -> Float:
+    from scipy.signal import firwin
+
+    return np.asarray(firwin(16 * factor + 1, 0.8 / factor, window=("kaiser", 8.0)))
+
+
+def thinned_gain(cycles: Float, factor: int) -> Float:
+    """What thinning leaves of a sinusoid of that many cycles per sample before it."""
+    if factor == 1:
+        return np.ones_like(cycles)
+    return np.asarray(
+        np.abs(np.exp(-2j * np.pi * np.multiply.outer(cycles, np.arange(16 * factor + 1))) @ _low_pass(factor))
+    )
+
+
+def _bridged(values: Float) -> Float:
+    bad = ~np.isfinite(values)
+    if not bad.any():
+        return values
+    if bad.all():
+        raise NotIdentifiableError("a channel has no finite sample")
+    index = np.arange(values.size)
+    return np.interp(index, index[~bad], values[~bad])
+
+
+def rest_samples(input_: Float, *, back: int = 2, cycle: float | None = None) -> int:
+    """Samples before the input leaves its rest for good, less `back`; 0 where there are hardly any.
+
+    It has left after the last three samples in a row that are no further from its level than six times its noise, which is read
+    off second differences: a slow start is no noise. `cycle` is the number of samples in a period of a sinusoid, which leaves its
+    rest long before it shows, but not earlier than a fifth of that before a tenth of its way.
+    """
+    reach = float(np.abs(input_ - input_[0]).max())
+    if reach == 0:
+        return input_.size
+    # A tenth of the way is motion beyond doubt; the first part of what lies before it is rest.
+    certain = int((np.abs(input_ - np.median(input_[: max(8, input_.size // 500)])) > 0.1 * reach).argmax())
+    head = input_[: max(8, certain // 2)]
+    noise = max(float(np.sqrt(np.mean(np.diff(head, 2) ** 2) / 6)), _LEAST_OF_STEP * _step_of(head), 1e-9 * reach)
+    first = certain // _FIRST_LEVEL if cycle is None else certain - int(_LEAVING * cycle)
+    away = np.abs(input_ - np.median(input_[: max(8, first)])) > _CLEARLY_AWAY * noise
+    still = np.flatnonzero(~(away[:-2] | away[1:-1] | away[2:])[: max(certain - 2, 1)])
+    left = int(still[-1]) + 3 if still.size else 0
+    # From rest 1 − cos φ grows as φ²/2; noise hides it a little longer.
+    unseen = 0.0 if cycle is None else 1.2 * cycle * np.sqrt(4 * _CLEARLY_AWAY * noise / reach) / (2 * np.pi)
+    return max(0, left - back - int(unseen))
+
+
+def _step_of(values: Float) -> float:
+    """Least change between neighbours; 0 where there is none. Of what a converter recorded at rest, its step."""
+    changes = np.abs(np.diff(values))
+    return float(changes[changes > 0].min(initial=np.inf)) if changes.any() else 0.0
+
+
+def bode_gain(frequency_hz: float, value: complex) -> Callable[[Float], Float]:
+    """|G| near one frequency from its value there: the slope of log |G| is the phase over 90° (Bode)."""
+    slope = float(np.clip(np.angle(value) / (np.pi / 2), -1.0, 1.0))
+    size = abs(value)
+    return lambda f: np.asarray(size * (np.maximum(f, 1e-3 * frequency_hz) / frequency_hz) ** slope)
+
+
+def clamp_hz(rig: RigConstants) -> float:
+    """Clamp-alone frequency as the rig file has it; 50 Hz where it does not."""
+    prior = rig_prior(rig)
+    if prior is None or prior.nominal[0] <= 0:
+        return 50.0
+    return float(np.sqrt(prior.nominal[1] / prior.nominal[0]) / (2 * np.pi))
+
+
+def strain_length_mm(recording: Recording) -> float:
+    """Length that strains refer to; 1 mm where the metadata do not say (strains are then mm)."""
+    return stretched_length(recording.metadata) or 1.0
+
+
+def polynomials(count: int, degree: int) -> Float:
+    """Orthonormal polynomials (degree + 1, count)."""
+    s = np.linspace(-1, 1, count)
+    q, _ = np.linalg.qr(np.polynomial.legendre.legvander(s, degree))
+    return np.ascontiguousarray(q.T)
+
+
+def trimmed(channel: Channel, start_ns: int, stop_ns: int) -> Channel:
+    """The channel's samples with start ≤ time < stop."""
+    inside = (channel.time_ns >= start_ns) & (channel.time_ns < stop_ns)
+    return replace(channel, time_ns=channel.time_ns[inside], values=channel.values[inside])

@@ -1,0 +1,131 @@
+"""From a recording to its features: the one door, by protocol, with what sessions need to know beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.chirp import chirp_blocks
+from pipeline.diagnose.features.cyclic import cyclic_blocks
+from pipeline.diagnose.features.kinds import EXTRA_MASS, FeatureBlock, NoiseSample, RecordingFeatures
+from pipeline.diagnose.features.ramp import cycle_blocks, relaxation_blocks
+from pipeline.diagnose.features.records import strain_length_mm
+from pipeline.diagnose.features.rest import calibration_block, hum_block
+from pipeline.diagnose.features.sphs import sphs_blocks
+from pipeline.diagnose.features.step import step_blocks
+from pipeline.diagnose.simulation.nodes import response_nodes
+from pipeline.physics.rig import TONNES_PER_KG
+from schemas.errors import NotIdentifiableError
+from schemas.metadata import RecordingMetadata
+from schemas.protocols import CALIBRATION, ELECTRICAL, MECHANICAL
+from schemas.recording import Recording
+
+Float = NDArray[np.float64]
+Reducer = Callable[[Recording, Float], tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]]
+
+EPSILON_0_N_PER_KV2 = 8.8541878e-6
+PERMITTIVITY_SD = 0.1
+"""Relative standard deviation of the permittivity where the metadata give none."""
+_REDUCERS: dict[tuple[str, str], Reducer] = {
+    ("chirp", MECHANICAL): chirp_blocks,
+    ("cyclic", MECHANICAL): cyclic_blocks,
+    ("step", MECHANICAL): relaxation_blocks,
+    ("cycle", MECHANICAL): cycle_blocks,
+    ("sphs", ELECTRICAL): sphs_blocks,
+    ("sphs", "other"): sphs_blocks,
+    ("step", ELECTRICAL): step_blocks,
+}
+
+
+def reducible(protocol: str, loading: str) -> bool:
+    """Whether recordings of that protocol and loading have features."""
+    return (protocol, loading) in _REDUCERS or (loading == CALIBRATION and protocol in ("tap", "weight"))
+
+
+def reduce(recording: Recording) -> RecordingFeatures:
+    """Features of a recording. Raises `NotIdentifiableError` for protocols without any and for records that carry none."""
+    metadata = recording.metadata
+    key = metadata.protocol, metadata.loading
+    if not reducible(*key):
+        raise NotIdentifiableError(
+            f"{metadata.loading} {metadata.protocol} recordings are not simulated",
+            where=metadata.recording_id,
+            expected=", ".join(sorted({f"{loading} {protocol}" for protocol, loading in _REDUCERS})),
+        )
+    # With what was on the clamp, where it rings.
+    heavy = replace(recording, rig=recording.rig.loaded(metadata.extra_clamp_mass_kg))
+    nodes = response_nodes(heavy.rig)
+    noise: list[NoiseSample] = []
+    values: dict[str, float] = {}
+    warnings: list[str] = []
+    if metadata.loading == CALIBRATION:
+        blocks = [calibration_block(recording)]
+    else:
+        blocks, noise, values, warnings = _REDUCERS[key](heavy, nodes)
+        hum = hum_block(recording) if metadata.loading in (MECHANICAL, ELECTRICAL) else None
+        blocks += [] if hum is None else [hum]
+    values |= _values(recording)
+    return RecordingFeatures(
+        recording_id=metadata.recording_id,
+        specimen_id=metadata.specimen_id,
+        protocol=metadata.protocol,
+        loading=metadata.loading,
+        started_at=metadata.started_at,
+        duration_s=recording.duration_s,
+        rig=recording.rig,
+        blocks=tuple(blocks),
+        noise=tuple(noise),
+        nodes=nodes,
+        values=values,
+        settings={"command": "recorded" if "command" in recording.channels else "not recorded"},
+        warnings=tuple(warnings),
+    )
+
+
+def _values(recording: Recording) -> dict[str, float]:
+    metadata = recording.metadata
+    values = {"strain_length_mm": strain_length_mm(recording)}
+    if metadata.rest_before_s is not None:
+        values["rest_before_s"] = metadata.rest_before_s
+    if metadata.stretch_1 is not None:
+        values["pre_strain"] = 1 - 1 / metadata.stretch_1
+    if recording.rig.load_cell_range_n is not None:
+        values["force_range_n"] = recording.rig.load_cell_range_n
+    temperature = recording.channels.get("temperature")
+    if temperature is not None and np.isfinite(temperature.values).any():
+        values["temperature_degc"] = float(np.nanmean(temperature.values))
+    if metadata.extra_clamp_mass_kg:
+        values[EXTRA_MASS] = metadata.extra_clamp_mass_kg * TONNES_PER_KG
+    expected = actuation_prior(metadata)
+    if expected is not None:
+        values["actuation_n_per_kv2"], values["actuation_sd"] = expected
+    return values
+
+
+def actuation_prior(metadata: RecordingMetadata) -> tuple[float, float] | None:
+    """F_A/V² = ε0 εr w/z × share of the length that is active, N/kV², and its relative standard deviation; None if unknown.
+
+    w and z are current sizes (thesis, eq 4.8); film in series with the active part passes on its share (real for one material).
+    """
+    needed = (
+        metadata.relative_permittivity,
+        metadata.active_width_mm,
+        metadata.layer_thickness_mm,
+        metadata.stretch_1,
+    )
+    if any(x is None for x in needed):
+        return None
+    permittivity, width, thickness, along = (float(x) for x in needed if x is not None)
+    across = metadata.lateral_stretch or along**-0.5
+    drawn = metadata.active_drawn == "undeformed"
+    width *= across if drawn else 1.0
+    layers = metadata.layers or 1
+    force = EPSILON_0_N_PER_KV2 * permittivity * width * along * across / thickness * layers
+    total = metadata.total_length_mm or (metadata.film_length_mm or 0.0) * along
+    if metadata.active_length_mm and total:
+        force *= min(1.0, metadata.active_length_mm * (along if drawn else 1.0) / total)
+    sd = metadata.relative_permittivity_sd
+    return force, PERMITTIVITY_SD if sd is None else sd / permittivity

@@ -1,0 +1,120 @@
+"""Features of the rest: mains in the force; and of calibrations: the clamp's ring and the weights.
+
+Mains are not locked to the drive, so that no line of a response shows them; the rest does. z = Φ⁻¹(p) of the power at 50 and
+100 Hz against that of its neighbourhood is standard normal without mains, whatever the noise is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc, fdtri, ndtr, ndtri
+
+from pipeline.diagnose.features.blocks import assembled
+from pipeline.diagnose.features.kinds import REST_HUM, TAP_RING, WEIGHT_GAIN, FeatureBlock
+from pipeline.diagnose.features.records import rest_samples
+from pipeline.diagnose.simulation.mains import HUM_HZ
+from pipeline.transform.calibration import tap, weigh
+from pipeline.transform.channels import drive
+from pipeline.transform.sampling import sample
+from schemas.recording import Recording
+
+Float = NDArray[np.float64]
+
+_NEAR, _FAR = 2, 14
+"""Bins beside that of the mains that are its neighbourhood."""
+_FREEDOM = 2 * 2 * (_FAR - _NEAR + 1) / 1.5
+"""Degrees of freedom of the neighbourhood: Hann bins share data with their neighbours, two thirds are independent."""
+_MIDDLE = float(fdtri(2, _FREEDOM, 0.5))
+_SHORTEST_S = 0.3
+_EXACT_Z = 4.0
+"""Score up to which the null distribution is exact; beyond it the score grows as the amplitude over its noise."""
+_EXACT_RATIO = float(fdtri(2, _FREEDOM, ndtr(_EXACT_Z)))
+_HIGHEST_Z = 300.0
+_BEFORE_S = 0.05
+_ROUNDING = 1e-12
+
+
+def hum_block(recording: Recording) -> FeatureBlock | None:
+    """Mains in the force before the test begins; None without such a rest, or sampled too slowly."""
+    source = drive(recording)
+    sampled = sample({source.input.quantity: source.input, source.output.quantity: source.output}, recording.start_ns)
+    given = np.nan_to_num(
+        sampled.values[source.input.quantity], nan=float(np.nanmean(sampled.values[source.input.quantity]))
+    )
+    stop = rest_samples(given, back=int(_BEFORE_S / sampled.interval_s))
+    y = sampled.values[source.output.quantity][:stop]
+    if not np.isfinite(y).all() or y.size * sampled.interval_s < _SHORTEST_S:
+        return None
+    n = np.arange(y.size) * sampled.interval_s
+    largest = float(np.abs(y).max())
+    y = y - np.polynomial.polynomial.polyval(n, np.polynomial.polynomial.polyfit(n, y, 2))
+    if float(np.abs(y).max()) <= _ROUNDING * largest:
+        return None  # a rest without noise has no neighbourhood to hold the mains against
+    z, variance = [], []
+    for f in HUM_HZ:
+        # Off-centre bins on both sides of the mains' own: the same transform, moved by whole bins.
+        step = 1 / (y.size * sampled.interval_s)
+        offsets = np.concatenate([-np.arange(_NEAR, _FAR + 1), np.arange(_NEAR, _FAR + 1)]) * step
+        if f + offsets.max() > 0.45 / sampled.interval_s or f + offsets.min() < 2 * step:
+            z.append(np.nan)
+            variance.append(np.nan)
+            continue
+        window = 1 - np.cos(2 * np.pi * (np.arange(y.size) + 0.5) / y.size)
+        turns = np.exp(-2j * np.pi * np.outer(np.concatenate([[0.0], offsets]) + f, n))
+        amplitude = turns @ (y * window) * 2 / y.size
+        power = np.abs(amplitude) ** 2
+        near = float(power[1:].mean())
+        z.append(float(_score(np.array(power[0] / near))))
+        variance.append(near)
+    known = np.isfinite(z)
+    if not known.any():
+        return None
+    return assembled(
+        REST_HUM,
+        "rest before the test",
+        np.array(z)[known],
+        ("unit/0",),
+        np.eye(int(known.sum()))[None],
+        is_complex=False,
+        frequency=np.array(HUM_HZ)[known],
+        time=stop * sampled.interval_s / 2,
+        support={"variance": np.array(variance)[known]},
+    )
+
+
+def _score(ratio: Float) -> Float:
+    """Standard normal score of the power of a line over the mean of its neighbours, for lines of noise.
+
+    Φ⁻¹ of its F distribution up to a score of 4. From there on it grows by 1 where the amplitude grows by its own standard
+    deviation, so that the score of strong mains has the standard deviation 1 as well (Rice distribution).
+    """
+    amplitude = np.sqrt(2 * np.maximum(ratio, 0.0))
+    exact = -ndtri(fdtrc(2, _FREEDOM, np.minimum(ratio, _EXACT_RATIO)))
+    beyond = np.maximum(amplitude - np.sqrt(2 * _EXACT_RATIO), 0.0)
+    return np.asarray(np.clip(exact + beyond, -_HIGHEST_Z, _HIGHEST_Z))
+
+
+def hum_score(amplitude_n: Float, variance: Float) -> Float:
+    """Middle score of mains of that amplitude (n,) in noise of that variance of a line (n,), 0 for none."""
+    return _score(np.asarray(amplitude_n) ** 2 / variance + _MIDDLE)
+
+
+def calibration_block(recording: Recording) -> FeatureBlock:
+    """The ring of the clamp (ln of its frequency in Hz, damping ratio) or the gain of the force channel."""
+    if recording.metadata.protocol == "tap":
+        found = tap(recording)
+        value = np.array([np.log(found.frequency_hz), found.damping_ratio])
+        variance = np.array(
+            [(found.frequency_sd / found.frequency_hz) ** 2 + _REPEATABLE**2, found.damping_ratio_sd**2]
+        )
+        kind, label = TAP_RING, f"{found.taps} taps"
+    else:
+        weighed = weigh(recording)
+        value, variance = np.array([weighed.gain]), np.array([weighed.gain_sd**2])
+        kind, label = WEIGHT_GAIN, f"{weighed.plateaus} levels"
+    return assembled(kind, label, value, ("unit/0",), np.diag(variance)[None], is_complex=False)
+
+
+_REPEATABLE = 5e-4
+"""Relative: how well the clamp's frequency repeats when a film is mounted, whose own mass moves with the clamp."""

@@ -1,0 +1,148 @@
+"""What fits say of recordings that were not made, how surely, and which of many proposals is worth making."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.kinds import TAP_RING, WEIGHT_GAIN
+from pipeline.diagnose.features.noise_density import NoiseLaw
+from pipeline.diagnose.proposals.designs import MOST_OFTEN, OFTEN, Proposal, imagined, repeated
+from pipeline.diagnose.search.extend import Extended, ExtendedFit
+from pipeline.diagnose.simulation.session import Session, make_session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.least_squares import central
+from schemas.errors import NotIdentifiableError
+
+Float = NDArray[np.float64]
+
+_CALIBRATIONS = (TAP_RING, WEIGHT_GAIN)
+_MODEL_ERROR = 0.15
+"""Share of a predicted difference that counts as noise: no cause has exactly its form."""
+
+
+def made_up(final: ExtendedFit, proposal: Proposal) -> tuple[Session, Simulation] | None:
+    """The proposed recordings after a session, and their simulation; None where they would have no features."""
+    session = final.of.session
+    try:
+        new = imagined(session, final.of.model.physical(final.theta), proposal)
+        later = make_session([*session.recordings, *new], _laws(session, len(new)))
+    except NotIdentifiableError:
+        return None
+    number = len(session.recordings)
+    # What severities are relative to stays that of the session at hand, however large the new recording is.
+    part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
+    return part, Simulation(part, final.of.simulation)
+
+
+def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
+    """Noise of a session's channels, with that of so many further recordings: as loud as that of the others."""
+    return {
+        key: replace(law, white=np.append(law.white, np.full(number, np.median(law.white))))
+        for key, law in session.laws.items()
+    }
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a fit says of recordings that were not made, and how surely; whitened.
+
+    of : the fit's model on them; values : (N,) features; rows : (N, P) how they move with its entries; moves : (N, N) covariance
+    that its own uncertainty gives them
+    """
+
+    fit: ExtendedFit
+    of: Extended
+    values: Float
+    rows: Float
+    moves: Float
+
+    @classmethod
+    def of_fit(cls, part: Session, simulation: Simulation, fit: ExtendedFit) -> Seen:
+        of = fit.of.on(part, simulation, np.ones(part.size))
+        of = replace(of, model=of.model.with_loads(part.loaded))
+        rows = central(of.data_residuals, fit.x, *of.limits)
+        return cls(fit, of, part.whiten(of.predict(fit.x)), rows, rows @ fit.covariance @ rows.T)
+
+    def against(self, others: Float) -> float:
+        """χ² that these recordings would say against the fit, were they as `others` (N,) say."""
+        difference = others - self.values
+        return self.shown(difference, difference)
+
+    def shown(self, change: Float, forms: Float) -> float:
+        """χ² of a change (N,) that the fit does not follow, where `forms` (N,) is predicted by forms that are wrong by a share."""
+        if not (np.isfinite(change).all() and np.isfinite(forms).all()):
+            return 0.0
+        return float(change @ np.linalg.solve(self._spread(forms), change))
+
+    def narrowed(self, forms: Float) -> float:
+        """Change of twice the log evidence by what the recordings would say of the parameters of its causes, where `forms` (N,) is
+        predicted by forms that are wrong by a share: the more they are free to do, the more it costs."""
+        if not np.isfinite(forms).all():
+            return 0.0
+        before = self.fit.covariance
+        held = self.rows @ before
+        after = before - held.T @ np.linalg.solve(self._spread(forms), held)
+        return 2 * (self.fit.log_volume(after) - self.fit.log_volume(before))
+
+    def _spread(self, forms: Float) -> Float:
+        """(N, N) covariance of the noise, of what forms are wrong by and of the fit's uncertainty.
+
+        What forms may be wrong by is weighed down for the fit as well: it takes less of a change up. Calibrations have no forms.
+        """
+        wrong = np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, _MODEL_ERROR) * forms
+        return np.asarray(np.diag(1 + wrong**2) + self.moves)
+
+
+class Judged(Protocol):
+    """A proposal, and what it is worth."""
+
+    @property
+    def proposal(self) -> Proposal: ...
+
+    def merit(self) -> float: ...
+
+    def times(self, often: float) -> Self:
+        """What so many times the data would be worth at most."""
+
+
+J = TypeVar("J", bound=Judged)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Merit that a proposal has at `least`; from which on nothing is made very often (`good`) and nothing often (`enough`) for more."""
+
+    least: float
+    good: float
+    enough: float
+
+
+def best_of(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None], wanted: Wanted) -> J | None:
+    """Of proposals what has the most merit, those included that are made often or very often where none is good without; None where
+    no one has the least."""
+
+    def best(some: Iterable[Proposal]) -> list[J]:
+        """Best first."""
+        judged = [judge(p) for p in some]
+        return sorted((j for j in judged if j is not None), key=lambda j: j.merit(), reverse=True)
+
+    def longer(often: Mapping[str, int], worth: float) -> list[J]:
+        """The best that, made so many times as often, may be worth that much."""
+        hopeful = [j for j in found if j.times(often.get(j.proposal.test, 1)).merit() >= worth]
+        again = [p for p in (repeated(j.proposal, often) for j in hopeful) if p is not None]
+        return best(again[:1])
+
+    found = best(proposals)
+    chosen = found[:1]
+    for often, asked, worth in (
+        (OFTEN, wanted.enough, wanted.enough),
+        (MOST_OFTEN, wanted.good, wanted.least),
+    ):
+        if not any(j.merit() >= asked for j in chosen):
+            chosen = sorted([*longer(often, worth), *chosen], key=lambda j: j.merit(), reverse=True)[:1]
+    return chosen[0] if chosen and chosen[0].merit() >= wanted.least else None

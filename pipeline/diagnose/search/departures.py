@@ -1,0 +1,241 @@
+"""What no listed cause does, in general terms: quantities of the simulation that differ freely where no law says how.
+
+A listed cause that stands for an unlisted one leaves what it cannot follow: a stiffness that differs from recording to recording,
+a bend of the force over strain of any shape, a resonance that is not the clamp's. Smooth patterns of the residual hardly see
+that, spread over all recordings as it is; a few free numbers in the stage where it acts do. Of forms of which one at a time is
+likely, the best is taken, and its probability multiplied by their number. What material, rig and the causes in the model absorb is
+taken off, so that the sum of squares of the scores is χ² under the null.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from pipeline.diagnose.search.extend import Extended, ExtendedFit
+from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
+from pipeline.diagnose.search.structure import quadratic
+from pipeline.diagnose.simulation.effects import Course, Effect, Film, Reading, View
+from pipeline.diagnose.simulation.session import Session
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_STEP = 1e-4
+_LEAST_VISIBLE = 10.0
+"""Standard deviations of the noise that a change by the whole must make: what shows less, a stiffness beyond the highest frequency
+of the tests, say, is seen through the edges of windows alone, about which a simulation is not that exact."""
+_MOST_RECORDINGS = 12
+"""Free numbers over the recordings of a session; of a longer one neighbours share theirs."""
+_MOST_MOMENTS = 80
+_KNOTS_HZ = np.geomspace(0.01, 160.0, 15), np.geomspace(5.0, 160.0, 26)
+_TOLERATED, _TOLERATED_BY_FREQUENCY = 0.08, 0.2
+"""Shares that forms of right causes leave which are not quite the rig's own; over frequency the causes that begin at a load leave
+more, for they act where the resonance makes the load."""
+_CHARGING_S = (0.0, 0.2, 1.5, 4.0, 12.0)
+_PERIODS_S = np.geomspace(600.0, 7200.0, 16)
+_RATE_S = 0.1
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One quantity left free. `statistic` is χ² with `degrees_of_freedom` under the null; `text` says what differs.
+
+    tolerated : share of what it and the causes explain together that it may have where the causes are right
+    effects, values : its numbers, as effects of size `_STEP`, and what they are best
+    forms : number of those of which this is the best
+    """
+
+    text: str
+    statistic: float
+    degrees_of_freedom: int
+    tolerated: float
+    effects: tuple[Effect, ...] = ()
+    values: tuple[float, ...] = ()
+    forms: int = 1
+
+    @property
+    def p_value(self) -> float:
+        return min(1.0, self.forms * float(chdtrc(max(self.degrees_of_freedom, 1), self.statistic)))
+
+    @property
+    def excess(self) -> float:
+        """χ² that it explains beyond what its free numbers take of the noise."""
+        return self.statistic - self.degrees_of_freedom
+
+    @property
+    def evidence(self) -> float:
+        """The same, less what choosing among its forms takes of it."""
+        return self.excess - 2 * float(np.log(self.forms))
+
+    def change(self, of: Extended, x: Float) -> Float:
+        """(N,) what it would change of features, to first order, at its best values; of an extended model at entries `x`."""
+        return np.asarray(self.values) @ _slopes(of, x, self.effects) if self.effects else np.zeros(of.session.size)
+
+
+def departures(fit: ExtendedFit, among: Collection[str] | None = None) -> tuple[Departure, ...]:
+    """Every quantity left free beside a fitted model, the least probable first; of those with these texts alone if `among` is given."""
+    of, session = fit.of, fit.of.session
+    absorbed = absorbed_by(fit)
+    found = []
+    for free in _free(session):
+        if not free.effects or (among is not None and free.text not in among):
+            continue
+        rows = _slopes(of, fit.x, free.effects)
+        seen = of.weight[:, None] * session.whiten(np.nan_to_num(rows).T)
+        length = np.linalg.norm(seen, axis=0)
+        visible = (length > _LEAST_VISIBLE) & np.isfinite(rows).all(axis=1)
+        if not visible.any():
+            continue
+        scale = np.maximum(length, _LEAST_VISIBLE)
+        gram, score = unabsorbed(fit, seen / scale, absorbed)
+        at_once = free.at_once or visible.size
+        forms = [i[visible[i]] for i in np.arange(visible.size).reshape(-1, at_once) if visible[i].any()]
+        tests = []
+        for i in forms:
+            statistic, freedom, best = quadratic(gram[np.ix_(i, i)], score[i])
+            effects, values = tuple(free.effects[k] for k in i), tuple((best / scale[i]).tolist())
+            tests.append(Departure(free.text, statistic, freedom, free.tolerated, effects, values, len(forms)))
+        found.append(min(tests, key=lambda d: d.p_value))
+    return tuple(sorted(found, key=lambda d: d.p_value))
+
+
+def _slopes(of: Extended, x: Float, effects: Sequence[Effect]) -> Float:
+    """(E, N) derivatives of the features by effects of size `_STEP`, beside those of the model."""
+    base, own, theta = of.predict(x), of.effect(x), x[: of.model.size]
+    return np.array([(of.simulation.predict(of.model, theta, own | effect) - base) / _STEP for effect in effects])
+
+
+@dataclass(frozen=True)
+class _Free:
+    """What is left free, in words, an effect of size `_STEP` for each number, and the share that it may have.
+
+    at_once : numbers that are one form, of which the best is taken; 0: all are
+    """
+
+    text: str
+    effects: list[Effect]
+    at_once: int = 0
+    tolerated: float = _TOLERATED
+
+
+def _free(session: Session) -> Iterator[_Free]:
+    spans = _spans(session)
+    yield _Free("the stiffness differs from recording to recording", [_stiffer(_within(s)) for s in spans])
+    yield _Free("the stiffness changes for good", [_stiffer(_within((t, np.inf))) for t in _moments(session)], 1)
+    yield _Free(
+        "the stiffness comes and goes over the session",
+        [_stiffer(_swinging(period, turn)) for period in _PERIODS_S for turn in (0.0, 0.25)],
+        2,
+    )
+    if session.scale.voltage_kv > 0:
+        yield _Free("the actuation differs from recording to recording", [_acting(_within(s)) for s in spans])
+        ways = [_acting(f) for f in _of_voltage(session.scale.voltage_kv)]
+        yield _Free("the actuation follows the voltage in another way", ways, 1)
+    for knots in _KNOTS_HZ:
+        yield _Free(
+            "the stiffness under mechanical tests follows the frequency in another way",
+            [_stiffer(_near(knots, i, turn)) for i in range(knots.size) for turn in (1.0, 1j)],
+            tolerated=_TOLERATED_BY_FREQUENCY,
+        )
+    if session.scale.strain > 0:
+        yield _Free("the force follows the strain in another way", [Effect(tension=(t,)) for t in _of_strain(session)])
+    yield _Free("the reading follows the force in another way", [Effect(reading=(_bent(power),)) for power in (2, 3)])
+
+
+def _spans(session: Session) -> list[tuple[float, float]]:
+    """Times in the session between the starts of recordings, those of long sessions in groups."""
+    groups = np.array_split(session.start_s, min(session.start_s.size, _MOST_RECORDINGS))
+    first = np.array([g[0] for g in groups])
+    # What comes after the last recording is none of them.
+    edges = np.concatenate([[-np.inf], first[1:] - 1e-3, [session.scale.duration_s + 1.0]])
+    return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+
+def _moments(session: Session) -> Float:
+    """Times in the session between its states, recordings, sweeps and cycles, at which something may have happened."""
+    times = np.unique(session.states.session_s)
+    between = (times[:-1] + times[1:]) / 2
+    chosen = np.unique(np.linspace(0, between.size - 1, min(between.size, _MOST_MOMENTS)).astype(np.int64))
+    return np.asarray(between[chosen], dtype=np.float64)
+
+
+Weight = Callable[[View], Float | Complex]
+
+
+def _stiffer(weight: Weight) -> Effect:
+    def stiffer(film: Film, view: View) -> Film:
+        return Film(film.k * (1 + _STEP * weight(view)), film.share)
+
+    return Effect(film=(stiffer,))
+
+
+def _acting(weight: Weight) -> Effect:
+    return Effect(actuation=(lambda view: 1 + _STEP * weight(view),))
+
+
+def _within(span: tuple[float, float]) -> Weight:
+    return lambda view: np.asarray((view.session_s >= span[0]) & (view.session_s < span[1]), dtype=np.float64)
+
+
+def _swinging(period_s: float, turn: float) -> Weight:
+    return lambda view: np.sin(2 * np.pi * (view.session_s / period_s + turn))
+
+
+def _of_voltage(highest_kv: float) -> list[Weight]:
+    """Powers of the voltage, at once and as something that charges slowly."""
+
+    def at(power: int, charging_s: float) -> Weight:
+        return lambda view: (view.voltage_kv / highest_kv) ** power / (1 + 2j * np.pi * view.frequency_hz * charging_s)
+
+    return [at(power, charging_s) for power in (1, 2, 4) for charging_s in _CHARGING_S]
+
+
+def _near(knots: Float, number: int, turn: complex) -> Weight:
+    """A triangle over the logarithm of the frequency about one of the knots, in mechanical tests."""
+    width = float(np.log(knots[1] / knots[0]))
+
+    def weight(view: View) -> Float | Complex:
+        if view.test not in ("sweep", "cyclic"):
+            return np.zeros((1, 1))
+        away = np.abs(np.log(np.maximum(view.frequency_hz, 1e-9) / knots[number])) / width
+        return np.asarray(turn * np.maximum(0.0, 1 - away))
+
+    return weight
+
+
+def _of_strain(session: Session) -> list[Callable[[Course], Float]]:
+    """Powers of the strain, and what goes with its rate: smooth, and with its sign alone, as friction and hysteresis do."""
+    largest = session.scale.strain
+
+    def force(shape: Callable[[Float, Float], Float]) -> Callable[[Course], Float]:
+        def tension(course: Course) -> Float:
+            x = course.strain / largest
+            rate = np.gradient(x, axis=-1) / np.broadcast_to(course.interval_s, x.shape)
+            return np.asarray(
+                course.tension + _STEP * course.static * session.scale.length_mm * largest * shape(x, rate)
+            )
+
+        return tension
+
+    return [
+        force(lambda x, rate: x**2),
+        force(lambda x, rate: x**3),
+        force(lambda x, rate: x**4),
+        force(lambda x, rate: x * rate * _RATE_S),
+        force(lambda x, rate: np.tanh(rate / _RATE_S)),
+        force(lambda x, rate: np.abs(x) * np.tanh(rate / _RATE_S)),
+    ]
+
+
+def _bent(power: int) -> Callable[[Reading], Float]:
+    def bent(reading: Reading) -> Float:
+        if reading.largest_n <= 0:  # no mechanical test says what a large force is
+            return reading.force
+        return np.asarray(reading.force + _STEP * reading.largest_n * (reading.force / reading.largest_n) ** power)
+
+    return bent

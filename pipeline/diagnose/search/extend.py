@@ -1,0 +1,375 @@
+"""The plain model with mechanisms added: one vector of entries for both, its fit, and the evidence for it.
+
+Entries of a mechanism are logarithms where its parameter is searched in the logarithm, else parts of its plausible range, so
+that steps and priors mean the same for all. Belongs here: parameters and fits. Which mechanisms are tried is in `screen` and
+`select`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parameter
+from pipeline.diagnose.search.plain import bounds, deviations
+from pipeline.diagnose.simulation.effects import NONE, Effect
+from pipeline.diagnose.simulation.parameters import BaseModel
+from pipeline.diagnose.simulation.session import Session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.least_squares import LEAST_DAMPING, Solution, central, minimise
+
+Float = NDArray[np.float64]
+
+_BEYOND = np.log(20.0)
+"""How far a severity is searched beyond its plausible range, which is no limit."""
+_SHAPE_BEYOND = np.log(4.0)
+_LEAST_DENSITY = 1e-12
+_LARGEST_LOG = 600.0
+"""An entry that the data do not hold may be anywhere."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A mechanism in one of its forms."""
+
+    id: str
+    variant: str
+
+    @property
+    def mechanism(self) -> Mechanism:
+        return MECHANISMS[self.id]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """How a parameter is searched: value = exp(x), `scale` × x, or exp(`scale` × x) − 1; prior N(mean, sd) in x for shapes."""
+
+    owner: int
+    parameter: Parameter
+
+    @property
+    def logarithmic(self) -> bool:
+        return self.parameter.log and not self.parameter.signed
+
+    @property
+    def fixed(self) -> bool:
+        """Not searched: it only says in which unit another one counts."""
+        return self.parameter.low == self.parameter.high
+
+    @property
+    def scale(self) -> float:
+        p = self.parameter
+        return p.start if p.signed else max(abs(p.low), abs(p.high))
+
+    def value(self, x: float) -> float:
+        if self.parameter.factor:
+            return float(np.expm1(min(self.scale * x, _LARGEST_LOG)))
+        return float(np.exp(min(x, _LARGEST_LOG))) if self.logarithmic else self.scale * float(x)
+
+    def entry(self, value: float) -> float:
+        if self.parameter.factor:
+            return float(np.log1p(value)) / self.scale
+        return float(np.log(max(value, 1e-300))) if self.logarithmic else value / self.scale
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        p = self.parameter
+        if self.fixed:
+            return self.entry(p.low), self.entry(p.low)
+        beyond = _BEYOND if p.role == SEVERITY else _SHAPE_BEYOND
+        if self.logarithmic:
+            low, high = np.log(p.low) - beyond, np.log(p.high) + beyond
+            if p.role == SEVERITY:
+                low -= _BEYOND
+            least = np.log(p.least) if p.least > 0 else -np.inf
+            return max(low, least), min(high, np.log(p.most))
+        if p.signed:
+            far = float(np.exp(_BEYOND)) * p.high
+            return self.entry(max(-far, p.least if p.least else -far)), self.entry(min(far, p.most))
+        room = 0.5 * (p.high - p.low)
+        return max(p.low - room, p.least) / self.scale, min(p.high + room, p.most) / self.scale
+
+    @property
+    def prior(self) -> tuple[float, float]:
+        """Mean and standard deviation in x: the plausible range is two standard deviations wide. Severities have none."""
+        p = self.parameter
+        if p.role == SEVERITY or self.fixed:
+            return 0.0, np.inf
+        low, high = self.entry(p.low), self.entry(p.high)
+        return (low + high) / 2, max((high - low) / 2, 1e-6)
+
+    def log_density(self, x: float) -> float:
+        """Log of the prior density of a severity in x: log-uniform over its plausible range, either sign alike where signed."""
+        p = self.parameter
+        width = np.log(p.high / p.low)
+        if self.logarithmic:
+            return float(-np.log(width))
+        size = max(abs(float(x)), p.low / self.scale)
+        return float(-np.log(2 * width) - np.log(max(size, _LEAST_DENSITY)))
+
+
+@dataclass(frozen=True)
+class Extended:
+    """A plain model with mechanisms, over a session and its simulation.
+
+    `weight` (N,) scales whitened residuals (ones: the noise alone; smaller where the model's form is allowed to be wrong).
+    """
+
+    session: Session
+    simulation: Simulation
+    model: BaseModel
+    chosen: tuple[Chosen, ...]
+    weight: Float
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        return tuple(Coordinate(i, p) for i, c in enumerate(self.chosen) for p in c.mechanism.parameters)
+
+    @cached_property
+    def limits(self) -> tuple[Float, Float]:
+        low, high = bounds(self.model)
+        own = [c.limits for c in self.coordinates]
+        return np.concatenate([low, [a for a, _ in own]]), np.concatenate([high, [b for _, b in own]])
+
+    @cached_property
+    def _priors(self) -> tuple[Float, Float]:
+        pairs = np.array([c.prior for c in self.coordinates]).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
+
+    def values(self, x: Float) -> tuple[dict[str, float], ...]:
+        """Parameters of each mechanism by name at entries x (P,)."""
+        found: list[dict[str, float]] = [{} for _ in self.chosen]
+        for c, entry in zip(self.coordinates, x[self.model.size :], strict=True):
+            found[c.owner][c.parameter.name] = c.value(entry)
+        return tuple(found)
+
+    def entries(self, theta: Float, values: Sequence[Mapping[str, float]]) -> Float:
+        """Entries from θ and the parameters of each mechanism; those not given are at their start."""
+        own = [c.entry(float(values[c.owner].get(c.parameter.name, c.parameter.start))) for c in self.coordinates]
+        return np.concatenate([theta, own])
+
+    def effect(self, x: Float) -> Effect:
+        return effect_of_all(self.chosen, self.values(x))
+
+    def predict(self, x: Float) -> Float:
+        """(N,) features."""
+        return self.simulation.predict(self.model, x[: self.model.size], self.effect(x))
+
+    def predict_several(self, several: Float) -> Float:
+        """(B, N) features of several x (B, P)."""
+        model, found = self.model.size, np.empty((len(several), self.session.size))
+        alike: dict[bytes, list[int]] = {}
+        for i, x in enumerate(several):
+            alike.setdefault(x[model:].tobytes(), []).append(i)
+        for rows in alike.values():
+            effect = self.effect(several[rows[0]])
+            found[rows] = self.simulation.predict_several(self.model, several[rows, :model], effect)
+        return found
+
+    def data_residual(self, x: Float) -> Float:
+        """(N,) whitened, not weighted."""
+        return np.asarray(self.data_residuals(x[None])[0])
+
+    def data_residuals(self, several: Float) -> Float:
+        """(B, N) of several x (B, P), as above."""
+        return self.session.whiten((self.session.value - self.predict_several(several)).T).T
+
+    def residuals(self, several: Float) -> Float:
+        """(B, N + priors) what the fit makes small, of several x (B, P)."""
+        data = self.weight * self.data_residuals(several)
+        return np.concatenate([data, np.array([self._beside_data(x) for x in several])], axis=1)
+
+    def _beside_data(self, x: Float) -> Float:
+        """(priors,) deviations from what is known beforehand, in standard deviations."""
+        own = x[self.model.size :]
+        mean, sd = self._priors
+        shaped = np.isfinite(sd)
+        return np.concatenate([deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
+
+    def fit(
+        self,
+        start: Float | ExtendedFit,
+        *,
+        most: int = 15,
+        near: ExtendedFit | None = None,
+        jacobian: Float | None = None,
+        thorough: bool = True,
+    ) -> ExtendedFit:
+        """The optimum from `start`: entries, or a fit of this model whose search goes on.
+
+        `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian.
+        """
+        if near is not None:
+            jacobian = self._lent(near)
+        begin = start.solution if isinstance(start, ExtendedFit) else start
+        found = minimise(
+            self.residuals, begin, *self.limits, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
+        )
+        return ExtendedFit(self, found)
+
+    def refined(self, fit: ExtendedFit) -> ExtendedFit:
+        """The same optimum with a Jacobian by central differences."""
+        jacobian = central(self.residuals, fit.x, *self.limits)
+        return ExtendedFit(self, replace(fit.solution, jacobian=jacobian))
+
+    def further(self, fit: ExtendedFit, *, most: int) -> ExtendedFit:
+        """On from a fit with the Jacobian that it has and next to no damping.
+
+        Entries that can change places (a mass and its error) are parted by priors that are 10⁸ times weaker than the data:
+        forward differences see a slope there that is none, and damping in proportion to the data holds them where they are.
+        """
+        own = fit.x.size
+        found = minimise(
+            self.residuals, fit.solution, *self.limits, most=most, moving=own, thorough=False, damping=LEAST_DAMPING
+        )
+        return ExtendedFit(self, found)
+
+    def room(self, start: Float, most: int, near: ExtendedFit) -> Solution:
+        """Where the material and the rig are at their best for the mechanisms as they stand at `start`."""
+        low, high = (bound.copy() for bound in self.limits)
+        low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
+        lent, own = self._lent(near), self.model.size
+        return minimise(self.residuals, start, low, high, most=most, jacobian=lent, moving=own, thorough=False)
+
+    def _lent(self, near: ExtendedFit) -> Float:
+        """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""
+        shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
+        jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), self.limits[0].size))
+        jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
+        return jacobian
+
+    def with_weight(self, weight: Float) -> Extended:
+        return replace(self, weight=weight)
+
+    def on(self, session: Session, simulation: Simulation, weight: Float) -> Extended:
+        return replace(self, session=session, simulation=simulation, weight=weight)
+
+
+@dataclass(frozen=True)
+class ExtendedFit:
+    """An optimum of an extended model."""
+
+    of: Extended
+    solution: Solution
+
+    @property
+    def x(self) -> Float:
+        return self.solution.x
+
+    @property
+    def theta(self) -> Float:
+        return self.solution.x[: self.of.model.size]
+
+    @property
+    def values(self) -> tuple[dict[str, float], ...]:
+        return self.of.values(self.solution.x)
+
+    @property
+    def chi2(self) -> float:
+        """Weighted χ² with the priors' terms."""
+        return self.solution.chi2
+
+    @property
+    def misfit(self) -> Float:
+        """(N,) weighted whitened residual of the features."""
+        return self.solution.residual[: self.of.session.size]
+
+    @cached_property
+    def covariance(self) -> Float:
+        return self.solution.covariance
+
+    @cached_property
+    def trace(self) -> Float:
+        """(B,) what shows of the mechanisms in each block, without what the plain model's entries absorb of it: weighted χ² in units
+        of the noise."""
+        of = self.of
+        alone = of.simulation.predict(of.model, self.theta)
+        change = of.weight * of.session.whiten(of.predict(self.x) - alone)
+        absorbed = orthonormal(self.solution.jacobian[:, : of.model.size])[: of.session.size]
+        change = change - absorbed @ (absorbed.T @ change)
+        return np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in of.session.places])
+
+    def spread(self, without_parts: Float | None = None) -> Float:
+        """(Q,) standard deviations of the mechanisms' entries.
+
+        without_parts : (G, Q) the entries fitted without each of G parts of the data. Where these differ by more than noise
+        explains, the form is not quite right, and their delete-a-group jackknife counts.
+        """
+        variance = np.maximum(np.diag(self.covariance), 0.0)[self.of.model.size :]
+        if without_parts is not None and len(without_parts) > 1:
+            variance = np.maximum(variance, (len(without_parts) - 1) * np.var(without_parts, axis=0))
+        return np.asarray(np.sqrt(variance))
+
+    def moved(self, number: int, changes: Float) -> list[dict[str, float]]:
+        """Parameters of mechanism `number`, those that are searched changed one by one by these changes (Q,) of the entries."""
+        values, own, found = self.values[number], self.x[self.of.model.size :], []
+        for c, x, change in zip(self.of.coordinates, own, changes, strict=True):
+            if c.owner == number and not c.fixed:
+                found.append({**values, c.parameter.name: c.value(x + change)})
+        return found
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Laplace's approximation of log ∫ likelihood × prior over the mechanisms' parameters, given the model's entries.
+
+        Without the constants that all models of one session share. −χ²/2 for the plain model.
+        """
+        model = self.of.model.size
+        total = -0.5 * self.chi2
+        own, searched = self.x[model:], self._searched
+        for i in searched:
+            c = self.of.coordinates[i]
+            if c.parameter.role == SEVERITY:
+                total += c.log_density(own[i])
+            else:
+                total -= float(np.log(c.prior[1])) + 0.5 * np.log(2 * np.pi)
+        if searched:
+            total += self.log_volume(self.covariance) + 0.5 * len(searched) * np.log(2 * np.pi)
+        return float(total)
+
+    def log_volume(self, covariance: Float) -> float:
+        """Logarithm of the volume that a covariance (P, P) of all entries leaves to those of the mechanisms that are searched.
+
+        A direction that the data leave open is as wide as its plausible range, not wider.
+        """
+        places = self.of.model.size + np.array(self._searched, dtype=np.int64)
+        widest = np.array([self._widest(self.of.coordinates[i]) for i in self._searched])
+        volumes = np.linalg.eigvalsh(covariance[np.ix_(places, places)] / np.outer(widest, widest))
+        return 0.5 * float(np.sum(np.log(np.clip(volumes, 1e-30, 1.0)))) + float(np.sum(np.log(widest)))
+
+    @property
+    def _searched(self) -> list[int]:
+        """Numbers of the mechanisms' entries that are searched."""
+        return [i for i, c in enumerate(self.of.coordinates) if not c.fixed]
+
+    @staticmethod
+    def _widest(c: Coordinate) -> float:
+        p = c.parameter
+        if c.logarithmic:
+            return float(max(np.log(p.high / p.low), 1e-3) / np.sqrt(2 * np.pi))
+        return float(max((p.high - p.low) / c.scale, 1e-3) / np.sqrt(2 * np.pi))
+
+
+def orthonormal(jacobian: Float) -> Float:
+    """(M, R) orthonormal columns that span those of a Jacobian which are not 0."""
+    length = np.sqrt(np.sum(jacobian**2, axis=0))
+    return np.asarray(np.linalg.qr(jacobian[:, length > 0] / length[length > 0])[0])
+
+
+def effect_of_all(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float]]) -> Effect:
+    """The composed effect of mechanisms in their forms, in the order of the stages."""
+    total = NONE
+    order = list(MECHANISMS)
+    for c, own in sorted(zip(chosen, values, strict=True), key=lambda pair: order.index(pair[0].id)):
+        total = total | _effect_of(c, tuple(own.items()))
+    return total
+
+
+@lru_cache(maxsize=256)
+def _effect_of(chosen: Chosen, values: tuple[tuple[str, float], ...]) -> Effect:
+    """The effect of one mechanism: the same object for the same parameters, so that predictions from it are known again."""
+    return chosen.mechanism.effect(dict(values), chosen.variant)

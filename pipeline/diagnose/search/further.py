@@ -1,0 +1,199 @@
+"""Several causes at once: further ones added to a single one, and dropped again where the others do without.
+
+A further cause has to add more than the form of those before it can be wrong by. Where one cause explains nearly everything, its
+form is known far better than was assumed, and a weaker one beside it is looked for on the scale that this leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.diagnose.search.refit import confirmed, finished, ranked, tried, without
+from pipeline.diagnose.search.screen import Score, Secants, scores, secants, signatures
+from pipeline.diagnose.search.tempering import SHARE, beyond_noise, by_part, noise_chi2, share_of_form, tempered
+
+CLOSE = 4.6
+"""Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
+MOST_CAUSES = 3
+_BASES = 2
+"""Best single causes on which a second one is tried."""
+_HOPELESS = 3.0
+"""χ² over that of the best beyond which a single cause is no base."""
+SECOND_SHARE, SECOND_OF_LEFT = 0.05, 0.4
+"""Least shares of the misfit explained so far, and of what it leaves, that a further cause must add in the blocks in which it adds
+anything: less is the form of those before it."""
+SECOND_OF_ALL = 0.045
+"""The same of the misfit that the causes so far explain anywhere."""
+_SECOND_OF_THE_SAME = 0.13
+"""The same again of a cause that can be taken for one of those before it where these explain something: however well a form is seen to
+fit, what it leaves there looks like such a cause."""
+_LEAVING_NOISE = 0.2
+"""Part of these shares that a cause has to add which leaves nothing but noise, if none is like it where it adds: no other cause takes
+away all that a wrong form leaves."""
+_NOTHING = 0.05
+"""Share of what a cause adds somewhere that those before it explain there, below which it is not their form."""
+_NOISE = 3.0
+"""χ² beyond its expectation, in standard deviations, up to which it is noise."""
+_WHERE = 0.9
+"""Share of what a cause adds that counts as the place where it does."""
+SECOND_LEVEL = 1e-3
+_WORTH_A_LOOK = 0.1
+"""Level that a further cause must reach with changes about another model than that in which it would be one."""
+_MUCH_BETTER = 0.5
+"""Share of the assumed error of forms below which a cause is on a scale of its own."""
+_EXACT = 0.02
+"""Share that a form is wrong by below which it is its cause's own, and what stays is another's."""
+_ROUGHLY = 6
+_OUT_OF_REACH = 24.0
+"""χ² over that of other causes which no evidence makes up for."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """The plain model, the single causes, best evidence first, and the model with all causes; on one scale. None: no cause."""
+
+    plain: ExtendedFit
+    singles: tuple[ExtendedFit, ...]
+    final: ExtendedFit | None
+
+
+def several(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit], changes: Secants) -> Searched:
+    """Causes added one by one to the best single ones, and those that are no longer needed dropped."""
+    worth = [f for f in singles if f.log_evidence > plain.log_evidence]
+    if not worth:
+        return Searched(plain, tuple(singles), None)
+    best, shown = _added(plain, worth, changes)
+    if len(best.of.chosen) > 1:
+        return Searched(plain, tuple(singles), _needed(plain, best, shown))
+    return _beside(untempered, plain, singles, changes) or Searched(plain, tuple(singles), best)
+
+
+def _beside(
+    untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit], changes: Secants
+) -> Searched | None:
+    """Causes beside the best single one, on the scale that its form is seen to need; None where that is no finer, or shows none.
+
+    `changes`, those about the plain model, say whether there may be any that is worth the trouble of those about the cause.
+    """
+    alone = singles[0]
+    raw = alone.of.with_weight(np.ones(untempered.of.session.size))
+    share = share_of_form(untempered, finished(raw.fit(alone.x, most=_ROUGHLY)))
+    if share > _MUCH_BETTER * SHARE:
+        return None
+    weight = tempered(untempered.of.session, untempered.misfit, share)
+
+    def moved(fit: ExtendedFit) -> ExtendedFit:
+        of = fit.of.with_weight(weight)
+        return of.refined(of.fit(fit.x, most=_ROUGHLY))
+
+    plain, base = moved(plain), finished(moved(alone))
+    looked = signatures(changes, base)
+    found = scores(looked)
+    if not found or not looked.reaches(found[0].statistic, _WORTH_A_LOOK):
+        return None
+    best, shown = _added(plain, [base], secants(base), share)
+    if len(best.of.chosen) > 1:
+        best = _needed(plain, best, shown, share)
+    if len(best.of.chosen) == 1:
+        return None
+    return Searched(plain, ranked([base, *(moved(f) for f in singles[1:])]), best)
+
+
+def _added(
+    plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, share: float = SHARE
+) -> tuple[ExtendedFit, bool]:
+    """Causes added one by one: a further one where it is significant on what is left, and adds a share worth naming.
+
+    That there is one a cause shows that is like none of those before it; which it is the evidence says, whatever they are like. True
+    where one was chosen in this way.
+    """
+    best, shown = worth[0], False
+    for number in range(1, MOST_CAUSES):
+        bases = worth[:_BASES] if number == 1 else [best]
+        bases = [b for b in bases if b.chi2 < _HOPELESS * worth[0].chi2]
+        further: list[ExtendedFit] = []
+        for base in bases:
+            looked = signatures(changes, base)
+            found = scores(looked)
+            if not found or not looked.reaches(found[0].statistic, SECOND_LEVEL):
+                if base is bases[0] and beyond_noise(plain, base) < _NOISE:
+                    break  # what the best leaves is noise: others with a cause more could explain nothing else
+                continue
+            promising = [s for s in found if _promising(plain, base, s, share)]
+            goal = min([best.chi2 - CLOSE, *(f.chi2 + _OUT_OF_REACH for f in further)])
+            further += tried(base, promising, looked, 2, goal=goal)
+        better = [f for f in further if _worthwhile(plain, best, f, shown, share)]
+        if not better:
+            break
+        sure = max(f.log_evidence for f in better) + CLOSE
+        likelier = [f for f in further if f.log_evidence > sure and _worthwhile(plain, best, f, True, share)]
+        shown = shown or bool(likelier)
+        best = confirmed(likelier or better)[0]
+    return best, shown
+
+
+def _promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
+    """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice that."""
+    least = 0.5 * _LEAVING_NOISE * SECOND_SHARE * _of_form(share)
+    return score.statistic > max(2 * CLOSE, least * min(plain.chi2 - base.chi2, base.chi2 - noise_chi2(plain)))
+
+
+def _of_form(share: float) -> float:
+    """What is asked of a further cause where forms may be wrong by a share, over what is asked as long as nothing is known of that."""
+    return (share / SHARE) ** 2 if share > _EXACT else 0.0
+
+
+def _worthwhile(
+    plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, shown: bool = False, share: float = SHARE
+) -> bool:
+    """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything.
+
+    shown : there is one, whatever it is like
+    """
+    if more.log_evidence - best.log_evidence < CLOSE:
+        return False
+    before, so_far, now = (by_part(f) for f in (plain, best, more))
+    added = so_far - now
+    order = np.argsort(-added)
+    most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
+    where = order[: int(most.sum()) + 1]
+    noise = by_part(plain, noise=True)
+    adds, explained = float(added[where].sum()), float((before - so_far)[where].sum())
+    of_another = shown or explained < _NOTHING * adds or not _alike(more)
+    form = _of_form(share) * (_LEAVING_NOISE if beyond_noise(plain, more) < _NOISE and of_another else 1.0)
+    least = (
+        (form * SECOND_OF_ALL if of_another else _SECOND_OF_THE_SAME) * (plain.chi2 - best.chi2),
+        form * SECOND_SHARE * explained,
+        SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
+    )
+    return adds > max(least)
+
+
+def _alike(fit: ExtendedFit) -> bool:
+    """Whether one of the causes can be taken for another of them: both together may be the form of one."""
+    ids = {c.id for c in fit.of.chosen}
+    return any(ids & set(c.mechanism.confusable) for c in fit.of.chosen)
+
+
+def _needed(plain: ExtendedFit, final: ExtendedFit, shown: bool = False, share: float = SHARE) -> ExtendedFit:
+    """Causes that are no longer needed are dropped; those that stay are in the order of what each explains beside the others."""
+    while len(final.of.chosen) > 1:
+        fewer = [without(final, i) for i in range(len(final.of.chosen))]
+        best = max(fewer, key=lambda f: f.log_evidence)
+        if _worthwhile(plain, best, final, shown, share):
+            return _in_order(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
+        final = best
+    return final
+
+
+def _in_order(final: ExtendedFit, order: NDArray[np.int64]) -> ExtendedFit:
+    """The same fit with its causes in another order."""
+    if np.array_equal(order, np.arange(order.size)):
+        return final
+    of = replace(final.of, chosen=tuple(final.of.chosen[i] for i in order))
+    return finished(of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3))

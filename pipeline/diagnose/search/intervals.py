@@ -1,0 +1,64 @@
+"""How far severities may be from where they were found: by the curvature of χ² there, and by χ² itself where that is flatter.
+
+Entries that can change places (a mass and a stiffness whose ratio is known) lie along a bent valley, of which the curvature at one
+point says too little.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.mechanisms import SEVERITY
+from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.physics.least_squares import minimise
+
+Float = NDArray[np.float64]
+
+NORMAL_90 = 1.645
+_ROUNDS, _STEPS = 4, 6
+_LEAST_RISE, _MOST_FACTOR = 0.25, 3.0
+_NEAR = 0.7
+"""Share of the rise of χ² that an end of an interval stands for from which it is far enough."""
+
+
+def linear(spread: Float) -> tuple[Float, Float]:
+    """(Q,) steps down and up to the ends of 90 % intervals, by standard deviations (Q,) alone."""
+    return -NORMAL_90 * spread, NORMAL_90 * spread
+
+
+def ends(fit: ExtendedFit, spread: Float) -> tuple[Float, Float]:
+    """(Q,) steps of the mechanisms' entries down and up to the ends of their 90 % intervals; `spread` (Q,) standard deviations.
+
+    Those of severities are where χ² has risen by 2.7 with everything else at its best, never nearer than the curvature says.
+    """
+    down, up = linear(spread)
+    for i, coordinate in enumerate(fit.of.coordinates):
+        if coordinate.parameter.role == SEVERITY and not coordinate.fixed and spread[i] > 0:
+            down[i], up[i] = (_end(fit, fit.of.model.size + i, step) for step in (down[i], up[i]))
+    return down, up
+
+
+def _end(fit: ExtendedFit, entry: int, step: float) -> float:
+    low, high = (float(bound[entry]) for bound in fit.of.limits)
+    x = float(fit.x[entry])
+    for _ in range(_ROUNDS):
+        if not low < x + step < high:
+            break
+        rise = _rise(fit, entry, step) / NORMAL_90**2
+        if rise > _NEAR:
+            break
+        step *= min(1 / np.sqrt(max(rise, _LEAST_RISE**2)), _MOST_FACTOR)
+    return float(np.clip(x + step, low, high) - x)
+
+
+def _rise(fit: ExtendedFit, entry: int, step: float) -> float:
+    """Rise of χ² where one entry is held a step away and the others are at their best."""
+    low, high = (bound.copy() for bound in fit.of.limits)
+    start = np.clip(fit.x + step * fit.covariance[:, entry] / fit.covariance[entry, entry], low, high)
+    low[entry] = high[entry] = start[entry] = fit.x[entry] + step
+    held = minimise(
+        fit.of.residuals, start, low, high, most=_STEPS, jacobian=fit.solution.jacobian, moving=fit.of.model.size,
+        thorough=False,
+    )  # fmt: skip
+    return held.chi2 - fit.chi2

@@ -1,0 +1,151 @@
+"""Smallest detectable severities: what the recordings at hand would have shown with 80 % probability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
+from pipeline.diagnose.search.extend import Chosen, ExtendedFit, effect_of_all
+from pipeline.diagnose.search.plain import ORDERS
+from pipeline.diagnose.search.screen import Signatures, absorbed_by, scaled, unabsorbed
+
+Float = NDArray[np.float64]
+Shape = tuple[float, ...]
+
+POWER = 0.8
+_SHAPES = 0.8
+"""Share of the plausible shapes in which the severity has to be detectable."""
+_BEYOND = 2.0
+"""How far beyond the plausible range a severity may be to be given."""
+_STEEPEST = 6.0
+_RELAXING = frozenset({"missing_relaxation", "power_law_relaxation"})
+_SMALL = 0.01
+_ARMS_S = np.geomspace(1e-4, 100.0, 19)
+"""Relaxation times at which the model could have another arm."""
+
+
+def smallest_parameters(looked: Signatures, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
+    """Mechanism → form and parameters at which its signature reaches the threshold Λ with 80 % probability.
+
+    `looked` are the signatures about the plain model: their points are the shapes that count, in four of five of which this
+    severity or more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can
+    be seen counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
+    """
+    wanted = float(np.sqrt(threshold) + ndtri(POWER))
+    by_form: dict[Chosen, list[int]] = {}
+    for i, c in enumerate(looked.chosen):
+        by_form.setdefault(c, []).append(i)
+    found: dict[str, tuple[str, dict[str, float]]] = {}
+    for id, mechanism in MECHANISMS.items():
+        for chosen in (Chosen(id, variant) for variant in mechanism.variants):
+            points = by_form.get(chosen, [])
+            needed = (_by_grid if mechanism.onset else _by_slope)(mechanism, looked, points, wanted)
+            values = _of_most_shapes(mechanism, needed)
+            if values is not None:
+                found[id] = chosen.variant, values
+                break
+    return found
+
+
+def reported(found: Mapping[str, tuple[str, Mapping[str, float]]], context: Context) -> dict[str, dict[str, float]]:
+    """The same by the keys of the contract: mechanism → key → severity."""
+    result = {}
+    for id, (variant, values) in found.items():
+        mechanism = MECHANISMS[id]
+        shapes = {p.name for p in mechanism.shapes}
+        report = mechanism.reported(values, variant, context)
+        numbers = {k: float(v) for k, v in report.items() if isinstance(v, int | float) and k not in shapes}
+        result[id] = {k: v for k, v in numbers.items() if np.isfinite(v) and v != 0}
+    return result
+
+
+def _shape(mechanism: Mechanism, values: Mapping[str, float]) -> Shape:
+    return tuple(values[p.name] for p in mechanism.shapes)
+
+
+def _of_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict[str, float] | None:
+    """Parameters at the severity that is enough in all but the hardest shapes."""
+    if not needed:
+        return None
+    main = mechanism.severities[0]
+    ordered = sorted((severity, shape) for shape, severity in needed.items())
+    at, shape = ordered[int(np.ceil(_SHAPES * len(ordered))) - 1]
+    if not at <= min(_BEYOND * main.high, main.most):
+        return None
+    others = {p.name: 0.0 for p in mechanism.severities[1:]}
+    return {main.name: at, **others, **dict(zip((p.name for p in mechanism.shapes), shape, strict=True))}
+
+
+def _by_slope(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
+    """In proportion to a small severity: far from zero the model could absorb more than its derivatives say."""
+    main = mechanism.severities[0]
+    needed: dict[Shape, float] = {}
+    for i in points:
+        severity = abs(looked.values[i][main.name])
+        if looked.weak[i] and severity > 0:
+            needed[_shape(mechanism, looked.values[i])] = wanted * severity / float(looked.length[i])
+    return needed
+
+
+def _by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
+    """Along a chain of powers through the lengths at the grid's severities: an onset has no slope at zero."""
+    main = mechanism.severities[0]
+    lengths: dict[Shape, list[tuple[float, float]]] = {}
+    for i in points:
+        own = lengths.setdefault(_shape(mechanism, looked.values[i]), [])
+        own.append((looked.values[i][main.name], float(looked.length[i])))
+    return {shape: _along(np.log(np.array(sorted(own))), float(np.log(wanted))) for shape, own in lengths.items()}
+
+
+def _along(logs: Float, wanted: float) -> float:
+    """Severity at a wanted log length, from logarithms (L, 2) of severities and lengths; beyond them as steep as at the end."""
+    if len(logs) == 1:
+        return float(np.exp(logs[0, 0])) if logs[0, 1] >= wanted else float("inf")
+    slopes = np.clip(np.diff(logs[:, 1]) / np.diff(logs[:, 0]), 1.0, _STEEPEST)
+    place = int(np.clip(np.searchsorted(logs[:, 1], wanted) - 1, 0, slopes.size - 1))
+    near = place + int(abs(wanted - logs[place, 1]) > abs(wanted - logs[place + 1, 1]))
+    return float(np.exp(logs[near, 0] + (wanted - logs[near, 1]) / slopes[place]))
+
+
+def beyond_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
+    """Signatures about a plain fit, of relaxations as long as what arms leave that the model could still have.
+
+    A plain model below the highest order takes another arm where the recordings ask for one, and then there is nothing to find.
+    """
+    free = ORDERS[-1] - fit.of.model.arms
+    points = [i for i, c in enumerate(looked.chosen) if c.id in _RELAXING and looked.weak[i]]
+    if free <= 0 or not points:
+        return looked
+    of, base = fit.of, fit.of.predict(fit.x)
+    arm = Chosen("missing_relaxation", MECHANISMS["missing_relaxation"].variants[0])
+    ratio = MECHANISMS["missing_relaxation"].severities[0].low
+    changes = [
+        of.simulation.predict(of.model, fit.theta, effect_of_all((c,), (values,))) - base
+        for c, values in (
+            *((arm, {"stiffness_ratio": _SMALL * ratio, "time_constant_s": float(t), "spread": 1.0}) for t in _ARMS_S),
+            *((looked.chosen[i], scaled(looked.chosen[i].mechanism, looked.values[i], _SMALL)) for i in points),
+        )
+    ]
+    seen = of.weight[:, None] * of.session.whiten(np.array(changes).T / _SMALL)
+    gram = unabsorbed(fit, seen, absorbed_by(fit))[0]
+    length = looked.length.copy()
+    for place, i in enumerate(points, start=_ARMS_S.size):
+        left = gram.copy()
+        for _ in range(free):
+            own = np.diag(left)[: _ARMS_S.size]
+            taken = np.where(
+                own > 1e-9 * np.diag(gram)[: _ARMS_S.size],
+                left[: _ARMS_S.size, place] ** 2 / np.maximum(own, 1e-300),
+                0,
+            )
+            best = int(np.argmax(taken))
+            if taken[best] > 0:
+                left = left - np.outer(left[:, best], left[best]) / left[best, best]
+        # As derivatives over whole severities, so that the ratio counts.
+        length[i] *= float(np.sqrt(max(left[place, place], 0.0) / gram[place, place]))
+    return replace(looked, length=length)

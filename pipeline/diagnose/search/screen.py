@@ -1,0 +1,243 @@
+"""Which mechanism could explain what a fitted simulation leaves: signatures over grids, and their null distribution.
+
+A signature is the change of all features when a mechanism is switched on at a severity, whitened, with everything taken off that
+the material, the rig and their priors can absorb. Secants at several severities stand for derivatives: onset effects have none.
+Under the null the scores along signatures are jointly normal, so that the distribution of the best of all of them, looked at
+everywhere, follows from the signatures alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
+from pipeline.diagnose.search.extend import Chosen, Extended, ExtendedFit, effect_of_all, orthonormal
+
+Float = NDArray[np.float64]
+
+_LEVELS = 3
+"""Severities of a grid, over the plausible range."""
+_DERIVATIVE = 0.01
+"""Part of the lowest severity at which a weak effect's signature is taken."""
+_SHAPES = ((0.1, 0.5, 0.9), (0.2, 0.8), (0.5,))
+"""Places within the ranges of the first, second and third shape parameter."""
+_LEAST_PART = 0.2
+"""Least part of a strong effect's change that a score may stand for."""
+LEAST_VISIBLE = 0.05
+"""Length of a signature, in standard deviations of the noise, below which a mechanism leaves no trace."""
+_DRAWS = 20_000
+_SEED = 20_260
+_RANK = 1e-7
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Signatures at the points of all grids.
+
+    chosen (G,), values (G,) : mechanism, its form and its parameters at each point; invisible ones are left out
+    correlation : (G, G) of the signatures with everything taken off that can be absorbed
+    length : (G,) in standard deviations of the noise
+    score : (G,) of the fitted model's residual along them, standard normal each under the null
+    weak : (G,) whether the change was taken at a small part of the severity
+    """
+
+    chosen: tuple[Chosen, ...]
+    values: tuple[Mapping[str, float], ...]
+    correlation: Float
+    length: Float
+    score: Float
+    weak: NDArray[np.bool_]
+
+    @cached_property
+    def _factor(self) -> Float:
+        """(G, K): scores under the null are this times independent standard normal numbers."""
+        values, vectors = np.linalg.eigh(self.correlation)
+        kept = values > _RANK * values[-1]
+        return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+    @cached_property
+    def null(self) -> Float:
+        """(draws,) sorted: Λ of the best point under the null."""
+        rng = np.random.default_rng(_SEED)
+        best = np.zeros(_DRAWS)
+        for part in np.array_split(np.arange(_DRAWS), 20):
+            scores = self._factor @ rng.normal(size=(self._factor.shape[1], part.size))
+            best[part] = np.maximum(scores.max(axis=0), 0.0)
+        return np.sort(best**2)
+
+    def p_value(self, statistic: float) -> float:
+        """Probability that the best of all points reaches Λ by chance; beyond the draws the tail falls as that of a χ²."""
+        tail = float(np.mean(self.null >= statistic))
+        known = self.null[int(0.998 * _DRAWS)]
+        if statistic <= known:
+            return max(tail, 1 / _DRAWS)
+        return float(0.002 * np.exp(-(statistic - known) / 2))
+
+    def reaches(self, statistic: float, level: float) -> bool:
+        """Whether the p-value of Λ is at most `level`; without draws where that of one point, or of all as if each were alone, says so."""
+        alone = float(ndtr(-np.sqrt(max(statistic, 0.0))))
+        if alone > level or alone * self.length.size <= level:
+            return alone <= level
+        return self.p_value(statistic) <= level
+
+    def threshold(self, level: float) -> float:
+        """Λ that the best reaches by chance with probability `level`."""
+        return float(np.quantile(self.null, 1 - level))
+
+
+@dataclass(frozen=True)
+class Score:
+    """The best point of a mechanism in one form.
+
+    `statistic` is Λ, the fall of χ² along its signature; `share` how much of the signature that takes.
+    """
+
+    chosen: Chosen
+    values: Mapping[str, float]
+    statistic: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Secants:
+    """What mechanisms would change: points of all grids, and whitened changes of all features (N, G).
+
+    `weak` (G,): taken at a small part of the severity, and scaled.
+    """
+
+    chosen: tuple[Chosen, ...]
+    values: tuple[Mapping[str, float], ...]
+    change: Float
+    weak: NDArray[np.bool_]
+
+
+def secants(fit: ExtendedFit) -> Secants:
+    """Changes about a fitted model, of every visible mechanism that is not in it. The one costly step of a screen.
+
+    Weak effects of either sign have central differences: what a small step leaves of the curvature is more than some causes show.
+    """
+    of = fit.of
+    base = of.predict(fit.x)
+
+    def change(c: Chosen, values: Mapping[str, float], part: float) -> Float:
+        own = scaled(c.mechanism, values, part)
+        moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, own)))
+        return np.asarray((moved - base) / part)
+
+    rows, chosen, values, weak = [], [], [], []
+    opposite: dict[tuple[Chosen, tuple[float, ...]], Float] = {}
+    for c, own, part in grid(of, {c.id for c in of.chosen}):
+        row = opposite.get((c, tuple(own.values())))
+        if row is None:
+            row = change(c, own, part)
+            if part < 1 and _either_sign(c.mechanism, own):
+                row = (row + change(c, own, -part)) / 2
+                opposite[c, tuple(scaled(c.mechanism, own, -1.0).values())] = -row
+        if np.isfinite(row).all():
+            rows.append(row)
+            chosen.append(c)
+            values.append(own)
+            weak.append(part < 1)
+    changes = of.session.whiten(np.array(rows).T) if rows else np.zeros((of.session.size, 0))
+    return Secants(tuple(chosen), tuple(values), changes, np.array(weak, dtype=bool))
+
+
+def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
+    """Secants seen from a fitted model: weighted as it is, without what its entries absorb and without its mechanisms."""
+    held = {c.id for c in fit.of.chosen}
+    open_ = np.array([i for i, c in enumerate(found.chosen) if c.id not in held], dtype=np.int64)
+    seen = fit.of.weight[:, None] * found.change[:, open_]
+    gram, along = unabsorbed(fit, seen, absorbed_by(fit))
+    length = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    places = np.flatnonzero(length > np.maximum(LEAST_VISIBLE, 1e-6 * np.sqrt(np.sum(seen**2, axis=0))))
+    length = length[places]
+    return Signatures(
+        tuple(found.chosen[open_[i]] for i in places),
+        tuple(found.values[open_[i]] for i in places),
+        np.asarray(gram[np.ix_(places, places)] / np.outer(length, length)),
+        length,
+        np.asarray(along[places] / length),
+        found.weak[open_][places],
+    )
+
+
+def scores(found: Signatures) -> tuple[Score, ...]:
+    """Best point of each mechanism and form, best first."""
+    along = np.maximum(found.score, 0.0)
+    share = along / found.length
+    best: dict[Chosen, int] = {}
+    for i, c in enumerate(found.chosen):
+        # A small part of a strong effect's change is not the change of a weak one: that has a point of its own.
+        curved = not c.mechanism.onset and not found.weak[i] and share[i] < _LEAST_PART
+        if not curved and (c not in best or along[i] > along[best[c]]):
+            best[c] = i
+    result = [Score(c, found.values[i], float(along[i] ** 2), float(share[i])) for c, i in best.items()]
+    return tuple(sorted(result, key=lambda s: -s.statistic))
+
+
+def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float], float]]:
+    """Points at which signatures are taken: of every visible mechanism, its forms, severities and shapes.
+
+    With each the part of the severity at which its change is taken: a small one where a weak effect is asked for, for what the
+    model absorbs of a strong one with its curvature is not what it absorbs of a weak one.
+    """
+    for id, mechanism in MECHANISMS.items():
+        if id in held or not (mechanism.shows & of.session.kinds):
+            continue
+        shapes = [_places(p, _SHAPES[min(i, len(_SHAPES) - 1)]) for i, p in enumerate(mechanism.shapes)]
+        for variant in mechanism.variants:
+            for severity, part in _severities(mechanism):
+                for combination in itertools.product(*shapes):
+                    own = dict(zip((p.name for p in mechanism.shapes), combination, strict=True))
+                    yield Chosen(id, variant), severity | own, part
+
+
+def scaled(mechanism: Mechanism, values: Mapping[str, float], part: float) -> dict[str, float]:
+    """Parameters with the severities times a part."""
+    names = {p.name for p in mechanism.severities}
+    return {name: part * value if name in names else value for name, value in values.items()}
+
+
+def _either_sign(mechanism: Mechanism, values: Mapping[str, float]) -> bool:
+    """Whether the severities that are not 0 may be of either sign."""
+    return all(p.signed for p in mechanism.severities if values[p.name] != 0)
+
+
+def _places(p: Parameter, shares: tuple[float, ...]) -> list[float]:
+    if p.low == p.high:
+        return [p.low]
+    if p.log:
+        return [float(p.low * (p.high / p.low) ** s) for s in shares]
+    return [p.low + (p.high - p.low) * s for s in shares]
+
+
+def _severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float]]:
+    """Levels of each severity alone, the others 0; both signs where both are possible. With the part at which each is taken."""
+    found = []
+    for p in mechanism.severities:
+        for number, level in enumerate(np.geomspace(p.low, p.high, _LEVELS)):
+            part = _DERIVATIVE if number == 0 and not mechanism.onset else 1.0
+            for sign in (1.0, -1.0) if p.signed else (1.0,):
+                if p.least <= sign * level <= p.most or not p.signed:
+                    found.append(({q.name: 0.0 for q in mechanism.severities} | {p.name: sign * float(level)}, part))
+    return found
+
+
+def unabsorbed(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, Float]:
+    """Products of weighted whitened changes (N, G) without what a fit absorbs, (G, G), and their scores (G,) with its residual."""
+    # The priors' rows see nothing of a change, but they hold back what absorbs it.
+    coefficients = absorbed[: fit.of.session.size].T @ seen
+    gram = seen.T @ seen - coefficients.T @ coefficients
+    return gram, seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
+
+
+def absorbed_by(fit: ExtendedFit) -> Float:
+    """(M, P) orthonormal: what changes of the fitted entries can absorb, priors in the last rows."""
+    return orthonormal(fit.solution.jacobian)

@@ -1,0 +1,165 @@
+"""Is anything left? Tests of residuals that no mechanism proposes: smooth patterns, and blocks one by one.
+
+Smooth patterns are polynomials in the logarithm of frequency or time, alone and times amplitude, voltage, cycle and session time, for
+each kind of feature. What material, rig and the mechanisms in the model absorb is taken off, so that the sum of squares of the
+scores is χ² under the null. An unlisted effect, or one of another form, shows here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from pipeline.diagnose.features.kinds import REST_HUM, TAP_RING, WEIGHT_GAIN
+from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
+from pipeline.diagnose.simulation.session import Place, Session
+
+Float = NDArray[np.float64]
+
+_DEGREE = 3
+_SKIPPED = frozenset({REST_HUM, TAP_RING, WEIGHT_GAIN})
+_RELATIVE_RANK = 1e-6
+_BY_VARIABLE = ("amplitude", "voltage_kv", "cycle", "session_s")
+_WORDS = {
+    "amplitude": "strain amplitude",
+    "voltage_kv": "voltage",
+    "cycle": "cycle number",
+    "session_s": "session time",
+}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Smooth patterns in a residual. `statistic` is χ² with `degrees_of_freedom` under the null.
+
+    kind_p : kind of feature → probability of its own patterns; variable_p : variable → that of the patterns that it modulates
+    """
+
+    statistic: float
+    degrees_of_freedom: int
+    p_value: float
+    kind_p: dict[str, float]
+    variable_p: dict[str, float]
+
+
+def structure(fit: ExtendedFit) -> Structure:
+    """Smooth patterns that a fitted model leaves."""
+    session = fit.of.session
+    columns, labels = [], []
+    for kind, variable, column in _patterns(session):
+        columns.append(column)
+        labels.append((kind, variable))
+    if not columns:
+        return Structure(0.0, 0, 1.0, {}, {})
+    seen = fit.of.weight[:, None] * np.column_stack(columns)
+    gram, score = unabsorbed(fit, seen, absorbed_by(fit))
+    scale = np.sqrt(np.maximum(np.sum(seen**2, axis=0), 1e-300))
+    gram, score = gram / np.outer(scale, scale), score / scale
+    kinds = np.array([k for k, _ in labels])
+    variables = np.array([v for _, v in labels])
+    total, freedom, _ = quadratic(gram, score)
+    return Structure(
+        total,
+        freedom,
+        float(chdtrc(max(freedom, 1), total)),
+        {str(k): _p(gram, score, kinds == k) for k in np.unique(kinds)},
+        {str(v): _p(gram, score, variables == v) for v in np.unique(variables) if v},
+    )
+
+
+def words(variable: str) -> str:
+    """A variable's name in words."""
+    return _WORDS[variable]
+
+
+def blocks_p(fit: ExtendedFit, spread: float) -> Float:
+    """(B,) probability of each block's χ² under the null, where variances are known to `spread` (relative) only."""
+    result = np.ones(len(fit.of.session.places))
+    for i, p in enumerate(fit.of.session.places):
+        r = fit.misfit[p.first : p.stop]
+        result[i] = block_probability(float(r @ r), r.size, spread)
+    return result
+
+
+def block_probability(chi2: float, size: int, spread: float) -> float:
+    """Probability of χ² or more of `size` values whose common variance is known to `spread` (relative): Satterthwaite."""
+    variance = 2 * size + (spread * size) ** 2
+    return float(chdtrc(2 * size**2 / variance, chi2 * 2 * size / variance))
+
+
+def _patterns(session: Session) -> Iterator[tuple[str, str, Float]]:
+    """Kind, variable ("" for none) and whitened column (N,) of each pattern."""
+    by_kind: dict[str, list[Place]] = {}
+    for p in session.places:
+        if p.block.kind not in _SKIPPED:
+            by_kind.setdefault(p.block.kind, []).append(p)
+    sd = session.sd
+    for kind, places in by_kind.items():
+        index = np.concatenate([np.arange(p.first, p.stop) for p in places])
+        half = np.concatenate([_halves(p) for p in places])
+        along = np.concatenate([_along(p) for p in places])
+        powers = np.polynomial.legendre.legvander(_scaled(along), _DEGREE if np.ptp(along) > 0 else 0)
+        modulations: list[tuple[str, Float]] = [("", np.ones(index.size))]
+        for name in _BY_VARIABLE:
+            values = session.covariate(name)[index]
+            if np.isfinite(values).all() and np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-300):
+                modulations.append((name, _scaled(values)))
+        for side in np.unique(half):
+            for name, modulation in modulations:
+                for power in powers.T:
+                    column = np.zeros(session.size)
+                    column[index] = np.where(half == side, power * modulation, 0.0) * sd[index]
+                    yield kind, name, session.whiten(column)
+
+
+def _halves(p: Place) -> NDArray[np.int64]:
+    """0 for real parts and harmonic 2, 1 for imaginary parts; harmonics of order 3 count on their own."""
+    n = p.block.size
+    side = np.zeros(n, dtype=np.int64)
+    if p.block.is_complex:
+        side[n // 2 :] = 1
+    order = p.block.support.get("order")
+    if order is not None and order.size * (2 if p.block.is_complex else 1) == n:
+        side += 2 * np.tile(order.astype(np.int64), 2 if p.block.is_complex else 1)
+    return side
+
+
+def _along(p: Place) -> Float:
+    """Logarithm of frequency, else of time."""
+    f = p.block.frequency_hz
+    if np.isfinite(f).all() and (f > 0).all():
+        return np.asarray(np.log(f))
+    t = p.block.time_s
+    return (
+        np.asarray(np.log(np.maximum(np.nan_to_num(t - np.nanmin(t)), 0.0) + 1e-2))
+        if np.isfinite(t).any()
+        else np.zeros(f.size)
+    )
+
+
+def _scaled(values: Float) -> Float:
+    low, high = float(values.min()), float(values.max())
+    return np.asarray(2 * (values - low) / (high - low) - 1) if high > low else np.zeros(values.size)
+
+
+def quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
+    """scoreᵀ gram⁺ score over patterns of unit length, its rank, and gram⁺ score."""
+    values, vectors = np.linalg.eigh((gram + gram.T) / 2)
+    kept = values > _RELATIVE_RANK * max(float(values[-1]), 1e-300)
+    kept &= values > 1e-5
+    along = vectors[:, kept].T @ score
+    return (
+        float(np.sum(along**2 / values[kept])),
+        int(kept.sum()),
+        np.asarray(vectors[:, kept] @ (along / values[kept])),
+    )
+
+
+def _p(gram: Float, score: Float, chosen: NDArray[np.bool_]) -> float:
+    total, freedom, _ = quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
+    return float(chdtrc(freedom, total)) if freedom else 1.0

@@ -1,0 +1,296 @@
+"""Amplitude-dependent films under a sinusoid: describing functions at the film's own strain, solved with the rig.
+
+The fundamental of the tension scales k exactly within the response; the amplitude of the strain x0 − x′ follows from that
+response, so that both are found together. Mean and harmonics of the tension move the clamp, and with it the film (harmonic
+balance with four terms).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.simulation.effects import Course, Scale
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Int = NDArray[np.int64]
+
+PHASES = 32
+_ITERATIONS = 12
+_SETTLED = 1e-4
+_LOOPS = 2
+_SLOPES = 0.05, 1.5
+_GRID = np.array([
+    0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.93, 0.96, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.35, 1.6, 2.2, 3.2,
+])  # fmt: skip
+"""Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies; whole hundredths."""
+_CELLS = 100
+_ROW = np.clip(np.searchsorted(_GRID, (np.arange(int(_GRID[-1] * _CELLS) + 1) + 0.5) / _CELLS) - 1, 0, _GRID.size - 2)
+"""Number of the grid's amplitude below each hundredth."""
+_GAP = np.diff(_GRID)
+_ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
+_WAVES = (
+    np.exp(1j * np.outer(np.arange(4), _ANGLE))
+    .conj()
+    .view(np.float64)
+    .reshape(4, PHASES, 2)
+    .transpose(0, 2, 1)
+    .reshape(8, PHASES)
+)
+"""Re and Im of c_m, one below the other, make Σ Re c_m e^{jmθ} of this: real products cost a quarter of complex ones."""
+_TURNS = np.exp(-1j * np.outer(_ANGLE, np.arange(4))) * 2 / PHASES
+_TURNS[:, 0] /= 2
+
+
+@dataclass(frozen=True)
+class Described:
+    """(S, J) each: `factor` of k, mean tension N, second and third harmonic of the tension N (phase: strain is a cosine),
+    strain amplitude, and `turn` = strain over x0 (complex, times the length)."""
+
+    factor: Complex
+    mean: Float
+    second: Complex
+    third: Complex
+    strain: Float
+    turn: Complex
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Largest rise and fall of the tension, N, and largest force reading of a session, N."""
+
+    tension_n: float
+    fall_n: float
+    reading_n: float
+
+
+def harmonics(wave: Float) -> Complex:
+    """(..., 4) mean and harmonics 1 … 3 of a wave (..., PHASES): Σ Re c_m e^{jmθ}."""
+    return _flat(np.asarray(wave, dtype=np.float64), _TURNS.view(np.float64)).view(np.complex128)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What closes the loop about the elements at harmonics 0 … 3 of the drive: film and rig, linear.
+
+    frequency_hz (S, J) of the drive, `cycles` (S, J) each as in `Course`; k (4, S, J) N/mm of the linear film (at 0 the main
+    spring), `dynamic` (4, S, J) = 1 + (−Mω² + jωcL)/kL, `compliance` 1/kL.
+    """
+
+    frequency_hz: Float
+    k: Complex
+    dynamic: Complex
+    compliance: Float
+    cycles: tuple[Float, Float] | None = None
+
+    def mean(self) -> Loop:
+        """One for all states."""
+        k, dynamic = self.k.mean(axis=1, keepdims=True), self.dynamic.mean(axis=1, keepdims=True)
+        return Loop(self.frequency_hz[:1], k, dynamic, self.compliance)
+
+
+def describe(
+    elements: Sequence[Callable[[Course], Float]],
+    loop: Loop,
+    strain: Float,
+    mean_strain: Float,
+    rest_force_n: Float,
+    loads: Loads,
+    scale: Scale,
+) -> Described:
+    """Describing functions of `elements` for a driven end of strain amplitude `strain` (S, J).
+
+    The mean tension that the elements find beyond what the scaled k0 carries is `mean`.
+    """
+    k, dynamic, compliance = loop.k[1], loop.dynamic[1], loop.compliance
+    turn = dynamic / (dynamic + k * compliance)
+    amplitude = strain * np.abs(turn)
+    factor: Complex = np.ones(k.shape, dtype=complex)
+    found: Complex = np.zeros((*k.shape, 4), dtype=complex)
+    own: Complex | None = None
+    for i in range(_ITERATIONS):
+        factor, found, own = _one_amplitude(elements, loop, amplitude, mean_strain, rest_force_n, loads, scale, own)
+        turn = dynamic / (dynamic + factor * k * compliance)
+        amplitude, change = _next(amplitude, strain, turn, i)
+        if change < _SETTLED:
+            break
+    return Described(factor, found[..., 0].real, found[..., 2], found[..., 3], amplitude, turn)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places (..., T) among the frequencies of a table: the two columns about each, and how far it is to the second."""
+
+    column: Int
+    beside: Int
+    share: Float
+
+    @classmethod
+    def among(cls, known: Float, wanted: Float) -> Places:
+        """Where log frequencies (..., T) lie among those of a table (C,)."""
+        along = np.interp(wanted, known, np.arange(known.size, dtype=float))
+        column = np.minimum(along.astype(np.int64), max(known.size - 2, 0))
+        return cls(column, np.minimum(column + 1, known.size - 1), along - column)
+
+    def rows(self, number: Int) -> Places:
+        """Those of some rows."""
+        return Places(self.column[number], self.beside[number], self.share[number])
+
+    def interpolated(self, values: Float) -> Float:
+        """(..., T) of values (C,) at the frequencies of a table."""
+        low = values[self.column]
+        return np.asarray(low + self.share * (values[self.beside] - low))
+
+
+@dataclass(frozen=True)
+class SweepTable:
+    """What elements make of waves of any amplitude at C frequencies.
+
+    `top` (C,) strain amplitude that the grid is relative to; `values` (grid, C, 5): factor of k, then mean and harmonics 1 … 3 of
+    the tension that the elements add, N per unit of strain amplitude. `stiffness` (C,) |k| of the film N/mm.
+    """
+
+    top: Float
+    values: Complex
+    stiffness: Float
+
+    def stiff(self, at: Places) -> Float:
+        """(..., T) |k| of the film, N/mm."""
+        return at.interpolated(self.stiffness)
+
+    @cached_property
+    def _lists(self) -> tuple[Complex, Complex]:
+        """Factors (grid C,) and waves (grid C, 4), grid by grid."""
+        flat = self.values.reshape(-1, self.values.shape[-1])
+        return np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1:])
+
+    def factor(self, strain: Float, at: Places) -> Complex:
+        """(..., T) factor of k at strain amplitudes (..., T)."""
+        return self._at(self._lists[0], strain, at, at.share)
+
+    def waves(self, strain: Float, at: Places) -> Complex:
+        """(..., T, 4) mean and harmonics of the tension that the elements add, N, the strain being a cosine."""
+        return self._at(self._lists[1], strain, at, at.share[..., None]) * strain[..., None]
+
+    def _at(self, values: Complex, strain: Float, at: Places, share: Float) -> Complex:
+        # Both columns are asked at the same strain: between them lies a resonance, and what begins at a load is a bend.
+        low, high = (self._of_column(values, strain, column) for column in (at.column, at.beside))
+        return np.asarray(low + share * (high - low))
+
+    def _of_column(self, values: Complex, strain: Float, column: Int) -> Complex:
+        """(..., T, …) values of columns (..., T) at strain amplitudes (..., T)."""
+        up = np.clip(strain / self.top[column], _GRID[0], _GRID[-1])
+        row = _ROW[(up * _CELLS).astype(np.int64)]
+        share = (up - _GRID[row]) / _GAP[row]
+        place = row * self.top.size + column
+        low = values.take(place, axis=0)
+        return np.asarray(low + _beside(share, values) * (values.take(place + self.top.size, axis=0) - low))
+
+
+def _beside(share: Float, values: Complex) -> Float:
+    """Shares (...) that broadcast against what values (n, …) have at each place."""
+    return share.reshape(share.shape + (1,) * (values.ndim - 1))
+
+
+def sweep_table(
+    elements: Sequence[Callable[[Course], Float]],
+    mean: Loop,
+    top: Float,
+    rest_force_n: float,
+    loads: Loads,
+    scale: Scale,
+) -> SweepTable:
+    """Elements asked on a grid of amplitudes up to and beyond `top` (C,), with `mean` the mean of the states' films and rigs.
+
+    States of sweeps, which have no mean strain, differ in amplitude and little else.
+    """
+    top = np.maximum(top, 1e-15)
+    grid: Float = _GRID[:, None] * top
+    rest = np.full(grid.shape, rest_force_n)
+    own: Complex | None = None
+    for _ in range(_LOOPS):
+        factor, waves, own = _one_amplitude(elements, mean, grid, np.zeros(grid.shape), rest, loads, scale, own)
+    # A complex division costs more than all the rest of it.
+    values = np.concatenate([factor[..., None], waves * (1 / grid)[..., None]], axis=-1)
+    return SweepTable(top, values, np.abs(mean.k[1, 0]))
+
+
+def _next(amplitude: Float, strain: Float, turn: Complex, i: int) -> tuple[Float, float]:
+    """The next amplitude, half the way once the first step is made: a lightly damped resonance would overshoot."""
+    wanted = strain * np.abs(turn)
+    new = 0.5 * (amplitude + wanted) if i else wanted
+    return new, float(np.max(np.abs(new - amplitude) / np.maximum(strain, 1e-30), initial=0.0))
+
+
+def _one_amplitude(
+    elements: Sequence[Callable[[Course], Float]],
+    loop: Loop,
+    amplitude: Float,
+    mean_strain: Float,
+    rest_force_n: Float,
+    loads: Loads,
+    scale: Scale,
+    own: Complex | None,
+) -> tuple[Complex, Complex, Complex]:
+    """Factor of k, what the elements add to mean and harmonics 1 … 3 of the tension, at given strain amplitudes.
+
+    `own` (..., 4) is the film's strain as found so far (None: the driven end's mean and the fundamental alone), returned with
+    what the clamp does to its mean and overtones: it gives way to the harmonics, and the elements see that.
+    """
+    k = np.moveaxis(loop.k, 0, -1)
+    dynamic = np.moveaxis(loop.dynamic, 0, -1)
+    give = np.asarray(loop.compliance)[..., None]
+    e = np.zeros((*amplitude.shape, 4), dtype=complex) if own is None else own.copy()
+    if own is None:
+        e[..., 0] = mean_strain
+    e[..., 1] = amplitude
+    linear = k * e * scale.length_mm
+    course = Course(
+        strain=_wave(e),
+        tension=_wave(linear),
+        periodic=True,
+        rest_force_n=rest_force_n[..., None],
+        largest_tension_n=loads.tension_n,
+        largest_fall_n=loads.fall_n,
+        stiffness=np.broadcast_to(k[..., 1:2], (*amplitude.shape, 1)),
+        static=float(loop.k[0].flat[0].real),
+        interval_s=np.broadcast_to(1 / (PHASES * loop.frequency_hz[..., None]), (*amplitude.shape, 1)),
+        scale=scale,
+        cycles=loop.cycles,
+        carry=lambda strain: _wave(k * harmonics(strain) * scale.length_mm),
+    )
+    found = harmonics(along(elements, course))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(np.abs(linear[..., 1]) > 0, 1 + found[..., 1] / linear[..., 1], 1.0)
+    # The mean slope of the elements is what the clamp feels at its overtones; the rest of the tension drives it.
+    slope = np.clip(factor.real, *_SLOPES)[..., None]
+    driving = found + (1 - slope) * linear
+    driving[..., 0] += (slope[..., 0] - 1) * (k * scale.length_mm)[..., 0] * mean_strain
+    moved = -driving * give / (dynamic + slope * k * give) / scale.length_mm
+    moved[..., 0] = moved[..., 0].real + mean_strain
+    moved[..., 1] = amplitude
+    found[..., 0] -= (factor.real - 1) * (k * scale.length_mm)[..., 0].real * mean_strain
+    return factor, found, moved
+
+
+def _wave(coefficients: Complex) -> Float:
+    """(..., PHASES) wave of mean and harmonics 1 … 3 (..., 4)."""
+    return _flat(np.ascontiguousarray(coefficients).view(np.float64), _WAVES)
+
+
+def _flat(values: Float, matrix: Float) -> Float:
+    """(..., m) product of values (..., n) with a matrix (n, m), all rows at once."""
+    return (values.reshape(-1, values.shape[-1]) @ matrix).reshape(*values.shape[:-1], matrix.shape[1])
+
+
+def along(elements: Sequence[Callable[[Course], Float]], course: Course) -> Float:
+    """Tension that the elements make of a course, less the linear one, (..., P)."""
+    wave = course.tension
+    for element in elements:
+        wave = element(course if wave is course.tension else replace(course, tension=wave))
+    return np.asarray(wave - course.tension)

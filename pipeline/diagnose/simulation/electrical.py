@@ -1,0 +1,314 @@
+"""Prediction of voltage steps and multisines: H = −F/V² and the capacitance, from the voltage that was measured.
+
+    H = g a/(1 + (−Mω² + jωcL)/kL + k/kL),      ΔC/V² = −κ (k0/k) (1 + (−Mω² + jωcL)/kL) H
+
+The sensing part in series carries the film's tension, so that its strain is tension over k; κ is pF/N at rest. Effects on the
+voltage act on the waveform (one stored period, or the plateaus of steps) before its square reaches the film.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.kinds import SPHS_CAPACITANCE, SPHS_DETECTION, SPHS_VOLTAGE
+from pipeline.diagnose.simulation.describing import Loads, along
+from pipeline.diagnose.simulation.effects import NONE, Course, Edge, Effect, View, Wave, bent
+from pipeline.diagnose.simulation.families import Family, channel, dynamic, film_at, rig_of, state_view
+from pipeline.diagnose.simulation.parameters import Physical, Several
+from pipeline.diagnose.simulation.remembered import Inputs
+from pipeline.diagnose.simulation.session import Place, Session
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Int = NDArray[np.int64]
+
+FORCE, CAPACITANCE, VOLTAGE = "force", "capacitance", "voltage"
+STEP, MULTISINE = "step", "multisine"
+_INPUTS = {
+    FORCE: Inputs.named(
+        "film rigs actuation",
+        "film_voltage film_edges squared actuation electrode film tension rig clamp force voltage reading",
+    ),
+    CAPACITANCE: Inputs.named(
+        "film rigs actuation pf_per_n",
+        "film_voltage film_edges squared actuation electrode film rig clamp voltage capacitance",
+    ),
+    VOLTAGE: Inputs.named("amplifier", "monitor monitor_wave monitor_edges voltage"),
+}
+
+
+def electrical_response(
+    physical: Physical | Several, effect: Effect, rig_number: int, view: View, output: str
+) -> Complex:
+    """H, ΔC/V² or V/command at the frequencies of a view, (1 or S, J); the square of the voltage is that measured. Of several at once
+    (B, 1 or S, J)."""
+    if output == VOLTAGE:
+        gain = physical.amplifier[rig_number] * np.ones((1, view.frequency_hz.shape[1]), dtype=complex)
+        return np.asarray(gain * channel(effect.monitor, view) * channel(effect.voltage, view))
+    rig = rig_of(physical, rig_number, effect)
+    film = film_at(physical, effect, view)
+    own = dynamic(rig, view, effect, film.k)
+    drive = physical.actuation * film.share * channel(effect.actuation, view) / channel(effect.voltage, view) ** 2
+    drive = drive * channel(effect.electrode, view)
+    response = drive / (own + film.k * rig.compliance)
+    if output == FORCE:
+        return np.asarray(rig.gain * response * channel(effect.force, view))
+    sensed = -physical.pf_per_n * own * response * physical.k0 / film.k
+    return np.asarray(sensed * channel(effect.capacitance, view) * channel(effect.electrode, view))
+
+
+def squared(effect: Effect, wave: Wave) -> Float:
+    """What acts on the film in place of the square of the measured voltage, (S, W)."""
+    for change in effect.film_voltage:
+        wave = change(wave)
+    wave = replace(wave, squared=wave.film_kv**2)
+    for change in effect.squared:
+        wave = change(wave)
+    return wave.squared
+
+
+class StepFamily(Family):
+    """Blocks of voltage steps with one output: force, capacitance or voltage."""
+
+    def __init__(self, session: Session, places: Sequence[Place], nodes: Float, output: str) -> None:
+        super().__init__(session, places, nodes, STEP)
+        self.output, self.inputs = output, _INPUTS[output]
+        self._on = np.concatenate([p.block.support["side"] > 0 for p in self.places])
+        level = np.zeros(self.states.size)
+        for p in self.places:
+            level[self.state_of[id(p)]] = float(p.block.support["level_kv"][0])
+        self._level = level
+
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family."""
+        values = self.of_spectra(physical, effect)
+        if self.output == FORCE and loads is not None and (effect.tension or effect.reading):
+            self._along(values, physical, effect, loads)
+        return values
+
+    def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
+        """Features (rows,) without elements and readings; of several at once (B, rows)."""
+        response = electrical_response(physical, effect, self.rig, self.view, self.output)
+        if self.output != VOLTAGE and (effect.film_voltage or effect.squared):
+            response = response * self._drive_factor(effect)[:, None]
+        edges = effect.monitor_edges if self.output == VOLTAGE else effect.film_edges
+        if edges:
+            values = np.where(self._on, self._after(response, edges, 1.0), self._after(response, edges, -1.0))
+        else:
+            values = self.apply(np.atleast_2d(response))
+        if self.output == CAPACITANCE and effect.electrode:
+            self._electrode(values, effect)
+        return values
+
+    def _after(self, response: Complex, edges: Sequence[Edge], side: float) -> Float:
+        for edge in edges:
+            response = response * edge(self.view, side)
+        return self.apply(np.atleast_2d(response))
+
+    def _drive_factor(self, effect: Effect) -> Float:
+        """What acts at each plateau against rest, over the square of the measured voltage, (S,)."""
+        levels = np.stack([np.zeros_like(self._level), self._level], axis=1)
+        acting = squared(effect, Wave(levels, levels**2, None, self.session.scale))
+        return np.asarray((acting[:, 1] - acting[:, 0]) / self._level**2)
+
+    def _along(self, values: Float, physical: Physical, effect: Effect, loads: Loads) -> None:
+        rig = rig_of(physical, self.rig, effect)
+        compliance = float(rig.compliance[0, 0])
+        still = 1 + physical.film.k0 * compliance
+        at = 0
+        for p in self.places:
+            part = values[at : at + p.block.size]
+            rest = float(self.session.states.rest_force_n[p.state])
+            drop = part.copy()
+            if effect.tension:
+                course = Course(
+                    (drop * compliance / self.session.scale.length_mm)[None],
+                    -drop[None],
+                    False,
+                    np.array([[rest]]),
+                    loads.tension_n,
+                    loads.fall_n,
+                    np.array([[physical.film.k0]], dtype=complex),
+                    physical.film.k0,
+                    np.diff(p.block.time_s, prepend=0.0)[None],
+                    self.session.scale,
+                )
+                drop = drop - along(effect.tension, course)[0] / still
+            seen = bent(np.nan_to_num(rest) - drop, loads.reading_n, effect.reading)
+            values[at : at + p.block.size] = drop - seen
+            at += p.block.size
+
+    def _electrode(self, values: Float, effect: Effect) -> None:
+        """The rest capacitance falls with the electrode, against what it was when the recording began."""
+        before = replace(self.view, exposure_kv2_s=self.view.exposure_start_kv2_s)
+        now, start = (
+            np.broadcast_to(channel(effect.electrode, v).real, (self.states.size, 1))[:, 0] for v in (self.view, before)
+        )
+        at = 0
+        for p in self.places:
+            rest = self.session.recordings[p.recording].values.get("capacitance_rest_pf", 0.0)
+            state = self.state_of[id(p)]
+            values[..., at : at + p.block.size] += rest * (now[state] / start[state] - 1)
+            at += p.block.size
+
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the family as the plain film has them; only a force family has any."""
+        if self.output != FORCE:
+            return Loads(0.0, 0.0, 0.0)
+        plain = self.predict(physical, NONE, None)
+        rest = np.nan_to_num(self.view.rest_force_n)
+        rise, fall = float(-plain.min(initial=0.0)), float(plain.max(initial=0.0))
+        return Loads(rise, fall, float(rest.max()) + rise)
+
+
+class MultisineFamily:
+    """Blocks of multisines of one rig, one kind and one set of lines."""
+
+    def __init__(self, session: Session, places: Sequence[Place]) -> None:
+        self.session, self.places = session, tuple(places)
+        self.kind = places[0].block.kind
+        self.output = {SPHS_CAPACITANCE: CAPACITANCE, SPHS_VOLTAGE: VOLTAGE}.get(self.kind, FORCE)
+        self.inputs = _INPUTS[self.output]
+        self.rig = int(session.rig[places[0].recording])
+        self.rows = np.concatenate([np.arange(p.first, p.stop) for p in places])
+        n = places[0].block.size // 2
+        support = places[0].block.support
+        self._lines = support["lines"].astype(np.int64)
+        self._excited = support.get("excited", support["lines"]).astype(np.int64)
+        self._period = float(support["period_s"][0])
+        self._wave = np.array([p.block.support["wave"] for p in places])
+        self._measured = _lines(self._wave**2)
+        if self.output == VOLTAGE:
+            self._command = np.array([p.block.support["command"] for p in places])
+            self._asked = _lines(self._command)
+        self._squares = session.recordings[places[0].recording].loading == "electrical"
+        number = np.array([p.state for p in places])
+        frequency = places[0].block.frequency_hz[None, :n]
+        self.view = state_view(session, number, frequency, MULTISINE, strain=np.zeros((number.size, 1)))
+        every = np.arange(self._measured.shape[1]) / self._period
+        self._at_lines = replace(self.view, frequency_hz=every[None, :])
+
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family."""
+        if loads is None or not (effect.tension or effect.reading) or self.output != FORCE:
+            return self.of_spectra(physical, effect)
+        acting = self._acting(effect)
+        return self._features(physical, effect, acting, self._bent(physical, effect, loads, acting))
+
+    def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
+        """Features (rows,) without elements and readings; of several at once (B, rows)."""
+        if self.output == VOLTAGE:
+            return self._amplified(physical, effect)
+        return self._features(physical, effect, self._acting(effect), None)
+
+    def _acting(self, effect: Effect) -> Complex:
+        """(S, L) lines of what acts on the film in place of the square of the measured voltage."""
+        if not _nonlinear(effect):
+            return self._measured
+        interval = self._period / self._wave.shape[1]
+        return _lines(squared(effect, Wave(self._wave, self._wave**2, interval, self.session.scale)))
+
+    def _features(self, physical: Physical | Several, effect: Effect, acting: Complex, extra: Complex | None) -> Float:
+        """Features (..., rows) of what acts, and of what elements and readings add to it, (S, L)."""
+        nonlinear = _nonlinear(effect)
+        if self.kind == SPHS_DETECTION and not nonlinear and extra is None:
+            return np.zeros((*np.shape(physical.k0)[:1], self.rows.size))
+        response = electrical_response(physical, effect, self.rig, self.view, self.output)
+        response = np.broadcast_to(response, (*response.shape[:-2], len(self.places), self._lines.size))
+        if self.kind == SPHS_DETECTION:
+            given = self._measured[:, self._lines]
+            value = response * (acting[:, self._lines] - self._near(acting) * given)
+            if extra is not None:
+                lines = self._excited
+                value = value + extra[:, self._lines]
+                share = extra[:, lines] / self._measured[:, lines]
+                value = value - _interpolated(self._lines, lines, share) * given
+        else:
+            value = np.array(response)
+            if nonlinear:
+                value = value * acting[:, self._lines] / self._measured[:, self._lines]
+            if extra is not None:
+                value = value + extra[:, self._lines] / self._measured[:, self._lines]
+        return _flattened(value)
+
+    def _amplified(self, physical: Physical | Several, effect: Effect) -> Float:
+        """Voltage over command at the lines of the command, from the command's own period."""
+        n = self.view.frequency_hz.shape[1]
+        value: Complex = np.asarray(physical.amplifier[self.rig] * np.ones((len(self.places), n), dtype=complex))
+        if effect.monitor_wave:
+            asked = physical.amplifier[self.rig] * self._command
+            wave = Wave(asked, asked**2, self._period / asked.shape[1], self.session.scale)
+            for change in effect.monitor_wave:
+                wave = change(wave)
+            value = (_lines(wave.film_kv) / self._asked)[:, self._lines]
+        return _flattened(value * channel(effect.voltage, self.view))
+
+    def _near(self, acting: Complex) -> Complex:
+        """Ratio of what acts to what was measured at the excited lines, at the others."""
+        lines = self._excited
+        return _interpolated(self._lines, lines, acting[:, lines] / self._measured[:, lines])
+
+    def _bent(self, physical: Physical, effect: Effect, loads: Loads, acting: Complex) -> Complex:
+        """What elements and readings add to −F, at all lines (S, L), to first order in the waveform."""
+        count, view = acting.shape[1], self._at_lines
+        rig = rig_of(physical, self.rig, effect)
+        film = film_at(physical, effect, view)
+        own = dynamic(rig, view, effect, film.k)
+        pulled = physical.actuation * film.share * channel(effect.actuation, view) * acting
+        passed = rig.gain / (own + film.k * rig.compliance)
+        force = -passed * pulled
+        rest = np.nan_to_num(self.view.rest_force_n)
+        total = np.zeros((len(self.places), count), dtype=complex)
+        if effect.tension:
+            strain = _wave(-force / rig.gain * rig.compliance, self._wave.shape[1]) / self.session.scale.length_mm
+            tension = _wave(force / rig.gain * own, self._wave.shape[1])
+            course = Course(
+                strain,
+                tension,
+                True,
+                self.view.rest_force_n,
+                loads.tension_n,
+                loads.fall_n,
+                np.array([[physical.film.k0]], dtype=complex),
+                physical.film.k0,
+                np.array([[self._period / self._wave.shape[1]]]),
+                self.session.scale,
+            )
+            total = total - passed * _lines(along(effect.tension, course))
+        if effect.reading:
+            plain = rest + _wave(force - total, self._wave.shape[1])
+            total = total - _lines(bent(plain, loads.reading_n, effect.reading))
+        return total
+
+
+def _nonlinear(effect: Effect) -> bool:
+    """Whether another voltage, or not its square, acts on the film."""
+    return bool(effect.film_voltage or effect.squared)
+
+
+def _flattened(value: Complex) -> Float:
+    """(..., 2 S n) real and imaginary parts of the values (..., S, n) of each place."""
+    parts = np.concatenate([value.real, value.imag], axis=-1)
+    return parts.reshape(*parts.shape[:-2], -1)
+
+
+def _lines(wave: Float) -> Complex:
+    """Amplitudes of the lines 0 … W/2 − 1 of one period (S, W)."""
+    spectrum = np.fft.rfft(wave, axis=1)[:, : wave.shape[1] // 2] * (2 / wave.shape[1])
+    spectrum[:, 0] /= 2
+    return np.asarray(spectrum)
+
+
+def _wave(lines: Complex, samples: int) -> Float:
+    """One period (S, samples) of lines 0 … L − 1 (S, L)."""
+    spectrum = lines * (samples / 2)
+    spectrum[:, 0] *= 2
+    return np.fft.irfft(spectrum, n=samples, axis=1)
+
+
+def _interpolated(at: Int, lines: Int, values: Complex) -> Complex:
+    return np.array([np.interp(at, lines, v.real) + 1j * np.interp(at, lines, v.imag) for v in values])

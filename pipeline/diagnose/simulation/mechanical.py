@@ -1,0 +1,258 @@
+"""Prediction of sinusoids, relaxation and large cycles: G = F/x0 through the operators, and what is not linear. Sweeps: `predict_sweeps`.
+
+    G = g k/(1 + (−Mω² + jωcL)/kL + k/kL) × (force channel)/(displacement channel)
+
+Harmonics m of the tension reach the load cell as g T_m/(1 + (−Mω² + jωcL)/kL + k/kL) at m f.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.features.kinds import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
+from pipeline.diagnose.simulation.describing import PHASES, Loads, Loop, along, describe, harmonics
+from pipeline.diagnose.simulation.effects import NONE, Course, Effect, Rig, View, bent
+from pipeline.diagnose.simulation.families import Family, channel, dynamic, film_at, rig_of
+from pipeline.diagnose.simulation.nodes import carried
+from pipeline.diagnose.simulation.parameters import Physical, Several
+from pipeline.diagnose.simulation.remembered import Inputs
+from pipeline.diagnose.simulation.session import Place, Session
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Int = NDArray[np.int64]
+
+CYCLIC, RAMP = "cyclic", "ramp"
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Film k N/mm, clamp 1 + (−Mω² + jωcL)/kL and response F/x0 N/mm at a family's nodes, (1 or S, J) each, of several (B, 1 or S, J)."""
+
+    k: Complex
+    dynamic: Complex
+    response: Complex
+
+
+class MechanicalFamily(Family, ABC):
+    """Blocks of mechanical tests of one kind."""
+
+    inputs = Inputs.named("film rigs", "film tension rig clamp force displacement reading")
+
+    def __init__(self, session: Session, places: Sequence[Place], nodes: Float, kind: str) -> None:
+        super().__init__(session, places, nodes, kind)
+        starts = np.cumsum([0, *(p.block.size for p in self.places)])
+        self.spans = {
+            id(p): slice(int(a), int(b)) for p, a, b in zip(self.places, starts[:-1], starts[1:], strict=True)
+        }
+
+    def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
+        """Features (rows,) without elements and readings; of several at once (B, rows)."""
+        return self.apply(self.linear(physical, effect).response)
+
+    def linear(self, physical: Physical | Several, effect: Effect, view: View | None = None) -> Linear:
+        """The response without elements and readings, at the nodes or at the frequencies of another view."""
+        at = self.view if view is None else view
+        rig = rig_of(physical, self.rig, effect)
+        k = film_at(physical, effect, at).k
+        own = dynamic(rig, at, effect, k)
+        response = rig.gain * k / (own + k * rig.compliance) * channels(effect, at)
+        return Linear(np.atleast_2d(k), np.atleast_2d(own), np.atleast_2d(response))
+
+    def loop(
+        self,
+        physical: Physical,
+        effect: Effect,
+        views: tuple[View, View, View],
+        cycles: tuple[Float, Float] | None = None,
+    ) -> tuple[Loop, list[Complex]]:
+        """Film and rig about elements at the frequencies of a view and its overtones, and what of the tension's harmonics 2 and 3
+        reaches the load cell, (S, C) each."""
+        view = views[0]
+        shape = self.states.size, view.frequency_hz.shape[1]
+        rig = rig_of(physical, self.rig, effect)
+        at = [self.linear(physical, effect, v) for v in views]
+        k0, no_clamp = np.full(shape, physical.film.k0, dtype=complex), np.ones(shape, dtype=complex)
+        found = Loop(
+            np.broadcast_to(view.frequency_hz, shape),
+            np.array([k0, *(np.broadcast_to(a.k, shape) for a in at)]),
+            np.array([no_clamp, *(np.broadcast_to(a.dynamic, shape) for a in at)]),
+            rig.compliance,
+            cycles,
+        )
+        passing = [
+            rig.gain
+            / (found.dynamic[order] + found.k[order] * rig.compliance)
+            * channel(effect.force, views[order - 1])
+            for order in (2, 3)
+        ]
+        return found, passing
+
+    def rest_of(self, p: Place) -> float:
+        """Force at rest, N; 0 where it is not known."""
+        return float(np.nan_to_num(self.session.states.rest_force_n[p.state]))
+
+    @abstractmethod
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family; `loads` where the effect has elements or readings."""
+
+    @abstractmethod
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the family as the plain film has them: what onsets are measured against."""
+
+
+def channels(effect: Effect, view: View) -> Complex:
+    """What effects do to the force over what they do to the displacement."""
+    return np.asarray(channel(effect.force, view) / channel(effect.displacement, view), dtype=complex)
+
+
+class CyclicFamily(MechanicalFamily):
+    """Groups of cycles of sinusoids: each a state with one frequency and one amplitude."""
+
+    def __init__(self, session: Session, places: Sequence[Place], nodes: Float) -> None:
+        super().__init__(session, places, nodes, CYCLIC)
+        f = np.full((self.states.size, 1), np.nan)
+        strain = np.zeros((self.states.size, 1))
+        self._mean_strain = np.zeros((self.states.size, 1))
+        for p in self.places:
+            state = self.state_of[id(p)]
+            f[state, 0], strain[state, 0] = p.block.frequency_hz[0], p.block.amplitude[0]
+            if "mean_strain" in p.block.support:
+                self._mean_strain[state] = float(p.block.support["mean_strain"][0])
+        self._own = replace(self.view, frequency_hz=f, strain=strain).overtones()
+        self._groups = self._cyclic_groups()
+        self._cycles = self._group_cycles()
+
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family; `loads` where the effect has elements or readings."""
+        linear = self.linear(physical, effect)
+        if loads is None or not effect.tension:
+            values = self.apply(linear.response)
+        else:
+            values = self._with_elements(linear, physical, effect, loads)
+        if loads is not None and effect.reading:
+            self._read(values, effect, loads)
+        return values
+
+    def _cyclic_groups(self) -> list[tuple[Place, Place, Place]]:
+        """Response, harmonics and level of each group of cycles."""
+        found: dict[int, dict[str, Place]] = {}
+        for p in self.places:
+            found.setdefault(p.state, {})[p.block.kind] = p
+        kinds = CYCLIC_RESPONSE, CYCLIC_HARMONIC, CYCLIC_LEVEL
+        return [(g[kinds[0]], g[kinds[1]], g[kinds[2]]) for g in found.values() if all(kind in g for kind in kinds)]
+
+    def _group_cycles(self) -> tuple[Float, Float]:
+        """First and last cycle of each state, (S, 1) each: the groups of a recording follow each other from the first on."""
+        middle = self.view.cycle[:, 0]
+        recording = self.session.states.recording[self.states]
+        last = np.zeros(middle.size)
+        for r in np.unique(recording):
+            end = 0.0
+            for i in np.flatnonzero(recording == r)[np.argsort(middle[recording == r])]:
+                end = max(2 * middle[i] - end - 1, middle[i])
+                last[i] = end
+        return (2 * middle - last)[:, None], last[:, None]
+
+    def _with_elements(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> Float:
+        """Features with the describing functions of the elements: of the response, of mean and harmonics."""
+        rig, view = rig_of(physical, self.rig, effect), self._own[0]
+        still = 1 + physical.film.k0 * rig.compliance
+        loop, passing = self.loop(physical, effect, self._own, self._cycles)
+        mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, view.strain.shape)
+        found = describe(effect.tension, loop, view.strain, mean_strain, rest, loads, view.scale)
+        k = linear.k * found.factor
+        impedance = linear.dynamic + k * rig.compliance
+        if self.view.few:
+            carried(impedance)
+        closed = rig.gain * k / impedance
+        values = self.apply(np.atleast_2d(closed * channels(effect, self.view)))
+        unit = found.turn / np.abs(found.turn)
+        force = [h * unit**m * p for m, h, p in zip((2, 3), (found.second, found.third), passing, strict=True)]
+        for p in self.places:
+            state, own = self.state_of[id(p)], self.spans[id(p)]
+            if p.block.kind == CYCLIC_LEVEL:
+                values[own] += (found.mean / still)[state, 0]
+            elif p.block.kind == CYCLIC_HARMONIC:
+                both = np.array([force[int(m) - 2][state, 0] for m in p.block.support["order"]])
+                values[own] += np.concatenate([both.real, both.imag])
+        return values
+
+    def _read(self, values: Float, effect: Effect, loads: Loads) -> None:
+        """Readings of sinusoids: of the waves that mean, fundamental and harmonics of each group make."""
+        for group in self._groups:
+            response, harmonic, level = (self.spans[id(p)] for p in group)
+            amplitude = float(group[0].block.amplitude[0]) * self.session.scale.length_mm
+            rest = self.rest_of(group[0])
+            orders = np.concatenate([[1], group[1].block.support["order"]]).astype(np.int64)
+            parts = [np.array([complex(*values[response])]) * amplitude]
+            both = values[harmonic]
+            parts.append(both[: both.size // 2] + 1j * both[both.size // 2 :])
+            turned = np.exp(2j * np.pi / PHASES * np.outer(orders, np.arange(PHASES)))
+            wave = rest + values[level] + (np.concatenate(parts) @ turned).real
+            change = harmonics(bent(wave, loads.reading_n, effect.reading))
+            values[level] += change[0].real - bent(np.array([rest]), loads.reading_n, effect.reading)[0]
+            values[response] += np.array([change[1].real, change[1].imag]) / amplitude
+            values[harmonic] += np.concatenate([change[orders[1:]].real, change[orders[1:]].imag])
+
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the family as the plain film has them: what onsets are measured against."""
+        view = self._own[0]
+        linear = self.linear(physical, NONE, view)
+        compliance, travel = physical.rigs[self.rig].compliance, view.strain * view.scale.length_mm
+        swing = np.abs(linear.k * linear.dynamic / (linear.dynamic + linear.k * compliance)) * travel
+        level = physical.film.k0 / (1 + physical.film.k0 * compliance) * self._mean_strain * view.scale.length_mm
+        reading = np.nan_to_num(view.rest_force_n) + level + np.abs(linear.response) * travel
+        return Loads(float((swing + level).max()), float(np.maximum(swing - level, 0).max()), float(reading.max()))
+
+
+class RampFamily(MechanicalFamily):
+    """Relaxation and large cycles: windows along a course from rest."""
+
+    def __init__(self, session: Session, places: Sequence[Place], nodes: Float) -> None:
+        super().__init__(session, places, nodes, RAMP)
+
+    def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
+        """Features (rows,) of the family; `loads` where the effect has elements or readings."""
+        values = self.of_spectra(physical, effect)
+        if loads is not None and (effect.tension or effect.reading):
+            self._along(values, physical, effect, rig_of(physical, self.rig, effect), loads)
+        return values
+
+    def loads(self, physical: Physical) -> Loads:
+        """Largest loads of the family as the plain film has them: what onsets are measured against."""
+        values = self.predict(physical, NONE, None)
+        rest = np.nan_to_num(self.view.rest_force_n)
+        rise, fall = float(values.max(initial=0.0)), float(-values.min(initial=0.0))
+        return Loads(rise, fall, float(rest.max(initial=0.0)) + rise)
+
+    def _along(self, values: Float, physical: Physical, effect: Effect, rig: Rig, loads: Loads) -> None:
+        """Elements and readings along the windows of relaxation and cycles, in time order."""
+        still = 1 + physical.film.k0 * float(rig.compliance[0, 0])
+        for p in self.places:
+            own = self.spans[id(p)]
+            order = np.argsort(p.block.time_s)
+            part = values[own][order]
+            rest = float(self.session.states.rest_force_n[p.state])
+            if effect.tension:
+                strain = p.block.support["strain"][order]
+                size = np.abs(part) / np.maximum(np.abs(strain) * self.session.scale.length_mm, 1e-300)
+                course = Course(
+                    strain[None],
+                    part[None],
+                    False,
+                    np.array([[rest]]),
+                    loads.tension_n,
+                    loads.fall_n,
+                    size[None].astype(complex),
+                    physical.film.k0,
+                    np.diff(p.block.time_s[order], prepend=0.0)[None],
+                    self.session.scale,
+                )
+                part = part + along(effect.tension, course)[0] / still
+            values[own.start + order] = part + bent(np.nan_to_num(rest) + part, loads.reading_n, effect.reading)

@@ -1,0 +1,1 @@
+"""Records that are asked without a session: one large cycle, a system of another kind."""

@@ -1,0 +1,132 @@
+"""What a contest between causes says, as a diagnosis: for records that are asked without a session.
+
+Does not belong here: which models compete, and what they are fitted to (`cycle_diagnosis`, `system_diagnosis`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_law
+
+from pipeline.diagnose.results import (
+    AMBIGUOUS,
+    NAMED,
+    NONE,
+    Diagnosis,
+    Discrepancy,
+    Extension,
+    HeldOut,
+    NextRecording,
+    Residuals,
+)
+from pipeline.diagnose.single.contest import Contest, Entrant, Place
+from pipeline.physics.film import RelaxationModel
+
+Float = NDArray[np.float64]
+
+_POWER = 2.8
+"""Standard deviations of what is found with 80 % probability at a level of 5 %."""
+
+
+@dataclass(frozen=True)
+class Films:
+    """The film in the plain and in the extended model, with standard deviations of k0, k…, τ…, and of the dampers."""
+
+    plain: RelaxationModel
+    extended: RelaxationModel
+    plain_sd: tuple[float, ...] = ()
+    extended_sd: tuple[float, ...] = ()
+    damper_sd: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is known of a record beside the contest, in the words of `Diagnosis`.
+
+    left_out : what was left out, in words, → root mean square error of the plain and of the best model; unexplained : what the best
+    cause leaves
+    """
+
+    specimen_id: str
+    protocols: tuple[str, ...]
+    left_out: Mapping[str, tuple[float, float]]
+    films: Films
+    discrepancies: tuple[Discrepancy, ...]
+    residuals: tuple[Residuals, ...]
+    smallest: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    invisible: tuple[str, ...] = ()
+    could_not_ask: tuple[str, ...] = ()
+    unexplained: tuple[str, ...] = ()
+    next_recording: NextRecording | None = None
+
+
+def diagnosis_of(contest: Contest, measured: Float, left_out: Float, sd: float, plain: Float, told: Told) -> Diagnosis:
+    """The diagnosis that a contest leads to; `measured`, `plain` (N,) everything and the plain model's fit to it, `left_out` (H,)."""
+    best = contest.places[0]
+    chi2 = float(np.sum(((measured - plain) / sd) ** 2))
+    nothing = contest.verdict == NONE
+    possible = dict.fromkeys(p.entrant.mechanism for p in contest.possible)
+    return Diagnosis(
+        specimen_id=told.specimen_id,
+        verdict=contest.verdict,
+        mechanisms=() if nothing else (best.entrant.mechanism,),
+        also_possible=tuple(m for m in possible if m != best.entrant.mechanism) if contest.verdict == AMBIGUOUS else (),
+        p_value=float(chi2_law.sf(chi2, measured.size)),
+        supported_by=told.protocols if contest.verdict in (NAMED, AMBIGUOUS) else (),
+        held_out=HeldOut(best.before, best.after, best.gain, best.lower, best.upper, left_out.size, told.left_out),
+        extension=None if nothing else _extension(best, measured, sd, chi2, told.films),
+        candidates=(),
+        discrepancies=told.discrepancies,
+        next_recording=told.next_recording if contest.verdict == AMBIGUOUS else None,
+        smallest_detectable=told.smallest,
+        invisible=told.invisible,
+        could_not_ask=told.could_not_ask,
+        unexplained=() if nothing else told.unexplained,
+        plain_film=told.films.plain,
+        residuals=told.residuals,
+        explained=best.explained,
+    )
+
+
+def _extension(best: Place, measured: Float, sd: float, chi2: float, films: Films) -> Extension:
+    entrant = best.entrant
+    return Extension(
+        severities={entrant.mechanism: entrant.severity},
+        variants={entrant.mechanism: entrant.form},
+        film=films.extended,
+        film_sd=films.extended_sd,
+        damper_sd=films.damper_sd,
+        plain_film=films.plain,
+        plain_film_sd=films.plain_sd,
+        chi2=float(np.sum(((measured - entrant.whole) / sd) ** 2)),
+        plain_chi2=chi2,
+        size=measured.size,
+    )
+
+
+def smallest_of(entrants: Iterable[Entrant]) -> dict[str, dict[str, float]]:
+    """Mechanism → main key → severity that stands out of what the fit to everything leaves open, of its first form."""
+    found: dict[str, dict[str, float]] = {}
+    for entrant in entrants:
+        for key, estimate in list(entrant.severity.items())[:1]:
+            if np.isfinite(estimate.sd) and estimate.sd > 0:
+                found.setdefault(entrant.mechanism, {key: _POWER * estimate.sd})
+    return found
+
+
+def left_by(words: str, residual: Float, sd: float, unit: str) -> str:
+    """What a cause leaves, fitted to everything: (N,) in a unit, and how much of it neighbours have in common."""
+    correlation = float(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300))
+    return (
+        f"{words}, fitted to everything, leaves {np.sqrt(np.mean(residual**2)):.3g} {unit}, "
+        f"{np.sqrt(np.mean((residual / sd) ** 2)):.2g} times the noise, of which neighbours have {correlation:.3f} in common"
+    )
+
+
+def thinned(values: Sequence[Float], most: int) -> list[Float]:
+    """Every so many values of arrays of one length, `most` of each."""
+    return [v[:: max(1, -(-v.size // most))] for v in values]

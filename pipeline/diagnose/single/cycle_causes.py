@@ -1,0 +1,343 @@
+"""What one branch beside an equilibrium stress gets wrong of a large cycle: models with one cause more, each fitted to the loading
+and judged on the unloading.
+
+    P = P_eq(λ) + Q,   dQ/dt + Q/τ = γ dλ/dt        (`pipeline.fit.relaxation.time_domain`)
+
+A triangle at one rate shows relaxation and the law of equilibrium in one curve. Both can be bent to follow the half that is fitted,
+so that only what they predict of the other half speaks. Belongs here: the models. What follows from them is in `cycle_diagnosis`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
+
+from pipeline.fit.relaxation.time_domain import CycleFits, branch, fit_cycle
+from pipeline.physics.hyperelastic import LAWS
+from schemas.errors import NotIdentifiableError
+
+Float = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+_MOST_STEPS = 100
+_PER_SPAN = 30.0
+"""Times of branches are searched from a sample's interval to so many times the length of the cycle."""
+_LADDER = 25
+"""Branches that stand for a power law, spaced evenly in log time beyond both ends of what a cycle can show."""
+_LADDER_SPAN = 1e-3, 1e3
+_FAR = 12.0
+"""Largest change of a logarithm that is searched."""
+_SEEN = 1e-6
+"""Length of a parameter's column, over that of the longest, below which the fitted part does not see it."""
+
+
+@dataclass(frozen=True)
+class LargeCycle:
+    """A cycle as it was measured: (m,) s, stretch, nominal stress in kPa; its fits with one branch and more, on the law that the
+    recording gives, else on a fitted one."""
+
+    time_s: Float
+    stretch: Float
+    stress: Float
+    fits: CycleFits
+
+    @property
+    def top(self) -> int:
+        """Number of the sample at the largest stretch."""
+        return int(np.argmax(self.stretch))
+
+    @property
+    def loading(self) -> Bool:
+        """(m,) whether a sample lies on the way up."""
+        return np.arange(self.time_s.size) <= self.top
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """Branches that stand for a power law: their times (n,) s, and their stresses (m, n) with γ = 1."""
+
+    tau: Float
+    stress: Float
+
+    @classmethod
+    def of(cls, cycle: LargeCycle) -> Ladder:
+        span = cycle.time_s[-1] - cycle.time_s[0]
+        tau = np.geomspace(_LADDER_SPAN[0] * span, _LADDER_SPAN[1] * span, _LADDER)
+        return cls(tau, branch(cycle.time_s, cycle.stretch, tau))
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a model is made of: (m,) s, stretch λ, strain over the largest, largest λ so far, equilibrium stress and that of the
+    branch in kPa; `k0` slope of the equilibrium stress at rest, kPa."""
+
+    time_s: Float
+    stretch: Float
+    strain: Float
+    highest: Float
+    equilibrium: Float
+    viscous: Float
+    k0: float
+    ladder: Ladder
+
+    @property
+    def total(self) -> Float:
+        return np.asarray(self.equilibrium + self.viscous)
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause in one form.
+
+    stress : parts, values → (m,) kPa; severity : values → key → value, relative to the parts
+    starts : values from which it is searched; `low`, `high` their limits; neutral : values at which it does nothing
+    """
+
+    mechanism: str
+    form: str
+    equation: str
+    starts: tuple[tuple[float, ...], ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    neutral: tuple[float, ...]
+    stress: Callable[[Parts, Float], Float]
+    severity: Callable[[Parts, Float], Mapping[str, float]]
+
+
+def _branches(parts: Parts, values: Float) -> Float:
+    gamma, tau = np.exp(values[::2]), np.exp(values[1::2])
+    return np.asarray(parts.total + branch(parts.time_s, parts.stretch, tau) @ (parts.k0 * gamma))
+
+
+def _power_law(parts: Parts, values: Float) -> Float:
+    """K (s · 1 s)^α as branches: G(t) = K t^−α/Γ(1−α) = (K sin πα/π) ∫ τ^−α e^(−t/τ) d ln τ."""
+    ratio, exponent = np.exp(values[0]), values[1]
+    tau = parts.ladder.tau
+    weight = tau**-exponent * np.log(tau[1] / tau[0]) * np.sin(np.pi * exponent) / np.pi
+    return np.asarray(parts.total + parts.ladder.stress @ (parts.k0 * ratio * weight))
+
+
+def _stiffening(parts: Parts, values: Float) -> Float:
+    return np.asarray(parts.total + values[0] * parts.equilibrium * parts.strain ** np.exp(values[1]))
+
+
+def _softening(parts: Parts, values: Float) -> Float:
+    less = np.exp(values[0]) * parts.strain ** np.exp(values[1])
+    return np.asarray(parts.total / (1 + less))
+
+
+def _damage(parts: Parts, values: Float) -> Float:
+    below = (parts.highest - parts.stretch) / np.exp(values[1])
+    return np.asarray(parts.total * (1 + values[0] * np.expm1(-below)))
+
+
+def _gain(parts: Parts, values: Float) -> Float:
+    return np.asarray(parts.total * (1 + values[0]))
+
+
+def _drift(parts: Parts, values: Float) -> Float:
+    since = parts.time_s - parts.time_s[0]
+    mean = float(np.mean(parts.total))
+    return np.asarray(parts.total + values[0] * mean * np.log10(1 + since / np.exp(values[1])))
+
+
+def _relaxations(parts: Parts, values: Float) -> Mapping[str, float]:
+    return {"stiffness_ratio": float(np.exp(values[0])), "time_constant_s": float(np.exp(values[1]))}
+
+
+def causes(span_s: float, interval_s: float) -> tuple[Cause, ...]:
+    """The causes that one cycle of that length and sampling can be asked for."""
+    shortest, longest = float(np.log(interval_s)), float(np.log(_PER_SPAN * span_s))
+    fast, middle, slow = (float(np.log(share * span_s)) for share in (0.02, 0.2, 3.0))
+    weak, bent = -_FAR, (np.log(0.2), np.log(6.0))
+    return (
+        Cause(
+            "missing_relaxation", "a second branch", "+ Q₂, dQ₂/dt + Q₂/τ₂ = γ₂ dλ/dt",
+            ((0.0, fast), (0.0, middle), (0.0, slow)),
+            (weak, shortest), (_FAR, longest), (weak, middle), _branches, _relaxations,
+        ),
+        Cause(
+            "missing_relaxation", "a second and a third branch", "+ Q₂ + Q₃, dQᵢ/dt + Qᵢ/τᵢ = γᵢ dλ/dt",
+            ((0.0, fast, 0.0, middle), (0.0, middle, 0.0, slow)),
+            (weak, shortest) * 2, (_FAR, longest) * 2, (weak, middle) * 2, _branches, _relaxations,
+        ),
+        Cause(
+            "power_law_relaxation", "", "+ ∫ K (t − s)^−α/Γ(1 − α) dλ",
+            ((0.0, 0.2), (0.0, 0.6)), (weak, 0.02), (_FAR, 0.95), (weak, 0.2), _power_law,
+            lambda parts, values: {"stiffness_ratio": float(np.exp(values[0])), "exponent": float(values[1])},
+        ),
+        Cause(
+            "strain_stiffening", "beyond the law", "P_eq (1 + s (ε/ε_max)^m)",
+            ((0.1, 0.0), (0.1, 1.0)), (0.0, bent[0]), (20.0, bent[1]), (0.0, 0.0), _stiffening,
+            lambda parts, values: {"stiffening": float(values[0])},
+        ),
+        Cause(
+            "amplitude_softening", "with the strain, reversible", "P/(1 + (ε/ε_c)^m)",
+            ((-2.0, 0.0), (-2.0, 1.0)), (weak, bent[0]), (3.0, bent[1]), (weak, 0.0), _softening,
+            lambda parts, values: {
+                "drop": float(1 - 1 / (1 + np.exp(values[0]))),
+                "strain_scale": float((parts.stretch.max() - 1) * np.exp(-values[0] / np.exp(values[1]))),
+            },
+        ),
+        Cause(
+            "cyclic_softening", "damage below the largest stretch so far", "P (1 − d (1 − e^(−(λ_max − λ)/a)))",
+            ((0.1, 0.0),), (0.0, -3.0), (0.95, 3.0), (0.0, 0.0), _damage,
+            lambda parts, values: {"loss": float(values[0]), "strain_scale": float(np.exp(values[1]))},
+        ),
+        Cause(
+            "gain_error", "", "P (1 + g)", ((0.1,), (1.0,)), (-0.9,), (20.0,), (0.0,), _gain,
+            lambda parts, values: {"gain": float(values[0])},
+        ),
+        Cause(
+            "baseline_drift", "", "P + b log₁₀(1 + t/t₀)",
+            ((0.05, fast), (0.05, middle)), (-5.0, shortest), (5.0, longest), (0.0, middle), _drift,
+            lambda parts, values: {"per_decade": float(values[0]), "onset_s": float(np.exp(values[1]))},
+        ),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to a part `seen` (m,) of a cycle. `x` log γ, log τ, those of the law where it is not given, the cause's values; `residual`
+    (n,) kPa and its `jacobian` (n, P) there; `unseen` whether that part does not show the cause."""
+
+    model: CycleModel
+    seen: Bool
+    x: Float
+    residual: Float
+    jacobian: Float
+    unseen: bool
+
+    def stress(self, x: Float | None = None) -> Float:
+        """(m,) kPa over the whole cycle."""
+        return self.model.stress(self.x if x is None else x)
+
+    def misfit(self, x: Float) -> float:
+        """Sum of squares over the fitted part, kPa², above that of the optimum."""
+        left = self.stress(x)[self.seen] - self.model.cycle.stress[self.seen]
+        return float(left @ left - self.residual @ self.residual)
+
+    @property
+    def severity(self) -> Mapping[str, float]:
+        return self.model.severity(self.x)
+
+
+class CycleModel:
+    """One branch on an equilibrium stress, with a cause or none, over a cycle."""
+
+    def __init__(self, cycle: LargeCycle, cause: Cause | None) -> None:
+        self.cycle, self.cause, self._ladder = cycle, cause, Ladder.of(cycle)
+        self._law = LAWS[cycle.fits.law]
+        first = next(fit for fit in cycle.fits.fits if fit.order == 1)
+        self._given = first.equilibrium if cycle.fits.fixed else None
+        start = [*np.log(first.gamma[:1]), *np.log(first.tau[:1])] or [0.0, 0.0]
+        span, interval = float(np.ptp(cycle.time_s)), float(np.median(np.diff(cycle.time_s)))
+        low, high = [-_FAR, np.log(interval)], [_FAR, np.log(_PER_SPAN * span)]
+        if self._given is None:
+            shape = [self._law.shape] if self._law.shape else []
+            names = [*self._law.moduli, *shape]
+            own = [float(np.log(max(first.equilibrium[name], 1e-6))) for name in names]
+            start += own
+            lowest, highest = np.log(self._law.range(float(cycle.stretch.max())))
+            low += [-_FAR] * len(self._law.moduli) + [lowest] * len(shape)
+            high += [_FAR] * len(self._law.moduli) + [highest] * len(shape)
+        self._own = len(start)
+        self._start, self._low, self._high = np.array(start), np.array(low), np.array(high)
+
+    @property
+    def limits(self) -> tuple[Float, Float]:
+        """Lowest and highest x, (P,) each."""
+        cause = self.cause
+        low, high = ((), ()) if cause is None else (cause.low, cause.high)
+        return np.concatenate([self._low, low]), np.concatenate([self._high, high])
+
+    def split(self, x: Float) -> tuple[Parts, Float]:
+        """The parts of the model, and the cause's values."""
+        c, law = self.cycle, self._given
+        if law is None:
+            values = np.exp(x[2 : self._own])
+            names = [*self._law.moduli, *([self._law.shape] if self._law.shape else [])]
+            law = dict(zip(names, values.tolist(), strict=True))
+        around = self._law.stress(np.array([1 - 1e-5, 1 + 1e-5]), law)
+        strain = np.clip((c.stretch - 1) / (c.stretch.max() - 1), 1e-9, None)
+        parts = Parts(
+            c.time_s,
+            c.stretch,
+            strain,
+            np.maximum.accumulate(c.stretch),
+            self._law.stress(c.stretch, law),
+            np.exp(x[0]) * branch(c.time_s, c.stretch, np.exp(x[1:2]))[:, 0],
+            float(np.diff(around)[0] / 2e-5),
+            self._ladder,
+        )
+        return parts, x[self._own :]
+
+    def severity(self, x: Float) -> Mapping[str, float]:
+        """Key → value."""
+        return {} if self.cause is None else self.cause.severity(*self.split(x))
+
+    def elsewhere(self, time_s: Float, stretch: Float) -> CycleModel:
+        """The same model over another test of the same film, (m,) s and stretch, whose largest stretch is the same."""
+        other = copy(self)
+        other.cycle = replace(self.cycle, time_s=time_s, stretch=stretch, stress=np.zeros(time_s.size))
+        other._ladder = Ladder.of(other.cycle)
+        return other
+
+    def stress(self, x: Float) -> Float:
+        """(m,) kPa."""
+        parts, values = self.split(x)
+        return parts.total if self.cause is None else self.cause.stress(parts, values)
+
+    def fit(self, seen: Bool) -> Fitted:
+        """The least squares over a part (m,) of the cycle. Raises `NotIdentifiableError` where no start leads anywhere."""
+        cause, (low, high) = self.cause, self.limits
+        extra = ((),) if cause is None else cause.starts
+        measured = self.cycle.stress[seen]
+
+        def residual(x: Float) -> Float:
+            return np.asarray(self.stress(x)[seen] - measured)
+
+        ends: list[OptimizeResult] = []
+        for own in extra:
+            start = np.clip(np.concatenate([self._start, own]), low + 1e-6, high - 1e-6)
+            end = least_squares(residual, start, bounds=(low, high), x_scale="jac", max_nfev=_MOST_STEPS)
+            if np.isfinite(end.cost):
+                ends.append(end)
+        if not ends:
+            raise NotIdentifiableError("the cycle's model has no finite fit", where=self.cycle.fits.recording_id)
+        best = min(ends, key=lambda end: float(end.cost))
+        length = np.linalg.norm(best.jac, axis=0)
+        unseen = cause is not None and bool((length[self._own :] < _SEEN * length.max()).all())
+        x = best.x.copy()
+        if unseen and cause is not None:
+            x[self._own :] = cause.neutral
+        return Fitted(self, seen, x, residual(x), best.jac, unseen)
+
+
+def large_cycle(
+    time_s: Float,
+    stretch: Float,
+    stress: Float,
+    equilibrium: Mapping[str, float] | None,
+    recording_id: str,
+    specimen_id: str,
+    orders: Sequence[int] = (1,),
+) -> LargeCycle:
+    """A cycle with its plain fits. Raises `NotIdentifiableError` as `fit_cycle`, and where there is no way back."""
+    good = np.isfinite(time_s) & np.isfinite(stretch) & np.isfinite(stress)
+    t, lam, p = time_s[good], stretch[good], stress[good]
+    fits = fit_cycle(
+        t, lam, p, equilibrium=equilibrium, orders=orders, recording_id=recording_id, specimen_id=specimen_id
+    )
+    found = LargeCycle(t, lam, p, fits)
+    up = found.loading
+    if min(up.sum(), (~up).sum()) < 0.1 * t.size or np.ptp(lam[~up]) < 0.2 * np.ptp(lam):
+        raise NotIdentifiableError(
+            "the cycle has no way back of a tenth of its samples", where=recording_id, expected="loading and unloading"
+        )
+    return found

@@ -1,0 +1,301 @@
+"""The diagnosis of one large cycle that is alone: what one branch on the equilibrium stress gets wrong of it, and what would mend it.
+
+Every cause is fitted to the loading and has to predict the unloading (`contest`). The noise is that of neighbouring samples, for
+there is no rest; what is left remembers for long, and counts as few independent values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_law
+
+from pipeline.diagnose.features.kinds import CYCLE_FORCE
+from pipeline.diagnose.mechanisms import MECHANISMS, invisible
+from pipeline.diagnose.results import AMBIGUOUS, NONE, Diagnosis, Discrepancy, Estimate, NextRecording, Residuals
+from pipeline.diagnose.single.alone import Films, Told, diagnosis_of, left_by, smallest_of, thinned
+from pipeline.diagnose.single.contest import Contest, Entrant, contest
+from pipeline.diagnose.single.cycle_causes import Cause, CycleModel, Fitted, LargeCycle, causes
+from pipeline.physics.film import RelaxationModel
+from schemas.mechanisms import plain_name
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+STRESS, PREDICTED = "cycle.stress", "cycle.unseen"
+"""Kinds of residuals: everything fitted to everything; the unloading as the fit to the loading predicts it."""
+_DRAWS, _TRIALS, _SEED = 200, 400, 11
+_UNSURE = 3.0
+"""Over the root of the number of samples, the share by which the noise may be louder than its estimate: what it may be is no misfit."""
+_OPEN, _WIDER = 1.0, 1.3
+"""Standard deviation of a parameter, most of them logarithms, that the data do not hold; and how much wider is drawn than is held."""
+_NORMAL_90 = 1.645
+_PLACES = 4
+"""Parts of equal length into which loading and unloading are cut each, to say where the simulation is wrong."""
+_N_PER_MM_OF_KPA = 1e-3
+"""A 1 mm cube: 1 MPa = 1 N/mm."""
+_HOLD_S, _SLOWER = 600.0, 10.0
+_MODEL_ERROR = 0.15
+_DECIDES = 9.2
+_SHOWN = 400
+"""Samples of each curve that are kept for figures."""
+_COMPARED, _FEW = 24, 60
+"""Instants at which proposals are compared, and draws that say what is open there."""
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A model fitted to the loading and to everything, with what both leave open: (B, P) each."""
+
+    learned: Fitted
+    whole: Fitted
+    drawn_learned: Float
+    drawn_whole: Float
+
+    @property
+    def severity(self) -> dict[str, Estimate]:
+        """Estimates from the fit to everything."""
+        value = self.whole.severity
+        drawn = [self.whole.model.severity(x) for x in self.drawn_whole]
+        found = {}
+        for key, here in value.items():
+            of = np.array([d[key] for d in drawn])
+            low, high = np.quantile(of, [0.05, 0.95])
+            found[key] = Estimate(here, float((high - low) / (2 * _NORMAL_90)), float(low), float(high))
+        return found
+
+    def entrant(self, unloading: NDArray[np.bool_], plain: _Tried) -> Entrant:
+        """What it predicts of the unloading: what the plain model does where the loading does not show its cause."""
+        cause = self.whole.model.cause
+        learned, drawn_x = (plain, plain.learned.x[None]) if self.learned.unseen else (self, self.drawn_learned)
+        drawn = np.array([learned.learned.stress(x)[unloading] for x in drawn_x])
+        return Entrant(
+            mechanism="" if cause is None else cause.mechanism,
+            form="" if cause is None else cause.form,
+            equation="" if cause is None else cause.equation,
+            severity={} if cause is None else self.severity,
+            whole=self.whole.stress(),
+            unseen=learned.learned.stress()[unloading],
+            drawn=drawn,
+        )
+
+
+def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Contest]:
+    """The diagnosis of one cycle, and the contest behind it. Raises `NotIdentifiableError` where no model has a fit."""
+    up = cycle.loading
+    sd = noise_sd(cycle.stress) * (1 + _UNSURE / np.sqrt(cycle.stress.size))
+    rng = np.random.default_rng(_SEED)
+    span, interval = float(np.ptp(cycle.time_s)), float(np.median(np.diff(cycle.time_s)))
+    plain, *others = (_tried(cycle, cause, rng) for cause in (None, *causes(span, interval)))
+    entrants = [t.entrant(~up, plain) for t in (plain, *others)]
+    found = contest(entrants[0], entrants[1:], cycle.stress, cycle.stress[~up], sd)
+    told = _told(cycle, sd, plain, others, found)
+    return diagnosis_of(found, cycle.stress, cycle.stress[~up], sd, plain.whole.stress(), told), found
+
+
+def noise_sd(values: Float) -> float:
+    """Standard deviation of the noise of single values (m,), from second differences, robust against corners and steps of time."""
+    second = np.diff(values, 2)
+    return float(np.sqrt(np.median(second**2) / (0.4549 * 6)))
+
+
+def _tried(cycle: LargeCycle, cause: Cause | None, rng: np.random.Generator) -> _Tried:
+    model = CycleModel(cycle, cause)
+    learned, whole = model.fit(cycle.loading), model.fit(np.ones(cycle.time_s.size, dtype=bool))
+    return _Tried(learned, whole, _drawn(learned, rng), _drawn(whole, rng))
+
+
+def _drawn(fit: Fitted, rng: np.random.Generator) -> Float:
+    """(B, P) parameters that the fit leaves open, within their limits; as they are where the cause is not seen.
+
+    What is left stands for the noise, as few independent values as its memory allows. Drawn from the linear problem, with what it
+    does not hold as wide as a factor e, and drawn again by how well they fit: valleys are bent (Rubin 1987, sampling-importance
+    resampling).
+    """
+    if fit.unseen:
+        return np.tile(fit.x, (_DRAWS, 1))
+    n, size = fit.residual.size, fit.x.size
+    variance = float(fit.residual @ fit.residual) / max(n - size, 1) * _memory(fit.residual)
+    covariance = np.linalg.inv(fit.jacobian.T @ fit.jacobian / variance + np.eye(size) / _OPEN**2)
+    z = rng.standard_normal((_TRIALS, size))
+    x = np.clip(fit.x + _WIDER * z @ np.linalg.cholesky(covariance).T, *fit.model.limits)
+    fits = np.array([fit.misfit(one) for one in x])
+    log_weight = -0.5 * (fits / variance + np.sum((x - fit.x) ** 2, axis=1) / _OPEN**2 - np.sum(z**2, axis=1))
+    weight = np.exp(log_weight - np.nanmax(log_weight))
+    weight[~np.isfinite(weight)] = 0.0
+    return np.asarray(x[rng.choice(_TRIALS, _DRAWS, p=weight / weight.sum())])
+
+
+def _memory(residual: Float) -> int:
+    """Values over which a residual remembers: twice those after which its correlation is below 1/e, at most a quarter."""
+    r = residual - residual.mean()
+    spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
+    correlation = np.fft.irfft(spectrum)[: r.size]
+    below = np.flatnonzero(correlation < np.exp(-1) * correlation[0])
+    first = int(below[0]) if below.size else r.size
+    return int(np.clip(2 * first, 1, max(r.size // 4, 1)))
+
+
+def _told(cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[_Tried], found: Contest) -> Told:
+    best = found.places[0]
+    winner = next(t for t in others if _is(t, best.entrant))
+    left = (cycle.stress - plain.whole.stress()) / sd
+    plain_sd, _ = _film_sd(plain)
+    extended_sd, damper_sd = _film_sd(winner)
+    words = plain_name(best.entrant.mechanism).lower()
+    return Told(
+        specimen_id=cycle.fits.specimen_id,
+        protocols=("cycle",),
+        left_out={"the unloading": (best.before, best.after)},
+        films=Films(
+            _film(plain.whole.model, plain.whole.x),
+            _film(winner.whole.model, winner.whole.x),
+            plain_sd,
+            extended_sd,
+            damper_sd,
+        ),
+        discrepancies=tuple(_discrepancies(cycle, left, sd)),
+        residuals=(_residuals(cycle, plain, plain if found.verdict == NONE else winner, sd),),
+        smallest=smallest_of(p.entrant for p in found.places),
+        invisible=tuple(m for m in invisible({CYCLE_FORCE}) if m in MECHANISMS),
+        could_not_ask=_not_asked(sd),
+        unexplained=(left_by(words, winner.whole.residual, sd, "kPa"),),
+        next_recording=_next(cycle, others, found, sd) if found.verdict == AMBIGUOUS else None,
+    )
+
+
+def _is(tried: _Tried, entrant: Entrant) -> bool:
+    cause = tried.whole.model.cause
+    return cause is not None and (cause.mechanism, cause.form) == (entrant.mechanism, entrant.form)
+
+
+def _film(model: CycleModel, x: Float) -> RelaxationModel:
+    """The branch and the slope of the equilibrium stress at rest, as a 1 mm cube."""
+    k0 = model.split(x)[0].k0 * _N_PER_MM_OF_KPA
+    return RelaxationModel(k0, (float(np.exp(x[0])) * _N_PER_MM_OF_KPA,), (float(np.exp(x[1])),))
+
+
+def _film_sd(tried: _Tried) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Standard deviations of k0, k1, τ1, and of the damper."""
+    drawn = [_film(tried.whole.model, x) for x in tried.drawn_whole]
+    values = np.array([[f.k0, f.k[0], f.tau[0], f.k[0] * f.tau[0]] for f in drawn])
+    low, high = np.quantile(values, [0.05, 0.95], axis=0)
+    spread = ((high - low) / (2 * _NORMAL_90)).tolist()
+    return tuple(spread[:3]), (spread[3],)
+
+
+def _parts(cycle: LargeCycle) -> list[tuple[str, Int]]:
+    """Loading and unloading in parts of equal length: words, and the numbers of their samples."""
+    found = []
+    for words, numbers in (("loading", np.flatnonzero(cycle.loading)), ("unloading", np.flatnonzero(~cycle.loading))):
+        for part in np.array_split(numbers, _PLACES):
+            ends = cycle.stretch[part[0]], cycle.stretch[part[-1]]
+            found.append((f"{words}, stretch {ends[0]:.2f} to {ends[1]:.2f}", part))
+    return found
+
+
+def _discrepancies(cycle: LargeCycle, left: Float, sd: float) -> list[Discrepancy]:
+    found = []
+    for where, part in _parts(cycle):
+        own = left[part]
+        chi2, mean = float(own @ own), float(own.mean()) * sd
+        side = "low" if mean > 0 else "high"
+        found.append(
+            Discrepancy(
+                recording_id=cycle.fits.recording_id,
+                where_found=where,
+                chi2=chi2,
+                degrees_of_freedom=part.size,
+                p_value=float(chi2_law.sf(chi2, part.size)),
+                statement=f"{where}: the simulated stress is {abs(mean):.3g} kPa too {side} on average, "
+                f"{np.sqrt(chi2 / part.size):.2g} times the noise",
+            )
+        )
+    return found
+
+
+def _not_asked(sd: float) -> tuple[str, ...]:
+    return (
+        "There is one cycle at one rate: a relaxation and another law of equilibrium differ in what they predict of the unloading, "
+        "in nothing else",
+        "Damage that only shows below the largest stretch so far leaves no trace while loading: it cannot be fitted there",
+        f"No rest was recorded: the noise, {sd:.2g} kPa, is that of neighbouring samples",
+    )
+
+
+def _residuals(cycle: LargeCycle, plain: _Tried, extended: _Tried, sd: float) -> Residuals:
+    """Everything as fitted to everything, and as the fits to the loading predict it."""
+    whole = [cycle.time_s, cycle.stress, plain.whole.stress(), extended.whole.stress()]
+    learned = [cycle.time_s, cycle.stress, plain.learned.stress(), extended.learned.stress()]
+    parts = [thinned(values, _SHOWN) for values in (whole, learned)]
+    n = parts[0][0].size
+    time, measured, first, second = (np.concatenate(both) for both in zip(*parts, strict=True))
+    return Residuals(
+        recording_id=cycle.fits.recording_id,
+        kind=np.repeat([STRESS, PREDICTED], n),
+        label=np.repeat(["loading and unloading", "fitted to the loading"], n),
+        frequency_hz=np.full(2 * n, np.nan),
+        time_s=time,
+        measured=measured,
+        plain=first,
+        extended=second,
+        sd=np.full(2 * n, sd),
+    )
+
+
+def _next(cycle: LargeCycle, others: Sequence[_Tried], found: Contest, sd: float) -> NextRecording | None:
+    """Of a slower cycle, a faster one and a hold the one that separates the causes that are possible best; None where none does.
+
+    As in `next_recording`: Dᵀ (N + C)⁻¹ D, of which C is what the cycle at hand leaves open about the rival.
+    """
+    possible = [next(t for t in others if _is(t, p.entrant)) for p in found.possible]
+    best: tuple[float, str, dict[str, str | float]] | None = None
+    for text, design, time, stretch in _proposals(cycle):
+        seen = np.unique(np.linspace(1, time.size - 1, _COMPARED).astype(int))
+        shown = [_elsewhere(t, time, stretch)[:, seen] for t in possible]
+        pairs = [
+            (i, j) for i in range(len(shown)) for j in range(len(shown)) if _cause(possible[i]) != _cause(possible[j])
+        ]
+        apart = min((_separation(shown[i], shown[j], sd) for i, j in pairs), default=0.0)
+        if best is None or apart > best[0]:
+            best = apart, text, design
+    if best is None or best[0] < _DECIDES:
+        return None
+    return NextRecording((best[2],), f"{best[1]}: tells the causes that are possible apart", best[0])
+
+
+def _cause(tried: _Tried) -> str:
+    return "" if tried.whole.model.cause is None else tried.whole.model.cause.mechanism
+
+
+def _elsewhere(tried: _Tried, time: Float, stretch: Float) -> Float:
+    """(1 + B, m) what a model predicts of another test, at its optimum and drawn, kPa."""
+    model = tried.whole.model.elsewhere(time, stretch)
+    return np.array([model.stress(x) for x in (tried.whole.x, *tried.drawn_whole[:_FEW])])
+
+
+def _separation(true: Float, rival: Float, sd: float) -> float:
+    """χ² against a rival, (1 + B, m) each, with what forms may be wrong by as noise."""
+    difference = true[0] - rival[0]
+    noise = np.diag(sd**2 + (_MODEL_ERROR * difference) ** 2)
+    return float(difference @ np.linalg.solve(noise + np.cov(rival[1:].T), difference))
+
+
+def _proposals(cycle: LargeCycle) -> list[tuple[str, dict[str, str | float], Float, Float]]:
+    t, lam = cycle.time_s - cycle.time_s[0], cycle.stretch
+    strain = float(lam.max() - 1)
+    test: dict[str, str | float] = {"protocol": "cycle", "loading": "mechanical"}
+    up = t[: cycle.top + 1]
+    held = np.concatenate([up, up[-1] + np.geomspace(1e-3, 1.0, 200) * _HOLD_S])
+    stretch = np.concatenate([lam[: cycle.top + 1], np.full(200, lam[cycle.top])])
+    return [
+        (f"the same cycle {_SLOWER:g} times slower", {**test, "slower": _SLOWER}, t * _SLOWER, lam),
+        (f"the same cycle {_SLOWER:g} times faster", {**test, "slower": 1 / _SLOWER}, t / _SLOWER, lam),
+        (
+            f"the same loading, then held at the largest stretch for {_HOLD_S / 60:g} minutes",
+            {"protocol": "step", "loading": "mechanical", "strain_pp": round(strain, 4), "hold_s": _HOLD_S}, held, stretch,
+        ),
+    ]  # fmt: skip

@@ -1,0 +1,346 @@
+"""A system of another kind: what a linear simulation of its records gets wrong, and which cause predicts it in a part left out.
+
+The plain model is y″ + d y′ + w₀² y = g u of one mode; every cause adds one term with one or two parameters (`oscillator`). All are
+fitted to everything, and for the held-out error to each of two parts, whose other one they predict (`system_parts`). Means are not
+compared (`SystemRecord`). An arm that relaxes and a delay are linear: they say that the order of the plain model is at fault.
+
+Severities are relative to the largest output A of all records: `stiffening` 3k₃A²/w₀², the rise of the tangent there; `drop` −k₃A²/w₀²,
+the loss of stiffness there; `residual` 1 − 2|k₂|A/w₀², the tangent that is left there on the softer side; `damping_ratio` c V/(2w₀) at the
+largest speed V; `overload` true over read output at A, less 1; `slip_force` k q_s/(w₀² A) and `hardening` k/w₀²; `stiffness_ratio` k₁/w₀²
+and `time_constant_s` τ; `delay_s` Δ.
+
+Does not belong here: what the contest makes of it (`contest`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.results import Estimate
+from pipeline.diagnose.single.contest import Entrant, drawn_parameters
+from pipeline.diagnose.single.oscillator import (
+    ARM,
+    CEILING,
+    CUBIC,
+    DAMPING,
+    DELAY,
+    DRAG,
+    GAIN,
+    QUADRATIC,
+    RATE,
+    SLIP,
+    STIFFNESS,
+    Oscillator,
+    SystemRecord,
+    linear,
+)
+from pipeline.diagnose.single.oscillator_fit import Fit, Problem, bounded, fit_all, linear_start, values_of
+from pipeline.diagnose.single.system_parts import noise_sd, two_parts
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_LINEAR = (STIFFNESS, DAMPING, GAIN)
+_DRAWN = 200
+_SEED = 7
+_BLOCKS = 50
+"""Most blocks that a part is drawn anew from: the error grows and falls with the amplitude, which lasts."""
+_DECAYS = 5.0
+_SAFETY = 0.7
+"""Damping on which run-ins are counted, over that of the linear fit, which a bent resonance broadens."""
+_KEYS = {"strain_stiffening": ("stiffening",), "amplitude_softening": ("drop",)}
+"""Of a term whose sign makes two mechanisms, the severities of each."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part that was left out.
+
+    name : in words; values : its place in `left_out`; places : (H,) its places among all compared values
+    """
+
+    name: str
+    values: slice
+    places: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A model's simulations of all records, fitted to everything.
+
+    outputs : (n,) per record, in its unit; compared : (n,) per record, where it is compared; parameters : (PARAMETERS,)
+    """
+
+    mechanism: str
+    outputs: tuple[Float, ...]
+    compared: tuple[Mask, ...]
+    parameters: Float
+
+
+@dataclass(frozen=True)
+class SystemQuestion:
+    """What the contest is asked, and what the pages show.
+
+    measured, left_out : (N,) compared values of all records, and (H,) those of the parts left out; sd : of the noise of one value, noise
+    in words how it was told
+    plain, entrants : for the contest; parts : what was left out, one after the other
+    angular_frequency, damping_ratio : of the linear system, rad/s and share of the critical one; amplitude : largest output
+    names, times : of all records, (n,) in s; measured_outputs : (n,) per record as compared; simulations : the plain model's first
+    """
+
+    measured: Float
+    left_out: Float
+    sd: float
+    noise: str
+    plain: Entrant
+    entrants: tuple[Entrant, ...]
+    parts: tuple[Part, ...]
+    angular_frequency: float
+    damping_ratio: float
+    amplitude: float
+    names: tuple[str, ...]
+    times: tuple[Float, ...]
+    measured_outputs: tuple[Float, ...]
+    simulations: tuple[Simulated, ...]
+
+
+@dataclass(frozen=True)
+class _Cause:
+    """A term.
+
+    rows : parameters that are free beyond the linear ones; starts : of them, each tried
+    mechanism : by the value of the first of them
+    severity : of parameters (…, PARAMETERS), largest speed over A w, and w in rad/s
+    """
+
+    form: str
+    equation: str
+    rows: tuple[int, ...]
+    starts: tuple[tuple[float, ...], ...]
+    mechanism: Callable[[float], str]
+    severity: Callable[[Float, float, float], Mapping[str, Float]]
+
+
+def _stiffening(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {"stiffening": 3 * p[..., CUBIC] / p[..., STIFFNESS], "drop": -p[..., CUBIC] / p[..., STIFFNESS]}
+
+
+def _residual(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {"residual": 1 - 2 * np.abs(p[..., QUADRATIC]) / p[..., STIFFNESS]}
+
+
+def _damping(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {"damping_ratio": p[..., DRAG] * speed / 2 / np.sqrt(p[..., STIFFNESS])}
+
+
+def _overload(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    # The largest reading is 1: y = 1/√(1 − l) before the ceiling.
+    return {"overload": 1 / np.sqrt(np.maximum(1 - p[..., CEILING], 1e-6)) - 1}
+
+
+def _slip(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {
+        "slip_force": p[..., ARM] * np.exp(-p[..., SLIP]) / p[..., STIFFNESS],
+        "hardening": p[..., ARM] / p[..., STIFFNESS],
+    }
+
+
+def _arm(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {"stiffness_ratio": p[..., ARM] / p[..., STIFFNESS], "time_constant_s": np.exp(-p[..., RATE]) / w}
+
+
+def _late(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {"delay_s": p[..., DELAY] / w}
+
+
+def _always(name: str) -> Callable[[float], str]:
+    return lambda value: name
+
+
+CAUSES: tuple[_Cause, ...] = (
+    _Cause(
+        "cubic stiffness",
+        "y″ + d y′ + w₀² y + k₃ y³ = g u",
+        (CUBIC,),
+        ((0.0,),),
+        lambda value: "strain_stiffening" if value >= 0 else "amplitude_softening",
+        _stiffening,
+    ),
+    _Cause(
+        "quadratic stiffness",
+        "y″ + d y′ + w₀² y + k₂ y² = g u",
+        (QUADRATIC,),
+        ((0.0,),),
+        _always("slack"),
+        _residual,
+    ),
+    _Cause(
+        "damping grows with speed",
+        "y″ + d y′ + c |y′| y′ + w₀² y = g u",
+        (DRAG,),
+        ((0.0,),),
+        _always("load_cell_damping"),
+        _damping,
+    ),
+    _Cause(
+        "reading bends to a ceiling",
+        "reading y/√(1 + y²/L²)",
+        (CEILING,),
+        ((0.0,),),
+        _always("sensor_saturation"),
+        _overload,
+    ),
+    _Cause(
+        "friction that yields",
+        "y″ + d y′ + w₀² y + k q = g u, q′ = y′ − |y′| q/q_s",
+        (ARM, SLIP),
+        ((0.05, np.log(2.0)), (0.05, np.log(20.0))),
+        _always("clamp_slip"),
+        _slip,
+    ),
+    _Cause(
+        "an arm that relaxes",
+        "y″ + d y′ + w₀² y + k₁ q = g u, q′ = y′ − q/τ",
+        (ARM, RATE),
+        ((0.05, np.log(0.3)), (0.05, np.log(3.0))),
+        _always("missing_relaxation"),
+        _arm,
+    ),
+    _Cause("output late", "reading y(t − Δ)", (DELAY,), ((0.0,),), _always("sensor_delay"), _late),
+)
+"""Causes that are tried."""
+
+
+def system_causes(records: Sequence[SystemRecord], *, sd: float | None = None) -> SystemQuestion:
+    """The question of one system's records, all with one interval.
+
+    sd : of the noise of one output, where the caller knows it, for instance from periods that repeat
+    """
+    oscillator, start = _plain_start(records)
+    measured_outputs = tuple(_compared(oscillator, r) for r in records)
+    measured = values_of(oscillator, measured_outputs)
+    everything = np.ones(measured.size, dtype=bool)
+    name, loud = two_parts(oscillator, measured_outputs)
+    folds = (everything, ~loud, loud)
+    problems, owners = [], []
+    for number, cause in enumerate((None, *CAUSES)):
+        rows = cause.rows if cause else ()
+        for given in cause.starts if cause else ((),):
+            theta = start.copy()
+            theta[list(rows)] = given
+            for fold, fitted in enumerate(folds):
+                problems.append(Problem(theta, (*_LINEAR, *rows), fitted))
+                owners.append((number, fold))
+    fits: dict[tuple[int, int], Fit] = {}
+    for owner, fit in zip(owners, fit_all(oscillator, measured, problems), strict=True):
+        if owner not in fits or fit.cost < fits[owner].cost:
+            fits[owner] = fit
+    decay = 2 / start[DAMPING] / oscillator.angular_frequency / records[0].interval_s
+    memory = int(max(_DECAYS * decay, measured.size / _BLOCKS, 1))
+    known, noise = (sd, "given") if sd is not None else noise_sd(records)
+    found = [
+        _entrant(cause, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
+        for number, cause in enumerate((None, *CAUSES))
+    ]
+    compared = tuple(oscillator.compared(r) for r in records)
+    louder, quieter = np.flatnonzero(loud), np.flatnonzero(~loud)
+    return SystemQuestion(
+        measured=measured,
+        left_out=np.concatenate([measured[louder], measured[quieter]]),
+        sd=known,
+        noise=noise,
+        plain=found[0],
+        entrants=tuple(found[1:]),
+        parts=(
+            Part(name[0], slice(0, louder.size), louder),
+            Part(name[1], slice(louder.size, measured.size), quieter),
+        ),
+        angular_frequency=oscillator.angular_frequency * float(np.sqrt(start[STIFFNESS])),
+        damping_ratio=float(start[DAMPING] / 2 / np.sqrt(start[STIFFNESS])),
+        amplitude=oscillator.amplitude,
+        names=tuple(r.name for r in records),
+        times=tuple(np.arange(float(r.input.size)) * r.interval_s for r in records),
+        measured_outputs=measured_outputs,
+        simulations=tuple(
+            Simulated(entrant.mechanism, fits[number, 0].records, compared, fits[number, 0].parameters)
+            for number, entrant in enumerate(found)
+        ),
+    )
+
+
+def _plain_start(records: Sequence[SystemRecord]) -> tuple[Oscillator, Float]:
+    """The oscillator in units of the linear fit to everything, and its parameters (PARAMETERS,)."""
+    amplitude = max(float(np.abs(r.output - (0 if r.from_rest else r.output.mean())).max()) for r in records)
+    omega, ratio, gain = linear_start(records)
+    for _ in range(2):
+        oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * ratio)
+        start = linear(damping=2 * ratio, gain=gain / omega**2)
+        measured = values_of(oscillator, [_compared(oscillator, r) for r in records])
+        plain = fit_all(oscillator, measured, [Problem(start, _LINEAR, np.ones(measured.size, dtype=bool))])[0]
+        theta = plain.parameters
+        frequency = float(np.sqrt(theta[STIFFNESS]))
+        if abs(frequency - 1) < 0.1:
+            break
+        ratio, gain = float(theta[DAMPING]) / 2 / frequency, float(theta[GAIN]) * omega**2
+        omega *= frequency
+    return oscillator, theta
+
+
+def _compared(oscillator: Oscillator, record: SystemRecord) -> Float:
+    """(n,) the record's output as it is compared."""
+    if record.from_rest:
+        return record.output
+    return np.asarray(record.output - float(record.output[oscillator.compared(record)].mean()))
+
+
+def _entrant(
+    cause: _Cause | None, fits: Sequence[Fit], oscillator: Oscillator, measured: Float, loud: Mask, memory: int
+) -> Entrant:
+    """Of the fits to everything, to the quiet and to the loud part."""
+    rng = np.random.default_rng(_SEED)
+    unseen: list[Float] = []
+    drawn: list[Float] = []
+    for fit, left in ((fits[1], loud), (fits[2], ~loud)):
+        seen = fit.problem.fitted
+        changes = drawn_parameters(fit.jacobian[seen], (fit.simulated - measured)[seen], memory, _DRAWN, rng)
+        # What runs away predicts nothing.
+        predicted, slope = (np.nan_to_num(x[left], posinf=0, neginf=0) for x in (fit.simulated, fit.jacobian))
+        unseen.append(predicted)
+        drawn.append(predicted + changes @ slope.T)
+    whole = fits[0]
+    severity: dict[str, Estimate] = {}
+    mechanism = cause.mechanism(float(whole.parameters[cause.rows[0]])) if cause else ""
+    if cause:
+        changes = drawn_parameters(whole.jacobian, whole.simulated - measured, memory, _DRAWN, rng)
+        around = np.tile(whole.parameters, (_DRAWN, 1))
+        around[:, list(whole.problem.free)] += changes
+        around = bounded(around)
+        speed = _fastest(oscillator, whole)
+        values = cause.severity(whole.parameters, speed, oscillator.angular_frequency)
+        for key, spread in cause.severity(around, speed, oscillator.angular_frequency).items():
+            if key not in _KEYS.get(mechanism, (key,)):
+                continue
+            low, high = np.quantile(spread, [0.05, 0.95])
+            severity[key] = Estimate(float(values[key]), float(np.std(spread)), float(low), float(high))
+    return Entrant(
+        mechanism=mechanism,
+        form=cause.form if cause else "",
+        equation=cause.equation if cause else "",
+        severity=severity,
+        whole=whole.simulated,
+        unseen=np.concatenate(unseen),
+        drawn=np.concatenate(drawn, axis=1),
+    )
+
+
+def _fastest(oscillator: Oscillator, fit: Fit) -> float:
+    """Largest |y′| of a simulation over A w."""
+    unit = oscillator.amplitude * oscillator.angular_frequency
+    return max(
+        float(np.abs(np.gradient(y, r.interval_s)).max()) / unit
+        for r, y in zip(oscillator.records, fit.records, strict=True)
+    )

@@ -1,0 +1,100 @@
+"""The diagnosis of a system of another kind: what a linear simulation gets wrong of its records, and which cause predicts it.
+
+Does not belong here: the models (`oscillator`, `system_causes`), and what a contest means (`contest`, `alone`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.diagnose.mechanisms import MECHANISMS
+from pipeline.diagnose.results import NONE, Diagnosis, Residuals
+from pipeline.diagnose.single.alone import Films, Told, diagnosis_of, left_by, smallest_of
+from pipeline.diagnose.single.contest import Contest, contest
+from pipeline.diagnose.single.oscillator import SystemRecord
+from pipeline.diagnose.single.system_causes import SystemQuestion, system_causes
+from pipeline.diagnose.single.system_discrepancies import system_discrepancies
+from pipeline.physics.film import RelaxationModel
+from schemas.mechanisms import plain_name
+
+Float = NDArray[np.float64]
+
+OUTPUT = "system.output"
+"""Kind of residuals: the output as both models, fitted to everything, simulate it."""
+_SHOWN, _RESONANCES = 500, 25.0
+"""Samples that are kept for figures at most, and turns of the resonance that they span."""
+_NO_FILM = RelaxationModel(1.0, (), ())
+
+
+def diagnose_system(
+    specimen_id: str, records: Sequence[SystemRecord], protocols: Sequence[str], unit: str
+) -> tuple[Diagnosis, Contest]:
+    """The diagnosis of one system, and the contest behind it; `unit` of the output."""
+    question = system_causes(records)
+    found = contest(question.plain, question.entrants, question.measured, question.left_out, question.sd)
+    told = _told(specimen_id, tuple(dict.fromkeys(protocols)), question, found, unit)
+    return diagnosis_of(found, question.measured, question.left_out, question.sd, question.plain.whole, told), found
+
+
+def _told(specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion, found: Contest, unit: str) -> Told:
+    best = found.places[0].entrant
+    tried = {e.mechanism for e in question.entrants} | {"amplitude_softening", "strain_stiffening"}
+    parts = {
+        part.name: (
+            _error(question.plain.unseen[part.values] - question.left_out[part.values], question.sd),
+            _error(best.unseen[part.values] - question.left_out[part.values], question.sd),
+        )
+        for part in question.parts
+    }
+    words = f"{plain_name(best.mechanism).lower()} ({best.form})"
+    return Told(
+        specimen_id=specimen_id,
+        protocols=protocols,
+        left_out=parts,
+        films=Films(_NO_FILM, _NO_FILM),
+        discrepancies=system_discrepancies(question),
+        residuals=tuple(_residuals(question, found)),
+        smallest=smallest_of(p.entrant for p in found.places),
+        invisible=tuple(m for m in MECHANISMS if m not in tried),
+        could_not_ask=(
+            "This is no film in a rig: it is simulated as one resonance, and asked for what bends it",
+            f"The noise of the output, {question.sd:.2g} {unit}, is {question.noise}",
+        ),
+        unexplained=(left_by(words, best.whole - question.measured, question.sd, unit),),
+    )
+
+
+def _error(difference: Float, sd: float) -> float:
+    return float(np.sqrt(np.mean((difference / sd) ** 2)))
+
+
+def _residuals(question: SystemQuestion, found: Contest) -> list[Residuals]:
+    """Of every record the stretch about its largest output."""
+    winner = found.places[0].entrant.form if found.verdict != NONE else ""
+    forms = [question.plain.form, *(e.form for e in question.entrants)]
+    plain, best = question.simulations[0], question.simulations[forms.index(winner)]
+    shown = []
+    for i, name in enumerate(question.names):
+        time, measured = question.times[i], question.measured_outputs[i]
+        turns = _RESONANCES * 2 * np.pi / question.angular_frequency / (time[1] - time[0])
+        half = int(min(turns, _SHOWN)) // 2
+        centre = int(np.argmax(np.abs(np.where(plain.compared[i], measured, 0.0))))
+        part = slice(max(centre - half, 0), centre + half)
+        n = measured[part].size
+        shown.append(
+            Residuals(
+                recording_id=name,
+                kind=np.full(n, OUTPUT),
+                label=np.full(n, "about the largest output"),
+                frequency_hz=np.full(n, np.nan),
+                time_s=time[part],
+                measured=measured[part],
+                plain=plain.outputs[i][part],
+                extended=best.outputs[i][part],
+                sd=np.full(n, question.sd),
+            )
+        )
+    return shown

@@ -1,0 +1,75 @@
+"""Where a linear simulation of a system's records is wrong: in bands about its resonance, and by how large the output is.
+
+Does not belong here: why (`system_causes`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from pipeline.diagnose.results import Discrepancy
+from pipeline.diagnose.single.system_causes import SystemQuestion
+
+Float = NDArray[np.float64]
+
+_BANDS = (
+    (0.0, 0.7, "below its resonance"),
+    (0.7, 1.4, "about its resonance"),
+    (1.4, 2.5, "about twice its resonance"),
+    (2.5, 3.5, "about three times its resonance"),
+    (3.5, np.inf, "above that"),
+)
+_WINDOWS = 30
+_THIRDS = ("where the output is smallest", "where it is middling", "where it is largest")
+
+
+def system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ...]:
+    """Per record and band of frequency, and per record and third of its stretches by output; those beyond the noise, worst first.
+
+    χ² of a band is of its spectral lines, two values each; of a third that of its samples.
+    """
+    found = []
+    plain = question.simulations[0]
+    for name, times, y, simulated, compared in zip(
+        question.names, question.times, question.measured_outputs, plain.outputs, plain.compared, strict=True
+    ):
+        interval = float(times[1] - times[0])
+        found += _bands(name, interval, y[compared], simulated[compared], question)
+        found += _levels(name, y[compared], simulated[compared], question)
+    return tuple(sorted((d for d in found if d.p_value < 0.01), key=lambda d: -d.chi2 / d.degrees_of_freedom))
+
+
+def _bands(name: str, interval: float, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:
+    resonance = question.angular_frequency / 2 / np.pi
+    frequency = np.fft.rfftfreq(y.size, interval)[1:]
+    measured, error = (2 * np.abs(np.fft.rfft(x)[1:]) ** 2 / y.size for x in (y, simulated - y))
+    found = []
+    for low, high, words in _BANDS:
+        inside = (frequency >= low * resonance) & (frequency < high * resonance)
+        if inside.any():
+            last = min(high * resonance, float(frequency[-1]))
+            where = f"{low * resonance:.3g} to {last:.3g} Hz"
+            found.append(_discrepancy(name, where, words, measured[inside], error[inside], 2, question.sd))
+    return found
+
+
+def _levels(name: str, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:
+    windows = np.array_split(np.arange(y.size), _WINDOWS)
+    order = np.argsort([float(np.std(y[w])) for w in windows])
+    found = []
+    for words, third in zip(_THIRDS, np.array_split(order, len(_THIRDS)), strict=True):
+        chosen = np.concatenate([windows[i] for i in third])
+        largest = float(np.abs(y[chosen]).max() / question.amplitude)
+        where = f"outputs up to {100 * largest:.0f} % of the largest"
+        found.append(_discrepancy(name, where, words, y[chosen] ** 2, (simulated - y)[chosen] ** 2, 1, question.sd))
+    return found
+
+
+def _discrepancy(name: str, where: str, words: str, measured: Float, error: Float, each: int, sd: float) -> Discrepancy:
+    """measured, error : (n,) squares, of `each` values"""
+    square, freedom = float(error.sum()) / sd**2, each * error.size
+    share = 100 * float(np.sqrt(error.sum() / measured.sum()))
+    text = f"{words} ({where}), the linear simulation is wrong by {share:.2g} % of the output there"
+    return Discrepancy(name, where, square, freedom, float(chi2.sf(square, freedom)), text)

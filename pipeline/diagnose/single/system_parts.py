@@ -1,0 +1,82 @@
+"""Two parts of a system's records, one to be predicted from the other, and the noise of its output.
+
+Does not belong here: what is fitted to them (`system_causes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from pipeline.diagnose.single.oscillator import Oscillator, SystemRecord
+from pipeline.diagnose.single.oscillator_fit import values_of
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_WINDOWS = 32
+_LOUDER = 1.5
+"""Ratio of the input of the loud half over that of the quiet one from which on they are the two parts."""
+_ALIKE = 0.6
+"""Overlap of the spectra that drive two parts from which on one can be predicted from the other."""
+_ABOVE = 1.25
+"""Frequency from which on the output is taken as noise, over the highest that is excited."""
+_EXCITED = 1e-4
+"""Share of the largest power of the input from which on a frequency is excited."""
+_TINY = 1e-30
+
+
+def two_parts(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[str, str], Mask]:
+    """Names of the two parts, and (M,) what belongs to the first: the record of the largest output, or of one record the half that is driven
+    more, else the second one, else every other stretch; the first of these in which both parts are driven at the same frequencies.
+    """
+    records = oscillator.records
+    if len(records) > 1:
+        levels = [float(np.abs(y[oscillator.compared(r)]).max()) for r, y in zip(records, outputs, strict=True)]
+        loudest = int(np.argmax(levels))
+        others = " and ".join(r.name for i, r in enumerate(records) if i != loudest)
+        mask = values_of(oscillator, [np.full(y.size, float(i == loudest)) for i, y in enumerate(outputs)])
+        return (f"{records[loudest].name}, the loudest", others), mask > 0
+    u = records[0].input[oscillator.compared(records[0])]
+    windows = np.array_split(np.arange(u.size), _WINDOWS)
+    levels = [float(np.std(u[window])) for window in windows]
+    power = np.array([np.abs(np.fft.rfft(u[window[: u.size // _WINDOWS]])) ** 2 for window in windows])
+    order, half, number = np.argsort(levels), _WINDOWS // 2, np.arange(_WINDOWS)
+    louder = np.median(np.take(levels, order[half:])) > _LOUDER * np.median(np.take(levels, order[:half]))
+    ways = [
+        ("the half that is driven more", "the half that is driven less", np.isin(number, order[half:])),
+        ("the second half", "the first half", number >= half),
+        ("every other stretch", "the stretches between", number % 2 == 1),
+    ]
+    found = next((way for way in ways[0 if louder else 1 : -1] if _alike(power, way[2])), ways[-1])
+    return (found[0], found[1]), np.repeat(found[2], [w.size for w in windows])
+
+
+def _alike(power: Float, chosen: Mask) -> bool:
+    """Whether two parts are driven at the same frequencies; power : (windows, frequencies) of the input."""
+    inside, outside = (power[c].sum(axis=0) / max(power[c].sum(), _TINY) for c in (chosen, ~chosen))
+    return bool(np.minimum(inside, outside).sum() > _ALIKE)
+
+
+def noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
+    """Standard deviation of the noise of one output value, and in words how it is told: from frequencies that are not excited, as if
+    it were white: the upper end of its 95 % interval, so that noise alone is no misfit; the largest of the records'."""
+    levels, free = [], True
+    for record in records:
+        n = record.input.size
+        window = np.hanning(n)
+        u, y = (np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2 for x in (record.input, record.output))
+        smooth = median_filter(u, max(n // 200, 1))
+        excited = int(np.flatnonzero(smooth > _EXCITED * smooth.max())[-1] * _ABOVE)
+        free &= excited < 0.95 * u.size
+        above = y[min(excited, int(0.95 * u.size)) :]
+        # The median of an exponential distribution is ln 2 of its mean, its relative error 1/(ln 2 √n), under this window √1.5 of it.
+        surely = 1 + 2 * np.sqrt(1.5 / above.size) / np.log(2)
+        levels.append(float(np.median(above) / np.log(2) / np.sum(window**2) * surely))
+    told = (
+        "if white as the output beyond the excited frequencies" if free else "at most that of the highest frequencies"
+    )
+    return max(float(np.sqrt(max(levels))), _TINY), told

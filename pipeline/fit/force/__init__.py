@@ -1,0 +1,1 @@
+"""Static force against pre-stretch."""

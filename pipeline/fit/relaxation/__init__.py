@@ -1,0 +1,1 @@
+"""Relaxation models of a specimen from its responses."""

@@ -1,0 +1,1 @@
+"""Self-sensing: force from capacitance, electrodes, gains of the loop, wrinkling."""

@@ -1,0 +1,1 @@
+"""Lifetimes: survival curves, comparisons, distributions, life against voltage."""

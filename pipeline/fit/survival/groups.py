@@ -1,0 +1,363 @@
+"""From rows of lifetimes to survival per configuration and voltage, and comparisons between configurations.
+
+Belongs here: which rows can be used and what is wrong with the others, grouping, and the collection of all results with
+their warnings. A row that contradicts itself is named, never averaged away. Does not belong here: the statistics
+themselves (`survival` and its siblings) and tables (`pipeline.analyse.rows.survival`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.fit.survival.comparisons import Comparison, compare, corrected
+from pipeline.fit.survival.competing_causes import CompetingCauses, aalen_johansen
+from pipeline.fit.survival.kaplan_meier import UNKNOWN, Bool, Estimate, Float, KaplanMeier, kaplan_meier
+from pipeline.fit.survival.lifetime_distributions import (
+    DISTRIBUTIONS,
+    WEIBULL,
+    DistributionFit,
+    Lives,
+    fit_distribution,
+)
+from pipeline.fit.survival.voltage_life import VoltageLife, fit_inverse_power_law
+from schemas.errors import NotIdentifiableError
+from schemas.lifetimes import RAISED, LifetimeRow
+from schemas.numbers import compact, joined, significant, with_unit
+
+_SAME_VOLTAGE = 0.005
+"""Relative difference of two set voltages up to which they are one."""
+_SAME_END = 0.01
+_END_SLACK_S = 0.5
+"""Censoring times within 1 % and 0.5 s of the last one belong to the planned end of the test."""
+_ABOVE = 1.02
+
+
+@dataclass(frozen=True)
+class SurvivalSummary:
+    """The numbers of one group; `Estimate`s are NaN where the data do not give one, and `warnings` says why.
+
+    `restricted_to_s` is the shortest common follow-up of the groups at this voltage; `survival_at_end` belongs to it.
+    """
+
+    specimens: int
+    failures: int
+    restricted_mean_s: Estimate
+    restricted_to_s: float
+    median_s: Estimate
+    survival_at_end: Estimate
+    weibull_shape: Estimate
+    weibull_scale_s: Estimate
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SurvivalGroup:
+    """All results of one configuration at one voltage (None where the rows give none)."""
+
+    configuration: str | None
+    voltage_kv: float | None
+    campaigns: tuple[str, ...]
+    rows: tuple[LifetimeRow, ...]
+    curve: KaplanMeier
+    summary: SurvivalSummary
+    distributions: tuple[DistributionFit, ...]
+    causes: CompetingCauses
+
+    @property
+    def name(self) -> str:
+        voltage = "" if self.voltage_kv is None else f" at {self.voltage_kv:g} kV"
+        return f"{self.configuration or 'no configuration'}{voltage}"
+
+
+@dataclass(frozen=True)
+class SurvivalResults:
+    """Groups, comparisons of configurations at equal voltage, laws over the voltages, and what was left out and why.
+
+    `voltage_life` has one law per configuration tested at several voltages that can carry one.
+    """
+
+    groups: tuple[SurvivalGroup, ...]
+    comparisons: tuple[Comparison, ...]
+    voltage_life: tuple[tuple[str | None, VoltageLife], ...]
+    warnings: tuple[str, ...]
+
+
+def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
+    """Survival of all specimens, by configuration and voltage, with comparisons at equal voltage.
+
+    Rows that cannot be used (negative or missing life, flags that contradict each other) are left out and named in
+    `warnings` and in the summary of their group; staircase tests have no life at one voltage and are left out as well.
+    """
+    usable, problems = _checked(lifetimes)
+    grouped = _grouped(usable)
+    notes: dict[tuple[str | None, float | None], list[str]] = defaultdict(list)
+    general = [text for _, text in problems]
+    for row, text in problems:
+        notes[_home(row, grouped)].append(text)
+    voltages: dict[str | None, list[float | None]] = defaultdict(list)
+    for configuration, voltage in grouped:
+        voltages[configuration].append(voltage)
+    for configuration, levels in voltages.items():
+        if len(levels) > 1:
+            text = f"{configuration or 'no configuration'} was tested at {_listed(levels)}: one group per voltage"
+            general.append(text)
+            for level in levels:
+                notes[configuration, level].append(text)
+    ends = _common_ends(grouped)
+    groups = tuple(
+        _group(configuration, voltage, rows, ends[voltage], tuple(notes[configuration, voltage]))
+        for (configuration, voltage), rows in grouped.items()
+    )
+    comparisons = corrected(
+        [
+            comparison
+            for i, a in enumerate(groups)
+            for b in groups[i + 1 :]
+            if a.voltage_kv == b.voltage_kv
+            for comparison in _compared(a, b, ends[a.voltage_kv])
+        ]
+    )
+    laws, refused = _laws(groups)
+    return SurvivalResults(groups, comparisons, laws, (*general, *refused))
+
+
+def _checked(lifetimes: Sequence[LifetimeRow]) -> tuple[list[LifetimeRow], list[tuple[LifetimeRow, str]]]:
+    """Usable rows, and (row, what is wrong with it) for all others and for those kept with a contradiction."""
+    usable: list[LifetimeRow] = []
+    problems: list[tuple[LifetimeRow, str]] = []
+    for row in lifetimes:
+        fatal = _unusable(row)
+        if fatal:
+            problems.append((row, f"{row.name}: {fatal}; left out"))
+            continue
+        kept, odd = _contradiction(row)
+        usable.append(_to_planned_end(kept))
+        if odd:
+            problems.append((row, f"{row.name}: {odd}"))
+    seen: dict[str, LifetimeRow] = {}
+    for row in usable:
+        if row.specimen_id in seen:
+            problems.append((row, f"{row.name}: the same specimen as {seen[row.specimen_id].name}: not independent"))
+        seen.setdefault(row.specimen_id, row)
+    return usable, problems
+
+
+def _unusable(row: LifetimeRow) -> str:
+    if not math.isfinite(row.lifetime_s):
+        return "no lifetime"
+    if row.lifetime_s < 0:
+        return f"negative lifetime {row.lifetime_s:g} s"
+    if row.staircase:
+        broke = f", broke down at {row.breakdown_voltage_kv:g} kV" if row.breakdown_voltage_kv is not None else ""
+        return f"staircase test{broke}: no life at one voltage"
+    if row.failed and row.censored_because:
+        return f"failed and censored at once ({row.censored_because})"
+    if _broke_above(row) and row.test_duration_s is None:
+        return f"failed at {row.breakdown_voltage_kv:g} kV, above the {row.voltage_kv:g} kV of the test"
+    return ""
+
+
+def _broke_above(row: LifetimeRow) -> bool:
+    return bool(
+        row.failed
+        and row.breakdown_voltage_kv
+        and row.voltage_kv
+        and row.breakdown_voltage_kv > _ABOVE * row.voltage_kv
+    )
+
+
+def _contradiction(row: LifetimeRow) -> tuple[LifetimeRow, str]:
+    """The row as it is counted, and what is odd about it."""
+    if _broke_above(row) and row.test_duration_s is not None:
+        life = min(row.lifetime_s, row.test_duration_s)
+        kept = replace(row, failed=False, lifetime_s=life, censored_because=RAISED)
+        return kept, (
+            f"failed at {row.breakdown_voltage_kv:g} kV, above the {row.voltage_kv:g} kV of the test: counted as "
+            f"surviving {life:g} s"
+        )
+    if row.failed and row.failure_site == "none":
+        return row, f"failed at {row.lifetime_s:g} s, but failure_site is none; counted as failed"
+    if row.failed and row.test_duration_s is not None and row.lifetime_s > row.test_duration_s + _END_SLACK_S:
+        return row, f"failed at {row.lifetime_s:g} s, after the test of {row.test_duration_s:g} s; counted as failed"
+    if not row.failed and row.failure_site not in (None, "none", "unknown") and row.breakdown_voltage_kv is None:
+        return row, f"censored at {row.lifetime_s:g} s, but failure_site is {row.failure_site}; counted as censored"
+    return row, ""
+
+
+def _to_planned_end(row: LifetimeRow) -> LifetimeRow:
+    """A survivor who reached the planned end counts as watched up to it: when exactly it was switched off, within 0.5 s
+    or 1 % of the test, says nothing about the film, and would scatter the group's common end.
+    """
+    planned = row.test_duration_s
+    if row.failed or planned is None or abs(row.lifetime_s - planned) > min(_END_SLACK_S, _SAME_END * planned):
+        return row
+    return replace(row, lifetime_s=planned)
+
+
+def _grouped(rows: Sequence[LifetimeRow]) -> dict[tuple[str | None, float | None], list[LifetimeRow]]:
+    levels = _voltage_levels(rows)
+    grouped: dict[tuple[str | None, float | None], list[LifetimeRow]] = defaultdict(list)
+    for row in rows:
+        grouped[row.configuration, levels.get(row.voltage_kv)].append(row)
+    return dict(sorted(grouped.items(), key=lambda item: (item[0][0] or "", item[0][1] or 0.0)))
+
+
+def _voltage_levels(rows: Sequence[LifetimeRow]) -> dict[float | None, float]:
+    """The voltage under which each set voltage is grouped: those closer than 0.5 % are one, named by their median."""
+    found = sorted(row.voltage_kv for row in rows if row.voltage_kv is not None)
+    levels: dict[float | None, float] = {}
+    start = 0
+    for i in range(len(found)):
+        if i + 1 == len(found) or found[i + 1] > found[i] * (1 + _SAME_VOLTAGE):
+            cluster = found[start : i + 1]
+            levels |= dict.fromkeys(cluster, cluster[len(cluster) // 2])
+            start = i + 1
+    return levels
+
+
+def _home(
+    row: LifetimeRow, grouped: dict[tuple[str | None, float | None], list[LifetimeRow]]
+) -> tuple[str | None, float | None]:
+    """The group a problem belongs to, also for rows that were left out of it."""
+    for configuration, voltage in grouped:
+        if configuration == row.configuration and (
+            voltage == row.voltage_kv
+            or (voltage and row.voltage_kv and abs(row.voltage_kv / voltage - 1) <= _SAME_VOLTAGE)
+        ):
+            return configuration, voltage
+    return row.configuration, row.voltage_kv
+
+
+def _arrays(rows: Sequence[LifetimeRow]) -> tuple[Float, Bool]:
+    return np.array([row.lifetime_s for row in rows]), np.array([row.failed for row in rows], dtype=np.bool_)
+
+
+def _common_ends(grouped: dict[tuple[str | None, float | None], list[LifetimeRow]]) -> dict[float | None, float]:
+    """Shortest common follow-up in s by voltage.
+
+    A group that failed completely is known for all times. Otherwise its follow-up ends with the test: at the first of
+    the censoring times that belong to the planned end, so that nobody who survived the test is missing there.
+    """
+    ends: dict[float | None, float] = {}
+    longest: dict[float | None, float] = {}
+    for (_, voltage), rows in grouped.items():
+        time, failed = _arrays(rows)
+        longest[voltage] = max(longest.get(voltage, 0.0), float(time.max()))
+        if not failed.all():
+            censored = time[~failed]
+            last = float(censored.max())
+            end = float(censored[censored >= last * (1 - _SAME_END) - _END_SLACK_S].min())
+            ends[voltage] = min(ends.get(voltage, math.inf), end)
+    return {voltage: ends.get(voltage, longest[voltage]) for voltage in longest}
+
+
+def _group(
+    configuration: str | None,
+    voltage: float | None,
+    rows: Sequence[LifetimeRow],
+    end: float,
+    notes: tuple[str, ...],
+) -> SurvivalGroup:
+    time, failed = _arrays(rows)
+    curve = kaplan_meier(time, failed)
+    fits, refusals = _distributions(time, failed)
+    weibull = next((fit.parameters for fit in fits if fit.distribution == WEIBULL), None)
+    warnings = (*notes, *_group_warnings(rows, curve, end), *refusals)
+    summary = SurvivalSummary(
+        specimens=len(rows),
+        failures=curve.failed,
+        restricted_mean_s=curve.restricted_mean(end) if end > 0 else UNKNOWN,
+        restricted_to_s=end,
+        median_s=curve.median(),
+        survival_at_end=curve.at(end),
+        weibull_shape=weibull["shape"] if weibull else UNKNOWN,
+        weibull_scale_s=weibull["scale_s"] if weibull else UNKNOWN,
+        warnings=tuple(dict.fromkeys(warnings)),
+    )
+    campaigns = tuple(sorted({row.campaign for row in rows if row.campaign}))
+    causes = aalen_johansen(time, failed, [row.failure_site for row in rows])
+    return SurvivalGroup(configuration, voltage, campaigns, tuple(rows), curve, summary, fits, causes)
+
+
+def _distributions(time: Float, failed: Bool) -> tuple[tuple[DistributionFit, ...], tuple[str, ...]]:
+    fits: list[DistributionFit] = []
+    refused: dict[str, list[str]] = {}
+    for distribution in DISTRIBUTIONS:
+        try:
+            fits.append(fit_distribution(Lives.right_censored(time, failed), distribution))
+        except NotIdentifiableError as error:
+            law, _, reason = error.problem.partition(": ")
+            refused.setdefault(reason, []).append(law)
+    refusals = [f"{joined(laws)}: {reason}" for reason, laws in refused.items()]
+    if failed.any() and (time[failed] == 0).any() and fits:
+        refusals.append(
+            f"{int((time[failed] == 0).sum())} failed at 0 s: in the distributions they count as failed before the "
+            "shortest life above 0"
+        )
+    return tuple(fits), tuple(refusals)
+
+
+def _group_warnings(rows: Sequence[LifetimeRow], curve: KaplanMeier, end: float) -> list[str]:
+    warnings = []
+    if rows[0].configuration is None:
+        warnings.append("specimens without a configuration")
+    if len({row.voltage_kv for row in rows}) > 1:
+        warnings.append(
+            f"set voltages of {_listed(sorted({row.voltage_kv for row in rows if row.voltage_kv}))} taken as one"
+        )
+    if len(rows) == 1:
+        warnings.append("one specimen: its life says next to nothing about the configuration")
+    if curve.failed == 0:
+        observed = float(sum(row.lifetime_s for row in rows))
+        n = int(curve.number_at_risk(end))
+        warnings.append(
+            f"nobody failed: survival to {with_unit(compact(end, 4), 's')} is at least {0.025 ** (1 / n):.3f} (two-sided 95 %, exact, {n} specimens), "
+            f"{0.05 ** (1 / n):.3f} one-sided; if lives are exponential their mean is at least "
+            f"{with_unit(significant(observed / -math.log(0.05)), 's')} (one-sided 95 %)"
+        )
+    elif curve.failed < len(rows):
+        early = sum(not row.failed and row.lifetime_s < end for row in rows)
+        if early:
+            warnings.append(f"{early} censored before {with_unit(compact(end, 4), 's')}")
+    undecided = [row.name for row in rows if row.decided is False]
+    if undecided:
+        warnings.append(f"breakdown or switch-off cannot be decided: {', '.join(undecided)}")
+    return warnings
+
+
+def _compared(a: SurvivalGroup, b: SurvivalGroup, end: float) -> list[Comparison]:
+    first, second = _arrays(a.rows), _arrays(b.rows)
+    return compare(a.configuration, first, b.configuration, second, a.voltage_kv, end)
+
+
+def _laws(
+    groups: Sequence[SurvivalGroup],
+) -> tuple[tuple[tuple[str | None, VoltageLife], ...], tuple[str, ...]]:
+    by_configuration: dict[str | None, list[SurvivalGroup]] = defaultdict(list)
+    for group in groups:
+        if group.voltage_kv is not None:
+            by_configuration[group.configuration].append(group)
+    laws: list[tuple[str | None, VoltageLife]] = []
+    refused: list[str] = []
+    for configuration, members in by_configuration.items():
+        if len(members) < 2:
+            continue
+        time, failed = _arrays([row for group in members for row in group.rows])
+        voltage = np.concatenate([np.full(len(group.rows), group.voltage_kv) for group in members])
+        known = failed | (time > 0)
+        try:
+            law = fit_inverse_power_law(Lives.right_censored(time[known], failed[known]), voltage[known])
+        except NotIdentifiableError as error:
+            refused.append(f"{configuration or 'no configuration'}: {error.problem}")
+        else:
+            laws.append((configuration, law))
+    return tuple(laws), tuple(refused)
+
+
+def _listed(voltages: Sequence[float | None]) -> str:
+    return ", ".join("no voltage" if v is None else f"{v:g} kV" for v in voltages)

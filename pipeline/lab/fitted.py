@@ -1,0 +1,211 @@
+"""A specimen's fitted model taken from the database to be used again: evaluated, plotted, put on the virtual rig."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.physics.film import RelaxationModel
+from pipeline.simulate.specimen import GEOMETRY, Deviations, Material, Specimen, checked_geometry
+from reports.figures.curves import arms, band
+from schemas.errors import UsageError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_RIG = "rig"
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """The model of a specimen as the database holds it.
+
+    Parameters
+    ----------
+    specimen_id : the specimen
+    row : its row of `model_fits`
+    geometry, rig : keys of its recordings and of their rig
+    force_per_voltage_squared : N/kV², blocked force of its electrodes; None where no voltage was on it
+    effects : mechanism → parameter → {value, sd}: what a diagnosis found, for the extended model
+    measured : its rows of `frequency_responses`
+    """
+
+    specimen_id: str
+    row: Mapping[str, Any] = field(repr=False)
+    geometry: Mapping[str, Any] = field(repr=False)
+    rig: Mapping[str, Any] = field(repr=False)
+    force_per_voltage_squared: float | None = None
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    measured: pd.DataFrame | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def model(self) -> RelaxationModel:
+        """Springs in N/mm and relaxation times in s."""
+        found = arms(self.row)
+        springs = [(a.k, a.c / a.k) for a in found if a.k is not None]
+        rigid = sum(a.c for a in found if a.k is None)
+        k0 = float(self.row["k0_n_per_mm"] or 0.0)
+        return RelaxationModel(k0, tuple(k for k, _ in springs), tuple(t for _, t in springs), rigid)
+
+    def stiffness(self, frequency_hz: ArrayLike) -> Complex:
+        """Complex dynamic stiffness of the film in N/mm at frequencies in Hz; shape of the input."""
+        return self.model.stiffness(frequency_hz)
+
+    def relaxation(self, time_s: ArrayLike) -> Float:
+        """Relaxation function in N/mm at times in s after a step. A pure dashpot has none (`ValueError`)."""
+        return self.model.relaxation(time_s)
+
+    def frame(self, frequency_hz: ArrayLike) -> pd.DataFrame:
+        """The model at n frequencies: complex value, magnitude and phase with their standard deviations, units in `attrs`."""
+        import pandas as pd
+
+        f = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
+        value, spread = self.stiffness(f), band(self.row, f)
+        spread = np.full((2, f.size), np.nan) if spread is None else spread
+        frame = pd.DataFrame(
+            {
+                "frequency_hz": f, "value": value, "magnitude": np.abs(value), "magnitude_sd": spread[0],
+                "phase_deg": np.degrees(np.angle(value)), "phase_deg_sd": np.degrees(spread[1]),
+            }
+        )  # fmt: skip
+        units = dict.fromkeys(("value", "magnitude", "magnitude_sd"), "N/mm")
+        frame.attrs = {"units": units | {"frequency_hz": "Hz", "phase_deg": "deg", "phase_deg_sd": "deg"}}
+        return frame
+
+    def plot(self, axes: Any = None) -> Any:
+        """Measured |k| with its standard error and the model with its 95 % band, on matplotlib axes, which are returned."""
+        import matplotlib.pyplot as plt
+
+        axes = plt.figure(figsize=(5, 3.6), layout="constrained").gca() if axes is None else axes
+        points = self._points()
+        low, high = self.row["frequency_low_hz"] or 0.1, self.row["frequency_high_hz"] or 100.0
+        model = self.frame(np.geomspace(low, high, 200))
+        if points is not None:
+            axes.errorbar(
+                points["frequency_hz"], points["magnitude"], 2 * points["standard_error"] / np.sqrt(2), fmt="o",
+                markersize=3, color="#1b1f23", linewidth=0.8,
+            )  # fmt: skip
+        axes.plot(model["frequency_hz"], model["magnitude"], color="#0069a8", linewidth=1.6)
+        wide = 1.96 * model["magnitude_sd"]
+        axes.fill_between(
+            model["frequency_hz"], model["magnitude"] - wide, model["magnitude"] + wide, color="#0069a8", alpha=0.2
+        )
+        axes.set(xscale="log", yscale="log", xlabel="Frequency, Hz")
+        axes.set_title(f"{self.specimen_id}: dynamic stiffness |k|, N/mm", loc="left", fontsize=10)
+        axes.spines[["top", "right"]].set_visible(False)
+        return axes
+
+    def _points(self) -> pd.DataFrame | None:
+        """What the model is to be compared with: averaged, else corrected, else measured stiffness."""
+        if self.measured is None:
+            return None
+        rows = self.measured[(self.measured["quantity"] == "stiffness_n_per_mm") & self.measured["usable"].eq(True)]
+        stages = (rows[rows["stage"] == stage] for stage in ("averaged", "corrected", "measured"))
+        return next((found for found in stages if not found.empty), None)
+
+    def campaign(self, recordings: Sequence[Mapping[str, Any]], *, seed: int = 1) -> str:
+        """A campaign file for `dealab simulate`: what this specimen would do in these tests.
+
+        Parameters
+        ----------
+        recordings : entries `[[recordings]]` without specimen, such as `{"test": "sphs", "drive_kv": 6.0, …}`; see
+            `pipeline.simulate.plan` for tests and their parameters
+        seed : of the noise
+
+        The film has the fitted relaxation and, where voltages were on it, the fitted force; the rig is the fitted one;
+        the extended model takes the effects along that its diagnosis found. Raises `UsageError` where geometry or rig
+        are not known well enough to simulate.
+        """
+        model, geometry = self.model, self._geometry()
+        material: dict[str, Any] = {"k0_n_per_mm": model.k0}
+        if model.k:
+            material |= {"k_n_per_mm": list(model.k), "tau_s": list(model.tau)}
+        if model.c_inf:
+            material["c_inf_n_s_per_mm"] = model.c_inf
+        material["relative_permittivity"] = self._permittivity(geometry)
+        tables: dict[str, Mapping[str, Any]] = {
+            f"rigs.{_RIG}": self._rig_table(),
+            "materials.film": {k: v for k, v in material.items() if v is not None},
+            f"specimens.{_key(self.specimen_id)}": {"rig": _RIG, "material": "film"},
+            f"specimens.{_key(self.specimen_id)}.geometry": geometry,
+        }
+        for mechanism, parameters in self.effects.items():
+            values = {p: v["value"] if isinstance(v, Mapping) else v for p, v in parameters.items()}
+            tables[f"specimens.{_key(self.specimen_id)}.effects.{mechanism}"] = values
+        lines = [f"name = {_value(f'{self.specimen_id} simulated')}", f"seed = {seed}"]
+        lines += ["started_at = 2026-01-01T00:00:00+00:00", ""]
+        for name, table in tables.items():
+            lines += [f"[{name}]", *(f"{key} = {_value(value)}" for key, value in table.items()), ""]
+        for entry in recordings:
+            lines.append("[[recordings]]")
+            own = {"specimens": [self.specimen_id], **entry}
+            lines += [f"{key} = {_value(value)}" for key, value in own.items()]
+            lines.append("")
+        return "\n".join(lines)
+
+    def _geometry(self) -> dict[str, Any]:
+        found = {k: _plain(v) for k, v in self.geometry.items() if k in GEOMETRY and v not in (None, "")}
+        return checked_geometry(found, f"specimen {self.specimen_id}")
+
+    def _permittivity(self, geometry: Mapping[str, Any]) -> float | None:
+        """The one with which the film's electrodes give the fitted force; the stated one where no voltage was on them."""
+        stated = geometry.get("relative_permittivity")
+        if self.force_per_voltage_squared is None or "active_length_mm" not in geometry:
+            return None if stated is None else float(stated)
+        unit = Material(k0_n_per_mm=self.model.k0 or 1.0, relative_permittivity=1.0)
+        film = Specimen(self.specimen_id, _RIG, "film", unit, Deviations(), geometry).film(electrical=True)
+        return max(1.0, self.force_per_voltage_squared / film.force_per_voltage_squared)
+
+    def _rig_table(self) -> dict[str, Any]:
+        """The fitted rig; the filed one where an effect stands for the difference."""
+        keys = ("clamp_mass_kg", "load_cell_stiffness_n_per_mm", "load_cell_damping_n_s_per_mm")
+        first, second = (self.rig, self.row) if "rig_constants" in self.effects else (self.row, self.rig)
+        table = {k: _plain(first.get(k) if first.get(k) is not None else second.get(k)) for k in keys}
+        table["load_cell_range_n"] = _plain(self.rig.get("load_cell_range_n"))
+        table = {k: v for k, v in table.items() if v is not None}
+        missing = [k for k in keys[:2] if k not in table]
+        if missing:
+            raise UsageError(
+                f"{' and '.join(missing)} of the rig of {self.specimen_id} not known",
+                expected="both, to simulate a recording",
+            )
+        table.setdefault("load_cell_range_n", 10.0)
+        if "load_cell_damping_n_s_per_mm" not in table:
+            table["damping_ratio"] = 0.01
+        return table
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that the metadata hold as text."""
+    if not isinstance(value, str):
+        return value
+    try:
+        number = float(value)
+    except ValueError:
+        return value
+    return int(number) if number.is_integer() and "." not in value else number
+
+
+def _key(name: str) -> str:
+    return json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    """A TOML value; strings as JSON writes them, which TOML reads."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=True)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    return repr(value)

@@ -1,0 +1,88 @@
+"""One nightly at a time per lab: a lock that the kernel gives back when its holder dies, and a note on who holds it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pipeline.lab.lab import Lab
+from schemas.errors import LabError
+
+_NOBODY = "another process"
+_LOOKS, _BETWEEN_S = 10, 0.05
+
+
+def holder(lab: Lab) -> str:
+    """Who holds the lock, in words, as far as the note beside it says."""
+    try:
+        note = json.loads(_note(lab).read_text(encoding="utf-8"))
+        return f"process {note['pid']} on {note['host']}, since {note['since']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return _NOBODY
+
+
+def _soon(lab: Lab) -> str:
+    """The same a moment later where nothing is said yet: the note is written once the lock is held."""
+    for _ in range(_LOOKS):
+        if (found := holder(lab)) != _NOBODY:
+            return found
+        time.sleep(_BETWEEN_S)
+    return _NOBODY
+
+
+@contextlib.contextmanager
+def exclusive(lab: Lab) -> Iterator[None]:
+    """Holds the lab for this process; `LabError` at once, naming the holder, when it is held already."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(lab.lock, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise LabError(
+            f"a nightly is at work here: {_soon(lab)}",
+            where=str(lab.folder),
+            remedy="Wait until it has ended",
+        ) from None
+    except OSError as error:
+        raise LabError(
+            f"the lab cannot be locked: {error.strerror}",
+            where=str(lab.lock),
+            remedy="Make the lab folder writable for this user",
+        ) from None
+    try:
+        note = {
+            "pid": os.getpid(),
+            "host": socket.gethostname(),
+            "since": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        _note(lab).write_text(json.dumps(note), encoding="utf-8")
+        yield
+    finally:
+        _note(lab).unlink(missing_ok=True)
+        lock.release()
+
+
+def busy(lab: Lab) -> bool:
+    """Whether a nightly is at work in the lab now."""
+    from filelock import FileLock, Timeout
+
+    if not lab.lock.exists():
+        return False
+    try:
+        with FileLock(lab.lock, timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:
+        return False
+
+
+def _note(lab: Lab) -> Path:
+    return lab.folder / ".lock-holder.json"

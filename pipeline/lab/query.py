@@ -1,0 +1,161 @@
+"""Read-only SQL on the published snapshot, and the samples of a recording in the same query.
+
+Three locks, each enough alone for most of what could go wrong: the connection is read-only, the configuration is locked
+with no access to files or the network, and the parser has to call the statement a SELECT, inside EXPLAIN and inside
+every WITH as well (DuckDB lets a COPY or an INSERT stand there).
+Samples reach DuckDB as Arrow data sets that are opened here, so that no query can name a file.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from pathlib import Path
+from typing import Any, Self
+
+import pyarrow as pa
+
+from pipeline.lab.lab import Lab
+from schemas.errors import DealabError, LabError, UsageError
+
+_READING_NODES = frozenset({"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"})
+_EXPLAIN = re.compile(r"(?:\s|--[^\n]*\n|/\*.*?\*/)*EXPLAIN\b(?:(?:\s|--[^\n]*\n|/\*.*?\*/)*ANALYZE\b)?", re.I | re.S)
+_EXPLAIN_OPTIONS = re.compile(r"(?:\s|--[^\n]*\n|/\*.*?\*/)*\([^()]*\)")
+_LOCKED = {
+    "autoinstall_known_extensions": "false",
+    "autoload_known_extensions": "false",
+    "python_enable_replacements": "false",
+}
+
+
+class Query:
+    """A locked connection to a lab's published snapshot; a context manager."""
+
+    def __init__(self, lab: Lab) -> None:
+        self._lab = lab
+        self._connection: Any = None
+
+    def __enter__(self) -> Self:
+        import duckdb
+
+        database = self._lab.require_database()
+        try:
+            self._connection = duckdb.connect(str(database), read_only=True, config=_LOCKED)
+            self._connection.execute("SET TimeZone = 'UTC'")
+        except duckdb.Error as error:
+            raise LabError(
+                f"the database cannot be opened: {str(error).splitlines()[0]}",
+                where=str(database),
+                remedy="Run `dealab doctor`; the next nightly over all raw folders can build it anew",
+            ) from None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()
+
+    def run(self, query: str) -> pa.Table:
+        """The rows of one SELECT-type statement.
+
+        Raises `UsageError` for what is no SELECT, `DealabError` with DuckDB's own words and pointer for a wrong query.
+        """
+        import duckdb
+
+        self._refuse_what_writes(query)
+        self._offer_samples(query)
+        try:
+            self._connection.execute("SET enable_external_access = false")
+            self._connection.execute("SET lock_configuration = true")
+            with (
+                warnings.catch_warnings()
+            ):  # execute() makes one copy more than sql(), but its errors point at the place
+                warnings.simplefilter("ignore", UserWarning)
+                result: pa.Table = self._connection.execute(query).to_arrow_table()
+        except duckdb.Error as error:
+            raise DealabError(str(error).strip()) from None
+        return result
+
+    def _refuse_what_writes(self, query: str) -> None:
+        import duckdb
+
+        try:
+            statements = self._connection.extract_statements(query)
+        except duckdb.Error as error:
+            raise DealabError(str(error).strip()) from None
+        if len(statements) != 1:
+            raise UsageError(f"{len(statements)} statements", expected="one SELECT statement")
+        kind = statements[0].type.name
+        inner = query
+        if kind == "EXPLAIN":
+            inner = self._explained(query)
+        elif kind != "SELECT":
+            remedy = "Name the columns of a PIVOT: PIVOT … ON column IN (…)" if kind == "MULTI" else ""
+            raise UsageError(f"a {kind.replace('_', ' ')} statement", expected="a SELECT statement", remedy=remedy)
+        self._refuse_writing_nodes(inner)
+
+    def _explained(self, query: str) -> str:
+        """The statement that an EXPLAIN explains, which has to be one of ours as well."""
+        import duckdb
+
+        prefix = _EXPLAIN.match(query)
+        rest = "" if prefix is None else query[prefix.end() :]
+        options = _EXPLAIN_OPTIONS.match(rest)
+        for candidate in (rest, rest[options.end() :] if options else ""):
+            try:
+                statements = self._connection.extract_statements(candidate)
+            except duckdb.Error:
+                continue
+            if [s.type.name for s in statements] == ["SELECT"]:
+                return candidate
+        raise UsageError("EXPLAIN of a statement that is no SELECT", expected="EXPLAIN SELECT …")
+
+    def _refuse_writing_nodes(self, statement: str) -> None:
+        (text,) = self._connection.execute("SELECT json_serialize_sql(?)", [statement]).fetchone()
+        tree = json.loads(text)
+        if tree.get("error"):
+            raise UsageError(str(tree.get("error_message")), expected="a SELECT statement")
+        writing = sorted(_node_kinds(tree) - _READING_NODES)
+        if writing:
+            kinds = ", ".join(kind.removesuffix("_NODE").removesuffix("_QUERY") for kind in writing)
+            raise UsageError(f"a statement with {kinds} inside", expected="only SELECT, WITH included")
+
+    def _offer_samples(self, query: str) -> None:
+        """Defines `samples('<recording_id>')` for the recordings that the query names."""
+        import pyarrow.dataset
+
+        known = self._connection.execute(
+            "SELECT recording_id, samples_path FROM recordings "
+            "WHERE samples_path IS NOT NULL AND status <> 'duplicate' AND contains(?, recording_id)",
+            [query],
+        ).fetchall()
+        names = {"": ""}
+        for recording_id, samples_path in known:
+            path = self._inside(samples_path)
+            if path is not None:
+                names[recording_id] = f"samples of {recording_id}"
+                self._connection.register(names[recording_id], pyarrow.dataset.dataset(path, format="parquet"))
+        offered = ", ".join(f"'{name}': '{view}'" for name, view in sorted(names.items()))
+        self._connection.execute(
+            "CREATE OR REPLACE TEMP MACRO samples(recording_id) AS TABLE SELECT * FROM query_table(coalesce("
+            f"MAP {{{offered}}}[recording_id], "
+            "error('no samples of recording \"' || recording_id || '\"; SELECT recording_id FROM recordings lists them, "
+            "and the name has to stand in the query as it is')))"
+        )
+
+    def _inside(self, samples_path: str) -> Path | None:
+        """The samples' file, if it exists and lies in the lab's samples folder."""
+        root = self._lab.samples_folder.resolve()
+        path = (self._lab.folder / samples_path).resolve()
+        return path if root in path.parents and path.is_file() else None
+
+
+def _node_kinds(tree: Any) -> set[str]:
+    if isinstance(tree, list):
+        return set().union(*(_node_kinds(member) for member in tree)) if tree else set()
+    if not isinstance(tree, dict):
+        return set()
+    kinds = set().union(*(_node_kinds(member) for member in tree.values()))
+    kind = tree.get("type")
+    if isinstance(kind, str) and kind.endswith("_NODE"):
+        kinds.add(kind)
+    return kinds

@@ -1,0 +1,75 @@
+"""Settings of a lab, from `settings.toml` in it: how the nightly works and what it fits.
+
+Only the settings that a stage uses count for the freshness of its results.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from pipeline.lab.lab import Lab
+from schemas.errors import LabError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a lab can choose.
+
+    Parameters
+    ----------
+    deadline_s : longest time that one item may take
+    memory_mb : most memory that one worker may take; 0 leaves it to the machine
+    orders : orders of the relaxation models that are fitted
+    """
+
+    deadline_s: float = 900.0
+    memory_mb: int = 0
+    orders: tuple[int, ...] = (1, 2, 3)
+
+    def of_stage(self, stage: str) -> dict[str, Any]:
+        """The settings that the results of a stage depend on."""
+        return {"orders": list(self.orders)} if stage == "specimen" else {}
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def load(lab: Lab) -> Settings:
+    """The lab's settings, or the usual ones. Raises `LabError` for a file that is wrong."""
+    try:
+        content = tomllib.loads(lab.settings.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return Settings()
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise _wrong(lab, f"cannot be read: {error}", "a TOML file") from None
+    known = {f.name for f in fields(Settings)}
+    for key in content:
+        if key not in known:
+            raise _wrong(lab, f'key "{key[:80]}" is unknown', "one of " + ", ".join(sorted(known)))
+    usual = Settings()
+    return Settings(
+        deadline_s=float(_number(lab, content, "deadline_s", usual.deadline_s, low=1)),
+        memory_mb=int(_number(lab, content, "memory_mb", usual.memory_mb, low=0)),
+        orders=_orders(lab, content.get("orders", list(usual.orders))),
+    )
+
+
+def _number(lab: Lab, content: dict[str, Any], key: str, usual: float, *, low: float) -> float:
+    value = content.get(key, usual)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= low:
+        raise _wrong(lab, f"{key} is {str(value)[:80]!r}", f"a number of at least {low:g}")
+    return value
+
+
+def _orders(lab: Lab, value: Any) -> tuple[int, ...]:
+    from schemas.tables import ARMS
+
+    if not isinstance(value, list) or not value or any(type(v) is not int or not 1 <= v <= ARMS for v in value):
+        raise _wrong(lab, f"orders is {str(value)[:80]!r}", f"a list of whole numbers from 1 to {ARMS}")
+    return tuple(sorted(set(value)))
+
+
+def _wrong(lab: Lab, problem: str, expected: str) -> LabError:
+    return LabError(problem, where=str(lab.settings), expected=expected, remedy="Correct the file or remove it")

@@ -1,0 +1,1 @@
+"""A night, step by step: look, read, own, derive, publish."""

@@ -1,0 +1,233 @@
+"""Looking at the raw files of a night: which there are, which content each has, which are being written just now."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ingest.discover import UNMAPPED, SourceFile, check_unchanged, discover, file_sha256, growing, lacks_end
+from ingest.remote import RemoteFile, fetch, is_staged, is_url, mirror
+from pipeline.lab.lab import Lab
+from pipeline.lab.paths import root_text, source_text
+from pipeline.nightly.ledger import Ledger, batches
+from pipeline.nightly.stages import as_facts, mapping_hash
+from schemas.errors import DealabError, LabError, PendingError, RefusedError
+
+SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, version, whole"
+_YOUNG_NS = 60_000_000_000
+_AT_ONCE = 500
+"""Files that wait to be hashed."""
+_ASKED_AT_ONCE = 1000
+"""Files that are asked together whether they grow, which may take a second."""
+_SETTLED_NS = 2_000_000_000
+"""A file that changed less than this before it was hashed could change again without getting a new time. An object's
+mark changes with its content, however soon."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The folders that tonight's looks come from, whether a file among them is new or changed, and what was passed over."""
+
+    roots: tuple[str, ...]
+    some_new: bool
+    unmapped: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def likely_new(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
+    """Whether some folder has got other files since the lab was published: a guess within milliseconds, from the folders
+    alone, so that workers can start while the night looks closely. A file that was written to in place escapes it.
+    """
+    try:
+        published = lab.database.stat().st_mtime_ns
+    except OSError:
+        return True
+    waiting = [os.fspath(given) for given in raw if not is_url(given)]
+    while waiting:
+        place = waiting.pop()
+        try:
+            if os.stat(place).st_ctime_ns > published:
+                return True
+            with os.scandir(place) as entries:
+                waiting += [entry.path for entry in entries if entry.is_dir(follow_symlinks=False)]
+        except OSError:  # a file, or nothing that can be listed
+            continue
+    return False
+
+
+def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger) -> Found:
+    """Finds the recordings among files, folders and URLs and books a look at each. A file that is as it was last time is
+    not read again.
+
+    Raises `LabError` when there is not a single recording: nothing to do is a failure, not a success.
+    """
+    mirrors = [mirror(given, lab.remote) for given in raw if isinstance(given, str) and is_url(given)]
+    paths_given = [Path(os.path.abspath(given)) for given in raw if not is_url(given)]
+    unmapped: list[str] = []
+    notes: list[str] = []
+
+    def first_time(place: str) -> bool:
+        return ledger.run("INSERT OR IGNORE INTO reached VALUES (?)", [place]) == 1
+
+    def looked() -> Iterator[tuple[Any, ...]]:
+        for source in discover(paths_given, notes.append, skip=[lab.folder], mirrors=mirrors, first_time=first_time):
+            if source.state == UNMAPPED:
+                unmapped.append(source_text(source))
+            else:
+                yield _booked(source, ledger)
+
+    ledger.add("looks", looked())
+    if not ledger.number("SELECT EXISTS (SELECT 1 FROM looks)"):
+        also = f"; {len(unmapped)} data files have no mapping" if unmapped else ""
+        raise LabError(
+            f"no recordings were found{also}",
+            where=", ".join(os.fspath(given) for given in raw)[:300],
+            expected="*.mcap files, or data files with a mapping TOML",
+            remedy="`dealab inspect FILE` says what a file holds and drafts a mapping",
+        )
+    _hash_new(ledger, _Room(lab.remote))
+    roots = (*(root_text(given) for given in paths_given), *(found.url for found in mirrors))
+    some_new = bool(ledger.number("SELECT EXISTS (SELECT 1 FROM looks WHERE settled)"))
+    return Found(roots, some_new, tuple(unmapped), tuple(notes))
+
+
+def source_of(
+    place: bytes, root: bytes, size: int, mtime_ns: int, file_format: str, state: str, *remote: Any
+) -> SourceFile:
+    """A file that was looked at, from its columns `SOURCE`; without its mapping, which `ingest.discover.with_mapping` finds."""
+    url, name, version, whole = remote
+    return SourceFile(
+        Path(os.fsdecode(place)),
+        Path(os.fsdecode(root)),
+        size,
+        mtime_ns,
+        file_format,
+        state,
+        remote=None if url is None else RemoteFile(url, name, size, mtime_ns, version, bool(whole)),
+    )
+
+
+def _booked(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
+    """The look at a file, with its content where it is as it was last time."""
+    path, remote = source_text(source), source.remote
+    identity = _identity(source)
+    known = ledger.row("SELECT size, mtime_ns, inode, sha256 FROM files WHERE path = ?", [path])
+    return (
+        None,
+        path,
+        os.fsencode(source.path),
+        os.fsencode(source.root),
+        source.size,
+        source.mtime_ns,
+        source.format,
+        source.state,
+        *((None,) * 4 if remote is None else (remote.url, remote.name, remote.version, remote.whole)),
+        mapping_hash(source),
+        *(identity or (None,) * 3),
+        known[3] if known is not None and known[:3] == identity else None,
+        None,
+        None,
+        False,
+        False,
+    )
+
+
+def _hash_new(ledger: Ledger, room: _Room) -> None:
+    """Reads the content of what is new or changed, some files at a time."""
+    last = 0
+    query = (
+        f"SELECT id, mtime_ns, {SOURCE} FROM looks WHERE id > ? AND sha256 IS NULL ORDER BY id LIMIT {_ASKED_AT_ONCE}"
+    )
+    with ThreadPoolExecutor(max_workers=min(8, 2 * (os.cpu_count() or 1))) as pool:
+        while some := list(ledger.each(query, [last])):
+            last = some[-1][0]
+            sources = [source_of(*row[2:]) for row in some]
+            still_growing = {id(one) for one in growing(one for one in sources if one.remote is None)}
+            for part in batches(zip(some, sources, strict=True), _AT_ONCE):
+                to_hash = [source for _, source in part if id(source) not in still_growing]
+                hashes = dict(zip(map(id, to_hash), pool.map(room.hashed, to_hash), strict=True))
+                hashed_at = time.time_ns()
+                for (look, mtime_ns, *_), source in part:
+                    content = hashes.get(id(source)) or PendingError(
+                        "the file is being written", where=source.path.name
+                    )
+                    _book_content(ledger, look, content, _settled(source, mtime_ns, hashed_at))
+
+
+def _book_content(ledger: Ledger, look: int, content: str | DealabError, settled: bool) -> None:
+    if isinstance(content, DealabError):
+        ledger.run(
+            "UPDATE looks SET problem = ?, refusal = ?, pending = ? WHERE id = ?",
+            [str(content), json.dumps(as_facts(content)), content.transient, look],
+        )
+    else:
+        ledger.run("UPDATE looks SET sha256 = ?, settled = ? WHERE id = ?", [content, settled, look])
+
+
+def _settled(source: SourceFile, mtime_ns: int | None, hashed_at: int) -> bool:
+    """Whether a file that is found as it was when it was hashed has the content that it had."""
+    marked = source.remote is not None and source.remote.whole
+    return mtime_ns is not None and (marked or hashed_at - mtime_ns > _SETTLED_NS)
+
+
+def _identity(source: SourceFile) -> tuple[int, int, int] | None:
+    """Size, time of change and inode, or what the store has in its place: another content has another of them."""
+    if source.remote is not None:
+        return source.remote.size, source.remote.mtime_ns, source.remote.version
+    try:
+        info = source.path.stat()
+    except OSError:
+        return None
+    return info.st_size, info.st_mtime_ns, info.st_ino
+
+
+class _Room:
+    """Place for fetched files between their hashing and their reading: what finds none is fetched again to be read."""
+
+    def __init__(self, folder: Path) -> None:
+        self._left = shutil.disk_usage(folder).free // 2 if folder.is_dir() else 0
+        self._lock = threading.Lock()
+
+    def hashed(self, source: SourceFile) -> str | DealabError:
+        """SHA-256 of a file's content, or why it cannot be had."""
+        if source.remote is None:
+            return _hashed(source)
+        try:
+            if not is_staged(source.path, source.remote):
+                fetch(source.remote, source.path)
+        except DealabError as error:
+            return error
+        content = _hashed(source)
+        young = time.time_ns() - source.mtime_ns < _YOUNG_NS
+        if young and not source.remote.whole and lacks_end(source.path, source.format):
+            content = PendingError("the file is being written", where=source.path.name)
+        with self._lock:
+            self._left -= source.size
+            full = self._left < 0
+        if full or isinstance(content, DealabError):
+            source.path.unlink(missing_ok=True)
+        return content
+
+
+def _hashed(source: SourceFile) -> str | DealabError:
+    """SHA-256 of a file's content, or why it cannot be had."""
+    try:
+        content = file_sha256(source.path)
+        check_unchanged(source.path, size=source.size, mtime_ns=source.mtime_ns)
+    except DealabError as error:
+        return error
+    except OSError as error:
+        return RefusedError(
+            f"the file cannot be read: {error.strerror or error}",
+            where=source.path.name,
+            remedy="Give this user the right to read it",
+        )
+    return content

@@ -1,0 +1,347 @@
+"""From a night's decisions to what changes in the lab: samples, quarantine, and the rows of the next snapshot."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from ingest.atomic import flush
+from ingest.discover import SourceFile
+from ingest.quarantine import quarantine, release
+from ingest.remote import forget, staged
+from pipeline.analyse.rows.recordings import as_json, recordings_rows
+from pipeline.lab.annotations import Annotation
+from pipeline.lab.journal import DAMAGED, FAILED, PENDING, QUARANTINED, entry_path, read_tables, unwritable
+from pipeline.lab.manifest import published as snapshot
+from pipeline.lab.paths import below, source_text
+from pipeline.lab.reader import Reader
+from pipeline.lab.snapshot import Changes, Deletion, Rows, Streamed, publish
+from pipeline.nightly.context import Context
+from pipeline.nightly.ledger import batches
+from pipeline.nightly.look import SOURCE, Found, source_of
+from pipeline.nightly.ownership import DUPLICATE
+from pipeline.nightly.planning import ANALYSED_SQL, ITEM
+from pipeline.nightly.stages import (
+    DIAGNOSIS,
+    DIAGNOSIS_TABLES,
+    GROUP,
+    GROUPS,
+    RECORDING,
+    RECORDING_TABLES,
+    SPECIMEN,
+    SPECIMEN_TABLES,
+    item_id,
+)
+from schemas.errors import DealabError, RefusedError
+from schemas.version import software_version
+
+_KEYS_AT_ONCE = 10_000
+"""Rows that one deletion names."""
+_ITEM = (
+    "item_id", "stage", "input_hash", "code_version", "settings_hash", "outcome", "seconds", "error", "notes",
+)  # fmt: skip
+_FILE = ("path", "size", "mtime_ns", "inode", "sha256")
+_ROW = "source_path, source_sha256, status, problem, recording_id, source_present, run_id"
+_AGAIN = f"EXISTS (SELECT 1 FROM outcomes o WHERE o.done AND o.item_id = {ITEM} source_sha256)"
+"""SQL condition on rows: their content was read tonight, or by a killed night."""
+_RESULTS = f"EXISTS (SELECT 1 FROM standing s WHERE s.results AND s.item_id = {ITEM} source_sha256)"
+"""SQL condition on rows: their content has results of its own in the lab."""
+_WITHOUT_RESULTS = f"FROM known WHERE status {ANALYSED_SQL} AND (NOT {_RESULTS} OR {_AGAIN})"
+"""Published recordings whose rows go: read again, no longer accepted, or forgotten."""
+_ITEMS_GONE = (
+    "FROM items i WHERE (EXISTS (SELECT 1 FROM outcomes o WHERE o.done AND o.item_id = i.item_id)"
+    " OR NOT EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id))"
+)
+"""Items whose entry goes: made again tonight, or about something that is no longer there."""
+
+
+@dataclass(frozen=True)
+class Night:
+    """A night whose plan is in the ledger."""
+
+    run_id: str
+    started_at: datetime
+    found: Found
+    annotations: Sequence[Annotation]
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Numbers of a run, named as the columns of `runs`."""
+
+    found: int
+    ingested: int
+    reused: int
+    quarantined: int
+    failed: int
+    damaged: int
+    duplicates: int
+    pending: int
+    unmapped: int
+
+
+def count(context: Context, night: Night) -> Counts:
+    """The numbers of a night."""
+    ledger = context.ledger
+    tonight = "FROM rows WHERE look IS NOT NULL"
+    statuses = dict(ledger.each(f"SELECT status, count(*) {tonight} GROUP BY status"))
+    contents = f"SELECT count(DISTINCT source_sha256) {tonight} AND source_sha256 IS NOT NULL AND"
+    return Counts(
+        found=ledger.number("SELECT count(*) FROM looks"),
+        ingested=ledger.number(f"{contents} {_AGAIN} AND {_RESULTS}"),
+        reused=ledger.number(f"{contents} NOT {_AGAIN}"),
+        quarantined=statuses.get(QUARANTINED, 0),
+        failed=len(failures(context)),
+        damaged=statuses.get(DAMAGED, 0),
+        duplicates=statuses.get(DUPLICATE, 0),
+        pending=statuses.get(PENDING, 0),
+        unmapped=len(night.found.unmapped),
+    )
+
+
+def failures(context: Context) -> dict[str, str]:
+    """Items that stand in the lab as failed, with the first line of their reason."""
+    errors = context.ledger.each(
+        "SELECT s.item_id, CASE WHEN o.item_id IS NULL THEN i.error ELSE o.error END FROM standing s"
+        " LEFT JOIN outcomes o ON o.done AND o.item_id = s.item_id LEFT JOIN items i ON i.item_id = s.item_id"
+        " WHERE s.results AND CASE WHEN o.item_id IS NULL THEN i.outcome ELSE o.outcome END = ? ORDER BY s.item_id",
+        [FAILED],
+    )
+    return {item: error.splitlines()[0] if error else "no reason given" for item, error in errors}
+
+
+def attention(context: Context) -> tuple[str, ...]:
+    """Every file that was refused or is damaged and every analysis that failed, with its reason."""
+    rows = context.ledger.each(
+        "SELECT r.status, r.source_path, r.problem FROM rows r JOIN looks l ON l.id = r.look"
+        " WHERE r.status IN (?, ?) ORDER BY l.place",
+        [QUARANTINED, DAMAGED],
+    )
+    files = [f"{status}: {path}: {problem}" for status, path, problem in rows]
+    return (*files, *(f"failed: {item}: {reason}" for item, reason in failures(context).items()))
+
+
+def made_again(context: Context) -> int:
+    """How many results the night made, or took over from a killed one."""
+    return context.ledger.number("SELECT count(*) FROM outcomes WHERE done")
+
+
+def missing(context: Context) -> int:
+    """How many known recordings have no file any more."""
+    return context.ledger.number("SELECT count(*) FROM rows WHERE NOT source_present")
+
+
+def publish_night(context: Context, night: Night) -> None:
+    """Puts samples and refused files in their place, publishes the database, and removes what no row speaks of any more.
+
+    Raises `LabError`; the published database is then as it was.
+    """
+    _place_samples(context)
+    _place_refused(context, night)
+    publish(context.lab, Changes(Streamed(_deletions, context, night), Streamed(_insertions, context, night)))
+    _remove_old_samples(context)
+
+
+# --- what changes -------------------------------------------------------------------------------------------------------
+
+
+def _deletions(context: Context, night: Night) -> Iterator[Deletion]:
+    """What goes, in parts that fit in memory."""
+    ledger, each = context.ledger, context.ledger.each
+    ledger.run("DELETE FROM going")
+    ledger.run(f"INSERT INTO going SELECT DISTINCT 'recording_id', recording_id {_WITHOUT_RESULTS}")
+    ledger.run(f"INSERT INTO going SELECT stage, item_id {_ITEMS_GONE}")
+    named = "SELECT name FROM going WHERE what = ?"
+    gone = each(
+        "SELECT source_path, source_sha256 FROM known k WHERE NOT EXISTS (SELECT 1 FROM rows r"
+        " WHERE r.source_path = k.source_path AND r.source_sha256 IS k.source_sha256 AND NOT r.changed)"
+    )
+    yield from _parts("recordings", ("source_path", "source_sha256"), gone)
+    for table, where in RECORDING_TABLES.items():
+        yield from _parts(table, ("recording_id",), each(named, ["recording_id"]), where)
+    for stage, tables in ((SPECIMEN, SPECIMEN_TABLES), (DIAGNOSIS, DIAGNOSIS_TABLES)):
+        begin = len(item_id(stage, ""))
+        for table, where in tables.items():
+            specimens = ((item[begin:],) for (item,) in each(named, [stage]))
+            yield from _parts(table, ("specimen_id",), specimens, where)
+    for name, group in GROUPS.items():
+        if ledger.row("SELECT 1 FROM going WHERE name = ?", [item_id(GROUP, name)]) is not None:
+            yield from (Deletion(table) for table in group.tables)
+    yield from _parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
+    yield from _parts("files", ("path",), ((path,) for path in _files_gone(context, night)))
+    yield Deletion("annotations")
+
+
+def _parts(
+    table: str, columns: Sequence[str], keys: Iterable[tuple[str | None, ...]], where: str = "true"
+) -> Iterator[Deletion]:
+    for some in batches(keys, _KEYS_AT_ONCE):
+        yield Deletion(table, dict(zip(columns, zip(*some, strict=True), strict=True)), where)
+
+
+def _files_gone(context: Context, night: Night) -> Iterator[str]:
+    found = context.ledger.each(
+        "SELECT path, EXISTS (SELECT 1 FROM looks l WHERE l.path = f.path),"
+        " EXISTS (SELECT 1 FROM looks l WHERE l.path = f.path AND settled) FROM files f"
+    )
+    for path, looked, again in found:
+        if again or (not looked and any(below(path, root) for root in night.found.roots)):
+            yield path
+
+
+def _insertions(context: Context, night: Night) -> Iterator[Mapping[str, Rows]]:
+    ledger = context.ledger
+    changed = f"SELECT {_ROW} FROM rows WHERE changed"
+    made = "FROM outcomes o JOIN standing s USING (item_id) WHERE o.done ORDER BY item_id"
+    for item, has_results in ledger.each(f"SELECT item_id, s.results {made}"):
+        tables = read_tables(entry_path(context.lab.journal, item))
+        read = tables.pop("recordings", None)
+        if read is not None:
+            (full,) = recordings_rows(read)
+            rows = ledger.each(f"{changed} AND source_sha256 = ?", [item.partition(":")[2]])
+            yield {"recordings": [_complete(night, row, full) for row in rows]}
+        if has_results:
+            yield tables
+    with snapshot(context.lab) as reader:
+        for some in batches(ledger.each(f"{changed} AND NOT {_AGAIN}")):
+            yield {"recordings": _as_published(night, some, reader)}
+    for some in batches(ledger.each(f"SELECT {', '.join(f'o.{name}' for name in _ITEM)} {made}")):
+        yield {"items": [{**dict(zip(_ITEM, row, strict=True)), "run_id": night.run_id} for row in some]}
+    for some in batches(ledger.each(f"SELECT {', '.join(_FILE)} FROM looks WHERE settled ORDER BY path")):
+        yield {"files": [dict(zip(_FILE, row, strict=True)) for row in some]}
+    yield {
+        "annotations": [{**asdict(one), "at": datetime.fromisoformat(one.at)} for one in night.annotations],
+        "runs": [_run_row(context, night)],
+    }
+
+
+def _as_published(night: Night, changed: Sequence[tuple[Any, ...]], reader: Reader | None) -> list[dict[str, Any]]:
+    """Changed rows of `recordings` that nothing was read for tonight, completed from what is published."""
+    contents = sorted({sha256 for _, sha256, *_ in changed if sha256})
+    published: dict[str, dict[str, Any]] = {}
+    if contents and reader is not None:
+        for full in reader.rows("recordings", None, "source_sha256", contents):
+            if full["status"] != DUPLICATE:
+                published[full["source_sha256"]] = full
+    return [_complete(night, row, published.get(row[1] or "", {})) for row in changed]
+
+
+def _complete(night: Night, row: Sequence[Any], full: Mapping[str, Any]) -> dict[str, Any]:
+    """A whole row of `recordings` from what the night says of it and what its content gave when it was read.
+
+    Not as an arrow table, which would cost an import of pandas.
+    """
+    said = dict(zip(_ROW.split(", "), row, strict=True))
+    return {
+        "software_version": software_version(),
+        **full,
+        **({"samples_path": None} if said["status"] in (DUPLICATE, QUARANTINED) else {}),
+        **said,
+        "source_present": bool(said["source_present"]),
+        "run_id": said["run_id"] or night.run_id,
+    }
+
+
+def _run_row(context: Context, night: Night) -> dict[str, Any]:
+    notes = [*night.found.notes, *(f"{path}: no mapping" for path in night.found.unmapped)]
+    stages = (RECORDING, SPECIMEN, DIAGNOSIS, GROUP)
+    return {
+        "run_id": night.run_id,
+        "started_at": night.started_at,
+        "finished_at": datetime.now(UTC),
+        "software_version": software_version(),
+        **asdict(count(context, night)),
+        "notes": json.dumps(notes, ensure_ascii=False),
+        "settings": as_json(context.settings.as_dict()),
+        "code_version": as_json({stage: context.version(stage)[0] for stage in stages}),
+    }
+
+
+# --- files --------------------------------------------------------------------------------------------------------------
+
+
+def _place_samples(context: Context) -> None:
+    """Moves the samples of accepted recordings from where the workers wrote them. Done twice, it does nothing twice."""
+    folders = set()
+    made = context.ledger.each(
+        f"SELECT r.sha256, o.samples_path FROM outcomes o JOIN readings r ON o.item_id = {ITEM} r.sha256"
+        " WHERE o.done AND r.accepted AND o.samples_path IS NOT NULL"
+    )
+    for sha256, relative in made:
+        waiting, place = context.lab.staged(sha256), context.lab.folder / relative
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            if waiting.exists():
+                waiting.replace(place)
+                folders.add(place.parent)
+        except OSError as error:
+            raise unwritable(place.parent, error) from error
+    for folder in folders:
+        flush(folder)
+
+
+def _place_refused(context: Context, night: Night) -> None:
+    """Copies newly refused files into quarantine, and releases files that have become good."""
+    each = context.ledger.each
+    source = ", ".join(f"l.{name.strip()}" for name in SOURCE.split(","))
+    refused = each(
+        f"SELECT l.sha256, w.problem, coalesce(r.refusal, l.refusal), {source} FROM rows w JOIN looks l ON l.id = w.look"
+        " LEFT JOIN readings r ON r.sha256 = l.sha256 WHERE w.changed AND w.status = ? ORDER BY l.place",
+        [QUARANTINED],
+    )
+    good = each(
+        f"SELECT DISTINCT {source} FROM known k JOIN looks l ON l.path = k.source_path WHERE k.status = ?"
+        " AND NOT EXISTS (SELECT 1 FROM rows w WHERE w.source_path = k.source_path AND w.status = ?)",
+        [QUARANTINED, QUARANTINED],
+    )
+    try:
+        for sha256, problem, refusal, *where in refused:
+            error = RefusedError(problem or "refused") if refusal is None else DealabError(**json.loads(refusal))
+            _quarantine(context, night, source_of(*where), sha256, error)
+        for there in (source_of(*where) for where in good):
+            release(_place(there) or there.path, context.lab.folder)
+    except OSError as error:
+        raise unwritable(context.lab.quarantine, error) from error
+
+
+def _quarantine(context: Context, night: Night, source: SourceFile, sha256: str | None, error: DealabError) -> None:
+    with staged(source.path, source.remote):
+        quarantine(source.path, context.lab.folder, error, sha256=sha256, when=night.started_at, place=_place(source))
+
+
+def _place(source: SourceFile) -> str | None:
+    """The address of a file that is here only for now."""
+    return None if source.remote is None else source_text(source)
+
+
+def _remove_old_samples(context: Context) -> None:
+    """Samples of recordings that were read again under another name, or are forgotten."""
+    old = context.ledger.each(
+        f"SELECT samples_path {_WITHOUT_RESULTS} AND samples_path IS NOT NULL AND samples_path NOT IN"
+        f" (SELECT o.samples_path FROM outcomes o JOIN readings r ON o.item_id = {ITEM} r.sha256"
+        " WHERE o.done AND r.accepted AND o.samples_path IS NOT NULL)"
+    )
+    root = context.lab.samples_folder.resolve()
+    for (relative,) in old:
+        path = (context.lab.folder / relative).resolve()
+        if root in path.parents:
+            path.unlink(missing_ok=True)
+
+
+def discard_work(context: Context) -> None:
+    """Removes the journal and what is half done, also by a killed night: all of it is published. The ledger removes itself."""
+    for place in (path for path in context.lab.work.iterdir() if path != context.lab.ledger):
+        with suppress(OSError), os.scandir(place) as found:  # one by one: to remove a folder lists all of it first
+            for one in found:
+                os.unlink(one.path)
+        if place.is_dir():
+            shutil.rmtree(place, ignore_errors=True)
+        else:
+            place.unlink(missing_ok=True)
+    forget(context.lab.remote)

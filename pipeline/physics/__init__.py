@@ -1,0 +1,1 @@
+"""Film, rig, hyperelasticity, excitation and least squares: written once, used by fit, simulate and diagnose."""

@@ -1,1 +1,0 @@
-"""The published database: build, check, publish, query."""

@@ -1,0 +1,325 @@
+"""A campaign's page: what it found, survival, force, its specimens beside the literature, what was refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from reports.blocks import (
+    Block,
+    Figure,
+    Fold,
+    Head,
+    Link,
+    Many,
+    Page,
+    Piece,
+    Row,
+    Section,
+    Table,
+    flow,
+    name,
+    separated,
+    tag,
+)
+from reports.evidence import Standing, curve, drawable, measured
+from reports.figures.plot import Scale, logarithmic
+from reports.figures.responses import Multiple, multiple
+from reports.findings import causes_named
+from reports.names import short
+from reports.pages import listing
+from reports.pages.campaign import comparing, conflicts, laws, literature, lives, places
+from reports.pages.draft import Draft
+from reports.pages.specimen import force
+from reports.results import Query, days
+from reports.results import Row as Record
+from reports.site import Site
+from reports.standings import of_campaign
+from schemas.mechanisms import model_name
+from schemas.numbers import ABSENT, capital, digits, joined, percent, pm, significant, word
+
+MOST = 24
+"""Small multiples on one page."""
+
+
+def page(site: Site, campaign: str) -> Page:
+    """The page of one campaign."""
+    draft = Draft(site, "campaign", campaign)
+    recordings = site.results.rows(
+        Query(
+            "SELECT recording_id, specimen_id, material, configuration, protocol, loading, started_at, duration_s, status, problem,\n"
+            "       notes, source_path, source_sha256, metadata, run_id, kind\nFROM recordings\nWHERE campaign = $campaign\n"
+            "ORDER BY started_at, recording_id, source_path",
+            {"campaign": campaign},
+        )
+    )
+    found = lives.load(draft)
+    used = [r for r in recordings if r["status"] in ("ok", "damaged")]
+    standings = of_campaign(site.results, campaign, used)
+    fitted = [s for s in standings if s.fit is not None or s.diagnosis is not None]
+    sections = [
+        s
+        for s in (
+            lives.survival(draft, found),
+            lives.groups(draft, found),
+            laws.voltage_life(draft, found.unit),
+            places.failures(draft, found),
+            _specimens(draft, fitted),
+            *literature.sections(draft, fitted, recordings),
+            force.section(
+                draft, "specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $item)", campaign
+            ),
+            comparing.forces(draft),
+            comparing.self_sensing(draft),
+            conflicts.section(draft),
+            _recordings(draft, recordings, found),
+        )
+        if s is not None
+    ]
+    run_id = _last_run(site, recordings)
+    heading, lede = _finding(draft, found, fitted, recordings)
+    return Page(
+        title=f"Campaign {short(campaign, 40)}",
+        heading=heading,
+        bar=site.bar("../", f"Campaign {short(campaign, 24)}"),
+        when=site.when(run_id),
+        crumbs=(Link("Last night", "../index.html"), Link("Campaign")),
+        lede=lede,
+        sub=_sub(campaign, recordings, found),
+        sections=tuple(sections),
+        provenance=(*site.provenance(run_id), listing.files(recordings[:500], f"{capital(digits(len(recordings), 'file'))} with SHA-256")),
+        files=draft.files,
+    )  # fmt: skip
+
+
+def _finding(
+    draft: Draft, found: lives.Lives, fitted: Sequence[Standing], recordings: Sequence[Record]
+) -> tuple[Piece, Piece]:
+    text = lives.headline(found)
+    if text:
+        law = laws.headline(draft)
+        return flow(capital(text), f"; {law[:1].lower()}{law[1:]}" if law else ""), lives.support(found)
+    who = flow("Campaign ", name(draft.item))
+    if fitted:
+        alarms = [s for s in fitted if s.alarm]
+        if alarms:
+            return flow(who, f": {word(len(alarms))} of {word(len(fitted))} specimens need a look"), causes_named(
+                fitted
+            )
+        verb = "is" if len(fitted) == 1 else "are"
+        return flow(
+            who, f": {word(len(fitted))} specimen{'s' if len(fitted) != 1 else ''} {verb} described within the noise"
+        ), _orders(fitted)
+    return flow(who, f": {digits(len(recordings), 'recording')}, no model fitted"), ""
+
+
+def _orders(fitted: Sequence[Standing]) -> str:
+    by_order: dict[int, list[str]] = {}
+    for s in fitted:
+        if s.fit is not None:
+            by_order.setdefault(s.fit["model_order"], []).append(short(s.specimen_id, 20))
+    return (
+        "; ".join(
+            f"{model_name(order)} model: {joined(names if len(names) <= 8 else [*names[:7], f'{len(names) - 7} more'])}"
+            for order, names in sorted(by_order.items())
+        )
+        + "."
+    )
+
+
+def _sub(campaign: str, recordings: Sequence[Record], found: lives.Lives) -> Piece:
+    used = [r for r in recordings if r["status"] in ("ok", "damaged", "excluded")]
+    times = [r["started_at"] for r in used if r["started_at"]]
+    parts: list[Piece] = [flow("Campaign ", name(campaign)), digits(len(used), "recording")]
+    refused = sum(r["status"] == "quarantined" for r in recordings)
+    damaged = sum(r["status"] == "damaged" for r in recordings)
+    if damaged:
+        parts.append(tag("damaged", f"{damaged} damaged, used in part"))
+    if refused:
+        parts.append(tag("refused", f"{refused} refused, not in these numbers"))
+    if found.lifetimes:
+        alive = sum(not r["failed"] for r in found.lifetimes)
+        parts.append(f"{digits(len(found.lifetimes), 'lifetime')}, {alive} alive at the end (censored)")
+    if times:
+        parts.append(days(min(times), max(times)))
+    return separated(parts)
+
+
+_SHARED = 1e7
+"""Ratio of frequencies up to which small multiples share their axes; beyond, each would be a dot on them."""
+
+
+def shared_scales(items: Sequence[Multiple]) -> tuple[Scale, Scale]:
+    """The axes that all small multiples of a page share."""
+    frequencies = [i.lines.frequency[i.lines.usable] for i in items]
+    values = [np.abs(i.lines.value[i.lines.usable]) for i in items]
+    return logarithmic(*frequencies, margin=0.04), logarithmic(*values, margin=0.1)
+
+
+def multiples(
+    site: Site, standings: Sequence[Standing], root: str, most: int = MOST
+) -> tuple[tuple[Figure, ...], bool]:
+    """Small responses of specimens, those with a finding first, and whether they share their axes."""
+    items: list[tuple[Standing, Multiple]] = []
+    for standing in sorted(standings, key=lambda s: (not s.alarm, s.specimen_id))[: 2 * most]:
+        found = measured(site.results, standing.specimen_id, "mechanical")
+        lines = found.film
+        if lines is None or lines.usable.sum() < 2 or len(items) >= most:
+            continue
+        drawn = (
+            curve(standing.fit, found, lines, standing.stated, points=60)
+            if standing.fit is not None and drawable(standing.fit)
+            else None
+        )
+        items.append((standing, Multiple(standing.specimen_id, lines, drawn, standing.alarm)))
+    if not items:
+        return (), True
+    x, y = shared_scales([m for _, m in items])
+    shared = x.high / x.low < _SHARED
+    axes = [(x, y) if shared else shared_scales([m]) for _, m in items]
+    return tuple(_multiple(site, s, m, *a, root) for (s, m), a in zip(items, axes, strict=True)), shared
+
+
+def _multiple(site: Site, standing: Standing, item: Multiple, x: Scale, y: Scale, root: str) -> Figure:
+    stiff = np.abs(item.lines.value[item.lines.usable])
+    noise = ""
+    if item.curve is not None:
+        rms = item.curve.residual.rms
+        noise = f"; the model leaves {significant(rms, 2)} SD, {'beyond' if standing.alarm else 'within'} the noise"
+    alt = f"{short(standing.specimen_id, 40)}: dynamic stiffness {significant(stiff[0], 2)} to {significant(stiff[-1], 2)} N/mm{noise}."
+    verdict: Piece = (
+        tag(standing.verdict) if standing.verdict else (tag("damaged", "beyond noise") if standing.alarm else "")
+    )
+    material = short(" ".join(p for p in (standing.material, standing.configuration) if p), 44)
+    second = material
+    if standing.verdict == "named" and standing.diagnosis:
+        second = ", ".join(str(m).replace("_", " ") for m in standing.diagnosis["mechanisms"] or [])
+    caption = flow(site.specimen(standing.specimen_id, root), " ", verdict, Markup("<br>"), second)
+    return Figure(multiple(item, x, y, alt=alt), caption, above=True)
+
+
+def _specimens(draft: Draft, fitted: Sequence[Standing]) -> Section | None:
+    if not fitted:
+        return None
+    blocks: list[Block | Fold] = []
+    figures, _ = multiples(draft.site, fitted, "../")
+    if figures:
+        blocks.append(Many(figures))
+    blocks.append(specimen_table(draft.site, "../", "r.campaign = $item", draft.item, "Specimens of the campaign"))
+    alarms = sum(s.alarm for s in fitted)
+    heading = f"{capital(word(len(fitted)))} specimen{'s' if len(fitted) != 1 else ''} with a model"
+    heading += f", {word(alarms)} to look at" if alarms else ", all within the noise"
+    return Section("specimens", heading, "Specimens", tuple(blocks))
+
+
+_SPECIMEN_SQL = """WITH used AS (
+    SELECT specimen_id, min(material) AS material, count(*) AS recordings
+    FROM recordings AS r
+    WHERE status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes' AND {where}
+    GROUP BY specimen_id
+), fit AS (
+    SELECT *, row_number() OVER (
+        PARTITION BY specimen_id
+        ORDER BY loading <> 'mechanical', loading <> 'joint', method <> 'forward') AS preference
+    FROM model_fits WHERE selected AND coalesce(extension, '') = ''
+)
+SELECT used.specimen_id, used.material, used.recordings, fit.model_order, fit.k0_n_per_mm, fit.k0_n_per_mm_sd,
+       fit.modulus_mpa, fit.reduced_chi2, d.verdict, d.mechanisms, d.gain
+FROM used
+LEFT JOIN fit ON fit.specimen_id = used.specimen_id AND fit.preference = 1
+LEFT JOIN diagnoses AS d ON d.specimen_id = used.specimen_id
+WHERE fit.specimen_id IS NOT NULL OR d.specimen_id IS NOT NULL
+ORDER BY d.verdict IS NULL OR d.verdict = 'none', used.specimen_id
+LIMIT {limit} OFFSET {offset}"""
+
+
+def specimen_table(
+    site: Site, root: str, where: str, value: str, caption: str, *, limit: int = 200, offset: int = 0
+) -> Table:
+    """Specimens with a model or a diagnosis, findings first."""
+    query = Query(
+        _SPECIMEN_SQL.format(where=where, limit=limit, offset=offset), {"item": value} if "$item" in where else {}
+    )
+    rows = []
+    found = site.results.rows(query)
+    diagnosed = any(r["verdict"] for r in found)
+    for r in found:
+        modulus_sd = None
+        if r["modulus_mpa"] and r["k0_n_per_mm"] and r["k0_n_per_mm_sd"]:
+            modulus_sd = r["modulus_mpa"] * r["k0_n_per_mm_sd"] / r["k0_n_per_mm"]
+        cells: list[Piece] = [
+            site.specimen(r["specimen_id"], root), short(r["material"] or ABSENT, 40), str(r["recordings"]),
+            ABSENT if r["model_order"] is None else str(r["model_order"]), pm(r["k0_n_per_mm"], r["k0_n_per_mm_sd"]),
+            pm(r["modulus_mpa"], modulus_sd), significant(r["reduced_chi2"]),
+        ]  # fmt: skip
+        if diagnosed:
+            cells += [
+                tag(r["verdict"]) if r["verdict"] else "not diagnosed",
+                ", ".join(r["mechanisms"] or []) or ABSENT,
+                percent(r["gain"]),
+            ]
+        rows.append(Row(tuple(cells)))
+    heads = [
+        Head("Specimen"), Head("Material"), Head("Recordings", "n"), Head("Order", "n"), Head("k₀, N/mm", "n"),
+        Head("Modulus, MPa", "n"), Head("Red. χ²", "n"),
+    ]  # fmt: skip
+    if diagnosed:
+        heads += [Head("Verdict"), Head("Cause"), Head("Gain", "n")]
+    below = "± is one standard deviation." + (
+        " Gain: share of the removable held-out error that the extension removes." if diagnosed else ""
+    )
+    return Table(caption, tuple(heads), tuple(rows), query.shown(), below=below)
+
+
+_PROTOCOL_SQL = """SELECT protocol, loading, kind, count(*) FILTER (WHERE status IN ('ok', 'damaged')) AS used,
+       count(*) FILTER (WHERE status = 'damaged') AS damaged, count(*) FILTER (WHERE status = 'quarantined') AS refused,
+       count(*) FILTER (WHERE status = 'excluded') AS excluded, count(DISTINCT specimen_id) AS specimens
+FROM recordings
+WHERE campaign = $campaign
+GROUP BY protocol, loading, kind
+ORDER BY protocol, loading, kind"""
+
+
+def _protocol(row: Record) -> str:
+    if row["protocol"]:
+        return f"{row['protocol']}, {row['loading'] or ABSENT}"
+    return f"table: {str(row['kind'] or 'unknown').replace('_', ' ')}"
+
+
+def _recordings(draft: Draft, recordings: Sequence[Record], found: lives.Lives) -> Section:
+    query = Query(_PROTOCOL_SQL, {"campaign": draft.item})
+    rows = tuple(
+        Row(
+            (
+                _protocol(r),
+                *(str(r[c]) for c in ("specimens", "used", "damaged", "refused", "excluded")),
+            )
+        )
+        for r in draft.results.rows(query)
+    )
+    heads = (Head("Protocol"), *(Head(t, "n") for t in ("Specimens", "Used", "of them damaged", "Refused", "Excluded")))
+    blocks: list[Block | Fold] = [Table("Recordings by protocol", heads, rows, query.shown(), kind="narrow")]
+    bad = [r for r in recordings if r["status"] in ("damaged", "quarantined", "excluded")]
+    if bad:
+        select = Query(
+            "SELECT recording_id, protocol, started_at, duration_s, status, problem, notes\nFROM recordings\n"
+            "WHERE campaign = $campaign AND status IN ('damaged', 'quarantined', 'excluded')\nORDER BY started_at, recording_id, source_path",
+            {"campaign": draft.item},
+        )
+        blocks.append(
+            listing.recordings(
+                draft.site, bad[:100], select, "Refused, damaged or excluded", note=f"{len(bad)} of {len(recordings)}"
+            )
+        )
+    table = lives.table(draft, found)
+    if table is not None:
+        blocks.append(table)
+    return Section("recordings", digits(len(recordings), "recording"), "Recordings", tuple(blocks))
+
+
+def _last_run(site: Site, recordings: Sequence[Record]) -> str | None:
+    order = {r["run_id"]: i for i, r in enumerate(site.runs)}
+    runs = [r["run_id"] for r in recordings if r["run_id"]]
+    return max(runs, key=lambda r: order.get(r, -1), default=None)

@@ -1,0 +1,211 @@
+"""The findings of a night: specimens to look at first, then points out of control, groups, and who behaves as simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from reports import findings
+from reports.blocks import (
+    Figure,
+    Finding,
+    Findings,
+    Piece,
+    Section,
+    Text,
+    bold,
+    flow,
+    link,
+    listed,
+    name,
+    separated,
+    tag,
+)
+from reports.evidence import Standing, curve, drawable, measured
+from reports.figures.responses import response
+from reports.names import short
+from reports.pages.campaign import lives
+from reports.pages.index import control
+from reports.pages.specimen import comparing_models, film
+from reports.site import CONTROL, SPECIMENS, Site
+from reports.standings import Brief, of_lab
+from schemas.mechanisms import cause
+from schemas.numbers import capital, digits, significant, word
+
+_WIDE = 2
+"""Findings that get a figure; the others are a paragraph."""
+_ALARMED, _MOST = 12, 20
+"""Specimens with a finding of their own, and findings altogether."""
+_SHARED = 3
+"""Specimens with the same cause from which on they have one finding together."""
+_POINTS = 2
+"""Points out of control with a finding of their own."""
+
+
+def section(site: Site, standings: Sequence[Brief], survival: Sequence[tuple[str, lives.Lives]]) -> Section | None:
+    rank = {"named": 0, "ambiguous": 1, "unknown": 2}
+    alarms = sorted((s for s in standings if s.alarm), key=lambda s: (rank.get(s.verdict, 3), s.specimen_id))
+    items: list[Finding] = []
+    shared = _sharing(alarms)
+    together = {s.specimen_id for group in shared for s in group}
+    alone = [s for s in alarms if s.specimen_id not in together]
+    told = (*(group[0] for group in shared), *alone[:_ALARMED])
+    full = {s.specimen_id: s for s in of_lab(site.results, [s.specimen_id for s in told])}
+    for group in shared:
+        items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
+    for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
+        wide = len([i for i in items if i.figure]) < _WIDE
+        items.append(_specimen_finding(site, standing, wide=wide))
+    if len(alone) > _ALARMED:
+        items.append(
+            Finding(
+                f"{len(alone) - _ALARMED} more specimens need a look",
+                (flow("They stand first in the ", link("list of specimens", SPECIMENS), "."),),
+                "open",
+            )
+        )
+    items += _out_of_control(site)
+    for campaign, found in survival:
+        text = lives.headline(found)
+        if text and len(items) < _MOST:
+            page = link(flow("Campaign ", name(campaign)), site.campaign_path(campaign))
+            title = (
+                f"{capital(text)}."
+                if lives.decisive(found.comparisons)
+                else flow("Campaign ", name(campaign), f": {text}.")
+            )
+            items.append(Finding(title, tuple(p for p in (lives.support(found), page) if p), "group"))
+    items += _quiet(site, [s for s in standings if not s.alarm])
+    if not items:
+        return None
+    counts = _verdicts(standings)
+    return Section("findings", "Findings", "Findings", (*((counts,) if counts else ()), Findings(tuple(items))))
+
+
+def _verdicts(standings: Sequence[Brief]) -> Text | None:
+    """How many specimens were diagnosed, and with which verdict; those that could not be asked too."""
+    asked = [s for s in standings if s.verdict]
+    mute = sum(s.unasked for s in standings)
+    if not asked and not mute:
+        return None
+    parts: list[Piece] = [
+        flow(f"{sum(s.verdict == verdict for s in asked)} ", tag(verdict))
+        for verdict in ("named", "ambiguous", "unknown", "none")
+    ]
+    if mute:
+        parts.append(f"{mute} could not be asked")
+    return Text(flow(f"{capital(digits(len(asked), 'specimen'))} diagnosed: ", separated(parts), "."), "sub")
+
+
+def _out_of_control(site: Site) -> list[Finding]:
+    """The latest points that leave their control limits."""
+    found = control.alarms(site)
+    more = len(found) - _POINTS
+    ending = f"{capital(digits(more, 'further point'))} out of control. " if more > 0 else ""
+    return [
+        Finding(
+            control.sentence(a), (flow(ending if i == _POINTS - 1 else "", link("Control charts", CONTROL)),), "open"
+        )
+        for i, a in enumerate(found[:_POINTS])
+    ]
+
+
+def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
+    body = [*findings.evidence(standing), link("The specimen's page", site.specimen_path(standing.specimen_id))]
+    figure = (_told_figure(site, standing) or _evidence_figure(site, standing)) if wide else None
+    return Finding(
+        findings.headline(standing),
+        tuple(body),
+        findings.kind(standing),
+        findings.what_next(standing.diagnosis),
+        figure,
+    )
+
+
+def _sharing(alarms: Sequence[Brief]) -> list[list[Brief]]:
+    """Specimens in which the same causes are named, where there are several: what they share is rather the rig."""
+    groups: dict[tuple[str, ...], list[Brief]] = {}
+    for standing in alarms:
+        if standing.verdict == "named":
+            groups.setdefault(standing.mechanisms, []).append(standing)
+    return [group for group in groups.values() if len(group) >= _SHARED]
+
+
+def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide: bool) -> Finding:
+    """One finding for all specimens with the same cause; sizes and evidence are those of the first."""
+    pages = [link(name(s.specimen_id), site.specimen_path(s.specimen_id)) for s in group]
+    body = (
+        flow(
+            listed(pages),
+            ": one cause in all of them, so rather in the rig than in the film. Of ",
+            name(first.specimen_id),
+            ":",
+        ),
+        *findings.evidence(first),
+    )
+    title = flow(f"{capital(word(len(group)))} specimens: {cause(first.diagnosis or {})}.")
+    return Finding(title, body, findings.kind(first), None, _told_figure(site, first) if wide else None)
+
+
+def _told_figure(site: Site, standing: Standing) -> Figure | None:
+    """Measured against both models where they part most, where there is a diagnosis."""
+    return comparing_models.foremost(site, standing.specimen_id) if standing.verdict else None
+
+
+def _evidence_figure(site: Site, standing: Standing) -> Figure | None:
+    """The specimen's response and residual, where there is one."""
+    found = measured(site.results, standing.specimen_id, "mechanical")
+    lines, fit = found.film, standing.fit
+    if lines is None or fit is None or lines.size < 3 or not drawable(fit):
+        return None
+    alt = f"Dynamic stiffness of {short(standing.specimen_id, 40)} with the {word(fit['model_order'])}-arm model, residual below."
+    curves = [curve(fit, found, lines, standing.stated)]
+    image = response(lines, None, curves, phase=False, alt=alt, alarm=True)
+    return Figure(
+        image, flow(bold("Response and residual"), " of the plain model. ", film.misfit_elsewhere(fit, curves))
+    )
+
+
+def _quiet(site: Site, standings: Sequence[Brief]) -> list[Finding]:
+    """Specimens without a finding, in one paragraph per kind of evidence."""
+    found: list[Finding] = []
+    diagnosed = [s for s in standings if s.verdict == "none"]
+    if diagnosed:
+        names = _names(site, diagnosed)
+        found.append(
+            Finding(
+                flow(names, ": the simulation is right within the noise."),
+                (flow(tag("none"), ". What would have been seen stands on each specimen's page."),), "fine",
+            )
+        )  # fmt: skip
+    judged = [s for s in standings if not s.verdict and s.order is not None]
+    unknown = [s for s in judged if s.chi2 is None]
+    by_order: dict[int, list[Brief]] = {}
+    for s in judged:
+        if s.order is not None and s.chi2 is not None:
+            by_order.setdefault(s.order, []).append(s)
+    for order, group in sorted(by_order.items(), reverse=True):
+        chi2 = [s.chi2 for s in group if s.chi2 is not None]
+        span = f"Reduced χ² {_span(chi2)}: nothing beyond the noise is left." if chi2 else ""
+        materials = sorted({s.material for s in group if s.material})
+        about = f" ({', '.join(materials[:4])})" if materials else ""
+        verb = "describes" if order == 1 else "describe"
+        title = flow(
+            f"{capital(word(order))} relaxation{'' if order == 1 else 's'} {verb} ", _names(site, group), f"{about}."
+        )
+        found.append(Finding(title, (span,) if span else (), "fine"))
+    if unknown:
+        title = flow(_names(site, unknown), ": fitted, but whether the misfit is noise is not known.")
+        found.append(Finding(title, ("Their recordings do not say how large their noise is.",), "group"))
+    return found
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = significant(min(values)), significant(max(values))
+    return low if low == high else f"{low} to {high}"
+
+
+def _names(site: Site, standings: Sequence[Brief]) -> Piece:
+    shown: list[Piece] = [site.specimen(s.specimen_id, "") for s in standings[:8]]
+    if len(standings) > 8:
+        shown.append(f"{len(standings) - 8} more")
+    return listed(shown)

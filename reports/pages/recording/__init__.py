@@ -1,0 +1,1 @@
+"""A recording's page and its parts."""

@@ -1,0 +1,1 @@
+"""A specimen's page and its parts."""

@@ -1,0 +1,375 @@
+"""The part of a specimen's page that says what the simulation gets wrong, why, and what mending it gains."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from reports.blocks import (
+    Block,
+    Figure,
+    Fold,
+    Head,
+    Heading,
+    Next,
+    Pair,
+    Piece,
+    Row,
+    Section,
+    Table,
+    Text,
+    bar,
+    bold,
+    code,
+    flow,
+    sub,
+)
+from reports.evidence import Standing
+from reports.features import COLUMNS, kind_of
+from reports.figures import diagnosis as figures
+from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
+from reports.names import short, visible
+from reports.pages.draft import Draft
+from reports.pages.specimen import comparing_models
+from reports.results import Query
+from reports.results import Row as Record
+from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
+from schemas.mechanisms import severity as severity_words
+from schemas.numbers import ABSENT, UNRESOLVED, capital, compact, digits, p_value, percent, pm, significant, whole
+
+_DECISIVE = 9.2
+"""2Δ ln L by which a cause must lead to stand alone."""
+_CLEAR = 0.01
+_WORST, _ROWS = 6, 40
+_MAPPED = 32
+_PARTS = 13
+"""Parts left out that are drawn, all of them together first; the others are in the figure's data."""
+
+
+def section(draft: Draft, standing: Standing) -> Section | None:
+    """The whole diagnosis; the reasons where none could be made; None where none was asked for."""
+    d = standing.diagnosis
+    if d is None:
+        if not standing.unasked:
+            return None
+        reasons = tuple(Text(_sentence(capital(reason))) for reason in standing.unasked)
+        return Section("diagnosis", "Diagnosis: these recordings could not be asked", "Diagnosis", reasons)
+    blocks: list[Block | Fold] = [Text(piece) for piece in evidence(standing)]
+    blocks += _wrong(draft, d)
+    blocks += comparing_models.blocks(draft, d)
+    blocks += _candidates(draft, d)
+    blocks += _gain(draft, d)
+    blocks += _film(draft, d)
+    following = what_next(d)
+    if following:
+        blocks.append(Next(following.title, flow(_sentence(capital(str(following.body))), _separation(d))))
+    blocks += _visible(draft, d)
+    return Section("diagnosis", _heading(d, standing), "Diagnosis", tuple(blocks))
+
+
+def _heading(d: Record, standing: Standing) -> str:
+    return {
+        "named": f"Diagnosis: {what_is_wrong(standing)}",
+        "ambiguous": "Diagnosis: more than one cause explains the misfit",
+        "unknown": "Diagnosis: the simulation is wrong, and no listed cause explains it",
+    }.get(d["verdict"], "Diagnosis: the simulation is right within the noise")
+
+
+def _separation(d: Record) -> str:
+    value = d["next_separation"]
+    if value is None:
+        return ""
+    return f" Expected: {significant(value, 2)} more in 2Δ ln L between the two closest causes; {_DECISIVE} decides."
+
+
+_DISCREPANCY_SQL = """SELECT recording_id, where_found, chi2, degrees_of_freedom, p_value, statement
+FROM discrepancies
+WHERE specimen_id = $specimen
+ORDER BY p_value, chi2 / degrees_of_freedom DESC, recording_id, where_found, statement"""
+_BLOCK_SQL = """SELECT recording_id, kind, block, feature_count, plain_rms, extended_rms
+FROM diagnosis_blocks
+WHERE specimen_id = $specimen
+ORDER BY recording_id, position"""
+
+
+def _wrong(draft: Draft, d: Record) -> list[Block | Fold]:
+    """Residuals by recording and kind, before and after; the worst places in words."""
+    maps = _maps(draft, d)
+    query = Query(_DISCREPANCY_SQL, {"specimen": draft.item})
+    found = draft.results.rows(query)
+    worst = [r for r in found if r["p_value"] is not None and r["p_value"] < _CLEAR]
+    if not maps and not worst:
+        return []
+    blocks: list[Block | Fold] = [Heading("What the simulation gets wrong"), *maps]
+    if worst:
+        heads = (Head("Recording"), Head("What", "text"), Head("χ²", "n"), Head("d.f.", "n"), Head("p", "n"))
+        rows = [
+            Row(
+                (
+                    draft.site.recording(r["recording_id"]), visible(r["statement"] or r["where_found"] or ""),
+                    significant(r["chi2"]), compact(r["degrees_of_freedom"]), p_value(r["p_value"]),
+                )
+            )
+            for r in worst[:_ROWS]
+        ]  # fmt: skip
+        note = f"{len(worst)} of {digits(len(found), 'place')} beyond the noise at p < 0.01, the worst first"
+        blocks.append(Table("Where it is wrong", heads, tuple(rows[:_WORST]), query.shown(), note))
+        if len(rows) > _WORST:
+            more = Table("Where else", heads, tuple(rows[_WORST:]))
+            blocks.append(Fold(f"The next {whole(len(rows) - _WORST)} places", (more,)))
+    return blocks
+
+
+def _maps(draft: Draft, d: Record) -> list[Block]:
+    query = Query(_BLOCK_SQL, {"specimen": draft.item})
+    found = draft.results.rows(query)
+    if not found:
+        return []
+    after = all(r["extended_rms"] is not None for r in found)
+    recordings = list(dict.fromkeys(r["recording_id"] for r in found))
+    present = {kind_of(r["kind"]).column for r in found}
+    columns = [c for c in COLUMNS if c in present] + sorted(present - set(COLUMNS))
+    maps = {name: _rms(found, recordings, columns, name) for name in ("plain_rms", "extended_rms")}
+    if len(recordings) > _MAPPED:
+        worst = np.sort(np.argsort(-np.nanmax(maps["plain_rms"], axis=1), kind="stable")[:_MAPPED])
+        recordings = [recordings[i] for i in worst]
+        maps = {name: values[worst] for name, values in maps.items()}
+    common = _common_start(recordings)
+    names = [r.removeprefix(common) or r for r in recordings]
+    data = draft.data("diagnosis_blocks", {n: [r[n] for r in found] for n in found[0]})
+    count = sum(r["feature_count"] for r in found)
+    pictures = []
+    for column, title, chi2 in (
+        ("plain_rms", "Plain model", d["chi2"]),
+        ("extended_rms", "Extended model", d["chi2_extended"]),
+    ):
+        if column == "extended_rms" and not after:
+            continue
+        total = f" χ² {significant(chi2)} for {whole(count)} values." if chi2 is not None else ""
+        i, j = np.unravel_index(int(np.nanargmax(maps[column])), maps[column].shape)
+        peak = f"Largest: {significant(float(maps[column][i, j]), 2)} times the noise, {columns[j]} of {short(names[i], 40)}."
+        image = figures.residual_map(
+            maps[column], names, columns, f"{title}: residual, SD of the noise",
+            alt=f"{title}: root mean square residual by recording and quantity. {peak}",
+        )  # fmt: skip
+        pictures.append(
+            Figure(image, flow(bold(f"{title}."), f"{total} {peak} 1 is noise alone; dot: not measured."), data)
+        )
+    return [Pair(tuple(pictures))] if len(pictures) > 1 else list(pictures)
+
+
+def _rms(found: list[Record], recordings: list[str], columns: list[str], name: str) -> np.ndarray:
+    """(recordings, columns) root mean square residual, pooled over the blocks of a recording."""
+    total, count = np.zeros((2, len(recordings), len(columns)))
+    row, column = ({n: i for i, n in enumerate(names)} for names in (recordings, columns))
+    for r in found:
+        if r[name] is not None:
+            at = row[r["recording_id"]], column[kind_of(r["kind"]).column]
+            total[at] += r["feature_count"] * r[name] ** 2
+            count[at] += r["feature_count"]
+    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)))
+
+
+def _common_start(names: list[str]) -> str:
+    """What all recordings of the specimen begin with, up to a separator."""
+    if len(names) < 2:
+        return ""
+    first, last = min(names), max(names)
+    n = next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), min(len(first), len(last)))
+    cut = max(first[:n].rfind(c) for c in "_-. ")
+    return first[: cut + 1]
+
+
+_CANDIDATES_SQL = """SELECT mechanism, gain_lower, gain_upper, held_out_error, likelihood_ratio, max(likelihood_ratio) OVER () - likelihood_ratio AS behind, probability,
+       explained, severity, severity_sd, gain, form, equation
+FROM diagnosis_candidates
+WHERE specimen_id = $specimen
+ORDER BY probability DESC, likelihood_ratio DESC, held_out_error, mechanism, form"""
+
+
+def _candidates(draft: Draft, d: Record) -> list[Block]:
+    query = Query(_CANDIDATES_SQL, {"specimen": draft.item})
+    found = draft.results.rows(query)
+    if not found or d["verdict"] == "none":
+        return []
+    if all(r["likelihood_ratio"] is None for r in found):
+        return _places(d, found, query)
+    near = sum(r["behind"] is not None and r["behind"] < _DECISIVE for r in found)
+    rows = []
+    for r in found:
+        chosen = r["mechanism"] in (d["mechanisms"] or [])
+        share: Piece = ABSENT if r["explained"] is None else bar(r["explained"], chosen=chosen)
+        rows.append(
+            Row(
+                (
+                    flow(plain_name(r["mechanism"]), Markup("<br>"), code(r["mechanism"])),
+                    significant(r["likelihood_ratio"]), "best" if r["behind"] == 0 else significant(r["behind"], 3),
+                    percent(r["probability"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"]),
+                ),
+                "sel" if chosen else "dim",
+            )
+        )  # fmt: skip
+    heads = (
+        Head("Cause"), Head("2Δ ln L", "n"), Head("Behind the best", "n"), Head("Probability", "n"),
+        Head("Share of the misfit explained", "barcell"), Head("Severity"),
+    )  # fmt: skip
+    note = f"best {len(found)} of {LISTED_CAUSES}; within {_DECISIVE} of the best: {near}"
+    below = (
+        "2Δ ln L: fall of χ², with each model’s form allowed to be a little wrong. “Best of the listed causes” is what this"
+        " can show."
+    )
+    blocks: list[Block] = [
+        Heading("Why: the causes, ranked"),
+        Table("Each cause alone, refitted together with the film", heads, tuple(rows), query.shown(), note, below),
+    ]
+    by_id = {r["mechanism"]: r for r in found}
+    for mechanism, parameters in nested(d["severity"]).items():
+        equation = by_id.get(mechanism, {}).get("equation")
+        words = [plain_name(mechanism), " (", code(mechanism), "): ", severity_words(mechanism, parameters), "."]
+        blocks.append(Text(flow(*words, f" Equation: {visible(equation)}." if equation else "")))
+    for text in d["unexplained"] or ():
+        blocks.append(Text(flow(bold("Not explained: "), visible(text))))
+    return blocks
+
+
+def _places(d: Record, found: Sequence[Record], query: Query) -> list[Block]:
+    """Causes that were judged by what they predict of a part that they were not fitted to, best first."""
+    possible = {d["mechanism"], *(d["also_possible"] or ())}
+    rows = []
+    for r in found:
+        chosen = r["mechanism"] in possible and r["gain_lower"] is not None and r["gain_lower"] > 0
+        rows.append(
+            Row(
+                (
+                    flow(plain_name(r["mechanism"]), Markup("<br>"), visible(r["form"]) if r["form"] else code(r["mechanism"])),
+                    significant(r["held_out_error"], 3), percent(r["gain"]),
+                    f"{percent(r['gain_lower'])} to {percent(r['gain_upper'])}",
+                    ABSENT if r["explained"] is None else bar(r["explained"], chosen=chosen),
+                    candidate(r["mechanism"], r["severity"], r["severity_sd"]),
+                ),
+                "sel" if chosen else "dim",
+            )
+        )  # fmt: skip
+    heads = (
+        Head("Cause"), Head("Held-out error, SD", "n"), Head("Gain", "n"), Head("95 % interval", "n"),
+        Head("Share of the misfit explained", "barcell"), Head("Severity"),
+    )  # fmt: skip
+    below = (
+        "Each cause was fitted to a part of the record and had to predict the rest; the gain is the share of the removable error"
+        " there. The last two columns are of fits to everything: what follows what it has seen explains nothing yet."
+    )
+    note = f"the plain model errs by {significant(d['held_out_error_before'], 3)} times the noise"
+    return [
+        Heading("Why: the causes, by what they predict"),
+        Table(
+            "Each cause alone, refitted together with the rest of the model",
+            heads,
+            tuple(rows),
+            query.shown(),
+            note,
+            below,
+        ),
+        *(Text(flow(bold("Left: "), visible(_sentence(capital(text))))) for text in d["unexplained"] or ()),
+    ]
+
+
+def _gain(draft: Draft, d: Record) -> list[Block]:
+    before, after = d["held_out_error_before"], d["held_out_error_after"]
+    if before is None:
+        return []
+    parts = sorted(json.loads(d["held_out_parts"] or "{}").items(), key=lambda part: -part[1]["before"])
+    names = ["all together", *(name for name, _ in parts)]
+    first = [before, *(p["before"] for _, p in parts)]
+    second = [after, *(p["after"] for _, p in parts)]
+    words = f"{significant(before, 2)} times the noise with the plain model"
+    if after is not None:
+        words += f", {significant(after, 2)} with the extended one"
+    address = draft.data("diagnosis_held_out", {"left_out": names, "plain": first, "extended": second})
+    caption = flow(
+        bold(
+            f"Gain {gain(d)} of the removable held-out error."
+            if d["gain"] is not None
+            else "No gain is stated: on these data the plain model errs by little more than the noise."
+        ),
+        " Each part was left out of the fit and predicted; grey band: what noise alone gives.",
+    )
+    alt = f"Error of predicting held-out data: {words}."
+    return [
+        Heading("What the extension gains"),
+        Figure(figures.held_out(names[:_PARTS], first[:_PARTS], second[:_PARTS], alt=alt), caption, address),
+    ]
+
+
+_FILM_SQL = """SELECT parameter, unit, plain, plain_sd, extended, extended_sd, moved_sd
+FROM diagnosis_parameters
+WHERE specimen_id = $specimen
+ORDER BY parameter"""
+
+
+def _film(draft: Draft, d: Record) -> list[Block]:
+    """How far the film's parameters move when the cause is in the model."""
+    query = Query(_FILM_SQL, {"specimen": draft.item})
+    found = draft.results.rows(query)
+    if not found or d["verdict"] == "none":
+        return []
+    rows = tuple(
+        Row(
+            (
+                _symbol(r["parameter"]), r["unit"], _or_absent(r["plain"], r["plain_sd"]),
+                _or_absent(r["extended"], r["extended_sd"]), significant(r["moved_sd"], 2),
+            )
+        )
+        for r in found
+    )  # fmt: skip
+    heads = (Head("Parameter"), Head("Unit"), Head("Plain", "n"), Head("Extended", "n"), Head("Moved by, SD", "n"))
+    moved = max((r["moved_sd"] for r in found if r["moved_sd"] is not None), default=0.0)
+    note = "ignoring the cause biases the film" if moved > 2 else "the film stays where it was"
+    table = Table("The film in the plain and in the extended model", heads, rows, query.shown(), note, kind="narrow")
+    return [table]
+
+
+def _symbol(parameter: str) -> Piece:
+    name = parameter.rstrip("0123456789")
+    symbol = {"tau": "τ", "c_inf": "c"}.get(name, name)
+    index = parameter.removeprefix(name) if name != "c_inf" else "∞"
+    return sub(symbol, index)
+
+
+def _or_absent(value: float | None, sd: float | None) -> str:
+    """Value ± SD; where the SD is as large as the value, the word for it: a ± would be false."""
+    if value is None:
+        return ABSENT
+    return UNRESOLVED if sd is not None and sd >= abs(value) else pm(value, sd)
+
+
+def _visible(draft: Draft, d: Record) -> list[Block]:
+    """What would have been seen, what these recordings cannot show, and what could not be asked."""
+    smallest = nested(d["smallest_detectable"])
+    invisible = list(d["invisible"] or [])
+    query = Query(
+        "SELECT smallest_detectable, invisible\nFROM diagnoses\nWHERE specimen_id = $specimen", {"specimen": draft.item}
+    )
+    rows = [
+        Row((flow(plain_name(m), Markup("<br>"), code(m)), amount(m, p, value), parameter_words(m, p)))
+        for m, parameters in smallest.items()
+        for p, value in main(m, parameters).items()
+    ]
+    rows += [Row((flow(plain_name(m), Markup("<br>"), code(m)), "cannot be seen", ABSENT), "dim") for m in invisible]
+    blocks: list[Block] = []
+    if rows:
+        heads = (Head("Cause"), Head("Severity"), Head("Of"))
+        table = Table(
+            "Smallest effects that these recordings would have shown", heads, tuple(rows), query.shown(),
+            "with 80 % probability at the false-alarm level in use", kind="narrow",
+        )  # fmt: skip
+        blocks += [Heading("What would have been seen, and what could not"), table]
+    if d["could_not_ask"]:
+        blocks.append(Text(flow(bold("Not asked. "), " ".join(_sentence(text) for text in d["could_not_ask"]))))
+    return blocks
+
+
+def _sentence(text: str) -> str:
+    return visible(text).rstrip(".") + "."

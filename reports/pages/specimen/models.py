@@ -1,0 +1,243 @@
+"""The parts of a specimen's page about its models: order and parameters."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from reports.blocks import Head, Piece, Row, Section, Table, Text, code, filled, flow, sub
+from reports.evidence import beyond_noise, extended, siblings
+from reports.figures.curves import Arm, arms, relaxation_time_sd
+from reports.findings import sentences
+from reports.names import visible
+from reports.pages.draft import Draft
+from reports.results import Query
+from reports.results import Row as Record
+from schemas.mechanisms import model_name
+from schemas.numbers import ABSENT, NBSP, capital, compact, headline, ordinal, p_equals, p_value, pm, significant, whole
+
+_ORDER_SQL = """SELECT model_order, reduced_chi2, bic - min(bic) OVER () AS delta_bic, order_p_value, magnitude_error_n_per_mm,
+       phase_error_deg, held_out_error, selected
+FROM model_fits
+WHERE specimen_id = $specimen AND loading = $loading AND method = $method AND coalesce(extension, '') = ''
+ORDER BY model_order"""
+
+
+def order(draft: Draft, fits: Sequence[Record], chosen: Record) -> Section:
+    """What each order leaves, and why the chosen one was chosen."""
+    query = Query(_ORDER_SQL, {"specimen": draft.item, "loading": chosen["loading"], "method": chosen["method"]})
+    rows = []
+    for r in draft.results.rows(query):
+        label: Piece = f"{r['model_order']} ✓ selected" if r["selected"] else str(r["model_order"])
+        rows.append(
+            Row(
+                (
+                    label,
+                    significant(r["reduced_chi2"]),
+                    _difference(r["delta_bic"]),
+                    p_value(r["order_p_value"]),
+                    significant(r["magnitude_error_n_per_mm"], 2),
+                    significant(r["phase_error_deg"], 2),
+                    significant(r["held_out_error"], 2),
+                ),
+                "sel" if r["selected"] else "",
+            )
+        )
+    heads = (
+        Head("Order"), Head("Red. χ²", "n"), Head("ΔBIC", "n"), Head("p, next not needed", "n"),
+        Head("Magnitude error, N/mm", "n"), Head("Phase error, °", "n"), Head("Held-out error, SD", "n"),
+    )  # fmt: skip
+    below = "The first order is the standard linear solid (Zener), which the thesis calls Kelvin–Voigt."
+    if chosen["magnitude_error_n_per_mm"] is not None:
+        below = (
+            "Errors: mean absolute difference of magnitude and of phase (thesis, eq 4.14) over the usable ones of"
+            f" {whole(chosen['frequency_lines'])} lines from {compact(chosen['frequency_low_hz'])} to"
+            f" {compact(chosen['frequency_high_hz'])}{NBSP}Hz; they depend on that grid. {below}"
+        )
+    rules = _rules(chosen)
+    below = f"{rules} {below}" if rules else below
+    kept, shown = filled(heads, rows)
+    table = Table(
+        "Evidence for the order of the model", kept, shown, query.shown(), _method_note(chosen), below, "narrow"
+    )
+    return Section("order", _order_heading(fits, chosen), "Order", (table,))
+
+
+_RULES = {"test": "likelihood-ratio test", "bic": "BIC", "held_out": "held-out error"}
+
+
+def _rules(chosen: Record) -> str:
+    """What each rule would choose."""
+    try:
+        choices = json.loads(chosen["choices"] or "{}")
+        texts = [f"{_RULES.get(rule, rule)}: {int(order)}" for rule, order in choices.items()]
+    except (ValueError, TypeError, AttributeError):
+        return ""
+    return f"Order that each rule chooses: {visible(', '.join(texts))}." if texts else ""
+
+
+_HOW = {
+    "forward": "fitted forward, rig inside the model",
+    "corrected": "fitted to the corrected response",
+    "time_domain": "fitted in time",
+}
+
+
+def _method_note(chosen: Record) -> str:
+    return f"{chosen['loading']}, {_HOW.get(chosen['method'], visible(chosen['method'] or ''))}"
+
+
+def _difference(delta: float | None) -> str:
+    """A difference of BIC: whole, and as a power of ten where only its size matters."""
+    if delta is None:
+        return ABSENT
+    return whole(round(delta)) if delta < 1e6 else significant(delta, 2)
+
+
+_MORE = 1e-3
+"""p of the highest order against the next below which that makes the heading; the fit's own remark has the same."""
+
+
+def _order_heading(fits: Sequence[Record], chosen: Record) -> str:
+    orders = [f["model_order"] for f in siblings(fits, chosen)]
+    following = ordinal(chosen["model_order"] + 1)
+    p = chosen["order_p_value"]
+    if p is not None and p >= 0.01 and chosen["model_order"] < max(orders):
+        return f"A {following} relaxation would gain nothing"
+    if p is not None and p < _MORE and chosen["model_order"] == max(orders):
+        return f"{capital(ordinal(chosen['model_order']))} order is chosen; a {following} would fit better still ({p_equals(p)})"
+    if chosen["model_order"] == max(orders):
+        return f"{capital(ordinal(chosen['model_order']))} order is chosen, the highest that was tried"
+    return f"{capital(ordinal(chosen['model_order']))} order is chosen"
+
+
+def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Mapping[str, Any]) -> Section:
+    """The chosen model in numbers; beside it the extended one where there is one."""
+    after = extended(fits, chosen)
+    query = Query(
+        "SELECT *\nFROM model_fits\nWHERE specimen_id = $specimen AND loading = $loading AND method = $method"
+        " AND model_order = $order AND coalesce(extension, '') IN ('', $extension)",
+        {
+            "specimen": draft.item, "loading": chosen["loading"], "method": chosen["method"],
+            "order": chosen["model_order"], "extension": (after or chosen)["extension"] or "",
+        },
+    )  # fmt: skip
+    filed = {c: _filed(stated, c) for c in _RIG if _filed(stated, c) and chosen[c] is not None}
+    rows = [Row(cells) for cells in _parameter_rows(chosen, after, filed)]
+    heads = [Head("Parameter"), Head("Unit"), Head("Value" if after is None else "Plain", "n")]
+    if after is not None:
+        heads += [Head("Extended", "n"), Head("Moved by, SD", "n")]
+    heads.append(Head("Relaxation time, s", "n"))
+    if filed:
+        heads.append(Head("In the file", "n"))
+    caption = f"{capital(model_name(chosen['model_order']))} model"
+    if after is not None:
+        caption += ", plain and extended"
+    table = Table(
+        caption,
+        tuple(heads),
+        tuple(rows),
+        query.shown(),
+        _method_note(chosen),
+        _parameter_note(chosen, after),
+        "narrow",
+    )
+    heading: Piece = "Parameters"
+    if chosen["modulus_mpa"]:
+        heading = flow("Parameters: modulus ", headline(chosen["modulus_mpa"], _modulus_sd(chosen), "MPa"))
+    return Section("parameters", heading, "Parameters", (table,))
+
+
+_RIG = ("clamp_mass_kg", "load_cell_stiffness_n_per_mm", "load_cell_damping_n_s_per_mm")
+
+
+def _filed(stated: Mapping[str, Any], column: str) -> str:
+    """A constant as the rig's file states it, with its SD where that is stated too."""
+    try:
+        value = float(stated[column])
+    except (KeyError, TypeError, ValueError):
+        return ""
+    try:
+        return pm(value, float(stated[f"{column}_sd"]))
+    except (KeyError, TypeError, ValueError):
+        return compact(value)
+
+
+def _modulus_sd(row: Record) -> float | None:
+    """The modulus is proportional to k0; the geometry is taken as exact."""
+    if not row["k0_n_per_mm"] or row["k0_n_per_mm_sd"] is None:
+        return None
+    return float(row["modulus_mpa"] * row["k0_n_per_mm_sd"] / row["k0_n_per_mm"])
+
+
+def _parameter_rows(chosen: Record, after: Record | None, filed: Mapping[str, str]) -> list[tuple[Piece, ...]]:
+    found: list[tuple[Piece, str, str, str]] = [(sub("k", 0), "N/mm", "k0_n_per_mm", "")]
+    for i, arm in enumerate(arms(chosen), 1):
+        tau = _time(chosen, i, arm)
+        found.append((sub("k", i), "N/mm", f"k{i}_n_per_mm", tau))
+        found.append((sub("c", i), "N s/mm", f"c{i}_n_s_per_mm", ""))
+    found += [
+        ("clamp mass", "kg", "clamp_mass_kg", ""),
+        (flow(sub("k", "L"), ", load cell"), "N/mm", "load_cell_stiffness_n_per_mm", ""),
+        (flow(sub("c", "L"), ", load cell"), "N s/mm", "load_cell_damping_n_s_per_mm", ""),
+        ("force over V²", "N/kV²", "force_per_voltage_squared_n_per_kv2", ""),
+    ]
+    rows = []
+    for label, unit, column, tau in found:
+        values = [r[column] for r in (chosen, after) if r is not None]
+        if all(v is None for v in values) and not column.startswith("k"):
+            continue
+        if column.startswith(("load", "clamp", "force")) and all(v is None for v in values):
+            continue
+        cells: list[Piece] = [label, unit, _estimate(chosen, column, tau)]
+        if after is not None:
+            cells += [_estimate(after, column, ""), _moved(chosen, after, column)]
+        cells.append(tau if tau != "pure dashpot" else ABSENT)
+        rows.append((*cells, filed.get(column, "")) if filed else tuple(cells))
+    return rows
+
+
+def _time(chosen: Record, index: int, arm: Arm) -> str:
+    if arm.tau is None:
+        return "pure dashpot"
+    sd = relaxation_time_sd(chosen, index)
+    return significant(arm.tau) if sd is None else pm(arm.tau, sd)
+
+
+def _estimate(row: Record, column: str, tau: str) -> str:
+    if row[column] is None:
+        return "rigid: pure dashpot" if tau == "pure dashpot" else ABSENT
+    return pm(row[column], row[f"{column}_sd"])
+
+
+def _moved(before: Record, after: Record, column: str) -> str:
+    sds = [r[f"{column}_sd"] for r in (before, after)]
+    if before[column] is None or after[column] is None or any(sd is None for sd in sds):
+        return ABSENT
+    combined = float(np.hypot(*sds))
+    return significant(abs(after[column] - before[column]) / combined, 2) if combined else ABSENT
+
+
+def _parameter_note(chosen: Record, after: Record | None) -> Markup:
+    parts: list[Piece] = ["± is one standard deviation, scaled by √(reduced χ²) where that exceeds 1."]
+    if beyond_noise(chosen):
+        parts.append(" The residual is not noise, so ± does not hold all of the error.")
+    if after is not None:
+        parts.append(flow(" Extended by ", code(after["extension"]), "."))
+    if chosen["modulus_mpa"]:
+        parts.append(" Modulus: k₀ times stretched length over stretched area, geometry taken as exact.")
+    if chosen["warnings"]:
+        parts.append(f" {sentences(chosen['warnings'])}")
+    else:
+        parts.append(" No bound is active.")
+    return flow(*parts)
+
+
+def without_model(fits: Sequence[Record]) -> Text | None:
+    """Why no fit was chosen, where fits were tried."""
+    warnings = sorted({visible(f["warnings"]) for f in fits if f["warnings"]})
+    return Text("No order was selected: " + "; ".join(warnings), "sub") if warnings else None

@@ -1,0 +1,1 @@
+"""Files, labs and machines that several tests need."""
