@@ -9,17 +9,16 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ingest.columns import ColumnFile, Float, Numbers
+from ingest.columns import ColumnFile, Numbers
 from ingest.mapping import ColumnMapping, FileMapping, TimeMapping
 from ingest.times import LOST, own_time, start_ns, time_column, uniform, with_zone, zone_of
+from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
 from schemas.quantities import QUANTITIES
 from schemas.recording import RawChannel, RawRecording
 from schemas.units import ANY, Conversion, conversion
 
-Int = NDArray[np.int64]
 _BRACKETS = ("[]", "()", "{}", "<>")
 
 

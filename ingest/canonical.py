@@ -17,17 +17,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ingest.timing import sampling_notes
+from schemas.arrays import Bool
 from schemas.errors import RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.protocols import Protocol, missing_channels
 from schemas.quantities import QUANTITIES
 from schemas.recording import Channel, RawChannel, RawRecording, Recording, Source
 from schemas.units import ANY, conversion
-
-Bool = NDArray[np.bool_]
 
 _DYNAMIC = ("chirp", "sphs", "cyclic", "cycle", "step", "tap")
 """Protocols in which every required channel must change."""

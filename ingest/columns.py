@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ingest.mapping import ColumnName, column_label
+from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
-
-Float = NDArray[np.float64]
 
 CELL_LIMIT = 1 << 28
 """Most numbers that one column or array may hold (2 GiB of doubles)."""
@@ -31,7 +29,7 @@ class Numbers:
     """
 
     values: Float
-    empty: NDArray[np.bool_]
+    empty: Bool
     texts: int = 0
     example: str = ""
 

@@ -18,15 +18,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ingest.mcap_records import Channel, Schema
 from ingest.mcap_words import iso, plural
+from schemas.arrays import Float, Int
 
 SCHEMA_NAME = "dealab.SampleBlock"
 
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 
 _USUAL = struct.Struct("<BqBdB")
 """The fields in ascending order, as every protobuf writer puts them: tag, start, tag, interval, tag of the values."""

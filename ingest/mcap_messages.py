@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ingest.columns import Numbers, OwnTime, missing_column
 from ingest.mapping import ColumnMapping, ColumnName, FileMapping, TimeMapping
@@ -25,9 +24,8 @@ from ingest.mcap_blocks import BlockCollector, Samples, is_block_schema
 from ingest.mcap_decoders import LARGEST_MESSAGE, Decoder, decoder
 from ingest.mcap_records import Channel, Schema
 from ingest.mcap_scan import scan
+from schemas.arrays import Int
 from schemas.errors import RefusedError
-
-Int = NDArray[np.int64]
 
 
 @dataclass

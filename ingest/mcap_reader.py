@@ -18,8 +18,9 @@ from ingest.mcap_blocks import SCHEMA_NAME, BlockCollector, is_block_schema
 from ingest.mcap_messages import MessageColumns
 from ingest.mcap_records import Channel, Schema
 from ingest.mcap_scan import Scan, scan
+from schemas.arrays import Int
 from schemas.errors import RefusedError, UnmappedError
-from schemas.recording import Int, RawChannel, RawRecording
+from schemas.recording import RawChannel, RawRecording
 
 _METADATA = ("recording", "rig", "writer")
 

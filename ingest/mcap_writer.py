@@ -17,10 +17,11 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ingest.atomic import flush
 from ingest.mcap_blocks import SCHEMA_NAME
+from schemas.arrays import Float
 from schemas.errors import UsageError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.quantities import quantity as known_quantity
@@ -284,7 +285,7 @@ class _Stream:
     run_written: int = 0
     interval: float = 0.0
     last_ns: int = -1
-    waiting: list[NDArray[np.float64]] = field(default_factory=list)
+    waiting: list[Float] = field(default_factory=list)
     waiting_count: int = 0
 
     def start_run(self, start: int, interval: float) -> None:
@@ -295,7 +296,7 @@ class _Stream:
         return self.run_start + round((self.run_written + self.waiting_count) * self.interval * 1e9)
 
 
-def sample_block(start_time_ns: int, sample_interval_s: float, values: NDArray[np.float64]) -> bytes:
+def sample_block(start_time_ns: int, sample_interval_s: float, values: Float) -> bytes:
     """A serialised `dealab.SampleBlock`; `values` (n,) in the channel's unit."""
     packed = values.astype("<f8", copy=False).tobytes()
     length, remaining = b"", len(packed)
@@ -326,7 +327,7 @@ def sample_block_schema() -> bytes:
     return bytes(files.SerializeToString(deterministic=True))
 
 
-def _row_of_numbers(values: ArrayLike, where: str) -> NDArray[np.float64]:
+def _row_of_numbers(values: ArrayLike, where: str) -> Float:
     samples = np.asarray(values)
     if samples.ndim != 1 or samples.size == 0 or samples.dtype.kind not in "iuf":
         shape = " × ".join(map(str, samples.shape)) or "a single value"

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.atomic import written_whole
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import LabError
 from schemas.quantities import quantity
 from schemas.recording import Channel, Recording
@@ -34,9 +35,6 @@ _SPLIT = "BYTE_STREAM_SPLIT"
 
 PREVIEW_POINTS = 2000
 TIME = "time_ns"
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 
 
 def samples_path(recording: Recording) -> str:
@@ -174,7 +172,7 @@ def _column(channel: Channel, times: Int) -> pa.Array:
     return _array(values, pa.float64(), ~lost if lost.any() else None)
 
 
-def _array(values: NDArray[Any], kind: pa.DataType, valid: NDArray[np.bool_] | None = None) -> pa.Array:
+def _array(values: NDArray[Any], kind: pa.DataType, valid: Bool | None = None) -> pa.Array:
     """An arrow array over the same memory; values that are not `valid` are NULL.
 
     By its buffers: `pyarrow.array` imports pandas to look at what it is given, which takes longer than a small recording.

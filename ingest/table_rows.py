@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.assemble import scaled_numbers, unit_of
-from ingest.columns import ColumnFile, Float
+from ingest.columns import ColumnFile
 from ingest.mapping import FileMapping, column_label
 from ingest.times import with_zone, zone_of
+from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import RefusedError
 from schemas.metadata import TableMetadata
 from schemas.units import conversion
-
-Complex = NDArray[np.complex128]
-Bool = NDArray[np.bool_]
 
 MODULUS, STIFFNESS = "modulus", "stiffness"
 
@@ -42,7 +40,7 @@ class TableRows:
         return tuple(self.problems), tuple(self.notes)
 
     @property
-    def row_numbers(self) -> NDArray[np.int64]:
+    def row_numbers(self) -> Int:
         """Numbers from 1 of the selected rows in the file."""
         return np.flatnonzero(self.rows) + 1
 

@@ -44,9 +44,10 @@ from typing import Any
 
 import numpy as np
 
-from ingest.columns import ColumnFile, Float
+from ingest.columns import ColumnFile
 from ingest.mapping import FileMapping
-from ingest.table_rows import Bool, Complex, TableRows, cell_text, ordered, same_cell, standard_error, stiffness_scale
+from ingest.table_rows import TableRows, cell_text, ordered, same_cell, standard_error, stiffness_scale
+from schemas.arrays import Bool, Complex, Float
 from schemas.errors import RefusedError
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import TableMetadata

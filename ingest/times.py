@@ -12,15 +12,13 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ingest.columns import ColumnFile, Float, OwnTime
+from ingest.columns import ColumnFile, OwnTime
 from ingest.mapping import ColumnName, TimeMapping, column_label
+from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
 from schemas.metadata import instant
 from schemas.units import conversion
-
-Int = NDArray[np.int64]
 
 LOST = np.iinfo(np.int64).min
 """Stands for an instant that the file does not tell."""

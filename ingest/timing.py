@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from schemas.arrays import Int
 from schemas.recording import Channel
-
-Int = NDArray[np.int64]
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""

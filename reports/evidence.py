@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from reports.figures.curves import arms, band, rig, stiffness
-from reports.figures.responses import Curve, Float, Lines, Residual, residual
+from reports.figures.responses import Curve, Lines, Residual, residual
 from reports.results import Query, Results, Row
+from schemas.arrays import Float
 
 STIFFNESS = "stiffness_n_per_mm"
 _LOADINGS = {"mechanical": 0, "joint": 1, "electrical": 2}

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reports.figures.comparison import Compared
 from reports.results import Row
 from reports.words import plain
+from schemas.arrays import Complex, Float
 from schemas.numbers import compact
 
-Values = NDArray[np.complex128] | NDArray[np.float64]
+Values = Complex | Float
 
 
 @dataclass(frozen=True)

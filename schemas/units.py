@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from schemas.arrays import Float
 from schemas.errors import RefusedError
 
 ANY = "any"
 """Canonical unit of quantities that keep whatever unit they come in."""
 
-Float = NDArray[np.float64]
 _UNIT_TEXT = re.compile(r"[\w µμΩ°%·*/^().-]{1,60}")
 _ODD_POWER = re.compile(r"(?:\*\*|\^)(?!\s*-?\d(?![\d.*^]))")
 """A power that is not one digit: nothing a unit needs, and a way to make the parser compute for hours."""

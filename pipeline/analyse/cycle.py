@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.time_domain import CycleFits, fit_cycle
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 from schemas.recording import Channel, Recording
-
-Float = NDArray[np.float64]
 
 MOST_SAMPLES = 1000
 """Samples that are fitted; of more, equally spaced ones are taken: a cycle is smooth, and its law is exact between them."""

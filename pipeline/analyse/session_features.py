@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
+from schemas.arrays import Float
 
 CYCLE, SYSTEM = "cycle", "system"
 
@@ -24,7 +23,7 @@ class Alone:
     """
 
     kind: str
-    channels: Mapping[str, NDArray[np.float64]]
+    channels: Mapping[str, Float]
     given: Mapping[str, float] = field(default_factory=dict)
     unit: str = ""
 

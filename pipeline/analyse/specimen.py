@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
@@ -27,6 +26,7 @@ from pipeline.transform.calibration import TapCalibration, WeightCalibration, sh
 from pipeline.transform.correction import blocked_force, correct_mechanical
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
+from schemas.arrays import Complex, Float
 from schemas.metadata import RecordingMetadata, RigConstants
 
 
@@ -236,7 +236,7 @@ def _blocked(analysis: Analysis, electrical: _Responses, forward: SpecimenFits |
     _add_corrected(analysis, found)
 
 
-def _factor(fit: RelaxationFit, frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _factor(fit: RelaxationFit, frequency_hz: Float) -> Complex:
     """(n, p) factor S of the covariance of the fitted k(jω) at (n,) Hz: k = k̂ + S z with z standard normal."""
     values, vectors = np.linalg.eigh(fit.covariance)
     return np.asarray(fit.slopes(frequency_hz) @ (vectors * np.sqrt(np.maximum(values, 0.0))))

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds as kinds
 from pipeline.diagnose.features.kinds import RecordingFeatures
@@ -42,9 +41,8 @@ from pipeline.diagnose.simulation.hum import with_hum
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
+from schemas.arrays import Float
 from schemas.mechanisms import UNLISTED
-
-Float = NDArray[np.float64]
 
 _SMALL = 1e-3
 _LEFT = 1e-3

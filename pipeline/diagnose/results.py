@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.film import RelaxationModel
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 NONE, NAMED, AMBIGUOUS, UNKNOWN = "none", "named", "ambiguous", "unknown"
 
@@ -96,7 +95,7 @@ class HeldOut:
     size: int
     parts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     predicted: tuple[Predicted, ...] = ()
-    entries: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    entries: Float = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
 
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 _WIDEST = 3.0
 """Largest relative scatter that is looked for."""

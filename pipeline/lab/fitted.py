@@ -8,18 +8,17 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.physics.film import RelaxationModel
 from pipeline.simulate.specimen import GEOMETRY, Deviations, Material, Specimen, checked_geometry
 from reports.figures.curves import arms, band
+from schemas.arrays import Complex, Float
 from schemas.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _RIG = "rig"
 

@@ -6,10 +6,8 @@ Pure shapes. How an amplifier or a film answers them does not belong here.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from schemas.arrays import Float, Int
 
 
 def sweep(

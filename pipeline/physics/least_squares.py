@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from schemas.arrays import Bool, Float, Int
+
 Residuals = Callable[[Float], Float]
 """Residuals (B, M) of several x (B, P)."""
 
@@ -137,11 +137,11 @@ def _secant(jacobian: Float, move: Float, change: Float) -> Float:
     return np.outer(change - jacobian @ move, move / (move @ move))
 
 
-def _held(x: Float, gradient: Float, low: Float, high: Float) -> NDArray[np.bool_]:
+def _held(x: Float, gradient: Float, low: Float, high: Float) -> Bool:
     return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
 
 
-def _step(jacobian: Float, gradient: Float, free: NDArray[np.int64], damping: float) -> Float:
+def _step(jacobian: Float, gradient: Float, free: Int, damping: float) -> Float:
     part = jacobian[:, free]
     normal = part.T @ part
     diagonal = np.maximum(np.diag(normal), 1e-9)
@@ -158,7 +158,7 @@ class _Columns:
     residuals: Residuals
     high: Float
 
-    def renewed(self, jacobian: Float, x: Float, at: Float, places: NDArray[np.int64]) -> Float:
+    def renewed(self, jacobian: Float, x: Float, at: Float, places: Int) -> Float:
         """The Jacobian (M, P) with some columns taken anew, in place."""
         if places.size:
             step = np.where(x[places] + _DIFFERENCE <= self.high[places], _DIFFERENCE, -_DIFFERENCE)

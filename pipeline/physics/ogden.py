@@ -9,9 +9,9 @@ Piola-Kirchhoff), per undeformed area, in the unit of Y.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 
 def energy(l1: ArrayLike, l2: ArrayLike, young: float = 1.0) -> Float:

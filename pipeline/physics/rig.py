@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 TONNES_PER_KG = 1e-3
 DEFAULT_MASS_SD, DEFAULT_STIFFNESS_SD = 0.03, 0.02

@@ -14,14 +14,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pipeline.physics.film import RelaxationModel
 from pipeline.simulate.drive import Amplifier
 from pipeline.simulate.mechanics import Rig, StateSpace, assemble, integrate
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 STAGES = ("drive", "actuation", "mechanics", "sensor", "drift")
 """In the order of composition."""

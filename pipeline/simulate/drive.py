@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
+
+from schemas.arrays import Float
 
 if TYPE_CHECKING:
     from pipeline.simulate.bench import Signals
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import Clock, amplifier_interval_s
 from pipeline.simulate.specimen import Specimen
 from pipeline.simulate.tables import choice, counts, number, text, whole
+from schemas.arrays import Float
 from schemas.errors import UsageError
-
-Float = NDArray[np.float64]
 
 COLLAPSE_S = 0.002
 """Time constant with which a shorted film loses its voltage."""

@@ -10,14 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eig, expm
 from scipy.signal import lfilter
 
 from pipeline.physics.film import RelaxationModel
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Float
 
 TONNE_PER_KG = 1e-3
 """In N, mm and s the unit of mass is the tonne."""

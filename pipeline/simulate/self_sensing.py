@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulate.bench import Bench, Film, Signals, Stage, capacitance
 from pipeline.simulate.mechanics import Propagator
@@ -20,9 +19,8 @@ from pipeline.simulate.procedures.base import Clock, amplifier_interval_s
 from pipeline.simulate.sensors import Sensor
 from pipeline.simulate.specimen import Specimen
 from pipeline.simulate.tables import flag, number
+from schemas.arrays import Float
 from schemas.errors import UsageError
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

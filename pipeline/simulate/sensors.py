@@ -10,12 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pipeline.simulate.tables import number, text, whole
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 
 @dataclass(frozen=True)

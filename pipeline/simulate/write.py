@@ -17,18 +17,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ingest.mcap_writer import RecordingWriter
 from pipeline.simulate.campaign import SimulatedRecording, simulate
 from pipeline.simulate.plan import Campaign, Mishap, Planned, load_campaign
+from schemas.arrays import Float
 from schemas.errors import UsageError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.quantities import QUANTITIES
 from schemas.recording import Recording
 from schemas.units import conversion
-
-Float = NDArray[np.float64]
 
 MARKER = ".dealab-simulation"
 """Name of the hidden file that lists what a simulation wrote."""

@@ -10,13 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.response import FrequencyResponse
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Bool, Complex, Float, Int
 
 SAME_FREQUENCY = 0.01
 SAME_AMPLITUDE = 0.05
@@ -77,9 +73,9 @@ class _Table:
     value: Complex
     variance: Float
     noise: Float
-    systematic: NDArray[np.complex128] | None
+    systematic: Complex | None
     amplification: Float
-    usable: NDArray[np.bool_]
+    usable: Bool
     reason: list[str]
 
 

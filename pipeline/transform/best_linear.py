@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _SMOOTHED_OVER = 5
 _FEW_PERIODS = 10

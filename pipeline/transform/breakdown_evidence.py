@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.transform.breakdown_signal import FULL, Float, Trace, finite_samples
+from pipeline.transform.breakdown_signal import FULL, Trace, finite_samples
+from schemas.arrays import Float
 from schemas.recording import Channel
 
 SHORTEST_DISCHARGE_S = 1.6e-3

@@ -10,14 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Channel
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
-Bool = NDArray[np.bool_]
 
 FULL, HALF, START = 0.90, 0.50, 0.95
 """Shares of the level: up, down, and of the set point where life begins."""

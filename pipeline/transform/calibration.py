@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
@@ -16,12 +15,11 @@ from pipeline.physics.rig import TONNES_PER_KG, RigModel, tied_by_frequency
 from pipeline.transform import quality
 from pipeline.transform.ringing import damped_sinusoid, rings
 from pipeline.transform.sampling import runs, sample, seconds
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.numbers import pm, significant, with_unit
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
 
 GRAVITY_M_PER_S2 = 9.80665
 _FEWEST_PLATEAU_SAMPLES = 10
@@ -228,9 +226,7 @@ def _plateaus(time: Float, force: Float, smallest: float, where: str) -> tuple[F
     return np.array(levels), np.array(errors)
 
 
-def _best_reading(
-    levels: Float, errors: Float, loads: Float, where: str
-) -> tuple[float, float, NDArray[np.float64], int, bool]:
+def _best_reading(levels: Float, errors: Float, loads: Float, where: str) -> tuple[float, float, Float, int, bool]:
     """Line through the plateaus for the reading of the masses that fits best: (gain, offset, covariance, ν, added up)."""
     candidates = []
     # Equal masses hung one after the other without a pause are one level.

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.harmonics import HARMONICS
 from pipeline.transform.sampling import seconds
+from schemas.arrays import Complex, Float, Int
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 FEWEST_CYCLES = 20
 """Cycles from which a change of the wave is looked for."""
@@ -32,7 +29,7 @@ class CapacitanceCycles:
     recording_id: str
     specimen_id: str
     frequency_hz: float
-    cycle: NDArray[np.int64]
+    cycle: Int
     mean_pf: Float
     amplitude_pf: Float
     harmonics: Complex

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from pipeline.transform import local_polynomial, quality, repeats, sweeps
@@ -21,12 +20,9 @@ from pipeline.transform.local_polynomial import LocalFit
 from pipeline.transform.response import FrequencyResponse
 from pipeline.transform.sampling import Sampled, runs, sample, without_short_gaps
 from pipeline.transform.spectrum import delay_between, length_for, low_bins, ramp_bins
+from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
 
 LINES = 100
 HALF_WIDTH, SHORT_HALF_WIDTH = 12, 6
@@ -105,7 +101,7 @@ def _band(recording: Recording, sampled: Sampled, source: Drive) -> tuple[float,
 
 
 def _pieces(
-    recording: Recording, sampled: Sampled, finite: NDArray[np.bool_], names: tuple[str, str], low: float
+    recording: Recording, sampled: Sampled, finite: Bool, names: tuple[str, str], low: float
 ) -> tuple[Sampled, sweeps.Slices, float, list[str]]:
     """The repeats of the record without those that have gaps; of a broken single sweep the longest unbroken part.
 
@@ -240,7 +236,7 @@ def _single(
     return mark_weak(response, spectra.input[0], lines, fitted.half_width, noise), warnings
 
 
-def _cut_off(spectrum: Complex, lines: Int, half_width: Int) -> NDArray[np.bool_]:
+def _cut_off(spectrum: Complex, lines: Int, half_width: Int) -> Bool:
     """Lines (L,) that the sweep passes so near to an end of the record that the window does not resolve the two.
 
     When the sweep passes is told by the slope of its phase, as a share of the record.

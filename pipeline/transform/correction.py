@@ -13,15 +13,12 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics.rig import RigModel
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
+from schemas.arrays import Complex, Float
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 Response = TypeVar("Response", FrequencyResponse, RelaxationCurve)
 

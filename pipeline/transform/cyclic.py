@@ -10,18 +10,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform import quality
 from pipeline.transform.channels import Drive, drive, stretched_length
 from pipeline.transform.harmonics import Harmonics, harmonics, refined_frequency, slow_terms
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sampling import seconds
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Channel, Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 SETTLING_CYCLES = 2
 _FEWEST_CYCLES = 3

@@ -9,15 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform import local_polynomial
 from pipeline.transform.response import FrequencyResponse
 from pipeline.transform.sweeps import Slices
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Float, Int
 
 _WEAK_INPUT = 0.1
 """Input spectrum below this share (−20 dB) of its median in the band is no excitation."""

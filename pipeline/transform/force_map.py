@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.step import measure_steps
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Channel, Recording
 
-Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
+Samples = tuple[Float, Float]
 """(time in s, value)."""
 _LEVEL_S = 0.5
 _EDGE_S = 0.01

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.noise import autoregression, density_ratio
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 HARMONICS = 5
 _MOST_SAMPLES = 200_000

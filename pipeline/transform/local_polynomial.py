@@ -11,13 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Bool = NDArray[np.bool_]
-Int = NDArray[np.int64]
+from schemas.arrays import Bool, Complex, Float, Int
 
 DEGREE = 2
 _STEEPEST = 3.0

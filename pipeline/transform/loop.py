@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from pipeline.transform.step_edges import on_phases, seconds_and_values, without_spikes
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
 
 BAND = 0.05
 """Settled within this share of the demanded step, or within what noise alone reaches where that is wider."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
+from schemas.arrays import Float, Int
 
 _LARGEST_ORDER = 20
 _GIVING_BACK = 4
@@ -58,7 +57,7 @@ def density_ratio(coefficients: Float, cycles_per_sample: float) -> float:
     return float(1 / np.abs(1 - np.sum(coefficients * turns)) ** 2)
 
 
-def mean_variances(residual: Float, lengths: NDArray[np.int64]) -> Float:
+def mean_variances(residual: Float, lengths: Int) -> Float:
     """Variance of the mean of `lengths` (m,) successive samples of such noise, (m,)."""
     coefficients, innovation = autoregression(residual)
     lags = int(min(max(int(lengths.max()), 1), 4096))

@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Float, Int
 
 _WHOLE = 1e-3
 """Samples by which a period may miss a whole number and be transformed as if it did not."""

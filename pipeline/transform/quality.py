@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.channels import Drive
 from pipeline.transform.response import FrequencyResponse
 from pipeline.transform.sampling import Sampled
 from pipeline.transform.sweeps import Slices
+from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Channel, Recording
-
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 WORST_RELATIVE_ERROR = 0.3
 """Standard error over magnitude beyond which a line is noise."""

@@ -11,16 +11,13 @@ from dataclasses import dataclass, field
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.channels import drive
 from pipeline.transform.noise import mean_variances
 from pipeline.transform.sampling import seconds
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 _PER_DECADE = 12
 _FEWEST_WINDOWS = 8
@@ -201,7 +198,7 @@ def _crossing(time: Float, progress: Float, level: float) -> float:
     return float(time[i - 1] + (level - low) / (high - low) * (time[i] - time[i - 1]))
 
 
-def _window_starts(time: Float, ramp_s: float) -> NDArray[np.int64]:
+def _window_starts(time: Float, ramp_s: float) -> Int:
     """First sample of each window; windows are equally wide in log time and hold at least one sample."""
     first = max(float(time[0]), ramp_s, np.finfo(float).tiny) if time.size else 1.0
     if time.size < 2 or time[-1] <= first:
@@ -226,7 +223,7 @@ def _rounding_variance(resolution: float | None, noise: float) -> float:
     return resolution**2 / 12 if resolution is not None and noise < 0.3 * resolution else 0.0
 
 
-def _scatter(time: Float, values: Float, starts: NDArray[np.int64], counts: NDArray[np.int64]) -> Float:
+def _scatter(time: Float, values: Float, starts: Int, counts: Int) -> Float:
     """Standard deviation within each window about a parabola; 0 where there are too few samples to tell."""
     result = np.zeros(starts.size)
     for i, (first, count) in enumerate(zip(starts, counts, strict=True)):

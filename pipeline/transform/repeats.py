@@ -6,15 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, fdtri
 
 from pipeline.transform import local_polynomial
 from pipeline.transform.local_polynomial import LocalFit
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Int
 
 CHANGED = 1e-3
 """Level of the tests between repeats."""

@@ -7,11 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Bool = NDArray[np.bool_]
+from schemas.arrays import Bool, Complex, Float, Int
 
 STIFFNESS = "stiffness_n_per_mm"
 FORCE_PER_VOLTAGE_SQUARED = "force_per_voltage_squared_n_per_kv2"
@@ -130,4 +127,4 @@ class Distortion:
     frequency_hz: Float
     level: Float
     unit: str
-    harmonic: NDArray[np.int64] | None = None
+    harmonic: Int | None = None

@@ -5,13 +5,11 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pipeline.transform.noise import autoregression, density_ratio
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
 
 _FEWEST_CYCLES = 5.0
 

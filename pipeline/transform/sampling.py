@@ -14,12 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Channel
-
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
-Int = NDArray[np.int64]
 
 SAMPLES_PER_CYCLE = 5.0
 """Quintic splines reproduce a sine of at least so many samples per cycle to 2e-4, (ωh)⁶/30240."""
@@ -73,7 +70,7 @@ class Sampled:
             start_s={q: s + first * self.interval_s for q, s in self.start_s.items()},
         )
 
-    def alignment(self, frequency_hz: Float, quantity: str, reference: str) -> NDArray[np.complex128]:
+    def alignment(self, frequency_hz: Float, quantity: str, reference: str) -> Complex:
         """Factor that brings spectra of `quantity` to the time origin of `reference`: start difference, filter poles.
 
         A filter is taken for the single pole of its corner; equal corners cancel and are left alone.

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _WORTH_SPLITTING = 100_000
 _BATCH = 25

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from pipeline.transform import local_polynomial, quality, sweeps
@@ -21,13 +20,10 @@ from pipeline.transform.periodic import excited_lines, line_spectra, period_star
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sampling import Sampled, sample, without_short_gaps
 from pipeline.transform.spectrum import delay_between
+from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import ELECTRICAL
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
 
 _SETTLED = 1e-3
 """Level of the test of a leading period against the late ones, for all leading periods together."""
@@ -167,7 +163,7 @@ def _transformed(
     onset: float,
     period: float,
     bins: int,
-    finite: NDArray[np.bool_],
+    finite: Bool,
 ) -> _Periods:
     length = round(period)
     whole = np.array([bool(finite[s : s + length].all()) for s in starts])

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.step_edges import EDGE_S, Edges, on_phases, seconds_and_values, without_spikes
 from pipeline.transform.step_levels import (
@@ -25,10 +24,9 @@ from pipeline.transform.step_levels import (
     on_span,
     slow_change,
 )
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
 
 _STILL_FADING = 0.01
 """Share of a step that goes in the second half of the rest after it, from which on a rest counts as too short."""

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from schemas.arrays import Float
 from schemas.recording import Channel
-
-Float = NDArray[np.float64]
 
 EDGE_S = 0.05
 """Time around an edge in which the converter disturbs the capacitance."""

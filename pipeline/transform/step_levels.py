@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.transform.step_edges import LEVEL_S, Edges
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 FEWEST_RESTS = 5
 """Rest levels from which a slow change and what a film has not recovered are told apart."""

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
 
 _MOVING = 0.02
 """Share of the amplitude that counts as movement."""

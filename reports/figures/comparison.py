@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import BETTER, INK, MODEL, SECOND, WRONG
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
 from reports.figures.svg import TICKS, Drawing
-
-Float = NDArray[np.float64]
+from schemas.arrays import Complex, Float
 
 _REACH = 8.0
 """Half height of the residual panel, SD: what lies beyond is drawn at its edge."""
@@ -36,9 +34,9 @@ class Compared:
     """
 
     x: Float
-    measured: NDArray[np.complex128] | Float
-    plain: NDArray[np.complex128] | Float
-    extended: NDArray[np.complex128] | Float | None
+    measured: Complex | Float
+    plain: Complex | Float
+    extended: Complex | Float | None
     sd: Float
     title: str
     x_title: str
@@ -46,7 +44,7 @@ class Compared:
     lines: bool
     groups: tuple[tuple[float, str], ...] = ()
 
-    def residual(self, simulated: NDArray[np.complex128] | Float) -> Float:
+    def residual(self, simulated: Complex | Float) -> Float:
         """(n,) or, of complex values, (2n,): real parts, then imaginary parts, in SD."""
         off = (self.measured - simulated) / np.maximum(self.sd, _LEAST)
         return np.concatenate([off.real, off.imag]) if np.iscomplexobj(off) else np.asarray(off)
@@ -55,7 +53,7 @@ class Compared:
     def residual_x(self) -> Float:
         return np.tile(self.x, 2) if np.iscomplexobj(self.measured) else self.x
 
-    def rms(self, simulated: NDArray[np.complex128] | Float) -> float:
+    def rms(self, simulated: Complex | Float) -> float:
         """Root mean square residual, SD of the noise."""
         return float(np.sqrt(np.mean(self.residual(simulated) ** 2)))
 
@@ -118,7 +116,7 @@ def _residuals(panel: Panel, data: Compared) -> None:
     drawing.text(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
 
 
-def _shown(values: NDArray[np.complex128] | Float) -> Float:
+def _shown(values: Complex | Float) -> Float:
     return np.abs(values) if np.iscomplexobj(values) else np.asarray(values, dtype=float)
 
 

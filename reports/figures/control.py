@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import BAND, INK, RAW, SECOND, WRONG
 from reports.figures.plot import WIDE, Panel, Scale, linear
 from reports.figures.svg import Drawing
 from reports.names import short
-
-Float = NDArray[np.float64]
+from schemas.arrays import Bool, Float
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class Chart:
     expected: Float
     lower: Float
     upper: Float
-    alarm: NDArray[np.bool_]
+    alarm: Bool
 
 
 def chart(item: Chart, title: str, x_title: str, *, alt: str) -> Markup:

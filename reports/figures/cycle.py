@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import INK, LOWER, LOWEST, MODEL, SECOND
 from reports.figures.plot import WIDE, Panel, linear, symmetric
 from reports.figures.svg import Drawing
+from schemas.arrays import Float
 from schemas.numbers import ordinal
-
-Float = NDArray[np.float64]
 
 _STYLES = ((MODEL, 2.1, None), (LOWER, 1.5, "6 3"), (LOWEST, 1.3, "1 3"))
 

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import BAND, BETTER, INK, RULE, SECOND, WRONG, misfit
 from reports.figures.plot import WIDE, Panel, Scale
 from reports.figures.svg import Drawing
 from reports.names import short
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 
 def residual_map(rms: Float, rows: Sequence[str], columns: Sequence[str], title: str, *, alt: str) -> Markup:

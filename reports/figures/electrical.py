@@ -7,15 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import BETTER, MODEL, RAW, SECOND, group
 from reports.figures.plot import WIDE, Panel, linear, logarithmic, note, symmetric
 from reports.figures.responses import Lines, beyond
 from reports.figures.svg import Drawing
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from reports.figures.palette import MODEL, SECOND
 from reports.figures.plot import tick_text
 from reports.figures.svg import Drawing
+from schemas.arrays import Bool, Float
 
-Float = NDArray[np.float64]
 REGIONS = ("left", "centre", "right")
 _WIDTH = 302.0
 _SIDE = 232.0
@@ -27,10 +27,10 @@ class Film:
     x: Float
     y: Float
     relative: Float
-    active: NDArray[np.bool_]
+    active: Bool
 
 
-def grid(x: Float, y: Float, relative: Float, active: NDArray[np.bool_]) -> Film:
+def grid(x: Float, y: Float, relative: Float, active: Bool) -> Film:
     """A film from points (n,) of a regular grid, in any order; places without a point are NaN and not active."""
     across, along = np.unique(np.round(x, 6)), np.unique(np.round(y, 6))
     rows, columns = np.searchsorted(along, np.round(y, 6)), np.searchsorted(across, np.round(x, 6))
@@ -87,7 +87,7 @@ def thickness_map(
     return drawing.image(alt)
 
 
-def _outline(mask: NDArray[np.bool_]) -> list[tuple[float, float, float, float]]:
+def _outline(mask: Bool) -> list[tuple[float, float, float, float]]:
     """Borders between active and other cells as merged straight lines (x1, y1, x2, y2) in cells."""
     padded = np.pad(mask, 1)
     lines: list[tuple[float, float, float, float]] = []
@@ -98,6 +98,6 @@ def _outline(mask: NDArray[np.bool_]) -> list[tuple[float, float, float, float]]
     return lines
 
 
-def _runs(change: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(change: Bool) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], change.astype(np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import INK, MODEL, SECOND
 from reports.figures.plot import WIDE, Panel, logarithmic
 from reports.figures.svg import Drawing
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 
 def error_by_arms(arms: Float, error: Float, enough: int | None, *, alt: str) -> Markup:

@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from reports.figures.palette import BAND, INK, RULE, SECOND
 from reports.figures.svg import TICKS, Drawing
+from schemas.arrays import Bool, Float
 from schemas.numbers import NBSP, compact, fixed
-
-Float = NDArray[np.float64]
 
 WIDE, NARROW = 480.0, 227.0
 """Widths of a figure in px: one of a pair, one of small multiples."""
@@ -327,7 +326,7 @@ def apart(wanted: Sequence[float], gap: float, low: float, high: float) -> list[
     return placed
 
 
-def _runs(mask: NDArray[np.bool_]) -> list[slice]:
+def _runs(mask: Bool) -> list[slice]:
     """Slices of the stretches in which the mask (n,) is true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return [slice(a, b) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]

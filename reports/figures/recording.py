@@ -7,15 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import INK, MODEL, WRONG
 from reports.figures.plot import Panel, Scale, linear
 from reports.figures.svg import Drawing
 from reports.words import plain
+from schemas.arrays import Bool, Float
 from schemas.numbers import capital
 
-Float = NDArray[np.float64]
 WIDTH = 1000.0
 COLUMNS = 440
 """Most intervals drawn per channel: neighbours are merged, their extremes kept."""
@@ -41,7 +40,7 @@ class Envelope:
         high = np.fmax.reduceat(self.high, edges)
         return Envelope(self.name, self.unit, self.time[edges], low, high)
 
-    def gaps(self) -> NDArray[np.bool_]:
+    def gaps(self) -> Bool:
         """(n,) true where more than three usual intervals pass before the next."""
         if self.time.size < 3:
             return np.zeros(self.time.size, dtype=bool)

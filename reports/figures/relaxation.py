@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import INK, MODEL
 from reports.figures.plot import WIDE, Panel, linear, logarithmic
 from reports.figures.svg import Drawing
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 
 def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str) -> Markup:

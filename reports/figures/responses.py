@@ -7,16 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import INK, LOWER, LOWEST, MODEL, RAW, RULE, SECOND, WRONG
 from reports.figures.plot import NARROW, WIDE, Panel, Scale, linear, logarithmic, nice, note, pointer, symmetric
 from reports.figures.svg import Drawing
+from schemas.arrays import Bool, Complex, Float
 from schemas.numbers import compact
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Bool = NDArray[np.bool_]
 
 LIMIT = 5.0
 """Amplification of noise beyond which a corrected point is not used."""

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import BAND, BETTER, INK, MODEL, RAW, SECOND, WRONG, group
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, note
 from reports.figures.svg import Drawing
+from schemas.arrays import Bool, Float
 from schemas.numbers import compact
-
-Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class Gains:
     rise: Float
     overshoot: Float
     force_overshoot: Float
-    settled: NDArray[np.bool_]
+    settled: Bool
 
 
 def gains(rows: Sequence[Gains], best: tuple[float, float] | None, *, alt: str) -> Markup:

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import INK, LOWER, MODEL, RULE, SECOND, WRONG
 from reports.figures.plot import WIDE, Panel, linear, logarithmic
 from reports.figures.svg import Drawing
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _STYLES = ((MODEL, "6 3"), (WRONG, None), (LOWER, "2 3"), (SECOND, "8 3 2 3"))
 

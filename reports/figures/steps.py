@@ -7,14 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import BAND, INK, MODEL, RAW, SECOND, WRONG, group
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, note, symmetric, tick_text
 from reports.figures.svg import Drawing
-
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
+from schemas.arrays import Bool, Float
 
 
 def against_square(voltage: Float, step: Float, wrinkled: Bool, slope: float | None, title: str, *, alt: str) -> Markup:

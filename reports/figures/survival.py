@@ -9,17 +9,13 @@ from textwrap import wrap
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from reports.figures.palette import BAND, INK, RULE, SECOND, Group
 from reports.figures.plot import WIDE, Panel, Scale, logarithmic, note, symmetric, tick_text
 from reports.figures.svg import Drawing
 from reports.names import short
+from schemas.arrays import Float, Int
 from schemas.numbers import pm
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
-
 
 _FEW = 3
 """Up to so many groups have room for a second line beside their name."""

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from reports.figures.palette import INK
 
-Float = NDArray[np.float64]
 Points = Sequence[tuple[float, float]]
 
 FONT = "-apple-system,'Segoe UI',Roboto,'Helvetica Neue','Noto Sans','Liberation Sans',Arial,sans-serif"

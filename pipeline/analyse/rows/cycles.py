@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.time_domain import HELD_OUT, CycleFit, CycleFits
+from schemas.arrays import Float
 from schemas.tables import TABLES
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Float = NDArray[np.float64]
 
 MOST_POINTS = 400
 

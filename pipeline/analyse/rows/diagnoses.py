@@ -15,13 +15,13 @@ from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import Diagnosis, Extension, Residuals
 from pipeline.diagnose.single.contest import Contest, Place
 from pipeline.physics.film import RelaxationModel
+from schemas.arrays import Float
 from schemas.protocols import MECHANICAL
 from schemas.tables import ARMS, TABLES
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Float = NDArray[np.float64]
 
 _SHOWN_BLOCKS, _SHOWN_PER_KIND, _SHOWN_VALUES = 24, 4, 3000
 """Blocks that are kept for figures: the most telling, some of each kind, and not more values than this."""

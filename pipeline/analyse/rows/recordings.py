@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
+from schemas.arrays import Float
 from schemas.metadata import RECORDING_ID, RecordingMetadata, TableMetadata
 from schemas.recording import Recording
 from schemas.tables import TABLES
 from schemas.version import software_version
 
 if TYPE_CHECKING:
-    import numpy as np
     import pyarrow as pa
-    from numpy.typing import NDArray
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _DESCRIPTION = (
@@ -92,7 +91,7 @@ def recordings_rows(table: pa.Table) -> list[dict[str, Any]]:
 
 def preview_table(
     recording_id: str,
-    envelopes: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
+    envelopes: Mapping[str, tuple[Float, Float, Float]],
 ) -> pa.Table:
     """Rows of `previews` from (time since the recording's first sample, low, high) by quantity."""
     import pyarrow as pa

@@ -6,12 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pipeline.transform.response import Distortion, FrequencyResponse
+from schemas.arrays import Float
 from schemas.tables import TABLES
-
-Float = NDArray[np.float64]
 
 MEASURED, CORRECTED, AVERAGED = "measured", "corrected", "averaged"
 

@@ -8,13 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.functionals import Component, Functionals, Operator
 from pipeline.diagnose.features.kinds import FeatureBlock
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _MATTERS = 0.1
 """Sum of dropped weights times the largest response, in standard deviations of the feature; most of it cancels."""

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.blocks import Signals, block
 from pipeline.diagnose.features.functionals import Component, stacked
@@ -21,12 +20,10 @@ from pipeline.diagnose.features.sweep_kernels import WITHIN, Bands, Piece, bands
 from pipeline.fit.relaxation.rig import rig_prior
 from pipeline.transform import sweeps
 from pipeline.transform.channels import drive
+from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _SHIFT_CELLS = 40
 """Stretches of a sweep, of equal length, in which what shifts the mean force is taken as constant."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.blocks import Signals, block, cycle_groups
 from pipeline.diagnose.features.functionals import Component, stacked
@@ -24,11 +23,9 @@ from pipeline.diagnose.features.kinds import (
 from pipeline.diagnose.features.records import bode_gain, record, rest_samples, strain_length_mm
 from pipeline.transform import sweeps
 from pipeline.transform.channels import drive
+from schemas.arrays import Bool, Complex, Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _HARMONICS = 3
 _ROOM = 1.2
@@ -114,7 +111,7 @@ def cyclic_blocks(
     return blocks, [n for n in noise if n is not None], values, []
 
 
-def _groups(rest: int, per_cycle: float, whole: int, count: int, lost: NDArray[np.bool_]) -> list[_Group]:
+def _groups(rest: int, per_cycle: float, whole: int, count: int, lost: Bool) -> list[_Group]:
     groups = []
     for a, b in cycle_groups(whole):
         start, stop = round(rest + a * per_cycle), min(round(rest + b * per_cycle), count)

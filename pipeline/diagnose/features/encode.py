@@ -20,9 +20,9 @@ import zstandard
 from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import FeatureBlock, NoiseSample, RecordingFeatures
+from schemas.arrays import Float
 from schemas.metadata import RigConstants
 
-Float = NDArray[np.float64]
 Array = NDArray[Any]
 
 _VERSION = 4

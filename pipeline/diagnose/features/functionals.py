@@ -15,15 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.fft
 import scipy.sparse
-from numpy.typing import NDArray
 
 from pipeline.diagnose.simulation.nodes import interpolation
+from schemas.arrays import Complex, Float
 
 if TYPE_CHECKING:
     from scipy.signal import CZT
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _NEGLIGIBLE = 3e-7
 """Share of the sum of a row's weights that may be dropped at least, smallest first."""

@@ -12,13 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 
-import numpy as np
-from numpy.typing import NDArray
-
+from schemas.arrays import Float
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 
 CHIRP_RESPONSE = "chirp.response"
 """F/x0 of one sweep in bands, N/mm, complex."""

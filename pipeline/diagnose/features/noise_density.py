@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from pipeline.diagnose.features.kinds import NoiseSample
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from schemas.arrays import Float, Int
 
 _FEWEST = 16
 _PER_OCTAVE = 40

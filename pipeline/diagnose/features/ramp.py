@@ -10,7 +10,6 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.blocks import Signals, block, log_windows, window_means
 from pipeline.diagnose.features.functionals import Component, lines_spectrum
@@ -18,11 +17,9 @@ from pipeline.diagnose.features.kinds import CYCLE_FORCE, RELAXATION_FORCE, Feat
 from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_samples, strain_length_mm
 from pipeline.transform.channels import drive
 from pipeline.transform.sampling import runs
+from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _PER_DECADE = 8
 _FEWEST_REST = 8

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.functionals import Component
 from pipeline.diagnose.features.kinds import NoiseSample
@@ -18,13 +17,10 @@ from pipeline.diagnose.simulation.mains import mains_of
 from pipeline.fit.relaxation.rig import rig_prior
 from pipeline.transform.channels import stretched_length
 from pipeline.transform.sampling import Sampled, runs, sample
+from schemas.arrays import Bool, Complex, Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.recording import Channel, Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Bool = NDArray[np.bool_]
 
 _PASSED = 0.7
 """Share of half the sample rate below which thinning leaves a spectrum as it is."""

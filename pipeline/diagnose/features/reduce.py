@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.chirp import chirp_blocks
 from pipeline.diagnose.features.cyclic import cyclic_blocks
@@ -18,12 +17,12 @@ from pipeline.diagnose.features.sphs import sphs_blocks
 from pipeline.diagnose.features.step import step_blocks
 from pipeline.diagnose.simulation.nodes import response_nodes
 from pipeline.physics.rig import TONNES_PER_KG
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 from schemas.protocols import CALIBRATION, ELECTRICAL, MECHANICAL
 from schemas.recording import Recording
 
-Float = NDArray[np.float64]
 Reducer = Callable[[Recording, Float], tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]]
 
 EPSILON_0_N_PER_KV2 = 8.8541878e-6

@@ -7,7 +7,6 @@ Mains are not locked to the drive, so that no line of a response shows them; the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, fdtri, ndtr, ndtri
 
 from pipeline.diagnose.features.blocks import assembled
@@ -17,9 +16,8 @@ from pipeline.diagnose.simulation.mains import HUM_HZ
 from pipeline.transform.calibration import tap, weigh
 from pipeline.transform.channels import drive
 from pipeline.transform.sampling import sample
+from schemas.arrays import Float
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
 
 _NEAR, _FAR = 2, 14
 """Bins beside that of the mains that are its neighbourhood."""

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.blocks import assembled
 from pipeline.diagnose.features.functionals import Component, line_frequencies
@@ -29,13 +28,10 @@ from pipeline.fit.relaxation.rig import rig_prior
 from pipeline.transform.channels import drive
 from pipeline.transform.periodic import excited_lines
 from pipeline.transform.sweeps import find_period
+from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
 
 _DEGREE = 5
 _WAVE = 2048
@@ -214,7 +210,7 @@ def _ringing_s(rig: RigConstants) -> float:
     return float(np.log(100) / (prior.lightest_ratio * np.sqrt(stiffness / mass)))
 
 
-def _away_from_mains(frequency: Float) -> NDArray[np.bool_]:
+def _away_from_mains(frequency: Float) -> Bool:
     away = np.ones(frequency.shape, dtype=bool)
     for mains in MAINS_HZ:
         away &= np.abs(frequency - mains) > _MAINS_HALF_HZ

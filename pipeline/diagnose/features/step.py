@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.blocks import Signals, block, cycle_groups, log_windows
 from pipeline.diagnose.features.functionals import Component
@@ -19,11 +18,10 @@ from pipeline.diagnose.features.kinds import STEP_CAPACITANCE, STEP_FORCE, STEP_
 from pipeline.diagnose.features.records import Record, record
 from pipeline.diagnose.simulation.nodes import response_nodes
 from pipeline.transform.sampling import runs
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.recording import Recording
-
-Float = NDArray[np.float64]
 
 _PER_DECADE = 5
 _SAME_LEVEL = 0.02

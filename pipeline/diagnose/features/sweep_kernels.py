@@ -11,15 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.functionals import half_cosine
 from pipeline.diagnose.features.noise_density import MAINS_HZ
 from pipeline.diagnose.features.records import polynomials
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Bool, Complex, Float, Int
 
 BANDS = 40
 WITHIN = 9
@@ -69,7 +65,7 @@ class _Cut:
 
     spectrum: Complex
     edges: Int
-    kept: NDArray[np.bool_]
+    kept: Bool
 
 
 @dataclass(frozen=True)

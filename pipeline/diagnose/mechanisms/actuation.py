@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
@@ -18,9 +17,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Values,
 )
 from pipeline.diagnose.simulation.effects import Cracks, Effect, View, Wave
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _LOWEST_HZ = 1e-4
 _CELLS = 64

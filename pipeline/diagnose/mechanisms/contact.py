@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SHAPE, SWEEPS, Context, Mechanism, Parameter, Values
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _TURNS, _MOST_TURNS = 2, 10
 """Periods of a sweep that are followed, and most of a sinusoid: the slider finds its mean place within them."""

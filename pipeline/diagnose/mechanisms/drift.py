@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import RAMPS, SHAPE, Mechanism, Parameter, Values
 from pipeline.diagnose.simulation.effects import Effect
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 
 def _drift(values: Values, variant: str) -> Effect:

@@ -6,13 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.mechanisms.mechanism import AMPLIFIER, BENT, SHAPE, Context, Mechanism, Parameter, Values
 from pipeline.diagnose.simulation.effects import Effect, View, Wave
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _ROUNDS = 4
 _FIELD_POWER = 4.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
@@ -22,8 +21,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Values,
 )
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect, Film, View
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 _BENT = SWEEPS | CYCLES | RAMPS | MULTISINE_FORCE | {kinds.STEP_FORCE}
 

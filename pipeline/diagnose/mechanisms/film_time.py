@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.mechanisms.mechanism import (
     ELECTRICAL,
@@ -17,9 +16,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Values,
 )
 from pipeline.diagnose.simulation.effects import Effect, Film, View
-
-Complex = NDArray[np.complex128]
-Float = NDArray[np.float64]
+from schemas.arrays import Complex, Float
 
 _LOWEST_HZ = 1e-6
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
@@ -18,8 +17,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
 )
 from pipeline.diagnose.simulation.effects import Effect, Rig, View
 from pipeline.diagnose.simulation.nodes import carried
-
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex
 
 _ROUNDS, _FOUND, _NO_DRAG = 12, 1e-6, 1e-300
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import (
@@ -23,9 +22,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Values,
 )
 from pipeline.diagnose.simulation.effects import Effect, Factor, Reading, View
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _CHANNELS = ("force", "displacement", "voltage", "capacitance")
 

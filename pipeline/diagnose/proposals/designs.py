@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.blocks import assembled
 from pipeline.diagnose.features.kinds import (
@@ -29,11 +28,10 @@ from pipeline.diagnose.simulation.parameters import Physical
 from pipeline.diagnose.simulation.session import Session
 from pipeline.physics import excitation
 from pipeline.physics.rig import TONNES_PER_KG
+from schemas.arrays import Complex, Float
 from schemas.metadata import RecordingMetadata
 from schemas.recording import Channel, Recording
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Key = str | float
 
 _NS = 1_000_000_000

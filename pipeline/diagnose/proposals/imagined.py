@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import TAP_RING, WEIGHT_GAIN
 from pipeline.diagnose.features.noise_density import NoiseLaw
@@ -16,9 +15,8 @@ from pipeline.diagnose.search.extend import Extended, ExtendedFit
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import central
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
 
 _CALIBRATIONS = (TAP_RING, WEIGHT_GAIN)
 _MODEL_ERROR = 0.15

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN
 from pipeline.diagnose.search.departures import Departure, departures
@@ -25,9 +24,7 @@ from pipeline.diagnose.search.structure import Structure, structure
 from pipeline.diagnose.search.tempering import beyond_noise, explained, tempered
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
-
-Float = NDArray[np.float64]
-
+from schemas.arrays import Float
 
 LEVEL = 0.002
 """False-alarm level of the search over the listed mechanisms."""

@@ -13,7 +13,6 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from pipeline.diagnose.search.extend import Extended, ExtendedFit
@@ -21,9 +20,7 @@ from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
 from pipeline.diagnose.search.structure import quadratic
 from pipeline.diagnose.simulation.effects import Course, Effect, Film, Reading, View
 from pipeline.diagnose.simulation.session import Session
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _STEP = 1e-4
 _LEAST_VISIBLE = 10.0

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.results import Discrepancy
 from pipeline.diagnose.search.extend import ExtendedFit
 from pipeline.diagnose.search.structure import block_probability
 from pipeline.diagnose.simulation.session import Place, Session
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float, Int
 
 NOISE_SPREAD = 0.3
 """Relative standard deviation of a block's noise variance: short rests do not say it better."""
@@ -93,7 +91,7 @@ def described(kind: str) -> str:
     return _WORDS[kind]
 
 
-def _spans(p: Place) -> list[tuple[str, NDArray[np.int64]]]:
+def _spans(p: Place) -> list[tuple[str, Int]]:
     """Label and rows of the parts of a block: bands for responses, spans of time for courses."""
     rows = np.arange(p.block.size)
     f, t = p.block.frequency_hz, p.block.time_s
@@ -107,7 +105,7 @@ def _spans(p: Place) -> list[tuple[str, NDArray[np.int64]]]:
     return [(p.block.label, rows)]
 
 
-def _split(along: Float, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def _split(along: Float, rows: Int) -> list[Int]:
     edges = np.linspace(along.min(), along.max(), _PARTS + 1)
     number = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, _PARTS - 1)
     return [rows[number == i] for i in range(_PARTS) if (number == i).any()]
@@ -118,9 +116,7 @@ def _range(values: Float, unit: str) -> str:
     return f"{low:.3g} to {high:.3g} {unit}" if high > low * 1.0001 else f"{low:.3g} {unit}"
 
 
-def _statement(
-    session: Session, p: Place, rows: NDArray[np.int64], simulated: Float, where: str, probability: float
-) -> str:
+def _statement(session: Session, p: Place, rows: Int, simulated: Float, where: str, probability: float) -> str:
     """A sentence with size, sign where there is one, and how many times the noise."""
     value = p.block.value[rows]
     sd = session.sd[p.first + rows]

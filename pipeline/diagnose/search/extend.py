@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parameter
 from pipeline.diagnose.search.plain import bounds, deviations
@@ -21,8 +20,7 @@ from pipeline.diagnose.simulation.parameters import BaseModel
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import LEAST_DAMPING, Solution, central, minimise
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 _BEYOND = np.log(20.0)
 """How far a severity is searched beyond its plausible range, which is no limit."""

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.search.extend import ExtendedFit
 from pipeline.diagnose.search.refit import confirmed, finished, ranked, tried, without
 from pipeline.diagnose.search.screen import Score, Secants, scores, secants, signatures
 from pipeline.diagnose.search.tempering import SHARE, beyond_noise, by_part, noise_chi2, share_of_form, tempered
+from schemas.arrays import Int
 
 CLOSE = 4.6
 """Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
@@ -191,7 +191,7 @@ def _needed(plain: ExtendedFit, final: ExtendedFit, shown: bool = False, share: 
     return final
 
 
-def _in_order(final: ExtendedFit, order: NDArray[np.int64]) -> ExtendedFit:
+def _in_order(final: ExtendedFit, order: Int) -> ExtendedFit:
     """The same fit with its causes in another order."""
     if np.array_equal(order, np.arange(order.size)):
         return final

@@ -10,16 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.results import HeldOut, Predicted
 from pipeline.diagnose.search.extend import ExtendedFit
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.simulation import Simulation
+from schemas.arrays import Float, Int
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 
 _DRAWS = 1000
 _SEED = 7

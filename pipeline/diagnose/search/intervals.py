@@ -7,13 +7,11 @@ point says too little.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.mechanisms import SEVERITY
 from pipeline.diagnose.search.extend import ExtendedFit
 from pipeline.physics.least_squares import minimise
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 NORMAL_90 = 1.645
 _ROUNDS, _STEPS = 4, 6

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from pipeline.diagnose.features.kinds import (
@@ -29,10 +28,8 @@ from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
 from pipeline.physics.least_squares import Solution, minimise
+from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ORDERS = (1, 2, 3)
 ARM_WORTH = 16.0

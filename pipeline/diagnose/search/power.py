@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
 from pipeline.diagnose.search.extend import Chosen, ExtendedFit, effect_of_all
 from pipeline.diagnose.search.plain import ORDERS
 from pipeline.diagnose.search.screen import Signatures, absorbed_by, scaled, unabsorbed
+from schemas.arrays import Float
 
-Float = NDArray[np.float64]
 Shape = tuple[float, ...]
 
 POWER = 0.8

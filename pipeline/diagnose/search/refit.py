@@ -9,14 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.search.extend import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.search.screen import Score, Signatures, absorbed_by, scaled
 from pipeline.diagnose.search.tempering import noise_chi2, outweighed
 from pipeline.physics.least_squares import Solution
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 _ABSORBED = frozenset(
     {

@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
 from pipeline.diagnose.search.extend import Chosen, Extended, ExtendedFit, effect_of_all, orthonormal
-
-Float = NDArray[np.float64]
+from schemas.arrays import Bool, Float
 
 _LEVELS = 3
 """Severities of a grid, over the plausible range."""
@@ -53,7 +51,7 @@ class Signatures:
     correlation: Float
     length: Float
     score: Float
-    weak: NDArray[np.bool_]
+    weak: Bool
 
     @cached_property
     def _factor(self) -> Float:
@@ -115,7 +113,7 @@ class Secants:
     chosen: tuple[Chosen, ...]
     values: tuple[Mapping[str, float], ...]
     change: Float
-    weak: NDArray[np.bool_]
+    weak: Bool
 
 
 def secants(fit: ExtendedFit) -> Secants:

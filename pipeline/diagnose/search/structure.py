@@ -11,15 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from pipeline.diagnose.features.kinds import REST_HUM, TAP_RING, WEIGHT_GAIN
 from pipeline.diagnose.search.extend import ExtendedFit
 from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
 from pipeline.diagnose.simulation.session import Place, Session
-
-Float = NDArray[np.float64]
+from schemas.arrays import Bool, Float, Int
 
 _DEGREE = 3
 _SKIPPED = frozenset({REST_HUM, TAP_RING, WEIGHT_GAIN})
@@ -117,7 +115,7 @@ def _patterns(session: Session) -> Iterator[tuple[str, str, Float]]:
                     yield kind, name, session.whiten(column)
 
 
-def _halves(p: Place) -> NDArray[np.int64]:
+def _halves(p: Place) -> Int:
     """0 for real parts and harmonic 2, 1 for imaginary parts; harmonics of order 3 count on their own."""
     n = p.block.size
     side = np.zeros(n, dtype=np.int64)
@@ -160,6 +158,6 @@ def quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
     )
 
 
-def _p(gram: Float, score: Float, chosen: NDArray[np.bool_]) -> float:
+def _p(gram: Float, score: Float, chosen: Bool) -> float:
     total, freedom, _ = quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
     return float(chdtrc(freedom, total)) if freedom else 1.0

@@ -6,12 +6,10 @@ How large that share is, is assumed as long as nothing is known, and read off a 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.search.extend import ExtendedFit
 from pipeline.diagnose.simulation.session import Session
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 SHARE = 0.15
 """Share of a block's misfit that a form which is not quite right may leave."""

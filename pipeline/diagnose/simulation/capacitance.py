@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.simulation.describing import Loads
 from pipeline.diagnose.simulation.effects import Cracks, Effect
@@ -16,9 +15,7 @@ from pipeline.diagnose.simulation.families import Family, channel, dynamic, film
 from pipeline.diagnose.simulation.nodes import POINTS, interpolation
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 _PHASE = 2 * np.pi * np.arange(64) / 64
 _SINUSOID = (1 + np.cos(_PHASE)) / 2

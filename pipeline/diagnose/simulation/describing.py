@@ -12,13 +12,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.simulation.effects import Course, Scale
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Float, Int
 
 PHASES = 32
 _ITERATIONS = 12

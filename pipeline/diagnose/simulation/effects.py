@@ -10,10 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float, Int
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class View:
         size = (2 * np.pi * tau * np.maximum(self.frequency_hz, lowest_hz)) ** exponent
         return np.asarray(size * np.exp(0.5j * np.pi * exponent))
 
-    def at(self, index: NDArray[np.int64]) -> View:
+    def at(self, index: Int) -> View:
         """The view at some frequencies (places on the last axis)."""
         return replace(
             self,

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import SPHS_CAPACITANCE, SPHS_DETECTION, SPHS_VOLTAGE
 from pipeline.diagnose.simulation.describing import Loads, along
@@ -21,10 +20,7 @@ from pipeline.diagnose.simulation.families import Family, channel, dynamic, film
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
 from pipeline.diagnose.simulation.session import Place, Session
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Float, Int
 
 FORCE, CAPACITANCE, VOLTAGE = "force", "capacitance", "voltage"
 STEP, MULTISINE = "step", "multisine"

@@ -14,7 +14,6 @@ from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.blocks import operator_of
 from pipeline.diagnose.features.functionals import Operator
@@ -25,11 +24,7 @@ from pipeline.diagnose.simulation.nodes import POINTS, carried, fewer_nodes, int
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.physics.film import RelaxationModel, stiffnesses
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
-
+from schemas.arrays import Complex, Float, Int
 
 _WORTH = 0.7
 """Share of the nodes of a family at most with which it is worth while to have few of them."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 
@@ -14,8 +13,7 @@ from pipeline.diagnose.features.noise_density import NoiseLaw
 from pipeline.diagnose.features.rest import hum_score
 from pipeline.diagnose.simulation.mains import HUM_HZ, mains_components
 from pipeline.diagnose.simulation.session import Session
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 LEVEL = 1e-4
 """Probability of the rests' scores under no mains, below which the mains are taken for real."""

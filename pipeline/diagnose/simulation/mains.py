@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.functionals import Component
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 HUM_HZ = (50.0, 100.0)
 _LEAST_GAIN = 1e-3

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
 from pipeline.diagnose.simulation.describing import PHASES, Loads, Loop, along, describe, harmonics
@@ -22,10 +21,7 @@ from pipeline.diagnose.simulation.nodes import carried
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
 from pipeline.diagnose.simulation.session import Place, Session
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Float
 
 CYCLIC, RAMP = "cyclic", "ramp"
 

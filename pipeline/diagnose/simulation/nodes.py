@@ -11,13 +11,10 @@ import math
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.rig import rig_prior
+from schemas.arrays import Complex, Float
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _LOWEST_HZ, _HIGHEST_HZ = 1e-4, 2e4
 _PER_DECADE = 24

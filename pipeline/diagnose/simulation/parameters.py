@@ -11,14 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.simulation.effects import Rig
 from pipeline.fit.relaxation.rig import RigPrior
 from pipeline.physics.film import RelaxationModel
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from schemas.arrays import Float, Int
 
 CLAMP_MASS = "clamp mass"
 _NEAR, _FARTHEST = 8.0, 60.0

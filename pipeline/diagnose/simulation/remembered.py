@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pipeline.diagnose.simulation.describing import Loads
 from pipeline.diagnose.simulation.effects import Effect
 from pipeline.diagnose.simulation.parameters import Physical, Several
+from schemas.arrays import Float
 
-Float = NDArray[np.float64]
 Predict = Callable[[Physical, Effect, Loads | None], Float]
 PredictSeveral = Callable[[Several, Effect], Float]
 

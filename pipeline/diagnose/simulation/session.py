@@ -29,12 +29,9 @@ from pipeline.diagnose.features.noise_density import NoiseLaw, noise_law
 from pipeline.diagnose.simulation.effects import Scale
 from pipeline.diagnose.simulation.parameters import BaseModel, Entry, film_entries, rig_entries
 from pipeline.fit.relaxation.rig import RigPrior, rig_prior
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
-Bool = NDArray[np.bool_]
 
 AMPLIFIER_SD = 0.01
 """Relative standard deviation of the amplifier's gain where the rig file gives none."""

@@ -12,7 +12,6 @@ import copy
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import (
     CYCLE_FORCE,
@@ -42,9 +41,8 @@ from pipeline.diagnose.simulation.parameters import BaseModel, Physical, Several
 from pipeline.diagnose.simulation.remembered import Remembered
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.sweeps import SWEEP, SweepFamily
+from schemas.arrays import Float
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
 
 Predicting = MechanicalFamily | StepFamily | MultisineFamily | CapacitanceFamily
 

@@ -10,15 +10,11 @@ import copy
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import FeatureBlock
 from pipeline.diagnose.features.sweep_kernels import Piece, SweepReader
 from pipeline.diagnose.simulation.nodes import interpolation
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Float, Int
 
 _BELOW, _BEYOND = 8.0, 1.3
 """The band in which signals are made, below and over that of the sweep: what the input holds outside is noise. A sweep that begins

@@ -9,13 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.simulation.describing import Places, SweepTable
 from pipeline.diagnose.simulation.sweep_course import SweepCourse
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float, Int
 
 _ITERATIONS, _SETTLED = 20, 1e-6
 _FALLING = 0.7
@@ -81,7 +78,7 @@ class SweepCourses:
         return found, total
 
 
-def _of(values: Complex, rows: NDArray[np.int64]) -> Complex:
+def _of(values: Complex, rows: Int) -> Complex:
     """Values (1 or W, B) of some sweeps."""
     return values if len(values) == 1 else values[rows]
 

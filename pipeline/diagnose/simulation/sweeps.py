@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE
 from pipeline.diagnose.simulation.describing import Loads, Places, sweep_table
@@ -24,10 +23,7 @@ from pipeline.diagnose.simulation.parameters import Physical
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.sweep_course import SweepCourse
 from pipeline.diagnose.simulation.sweep_courses import SweepCourses
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Bool, Complex, Float, Int
 
 SWEEP = "sweep"
 _COARSE = 24
@@ -272,7 +268,7 @@ def _of_sweep(p: Place, own: Place) -> bool:
     return p.block.kind == CHIRP_LEVEL or (p.block.kind == CHIRP_HARMONIC and p.block.label == own.block.label)
 
 
-def _moving(p: Place, sweep: _Sweep) -> NDArray[np.bool_]:
+def _moving(p: Place, sweep: _Sweep) -> Bool:
     """Which mean forces of a block are those while a sweep moves."""
     return np.asarray((p.block.amplitude > 0) & (p.block.cycle == sweep.response.block.cycle[0]))
 

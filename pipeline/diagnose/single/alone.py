@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
 from pipeline.diagnose.results import (
@@ -25,8 +24,7 @@ from pipeline.diagnose.results import (
 )
 from pipeline.diagnose.single.contest import Contest, Entrant, Place
 from pipeline.physics.film import RelaxationModel
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 _POWER = 2.8
 """Standard deviations of what is found with 80 % probability at a level of 5 %."""

@@ -11,12 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN, Estimate
 from pipeline.diagnose.search.decide import EXPLAINED
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float, Int
 
 _LEVEL = 0.95
 
@@ -134,7 +132,7 @@ def _interval(drawn: Float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _blocks(size: int, memory: int, times: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def _blocks(size: int, memory: int, times: int, rng: np.random.Generator) -> Int:
     """(B, H) places of a part drawn anew in blocks, around its end (circular block bootstrap, Politis and Romano 1992)."""
     length = min(max(memory, 1), size)
     starts = rng.integers(0, size, (times, -(-size // length)))

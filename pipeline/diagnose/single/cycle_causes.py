@@ -14,15 +14,12 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from pipeline.fit.relaxation.time_domain import CycleFits, branch, fit_cycle
 from pipeline.physics.hyperelastic import LAWS
+from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 _MOST_STEPS = 100
 _PER_SPAN = 30.0

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
 from pipeline.diagnose.features.kinds import CYCLE_FORCE
@@ -20,10 +19,8 @@ from pipeline.diagnose.single.alone import Films, Told, diagnosis_of, left_by, s
 from pipeline.diagnose.single.contest import Contest, Entrant, contest
 from pipeline.diagnose.single.cycle_causes import Cause, CycleModel, Fitted, LargeCycle, causes
 from pipeline.physics.film import RelaxationModel
+from schemas.arrays import Bool, Float, Int
 from schemas.mechanisms import plain_name
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 
 STRESS, PREDICTED = "cycle.stress", "cycle.unseen"
 """Kinds of residuals: everything fitted to everything; the unloading as the fit to the loading predicts it."""
@@ -67,7 +64,7 @@ class _Tried:
             found[key] = Estimate(here, float((high - low) / (2 * _NORMAL_90)), float(low), float(high))
         return found
 
-    def entrant(self, unloading: NDArray[np.bool_], plain: _Tried) -> Entrant:
+    def entrant(self, unloading: Bool, plain: _Tried) -> Entrant:
         """What it predicts of the unloading: what the plain model does where the loading does not show its cause."""
         cause = self.whole.model.cause
         learned, drawn_x = (plain, plain.learned.x[None]) if self.learned.unseen else (self, self.drawn_learned)

@@ -19,10 +19,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import resample
 
-Float = NDArray[np.float64]
+from schemas.arrays import Bool, Float
 
 STIFFNESS, DAMPING, GAIN, QUADRATIC, CUBIC, DRAG, ARM, RATE, SLIP, CEILING, DELAY = range(11)
 """Rows of the parameters: κ, δ, γ, β₂, β₃, c, a, ln r, ln s, l, Δ. A rate or slip of −∞ is none."""
@@ -95,7 +94,7 @@ class Oscillator:
             return np.asarray(between[place % (n * fine)])
         return np.where((place >= 0) & (place < n * fine), between[np.clip(place, 0, n * fine - 1)], 0.0)
 
-    def compared(self, record: SystemRecord) -> NDArray[np.bool_]:
+    def compared(self, record: SystemRecord) -> Bool:
         """(n,) samples that the start of the record does not reach."""
         known = record.periodic or record.from_rest
         return np.arange(record.input.size) >= (0 if known else min(self.run_in, record.input.size // 2))

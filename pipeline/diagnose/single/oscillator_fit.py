@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from pipeline.diagnose.single.oscillator import (
@@ -28,9 +27,7 @@ from pipeline.diagnose.single.oscillator import (
     Oscillator,
     SystemRecord,
 )
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from schemas.arrays import Bool, Complex, Float
 
 _BOUNDS = {
     STIFFNESS: (0.05, 20.0),
@@ -60,7 +57,7 @@ class Problem:
 
     start: Float
     free: tuple[int, ...]
-    fitted: Mask
+    fitted: Bool
 
 
 @dataclass(frozen=True)
@@ -205,7 +202,7 @@ def linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, float]:
     return float(omega), float(ratio), gain(omega, ratio)[0]
 
 
-def _spectra(record: SystemRecord) -> tuple[Float, NDArray[np.complex128], NDArray[np.complex128]]:
+def _spectra(record: SystemRecord) -> tuple[Float, Complex, Complex]:
     """Angular frequencies in rad/s and spectra of input and output, without the mean."""
     n = record.input.size
     window = np.ones(n) if record.periodic else np.hanning(n)

@@ -18,7 +18,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.results import Estimate
 from pipeline.diagnose.single.contest import Entrant, drawn_parameters
@@ -40,9 +39,7 @@ from pipeline.diagnose.single.oscillator import (
 )
 from pipeline.diagnose.single.oscillator_fit import Fit, Problem, bounded, fit_all, linear_start, values_of
 from pipeline.diagnose.single.system_parts import noise_sd, two_parts
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from schemas.arrays import Bool, Float, Int
 
 _LINEAR = (STIFFNESS, DAMPING, GAIN)
 _DRAWN = 200
@@ -65,7 +62,7 @@ class Part:
 
     name: str
     values: slice
-    places: NDArray[np.int64]
+    places: Int
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,7 @@ class Simulated:
 
     mechanism: str
     outputs: tuple[Float, ...]
-    compared: tuple[Mask, ...]
+    compared: tuple[Bool, ...]
     parameters: Float
 
 
@@ -298,7 +295,7 @@ def _compared(oscillator: Oscillator, record: SystemRecord) -> Float:
 
 
 def _entrant(
-    cause: _Cause | None, fits: Sequence[Fit], oscillator: Oscillator, measured: Float, loud: Mask, memory: int
+    cause: _Cause | None, fits: Sequence[Fit], oscillator: Oscillator, measured: Float, loud: Bool, memory: int
 ) -> Entrant:
     """Of the fits to everything, to the quiet and to the loud part."""
     rng = np.random.default_rng(_SEED)

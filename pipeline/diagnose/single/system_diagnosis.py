@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import NONE, Diagnosis, Residuals
@@ -18,9 +17,8 @@ from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.system_causes import SystemQuestion, system_causes
 from pipeline.diagnose.single.system_discrepancies import system_discrepancies
 from pipeline.physics.film import RelaxationModel
+from schemas.arrays import Float
 from schemas.mechanisms import plain_name
-
-Float = NDArray[np.float64]
 
 OUTPUT = "system.output"
 """Kind of residuals: the output as both models, fitted to everything, simulate it."""

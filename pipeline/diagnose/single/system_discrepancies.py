@@ -6,13 +6,11 @@ Does not belong here: why (`system_causes`).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from pipeline.diagnose.results import Discrepancy
 from pipeline.diagnose.single.system_causes import SystemQuestion
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 _BANDS = (
     (0.0, 0.7, "below its resonance"),

@@ -8,14 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from pipeline.diagnose.single.oscillator import Oscillator, SystemRecord
 from pipeline.diagnose.single.oscillator_fit import values_of
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from schemas.arrays import Bool, Float
 
 _WINDOWS = 32
 _LOUDER = 1.5
@@ -29,7 +26,7 @@ _EXCITED = 1e-4
 _TINY = 1e-30
 
 
-def two_parts(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[str, str], Mask]:
+def two_parts(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[str, str], Bool]:
     """Names of the two parts, and (M,) what belongs to the first: the record of the largest output, or of one record the half that is driven
     more, else the second one, else every other stretch; the first of these in which both parts are driven at the same frequencies.
     """
@@ -55,7 +52,7 @@ def two_parts(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[s
     return (found[0], found[1]), np.repeat(found[2], [w.size for w in windows])
 
 
-def _alike(power: Float, chosen: Mask) -> bool:
+def _alike(power: Float, chosen: Bool) -> bool:
     """Whether two parts are driven at the same frequencies; power : (windows, frequencies) of the input."""
     inside, outside = (power[c].sum(axis=0) / max(power[c].sum(), _TINY) for c in (chosen, ~chosen))
     return bool(np.minimum(inside, outside).sum() > _ALIKE)

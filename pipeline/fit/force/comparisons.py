@@ -16,7 +16,8 @@ import numpy as np
 from scipy import special
 
 from pipeline.fit.force.points import ForcePoint
-from pipeline.fit.survival.kaplan_meier import LEVEL, UNKNOWN, Estimate, Float
+from pipeline.fit.survival.kaplan_meier import LEVEL, UNKNOWN, Estimate
+from schemas.arrays import Float
 
 _SAME_VOLTAGE = 0.02
 

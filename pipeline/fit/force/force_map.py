@@ -15,8 +15,9 @@ import numpy as np
 from scipy import special
 
 from pipeline.fit.force.points import ForcePoint, force_points
-from pipeline.fit.survival.kaplan_meier import LEVEL, UNKNOWN, Estimate, Float
+from pipeline.fit.survival.kaplan_meier import LEVEL, UNKNOWN, Estimate
 from pipeline.transform.force_map import ForceMapReadings
+from schemas.arrays import Float
 from schemas.numbers import bounds, p_equals, significant
 
 _ALARM = 0.05

@@ -12,17 +12,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.observations import ELECTRICAL, FILM, MECHANICAL, Curve, Lines, Nuisance, Observations
 from pipeline.fit.relaxation.rig import RigPrior, missing_constants, rig_prior
 from pipeline.physics.relaxation_kernels import Hold
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
 
 UNKNOWN_RELATIVE_SD = 0.01
 """First guess of the relative noise of a response that comes without variance."""

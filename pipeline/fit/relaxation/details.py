@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.forward import GaussianPrior, Solution
 from pipeline.fit.relaxation.intervals import (
@@ -27,9 +26,8 @@ from pipeline.fit.relaxation.rig import CONSTANT_WORDS, CONSTANTS
 from pipeline.fit.relaxation.search import OrderFit
 from pipeline.physics.film import RelaxationModel
 from pipeline.physics.rig import TONNES_PER_KG
+from schemas.arrays import Float
 from schemas.numbers import pm, significant, with_unit
-
-Float = NDArray[np.float64]
 
 PROFILED = 0.1
 """Standard deviation of a logarithm from which the profile likelihood gives the limits. Up to `PARABOLIC` a standard deviation still

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.assemble import assemble
 from pipeline.fit.relaxation.details import Context
@@ -31,8 +30,6 @@ from pipeline.fit.relaxation.varpro import Candidate, bounds
 from pipeline.transform.response import FrequencyResponse
 from schemas.metadata import RigConstants
 from schemas.numbers import p_equals
-
-Float = NDArray[np.float64]
 
 CONFLICT = 1e-3
 """Probability below which electrical recordings contradict the mechanical model."""

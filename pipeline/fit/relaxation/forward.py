@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.observations import Observations
 from pipeline.physics.relaxation_kernels import Shape
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 ITERATIONS = 80
 TOLERANCE = 1e-5

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.assemble import assemble
 from pipeline.fit.relaxation.details import Context
@@ -32,9 +31,6 @@ from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.numbers import p_equals
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ORDERS = (1, 2, 3)
 CERTAIN = 200.0

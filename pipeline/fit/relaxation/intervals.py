@@ -11,14 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.forward import GaussianPrior, Solution, Tied, polish
 from pipeline.fit.relaxation.observations import Observations
 from pipeline.fit.relaxation.results import Estimate
 from pipeline.physics.relaxation_kernels import Shape
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 PARABOLIC = 0.3
 """Largest standard deviation of a logarithm for which the curvature describes the likelihood."""

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.identify import Rigs, film_stiffness, fit_specimen, per_recording
 from pipeline.fit.relaxation.order import LEVEL
@@ -18,8 +17,7 @@ from pipeline.fit.relaxation.results import RelaxationFit, SpecimenFits
 from pipeline.physics.relaxation_kernels import Hold, hold_stiffness
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FrequencyResponse
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 28, 32)
 DECADES = 5.0

@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from pipeline.fit.relaxation.observations import ELECTRICAL, Curve, Lines, Observations
 from pipeline.fit.relaxation.rig import divided
 from pipeline.physics.relaxation_kernels import Shape, debye, hold_kernel, series_hold_values
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 DIFFERENCE = 1e-4
 NEXT_TO_NOTHING = 1e-9

@@ -10,14 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.rig import RigPrior, combined
 from pipeline.physics.relaxation_kernels import Hold, Shape, hold_stiffness, series_hold_stiffness, stiffness_and_slopes
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Int = NDArray[np.int64]
+from schemas.arrays import Complex, Float, Int
 
 FILM, MECHANICAL, ELECTRICAL = "film", "mechanical", "electrical"
 

@@ -17,15 +17,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfc
 
 from pipeline.fit.relaxation.forward import Solution
 from pipeline.fit.relaxation.linear import Expansion, Linearisation
 from pipeline.fit.relaxation.observations import Lines, Observations
 from pipeline.physics.relaxation_kernels import stiffness_and_slopes
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float, Int
 
 LEVEL = 0.01
 """Level of the test."""
@@ -92,7 +90,7 @@ def held_out_error(observations: Observations, solution: Solution) -> float:
     return _left_out(j, r, total, _labels(observations, by_group=False))
 
 
-def _left_out(j: Float, r: Float, total: Float, labels: NDArray[np.int64]) -> float:
+def _left_out(j: Float, r: Float, total: Float, labels: Int) -> float:
     rows, count = labels.size, int(labels.max()) + 1
     order = np.argsort(labels, kind="stable")
     sizes = np.bincount(labels, minlength=count)
@@ -130,9 +128,9 @@ def _overlapping(observations: Observations) -> bool:
     return True
 
 
-def _labels(observations: Observations, *, by_group: bool) -> NDArray[np.int64]:
+def _labels(observations: Observations, *, by_group: bool) -> Int:
     """Per real data row: which part is left out with it."""
-    labels: list[NDArray[np.int64]] = []
+    labels: list[Int] = []
     start = 0
     for block in observations.blocks:
         m = block.weight.size

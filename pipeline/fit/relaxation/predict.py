@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.metrics import Errors, errors
 from pipeline.fit.relaxation.results import RelaxationFit, SpecimenFits
 from pipeline.fit.relaxation.rig import combined, rig_prior
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, FrequencyResponse
+from schemas.arrays import Complex
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
-
-Complex = NDArray[np.complex128]
 
 AMPLITUDE = "force_per_voltage_squared_n_per_kv2"
 

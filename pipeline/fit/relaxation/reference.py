@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from pipeline.fit.relaxation.linear import Expansion, Linearisation, amplitude_given, first_expansion, solve
 from pipeline.fit.relaxation.observations import ELECTRICAL, Curve, Lines, Observations
 from pipeline.physics.relaxation_kernels import Shape, debye
+from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 PER_DECADE = 10
 MARGIN = 1e3
@@ -166,7 +163,7 @@ def _first(observations: Observations, tau: Float) -> Reference:
     return _reference(observations, tau, x, np.clip(q, -limit, limit))
 
 
-def _seen_at_once(observations: Observations, tau: Float) -> NDArray[np.bool_]:
+def _seen_at_once(observations: Observations, tau: Float) -> Bool:
     """Columns of the spectrum (k0, arms, c_inf) for the first pass, which takes the load cell as rigid.
 
     A curve then shows nothing of arms that are over before its first window: they would be given any stiffness.
@@ -265,7 +262,7 @@ def with_estimated_noise(reference: Reference, unknown: frozenset[int]) -> Refer
     return reference
 
 
-def _squares(reference: Reference) -> tuple[list[NDArray[np.int64]], list[Float]]:
+def _squares(reference: Reference) -> tuple[list[Int], list[Float]]:
     """Per block: group of each real row, and its squared weighted residual."""
     groups, squares = [], []
     start = 0

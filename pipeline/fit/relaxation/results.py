@@ -10,14 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.fit.relaxation.rig import RigPrior
 from pipeline.physics.film import RelaxationModel
 from pipeline.physics.relaxation_kernels import Shape, stiffness_and_slopes
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from schemas.arrays import Complex, Float
 
 MECHANICAL, ELECTRICAL, JOINT = "mechanical", "electrical", "joint"
 FORWARD, CORRECTED, TIME_DOMAIN = "forward", "corrected", "time_domain"

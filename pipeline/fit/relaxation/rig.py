@@ -14,13 +14,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics.rig import TONNES_PER_KG, RigModel
+from schemas.arrays import Bool, Complex, Float
 from schemas.metadata import RigConstants
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 CONSTANTS = ("clamp_mass_kg", "load_cell_stiffness_n_per_mm", "load_cell_damping_n_s_per_mm")
 CONSTANT_WORDS = dict(
@@ -84,7 +81,7 @@ class RigPrior:
         return float(max(lightest / (2 * np.sqrt(stiffness * mass)), _LEAST_RATIO))
 
     @property
-    def _positive(self) -> NDArray[np.bool_]:
+    def _positive(self) -> Bool:
         positive = self.nominal > 0
         positive[2] = False
         return positive

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.forward import GaussianPrior, Solution, polish
 from pipeline.fit.relaxation.intervals import PARABOLIC, covariance
@@ -21,8 +20,7 @@ from pipeline.fit.relaxation.reference import Reference
 from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import MERGE, Candidate, LinearProblem, bounds
 from pipeline.physics.relaxation_kernels import Shape
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 DASHPOT_GAIN = 0.3
 """χ² that a finite spring must gain over a rigid one. Small: whether a spring is resolved is for its interval to say; a model that

@@ -10,13 +10,11 @@ left. The model is then that of the average group, and its interval includes the
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.observations import Lines, Observations
 from pipeline.fit.relaxation.reference import Reference, find_reference, misfit_probability
 from pipeline.fit.relaxation.results import Spread
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 LEVEL = 0.01
 """Probability below which a difference between groups counts as real."""

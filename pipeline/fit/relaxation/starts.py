@@ -10,12 +10,10 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.fit.relaxation.linear import solve
 from pipeline.fit.relaxation.varpro import Candidate, LinearProblem, merged
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 PER_DECADE = 3
 MOST = 24

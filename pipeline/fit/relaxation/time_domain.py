@@ -14,17 +14,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 from scipy.optimize import least_squares
 
 from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import Candidate, LinearProblem
 from pipeline.physics.hyperelastic import LAWS, NON_AFFINE, Law
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.numbers import counted
-
-Float = NDArray[np.float64]
 
 HELD_OUT = 0.3
 """Share of the cycle, at its end, that is left out to judge a branch."""

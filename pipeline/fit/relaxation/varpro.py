@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
 
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
-Int = NDArray[np.int64]
+from schemas.arrays import Bool, Float, Int
 
 FAST, SLOW = 300.0, 30.0
 """Relaxation times are searched from 1/(300 ω_max) to 30/ω_min. A narrower box would hold the optimum at its bound."""

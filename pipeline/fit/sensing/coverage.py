@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
 
 from pipeline.fit.weighted import Estimate, scatter
 from pipeline.transform.coats import Coat
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
 
 COVERED = 0.99
 """Share of the full capacitance at which a region counts as covered."""

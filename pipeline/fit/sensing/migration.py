@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from pipeline.transform.capacitance_cycles import CapacitanceCycles
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 LEVEL = 1e-6
 """Nominal probability up to which a change counts as an onset: the count of onsets tried does not count their shapes, and

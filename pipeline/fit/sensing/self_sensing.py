@@ -11,15 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from pipeline.fit.weighted import Estimate, line, regression, weighted_mean
 from pipeline.transform.step import StepResponse
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 
-Float = NDArray[np.float64]
 VACUUM = 8.8541878e-6
 """Permittivity of vacuum, N/kV²: forces ε0 εr (w/z) V² with V in kV."""
 

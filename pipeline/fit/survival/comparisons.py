@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from pipeline.fit.survival.hazard_ratio import hazard_ratio
-from pipeline.fit.survival.kaplan_meier import LEVEL, Bool, Estimate, Float, kaplan_meier
+from pipeline.fit.survival.kaplan_meier import LEVEL, Estimate, kaplan_meier
 from pipeline.fit.survival.tests import (
     EXACT_PERMUTATION,
     FISHER,
@@ -30,6 +30,7 @@ from pipeline.fit.survival.tests import (
     permutation_test,
     rank_test,
 )
+from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
 
 HAZARD_RATIO = "hazard ratio (cox)"

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipeline.fit.survival.kaplan_meier import Float, Int, Z, check_lifetimes
+from pipeline.fit.survival.kaplan_meier import Z, check_lifetimes
+from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
 
 UNKNOWN_CAUSE = "unknown"

@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.fit.survival.comparisons import Comparison, compare, corrected
 from pipeline.fit.survival.competing_causes import CompetingCauses, aalen_johansen
-from pipeline.fit.survival.kaplan_meier import UNKNOWN, Bool, Estimate, Float, KaplanMeier, kaplan_meier
+from pipeline.fit.survival.kaplan_meier import UNKNOWN, Estimate, KaplanMeier, kaplan_meier
 from pipeline.fit.survival.lifetime_distributions import (
     DISTRIBUTIONS,
     WEIBULL,
@@ -25,6 +25,7 @@ from pipeline.fit.survival.lifetime_distributions import (
     fit_distribution,
 )
 from pipeline.fit.survival.voltage_life import VoltageLife, fit_inverse_power_law
+from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
 from schemas.lifetimes import RAISED, LifetimeRow
 from schemas.numbers import compact, joined, significant, with_unit

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from pipeline.fit.survival.kaplan_meier import Estimate, Float, check_lifetimes
+from pipeline.fit.survival.kaplan_meier import Estimate, check_lifetimes
 from pipeline.fit.survival.profile_likelihood import LARGE_SAMPLE_DROP, profile_limits
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 
 _FAR = 40.0

@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import special
 
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError, RefusedError
-
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
-Bool = NDArray[np.bool_]
 
 LEVEL = 0.95
 """Confidence of every interval of the survival analysis."""

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pipeline.fit.survival.kaplan_meier import Estimate, check_lifetimes, kaplan_meier
 from pipeline.fit.survival.log_location_scale import (
@@ -23,10 +23,9 @@ from pipeline.fit.survival.log_location_scale import (
     maximise,
 )
 from pipeline.fit.survival.profile_likelihood import critical_drop, profile_limits
+from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError, RefusedError
 from schemas.numbers import p_equals, significant
-
-Float = NDArray[np.float64]
 
 WEIBULL, EXPONENTIAL, LOG_NORMAL = "weibull", "exponential", "log-normal"
 DISTRIBUTIONS = (WEIBULL, EXPONENTIAL, LOG_NORMAL)
@@ -79,7 +78,7 @@ class Lives:
         return cls(t, upper)
 
     @property
-    def exact(self) -> NDArray[np.bool_]:
+    def exact(self) -> Bool:
         return np.asarray((self.lower == self.upper) & (self.lower > 0))
 
     @property
@@ -234,7 +233,7 @@ def goodness_of_fit(lives: Lives, fit: DistributionFit) -> Goodness:
     return Goodness(distance, p_value, outside, statement)
 
 
-def _distances(time: Float, failed: NDArray[np.bool_], location: Float, sigma: Float, fit: DistributionFit) -> Float:
+def _distances(time: Float, failed: Bool, location: Float, sigma: Float, fit: DistributionFit) -> Float:
     """(batch,) largest |Kaplan–Meier − fitted| just before and at the observed times of (batch, n) groups."""
     order = np.argsort(np.where(failed, time, np.nextafter(time, np.inf)), axis=1, kind="stable")
     t, d = np.take_along_axis(time, order, 1), np.take_along_axis(failed, order, 1)
@@ -250,7 +249,7 @@ def _distances(time: Float, failed: NDArray[np.bool_], location: Float, sigma: F
     return np.asarray(gaps.max(axis=1))
 
 
-def _simulated_p_value(time: Float, failed: NDArray[np.bool_], fit: DistributionFit, distance: float) -> float:
+def _simulated_p_value(time: Float, failed: Bool, fit: DistributionFit, distance: float) -> float:
     rng = np.random.default_rng(_SEED)
     last = float(time[~failed].max()) if (~failed).any() else np.inf
     ends = np.where(failed, np.maximum(last, time), time)

@@ -14,13 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
-
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 _ITERATIONS = 200
 _HALVINGS = 60

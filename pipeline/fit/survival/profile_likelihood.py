@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from pipeline.fit.survival.kaplan_meier import LEVEL, Z
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 LARGE_SAMPLE_DROP = Z**2 / 2
 """Half the 95 % point of χ² with one degree of freedom."""

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from pipeline.fit.survival.kaplan_meier import Bool, Float, Int, check_lifetimes
+from pipeline.fit.survival.kaplan_meier import check_lifetimes
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 
 LOG_RANK, GEHAN, TARONE_WARE, PETO = "log-rank", "gehan", "tarone-ware", "peto"

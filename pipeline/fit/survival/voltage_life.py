@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from pipeline.fit.survival.kaplan_meier import Estimate, Float
+from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.lifetime_distributions import Lives
 from pipeline.fit.survival.log_location_scale import (
     SMALLEST_EXTREME_VALUE,
@@ -24,6 +24,7 @@ from pipeline.fit.survival.log_location_scale import (
     maximise,
 )
 from pipeline.fit.survival.profile_likelihood import critical_drop, profile_limits
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError, RefusedError
 from schemas.numbers import p_equals, power, seconds, significant
 

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pipeline.physics.thickness.film import RodFilm, ThicknessMap
@@ -21,8 +20,8 @@ from pipeline.physics.thickness.layout import (
     single_region,
     thin_share,
 )
+from schemas.arrays import Bool, Float, Int
 
-Float = NDArray[np.float64]
 EXPONENTS = (8.0, 10.0, 15.0)
 """Least, middle and largest plausible exponent of the inverse power law of breakdown for soft films."""
 THIN = 0.9
@@ -62,7 +61,7 @@ class FilmGrid:
     y_mm: Float
     thickness: Float
     relative_thickness: Float
-    active: NDArray[np.bool_]
+    active: Bool
 
 
 def electrodes(film: RodFilm, gap_mm: float | None) -> tuple[Rectangle, ...]:
@@ -146,7 +145,7 @@ def on_grid(film_map: ThicknessMap, layout: Sequence[Rectangle], *, points: int 
     return FilmGrid(film_map.scheme, at[:, 0], at[:, 1], table[:, 0], table[:, 1], active & np.isfinite(table[:, 0]))
 
 
-def _element_at(film_map: ThicknessMap, points: Float) -> NDArray[np.int64]:
+def _element_at(film_map: ThicknessMap, points: Float) -> Int:
     """(m,) element that each point (m, 2) lies in, −1 outside of the film."""
     near = cKDTree(film_map.centres_mm).query(points, k=min(12, len(film_map.thickness)))[1]
     corners = film_map.corners_mm[near]  # (m, k, 4, 2)

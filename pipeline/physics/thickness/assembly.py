@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
+from schemas.arrays import Float, Int
 
 
 @dataclass(frozen=True)

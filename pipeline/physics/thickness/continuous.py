@@ -9,15 +9,13 @@ pre-stretch. That is why the film at the rods is the weak one.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics.ogden import stress_and_tangent
 from pipeline.physics.thickness.assembly import Q4, q4, solve, tie_matrix
 from pipeline.physics.thickness.film import RodFilm, ThicknessMap, on_rods, undeformed_mesh
+from schemas.arrays import Float, Int
 from schemas.errors import NotIdentifiableError
 
-Float = NDArray[np.float64]
-Int = NDArray[np.int64]
 _TOLERANCE = 1e-9
 """Largest residual force that is left, relative to the forces that hold the film."""
 

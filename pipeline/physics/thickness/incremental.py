@@ -10,13 +10,11 @@ level of the map depend on the mesh. The level still is a result of that boundar
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics.ogden import stress_and_tangent
 from pipeline.physics.thickness.assembly import q4, solve, tie_matrix
 from pipeline.physics.thickness.film import RodFilm, ThicknessMap, on_rods, undeformed_mesh
-
-Float = NDArray[np.float64]
+from schemas.arrays import Float
 
 
 def incremental_thickness(film: RodFilm, *, elements: int = 20_000, steps_along: int = 10) -> ThicknessMap:

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics.thickness.film import RodFilm, ThicknessMap
+from schemas.arrays import Bool, Float
 
-Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 REGIONS = ("left", "centre", "right")
 
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.specimen import Specimen
+from schemas.arrays import Float
 from schemas.errors import UsageError
-
-Float = NDArray[np.float64]
 
 INTERVALS_PER_CYCLE = 200
 """Samples of the fine clock per cycle of the highest frequency: straight lines then lose (2π/200)²/12 = 8e-5."""

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics import excitation
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, INTERVALS_PER_TIME_CONSTANT, Clock
 from pipeline.simulate.specimen import Specimen
 from pipeline.simulate.tables import number, numbers, whole
+from schemas.arrays import Float
 from schemas.errors import UsageError
-
-Float = NDArray[np.float64]
 
 GRAVITY_M_PER_S2 = 9.80665
 

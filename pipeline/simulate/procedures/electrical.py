@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics import excitation
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, Clock, amplifier_interval_s
 from pipeline.simulate.specimen import EPSILON_0_N_PER_KV2, Specimen
 from pipeline.simulate.tables import choice, number, numbers, whole
+from schemas.arrays import Float
 from schemas.errors import UsageError
-
-Float = NDArray[np.float64]
 
 
 class Electrical(ABC):

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.physics import excitation
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, INTERVALS_PER_TIME_CONSTANT, Clock, film_length_mm
 from pipeline.simulate.specimen import Specimen
 from pipeline.simulate.tables import choice, number, whole
+from schemas.arrays import Float
 from schemas.errors import UsageError
-
-Float = NDArray[np.float64]
 
 
 class Mechanical(ABC):

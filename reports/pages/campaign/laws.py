@@ -8,12 +8,13 @@ import numpy as np
 
 from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold, flow
 from reports.figures import palette
-from reports.figures.survival import Float, VoltageLife, against_voltage
+from reports.figures.survival import VoltageLife, against_voltage
 from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from reports.words import plain
+from schemas.arrays import Float
 from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, p_equals, p_value, significant
 
 _HERE = "configuration IN (SELECT configuration FROM lifetimes WHERE campaign = $campaign)"

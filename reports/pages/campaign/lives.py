@@ -20,6 +20,7 @@ from reports.pages.campaign import laws
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from schemas.arrays import Float, Int
 from schemas.numbers import (
     ABSENT,
     NBSP,
@@ -210,10 +211,10 @@ def _curves(lives: Lives) -> list[GroupCurve]:
         if not rows:
             continue
 
-        def real(column: str, rows: list[Record] = rows) -> figures.Float:
+        def real(column: str, rows: list[Record] = rows) -> Float:
             return np.array([np.nan if r[column] is None else r[column] for r in rows], dtype=float)
 
-        def count(column: str, rows: list[Record] = rows) -> figures.Int:
+        def count(column: str, rows: list[Record] = rows) -> Int:
             return np.array([r[column] or 0 for r in rows], dtype=np.int64)
 
         lower, upper = summary["weibull_shape_lower"], summary["weibull_shape_upper"]

@@ -9,14 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reports.figures.curves import stiffness
 from reports.pages.campaign.reference import POLYACRYLATE, SILICONE, STACK, ReferenceFilm, ReferenceModel
+from schemas.arrays import Complex, Float
 from schemas.numbers import NBSP, percent, significant, span
-
-Float = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LINEAR, LOGARITHMIC = "linear", "logarithmic"
 EXAMPLE_FIRST = ReferenceModel(1, (0.5, 2.0), (0.6,), 0.0, 0.0)

@@ -31,6 +31,7 @@ from reports.results import Query, moment
 from reports.results import Row as Record
 from reports.site import CONTROL, Site
 from reports.words import followed
+from schemas.arrays import Float
 from schemas.control import FEWEST
 from schemas.numbers import ABSENT, capital, counted, digits, pm, significant, with_unit, word
 
@@ -153,7 +154,7 @@ def _figure(draft: Draft, key: tuple[str, str, str], points: Sequence[Record]) -
     group, chart, quantity = key
     scale = 100.0 if quantity == "refused_share" else 1.0
 
-    def real(column: str) -> figures.Float:
+    def real(column: str) -> Float:
         return np.array([np.nan if p[column] is None else scale * p[column] for p in points], dtype=float)
 
     item = figures.Chart(

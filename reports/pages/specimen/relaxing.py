@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from reports.blocks import Figure, Pair, Section, bold, flow
 from reports.figures.curves import arms, rig
@@ -19,9 +18,8 @@ from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from reports.site import stated_rig
+from schemas.arrays import Float
 from schemas.numbers import NBSP, compact, percent, significant
-
-Float = NDArray[np.float64]
 
 _POINTS = 48
 """Points drawn, spaced by equal ratios of time."""
