@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from schemas.errors import LabError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 DEFAULT_LAB = "lab"
 
 
 class Lab:
-    """A lab and its paths. `Lab("lab").sql("SELECT …")` gives a pandas frame of the published snapshot.
+    """A lab and its paths. What stands in its database is asked through `pipeline.Lab`, which is this with queries.
 
     A plain class: the import of `dataclasses` would be a quarter of what `dealab --help` takes.
     """
@@ -106,11 +102,3 @@ class Lab:
                 remedy="Run `dealab nightly RAW --lab LAB` first, or name another lab with --lab",
             )
         return self.database
-
-    def sql(self, query: str) -> pd.DataFrame:
-        """Rows of a read-only query on the published snapshot, as a pandas frame."""
-        from pipeline.lab.query import Query
-
-        with Query(self) as database:
-            frame: Any = database.run(query).to_pandas()
-            return frame

@@ -36,6 +36,14 @@ class Lab(pipeline.lab.lab.Lab):
 
     __slots__ = ()
 
+    def sql(self, query: str) -> pd.DataFrame:
+        """Rows of a read-only query on the published snapshot, as a pandas frame."""
+        from pipeline.lab.query import Query
+
+        with Query(self) as database:
+            frame: Any = database.run(query).to_pandas()
+            return frame
+
     def samples(self, recording_id: str) -> pd.DataFrame:
         """Samples of a recording in canonical units, a column per channel, over `time_s` since its first sample.
 

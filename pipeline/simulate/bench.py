@@ -105,7 +105,7 @@ class Bench:
     def stages(self) -> tuple[tuple[str, Stage], ...]:
         """The composition as (stage name, function) in order."""
         own: dict[str, Stage] = {
-            "drive": self.amplifier.apply,
+            "drive": self._drive,
             "actuation": self._actuate,
             "mechanics": self._move,
             "sensor": _unchanged,
@@ -126,6 +126,13 @@ class Bench:
             if stage == name:
                 signals = function(signals)
         return signals
+
+    def _drive(self, signals: Signals) -> Signals:
+        """Adds `film_voltage` and `voltage` to signals that have a `command`; others pass unchanged."""
+        if "command" not in signals:
+            return signals
+        film, monitor = self.amplifier.amplify(signals["command"], signals.interval_s)
+        return signals.with_values(film_voltage=film, voltage=monitor)
 
     def _actuate(self, signals: Signals) -> Signals:
         if "film_voltage" not in signals:

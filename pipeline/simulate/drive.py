@@ -8,15 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import lfilter
 
 from schemas.arrays import Float
-
-if TYPE_CHECKING:
-    from pipeline.simulate.bench import Signals
 
 
 @dataclass(frozen=True)
@@ -37,13 +33,11 @@ class Amplifier:
         """Command in V that asks for the voltage."""
         return voltage_kv / self.gain_kv_per_v
 
-    def apply(self, signals: Signals) -> Signals:
-        """Adds `film_voltage` and `voltage` to signals that have a `command`; others pass unchanged."""
-        if "command" not in signals:
-            return signals
-        demand = np.clip(signals["command"] * self.gain_kv_per_v, 0.0, self.largest_kv)
-        film = self.follow(demand, signals.interval_s)
-        return signals.with_values(film_voltage=film, voltage=film if self.monitored else demand)
+    def amplify(self, command_v: Float, interval_s: float) -> tuple[Float, Float]:
+        """What reaches the film and what the monitor shows, both (n,) in kV, for a command (n,) in V."""
+        demand = np.clip(command_v * self.gain_kv_per_v, 0.0, self.largest_kv)
+        film = self.follow(demand, interval_s)
+        return film, film if self.monitored else demand
 
     def follow(self, demand_kv: Float, interval_s: float) -> Float:
         """Voltage (n,) in kV that follows the demand (n,), held between the samples; it begins settled."""

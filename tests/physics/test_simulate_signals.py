@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from pipeline.physics import excitation
-from pipeline.simulate.bench import Signals
 from pipeline.simulate.drive import Amplifier
 from pipeline.simulate.sensors import Sensor, delayed, low_pass, random_stream
 
@@ -90,7 +89,7 @@ def test_pulses_are_on_and_off_for_whole_samples() -> None:
 def test_amplifier_rises_and_falls_with_its_own_times() -> None:
     amplifier = Amplifier(1.5, rise_time_constant_s=0.01, fall_time_constant_s=0.03)
     command = np.concatenate([np.zeros(100), np.full(2000, 4.0), np.zeros(2000)])
-    out = amplifier.apply(Signals(1e-4, {"command": command}))["voltage"]
+    _, out = amplifier.amplify(command, 1e-4)
     t = np.arange(2000) * 1e-4
     assert out[100:2100] == pytest.approx(6 * (1 - np.exp(-t / 0.01)), abs=1e-9)
     assert out[2100:4100] == pytest.approx(6 * np.exp(-t / 0.03), abs=1e-7)
@@ -111,9 +110,9 @@ def test_slew_limit_bounds_the_slope() -> None:
 
 def test_hidden_lag_shows_the_demand_on_the_monitor() -> None:
     command = np.concatenate([np.zeros(10), np.ones(100)])
-    out = Amplifier(2.0, 0.01, 0.01, monitored=False).apply(Signals(1e-3, {"command": command}))
-    assert out["voltage"][10] == 2.0
-    assert out["film_voltage"][10] == 0.0
+    film, monitor = Amplifier(2.0, 0.01, 0.01, monitored=False).amplify(command, 1e-3)
+    assert monitor[10] == 2.0
+    assert film[10] == 0.0
 
 
 @pytest.mark.parametrize("delay_s", [1e-3, 1.234e-3, 2.5e-5])
