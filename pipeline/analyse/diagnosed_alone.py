@@ -10,15 +10,15 @@ from collections.abc import Sequence
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import CYCLE, SYSTEM, SessionFeatures
 from pipeline.diagnose.results import Diagnosis
-from pipeline.diagnose.single.contest import Contest
-from pipeline.diagnose.single.cycle_causes import large_cycle
+from pipeline.diagnose.single.comparison import Comparison
 from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle
+from pipeline.diagnose.single.cycle_model import make_cycle
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.system_diagnosis import diagnose_system
 from schemas.metadata import RecordingMetadata
 
 
-def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Contest] | None:
+def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Comparison] | None:
     """The diagnosis of a specimen whose records can be asked alone: one large cycle, or those of a system; None for others.
 
     Raises `NotIdentifiableError` where the records do not carry it.
@@ -30,7 +30,7 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
         ((recording, alone),) = asked
         c, law = alone.channels, alone.given or None
         return diagnose_cycle(
-            large_cycle(c["time_s"], c["stretch"], c["stress"], law, recording.recording_id, specimen_id)
+            make_cycle(c["time_s"], c["stretch"], c["stress"], law, recording.recording_id, specimen_id)
         )
     if kinds != {SYSTEM} or len({round(alone.given["interval_s"], 12) for _, alone in asked}) != 1:
         return None

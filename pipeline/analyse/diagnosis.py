@@ -8,7 +8,7 @@ from dataclasses import replace
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.diagnosed_alone import diagnosed_alone
 from pipeline.analyse.inputs import Measured
-from pipeline.analyse.rows.diagnoses import contest_tables, diagnosis_tables, undiagnosed_tables
+from pipeline.analyse.rows.diagnoses import comparison_tables, diagnosis_tables, undiagnosed_tables
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.encode import unpack
@@ -28,7 +28,7 @@ def analyse_diagnosis(specimen_id: str, recordings: Sequence[Measured], calibrat
         return analysis  # a clamp under its own name is no specimen
     alone = analysis.attempt("diagnosis", diagnosed_alone, specimen_id, recordings)
     if alone is not None:
-        analysis.add(contest_tables(*alone))
+        analysis.add(comparison_tables(*alone))
         return analysis
     found = analysis.attempt("diagnosis", _asked, session, refused)
     if isinstance(found, Diagnosis):

@@ -12,9 +12,9 @@ import numpy as np
 
 from pipeline.diagnose.features import kinds as kinds
 from pipeline.diagnose.features.kinds import RecordingFeatures
-from pipeline.diagnose.mechanisms import MECHANISMS, Context, invisible
-from pipeline.diagnose.proposals.next_recording import next_recording
-from pipeline.diagnose.proposals.proving import proving_recording
+from pipeline.diagnose.mechanisms import MECHANISMS, Context, list_invisible
+from pipeline.diagnose.proposals.next_recording import propose_separating
+from pipeline.diagnose.proposals.proving import propose_proving
 from pipeline.diagnose.results import (
     AMBIGUOUS,
     NAMED,
@@ -28,15 +28,15 @@ from pipeline.diagnose.results import (
     Residuals,
 )
 from pipeline.diagnose.search.decide import Outcome, decide
-from pipeline.diagnose.search.discrepancies import described, discrepancies, left_by_causes
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.held_out import held_out, supported_by
-from pipeline.diagnose.search.intervals import NORMAL_90, ends, linear
-from pipeline.diagnose.search.plain import fit_plain
-from pipeline.diagnose.search.power import beyond_arms, reported, smallest_parameters
-from pipeline.diagnose.search.refit import settled
-from pipeline.diagnose.search.structure import Structure, words
-from pipeline.diagnose.search.tempering import explained
+from pipeline.diagnose.search.detectable import discount_further_arms, find_smallest, report_smallest
+from pipeline.diagnose.search.discrepancies import describe_what_stays, list_discrepancies, name_kind
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.fit_mechanisms import settle_outliers
+from pipeline.diagnose.search.held_out import list_supporting_protocols, predict_left_out
+from pipeline.diagnose.search.intervals import NORMAL_90, find_interval_ends, make_linear_ends
+from pipeline.diagnose.search.patterns import Patterns, name_variable
+from pipeline.diagnose.search.plain_fit import fit_plain
+from pipeline.diagnose.search.tempering import measure_explained_share
 from pipeline.diagnose.simulation.hum import with_hum
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -67,13 +67,13 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     outcome = decide(session, simulation, fitted)
-    context = context_of(session, simulation, outcome.untempered)
+    context = make_context(session, simulation, outcome.untempered)
     final = outcome.final
-    smallest = smallest_parameters(beyond_arms(outcome.untempered, outcome.looked), outcome.threshold)
-    gain = None if final is None else held_out(outcome.plain, final)
+    smallest = find_smallest(discount_further_arms(outcome.untempered, outcome.looked), outcome.threshold)
+    gain = None if final is None else predict_left_out(outcome.plain, final)
     verdict = _checked(outcome, gain)
     named = () if final is None else tuple(c.id for c in final.of.chosen)
-    extended = None if final is None else settled(final)
+    extended = None if final is None else settle_outliers(final)
     alternatives = (
         *(fit.of.chosen[0].id for fit in outcome.alternatives),
         *((UNLISTED,) if outcome.doubtful or outcome.instead else ()),
@@ -84,32 +84,32 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
         mechanisms=named,
         also_possible=alternatives if verdict == AMBIGUOUS else (),
         p_value=outcome.p_value,
-        supported_by=() if final is None else supported_by(outcome.plain, final),
+        supported_by=() if final is None else list_supporting_protocols(outcome.plain, final),
         held_out=gain,
-        extension=None if extended is None else _extension(outcome, extended, context, gain),
-        candidates=_candidates(outcome, context, gain),
-        discrepancies=discrepancies(outcome.untempered),
+        extension=None if extended is None else describe_extension(outcome, extended, context, gain),
+        candidates=list_candidates(outcome, context, gain),
+        discrepancies=list_discrepancies(outcome.untempered),
         next_recording=_next(outcome) if verdict == AMBIGUOUS else None,
-        smallest_detectable=reported(smallest, context),
-        invisible=invisible(session.kinds),
-        could_not_ask=could_not_ask(session),
+        smallest_detectable=report_smallest(smallest, context),
+        invisible=list_invisible(session.kinds),
+        could_not_ask=list_unaskable(session),
         unexplained=_told(outcome, verdict, extended),
         plain_film=outcome.untempered.of.model.physical(outcome.untempered.theta).film,
-        residuals=_residuals(session, outcome.untempered, extended),
+        residuals=list_residuals(session, outcome.untempered, extended),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
         explained=outcome.explained,
         left_p_value=float("nan") if outcome.after is None else outcome.after.p_value,
     )
 
 
-def context_of(session: Session, simulation: Simulation, fit: ExtendedFit) -> Context:
+def make_context(session: Session, simulation: Simulation, fit: ExtendedFit) -> Context:
     """What severities of a session are relative to."""
     loads = simulation.loads(fit.of.model.physical(fit.theta))
     rest = session.states.rest_force_n
     return Context(session.scale, loads, float(np.nanmean(rest)) if np.isfinite(rest).any() else float("nan"))
 
 
-def could_not_ask(session: Session) -> tuple[str, ...]:
+def list_unaskable(session: Session) -> tuple[str, ...]:
     """Questions that these recordings cannot answer, in words."""
     found = []
     if len(session.recordings) == 1:
@@ -158,26 +158,26 @@ def _falls(outcome: Outcome) -> tuple[float, float]:
     return plain.chi2 - final.chi2, float(plain.misfit @ plain.misfit - final.misfit @ final.misfit)
 
 
-def _extension(outcome: Outcome, final: ExtendedFit, context: Context, gain: HeldOut | None) -> Extension:
+def describe_extension(outcome: Outcome, final: ExtendedFit, context: Context, gain: HeldOut | None) -> Extension:
     model, plain = final.of.model, outcome.untempered
-    interval = ends(final, final.spread(None if gain is None else gain.entries))
+    interval = find_interval_ends(final, final.spread(None if gain is None else gain.entries))
     raw = final.of.data_residual(final.x)
-    film_sd, damper_sd = _film_sd(final)
+    film_sd, damper_sd = estimate_film_sd(final)
     return Extension(
-        severities={c.id: _estimates(final, i, interval, context) for i, c in enumerate(final.of.chosen)},
+        severities={c.id: estimate_severity(final, i, interval, context) for i, c in enumerate(final.of.chosen)},
         variants={c.id: c.variant for c in final.of.chosen},
         film=model.physical(final.theta).film,
         film_sd=film_sd,
         damper_sd=damper_sd,
         plain_film=model.physical(plain.theta).film,
-        plain_film_sd=_film_sd(plain)[0],
+        plain_film_sd=estimate_film_sd(plain)[0],
         chi2=float(raw @ raw),
         plain_chi2=float(plain.misfit @ plain.misfit),
         size=final.of.session.size,
     )
 
 
-def _film_sd(fit: ExtendedFit) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def estimate_film_sd(fit: ExtendedFit) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Standard deviations of k0, k…, tau…, and of the dampers c = k tau, in the order of the film's arms."""
     model = fit.of.model
     n, values = model.arms, np.exp(fit.theta[model.film])
@@ -191,7 +191,9 @@ def _film_sd(fit: ExtendedFit) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple(float(v) for v in (values * spread)[places]), tuple(float(v) for v in dampers)
 
 
-def _estimates(fit: ExtendedFit, number: int, interval: tuple[Float, Float], context: Context) -> dict[str, Estimate]:
+def estimate_severity(
+    fit: ExtendedFit, number: int, interval: tuple[Float, Float], context: Context
+) -> dict[str, Estimate]:
     """Severity by the contract's keys. `interval`: steps of the entries down and up to the ends of theirs, (Q,) each.
 
     Standard deviations are by small steps, intervals by whole ones: as lopsided as the parameters are, and what is searched in the
@@ -200,7 +202,7 @@ def _estimates(fit: ExtendedFit, number: int, interval: tuple[Float, Float], con
     mechanism, variant = fit.of.chosen[number].mechanism, fit.of.chosen[number].variant
 
     def report(values: Mapping[str, float]) -> dict[str, float]:
-        return _numbers(mechanism.reported(values, variant, context))
+        return _keep_numbers(mechanism.reported(values, variant, context))
 
     def away(steps: Float) -> dict[str, Float]:
         """Changes of each key by steps of each parameter."""
@@ -220,22 +222,22 @@ def _estimates(fit: ExtendedFit, number: int, interval: tuple[Float, Float], con
     }
 
 
-def _numbers(report: Mapping[str, float | str]) -> dict[str, float]:
+def _keep_numbers(report: Mapping[str, float | str]) -> dict[str, float]:
     return {key: float(value) for key, value in report.items() if isinstance(value, int | float)}
 
 
-def _candidates(outcome: Outcome, context: Context, gain: HeldOut | None) -> tuple[Candidate, ...]:
+def list_candidates(outcome: Outcome, context: Context, gain: HeldOut | None) -> tuple[Candidate, ...]:
     if not outcome.singles:
         return ()
     evidence = np.array([f.log_evidence for f in outcome.singles])
     probability = np.exp(evidence - evidence.max())
     probability /= probability.sum()
-    size = _effective_size(outcome.plain)
+    size = _estimate_effective_size(outcome.plain)
     found = []
     for fit, share in zip(outcome.singles, probability, strict=True):
         chosen = fit.of.chosen[0]
-        estimates = _estimates(fit, 0, linear(fit.spread()), context)
-        key = main_key(chosen.id, estimates)
+        estimates = estimate_severity(fit, 0, make_linear_ends(fit.spread()), context)
+        key = find_main_key(chosen.id, estimates)
         ratio = outcome.plain.chi2 - fit.chi2
         alone = outcome.final is not None and len(outcome.final.of.chosen) == 1
         believed = alone and outcome.final is not None and outcome.final.of.chosen[0].id == chosen.id
@@ -247,7 +249,7 @@ def _candidates(outcome: Outcome, context: Context, gain: HeldOut | None) -> tup
                 probability=float(share),
                 severity=estimates[key].value,
                 severity_sd=estimates[key].sd,
-                explained=explained(outcome.plain, fit),
+                explained=measure_explained_share(outcome.plain, fit),
                 gain=gain.gain if believed and gain is not None else float("nan"),
                 variant=chosen.variant,
                 equation=chosen.mechanism.equation,
@@ -256,13 +258,13 @@ def _candidates(outcome: Outcome, context: Context, gain: HeldOut | None) -> tup
     return tuple(found)
 
 
-def main_key(id: str, estimates: Mapping[str, Estimate]) -> str:
+def find_main_key(id: str, estimates: Mapping[str, Estimate]) -> str:
     """Key of the main severity among the reported ones."""
     name = MECHANISMS[id].severities[0].name
     return name if name in estimates else next(iter(estimates))
 
 
-def _effective_size(plain: ExtendedFit) -> float:
+def _estimate_effective_size(plain: ExtendedFit) -> float:
     """Number of data less what neighbours say twice: from the lag-1 correlation of the residual."""
     r = plain.misfit
     rho = float(np.clip(np.sum(r[1:] * r[:-1]) / max(float(r @ r), 1e-300), 0.0, 0.99))
@@ -272,17 +274,19 @@ def _effective_size(plain: ExtendedFit) -> float:
 def _told(outcome: Outcome, verdict: str, extended: ExtendedFit | None) -> tuple[str, ...]:
     """What speaks against the verdict, or is beside it."""
     against = _unexplained(outcome) if verdict == UNKNOWN else _doubted(outcome) if verdict == AMBIGUOUS else ()
-    return against if extended is None else (*against, *left_by_causes(outcome.untempered, extended))
+    return against if extended is None else (*against, *describe_what_stays(outcome.untempered, extended))
 
 
 def _unexplained(outcome: Outcome) -> tuple[str, ...]:
-    left: Structure = outcome.after or outcome.before
+    left: Patterns = outcome.after or outcome.before
     found = []
     for kind, p in sorted(left.kind_p.items(), key=lambda item: item[1]):
         if p < _LEFT:
-            found.append(f"A pattern stays in {described(kind)}.")
+            found.append(f"A pattern stays in {name_kind(kind)}.")
     found += [f"Beside the causes named, {d.text}." for d in outcome.departed]
-    depends = [words(name) for name, p in sorted(left.variable_p.items(), key=lambda item: item[1]) if p < _LEFT]
+    depends = [
+        name_variable(name) for name, p in sorted(left.variable_p.items(), key=lambda item: item[1]) if p < _LEFT
+    ]
     if depends:
         found.append(f"What stays depends on {', '.join(depends)}.")
     return tuple(found)
@@ -293,8 +297,8 @@ def _next(outcome: Outcome) -> NextRecording | None:
     if outcome.final is None:
         return None
     if outcome.alternatives:
-        return next_recording(outcome.final, outcome.alternatives)
-    return proving_recording(outcome.plain, outcome.final, outcome.doubtful, outcome.instead)
+        return propose_separating(outcome.final, outcome.alternatives)
+    return propose_proving(outcome.plain, outcome.final, outcome.doubtful, outcome.instead)
 
 
 def _doubted(outcome: Outcome) -> tuple[str, ...]:
@@ -307,7 +311,7 @@ def _doubted(outcome: Outcome) -> tuple[str, ...]:
     return (f"It may be a cause that is in no list: that {best.text} would explain all of it as well.",)
 
 
-def _residuals(session: Session, fitted: ExtendedFit, believed: ExtendedFit | None) -> tuple[Residuals, ...]:
+def list_residuals(session: Session, fitted: ExtendedFit, believed: ExtendedFit | None) -> tuple[Residuals, ...]:
     plain = fitted.of.predict(fitted.x)
     extended = plain if believed is None else believed.of.predict(believed.x)
     kind, frequency, time = session.kind, session.covariate("frequency_hz"), session.covariate("time_s")
@@ -332,6 +336,6 @@ def _residuals(session: Session, fitted: ExtendedFit, believed: ExtendedFit | No
     return tuple(found)
 
 
-def film_of(diagnosis: Diagnosis) -> RelaxationModel:
+def choose_film(diagnosis: Diagnosis) -> RelaxationModel:
     """The film as it is best known: of the extended model where there is one."""
     return diagnosis.plain_film if diagnosis.extension is None else diagnosis.extension.film

@@ -17,12 +17,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.diagnosis import diagnose, film_of, main_key
+from pipeline.diagnose.diagnosis import choose_film, diagnose, find_main_key
 from pipeline.diagnose.features.kinds import REST_HUM, FeatureBlock
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, HeldOut, Predicted
-from pipeline.diagnose.search.extend import Extended, ExtendedFit, orthonormal
-from pipeline.diagnose.search.plain import bounds, fit_plain
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit, orthonormalise
+from pipeline.diagnose.search.plain_fit import fit_plain, make_bounds
 from pipeline.diagnose.simulation.hum import with_hum
 from pipeline.diagnose.simulation.session import Place
 from pipeline.diagnose.simulation.session import Session as FeatureSession
@@ -247,7 +247,7 @@ def _trace(case: Case, effect: Effect) -> float:
     shared = np.concatenate([in_now & in_before, np.ones(rest, dtype=bool)])
     seen = np.concatenate([session.whiten(np.where(in_now & in_before, now - before, 0.0)), np.zeros(rest)]) * shared
     jacobian = plain.jacobian * shared[:, None]
-    absorb = orthonormal(jacobian)
+    absorb = orthonormalise(jacobian)
     return float(np.linalg.norm(seen - absorb @ (absorb.T @ seen)))
 
 
@@ -278,7 +278,7 @@ def _plain(seed: int, size: str, material: str | None) -> _Plain:
 
     # What is measured of the drive has noise as well, and with it the simulation: what absorbs is asked without.
     jacobian = fit.solution.jacobian.copy()
-    jacobian[: session.size] = central(whitened, fit.theta, *bounds(of.model))
+    jacobian[: session.size] = central(whitened, fit.theta, *make_bounds(of.model))
     return _Plain(fit, _placed(session, silent, left), jacobian)
 
 
@@ -350,10 +350,10 @@ def _compared(case: Case, d: Diagnosis, session: Session | None, effects: tuple[
         film = session.truth.specimen.film
         truth = film.stiffness(_BAND)
         before, after = (
-            float(np.mean(np.abs(f.stiffness(_BAND) - truth) / np.abs(truth))) for f in (d.plain_film, film_of(d))
+            float(np.mean(np.abs(f.stiffness(_BAND) - truth) / np.abs(truth))) for f in (d.plain_film, choose_film(d))
         )
         bias = _bias(d, clean(case.seed, case.size, case.material))
-        apart = [_apart(d, f, film) for f in (d.plain_film, film_of(d))]
+        apart = [_apart(d, f, film) for f in (d.plain_film, choose_film(d))]
         covered, off = _covered(d, session, effects)
         split = _split(d, session, effects)
     error, left, size = float("nan"), float("nan"), 0
@@ -409,7 +409,7 @@ def _covered(d: Diagnosis, session: Session, effects: tuple[Effect, ...]) -> tup
     if not d.extension.variants[id].startswith(str(channel)):
         return None, float("nan")
     estimates = d.extension.severities[id]
-    key = main_key(id, estimates)
+    key = find_main_key(id, estimates)
     said = session.truth.equivalent[id].get(key)
     if not isinstance(said, int | float):
         return None, float("nan")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.features.reduce import reduce
-from pipeline.diagnose.search.extend import Chosen, Extended, ExtendedFit, effect_of_all
+from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen
 from pipeline.diagnose.simulation.effects import NONE
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -125,7 +125,7 @@ def test_drag_is_that_of_the_speed_which_it_leaves() -> None:
     theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
     (family,) = (f for f in simulation._families if isinstance(f, SweepFamily))
     physical, growth, ratio = model.physical(theta), 1.4, 0.05
-    drag = effect_of_all((Chosen("load_cell_damping", "drag"),), ({"damping_ratio": ratio, "growth": growth},))
+    drag = compose_chosen((Chosen("load_cell_damping", "drag"),), ({"damping_ratio": ratio, "growth": growth},))
     plain, dragged = (family.linear(physical, effect) for effect in (NONE, drag))
     rig, view = physical.rigs[family.rig], family.view
     omega, alone = 2 * np.pi * view.frequency_hz, float(1 / np.sqrt(rig.mass * rig.compliance)[0, 0])

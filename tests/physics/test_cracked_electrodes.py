@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.diagnose.features.kinds import CYCLIC_CAPACITANCE
 from pipeline.diagnose.features.reduce import reduce
-from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.effects import NONE, Cracks, Effect
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from pipeline.diagnose.results import Diagnosis
-from pipeline.diagnose.single.contest import Contest
-from pipeline.diagnose.single.cycle_causes import large_cycle
-from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle, noise_sd
+from pipeline.diagnose.single.comparison import Comparison
+from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle, estimate_noise_sd
+from pipeline.diagnose.single.cycle_model import make_cycle
 from schemas.errors import NotIdentifiableError
 
 Float = NDArray[np.float64]
@@ -48,12 +48,12 @@ def cycle(
     return time, stretch_at(time), law(stretch_at(time)) + found.y.sum(axis=0) + noise
 
 
-def diagnosed(data: tuple[Float, Float, Float]) -> tuple[Diagnosis, Contest]:
-    return diagnose_cycle(large_cycle(*data, LAW, "cycle", "film"))
+def diagnosed(data: tuple[Float, Float, Float]) -> tuple[Diagnosis, Comparison]:
+    return diagnose_cycle(make_cycle(*data, LAW, "cycle", "film"))
 
 
 @lru_cache(maxsize=1)
-def two_branches() -> tuple[Diagnosis, Contest]:
+def two_branches() -> tuple[Diagnosis, Comparison]:
     return diagnosed(cycle(((30.0, 4.0), (60.0, 0.3))))
 
 
@@ -69,10 +69,10 @@ def test_a_cycle_that_one_branch_explains_has_nothing_wrong(seed: int) -> None:
 
 
 def test_a_second_branch_is_possible_and_predicts_the_unloading() -> None:
-    found, contest = two_branches()
+    found, comparison = two_branches()
     assert found.verdict in ("named", "ambiguous")
     assert "missing_relaxation" in {*found.mechanisms, *found.also_possible}
-    second = next(p for p in contest.places if p.entrant.form == "a second branch")
+    second = next(p for p in comparison.ranked if p.model.variant == "a second branch")
     assert second.lower > 0.8
     assert second.explained > 0.95
     assert {"gain_error", "baseline_drift"}.isdisjoint({*found.mechanisms, *found.also_possible})
@@ -85,12 +85,12 @@ def test_a_law_that_stiffens_is_told_from_a_relaxation() -> None:
     def stiffer(stretch: Float) -> Float:
         return equilibrium(stretch) * (1 + 0.4 * np.tanh((stretch - 1) / 3) ** 2)
 
-    found, contest = diagnosed(cycle(((30.0, 4.0),), stiffer))
+    found, comparison = diagnosed(cycle(((30.0, 4.0),), stiffer))
     assert found.mechanisms == ("strain_stiffening",)
-    assert contest.places[0].lower > 0.5
-    assert contest.places[0].explained > 0.95
-    relaxing = [p for p in contest.places if p.entrant.mechanism == "missing_relaxation"]
-    assert all(p.after > 3 * contest.places[0].after for p in relaxing)
+    assert comparison.ranked[0].lower > 0.5
+    assert comparison.ranked[0].explained > 0.95
+    relaxing = [p for p in comparison.ranked if p.model.mechanism == "missing_relaxation"]
+    assert all(p.after > 3 * comparison.ranked[0].after for p in relaxing)
 
 
 def test_what_cannot_be_told_apart_gets_a_recording_that_would() -> None:
@@ -102,20 +102,20 @@ def test_what_cannot_be_told_apart_gets_a_recording_that_would() -> None:
 
 
 def test_damage_that_does_not_show_while_loading_gains_nothing_there() -> None:
-    _, contest = two_branches()
-    damage = next(p for p in contest.places if p.entrant.mechanism == "cyclic_softening")
+    _, comparison = two_branches()
+    damage = next(p for p in comparison.ranked if p.model.mechanism == "cyclic_softening")
     assert damage.gain == pytest.approx(0.0, abs=1e-12)
     assert damage.lower == damage.upper == damage.gain
 
 
 def test_noise_of_neighbouring_samples() -> None:
     time, _, stress = cycle(((30.0, 4.0),))
-    assert noise_sd(stress) == pytest.approx(NOISE_KPA, rel=0.15)
-    assert noise_sd(np.where(time > UP_S, stress + 50, stress)) == pytest.approx(NOISE_KPA, rel=0.15)
+    assert estimate_noise_sd(stress) == pytest.approx(NOISE_KPA, rel=0.15)
+    assert estimate_noise_sd(np.where(time > UP_S, stress + 50, stress)) == pytest.approx(NOISE_KPA, rel=0.15)
 
 
 def test_a_cycle_without_a_way_back_is_refused() -> None:
     time, stretch, stress = cycle(((30.0, 4.0),))
     up = time < UP_S
     with pytest.raises(NotIdentifiableError, match="no way back"):
-        large_cycle(time[up], stretch[up], stress[up], LAW, "cycle", "film")
+        make_cycle(time[up], stretch[up], stress[up], LAW, "cycle", "film")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.diagnose.mechanisms import effect_of
+from pipeline.diagnose.mechanisms import make_effect
 from pipeline.diagnose.simulation.effects import Course
 from tests.physics.courses import of_a_spring
 
@@ -23,7 +23,7 @@ def course(strain: Float, cycles: tuple[Float, Float] | None = None, *, periodic
 def added(of: Course, rejoining: float) -> Float:
     """Tension that comes back, over that of the film."""
     values = {"loss": LOSS, "cycles": CYCLES, "strain_scale": 1e3, "rejoining": rejoining}
-    (rejoins,) = effect_of("cyclic_softening", values).tension
+    (rejoins,) = make_effect("cyclic_softening", values).tension
     return np.asarray((rejoins(of) - of.tension) / np.where(of.tension == 0, 1.0, of.tension))
 
 
@@ -47,4 +47,4 @@ def test_what_comes_back_grows_with_the_damage_of_the_cycles() -> None:
 
 def test_a_film_that_does_not_rejoin_bends_nothing() -> None:
     values = {"loss": LOSS, "cycles": CYCLES, "strain_scale": 1.0, "rejoining": 0.0}
-    assert effect_of("cyclic_softening", values).tension == ()
+    assert make_effect("cyclic_softening", values).tension == ()

@@ -11,11 +11,11 @@ import pytest
 
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.proposals.designs import Proposal
-from pipeline.diagnose.proposals.imagined import Seen, made_up
-from pipeline.diagnose.search.departures import Departure, departures
-from pipeline.diagnose.search.extend import Extended, ExtendedFit
-from pipeline.diagnose.search.plain import fit_plain
-from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
+from pipeline.diagnose.proposals.imagined import Seen, imagine_session
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.free_quantities import FreeQuantity, fit_free_quantities
+from pipeline.diagnose.search.plain_fit import fit_plain
+from pipeline.diagnose.search.screen import make_absorbed_basis, project_out
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from tests.hidden_effects.truth import Effect
@@ -40,17 +40,17 @@ def plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Exte
     return of.refined(of.fit(fitted.theta, most=3))
 
 
-def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Sequence[Departure]:
-    return departures(plain_model(seed, *effects, designs=designs))
+def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Sequence[FreeQuantity]:
+    return fit_free_quantities(plain_model(seed, *effects, designs=designs))
 
 
 @pytest.mark.parametrize("seed", range(301, 303))
 def test_nothing_departs_where_nothing_is_hidden(seed: int) -> None:
     fit = plain_model(seed)
-    found = departures(fit)
+    found = fit_free_quantities(fit)
     assert len(found) >= 9
     assert min(d.p_value for d in found) > 1e-4, found[0]
-    some = departures(fit, {found[-1].text})
+    some = fit_free_quantities(fit, {found[-1].text})
     assert [d.statistic for d in some] == [d.statistic for d in found if d.text == found[-1].text]
     # No knot of the stiffness above the band: a change there shows through the edges of windows alone, and no noise law holds for it.
     assert max(d.degrees_of_freedom for d in found) <= 2 * np.count_nonzero(np.geomspace(5.0, 160.0, 26) < 110)
@@ -77,11 +77,11 @@ def test_what_is_in_no_list_departs_where_it_acts(effect: Effect, words: str) ->
 def test_at_its_best_values_a_quantity_changes_the_features_by_what_it_explains() -> None:
     fit = plain_model(303, Effect("humidity", 0.02))
     of = fit.of
-    for d in departures(fit):
+    for d in fit_free_quantities(fit):
         if d.degrees_of_freedom < len(d.effects):
             continue
         seen = of.weight * of.session.whiten(np.nan_to_num(d.change(of, fit.x)))
-        gram, along = unabsorbed(fit, seen[:, None], absorbed_by(fit))
+        gram, along = project_out(fit, seen[:, None], make_absorbed_basis(fit))
         assert (gram.item(), along.item()) == pytest.approx((d.statistic, d.statistic), rel=1e-3), d.text
 
 
@@ -91,10 +91,10 @@ def test_what_differs_from_recording_to_recording_says_nothing_of_a_further_one(
         {"protocol": "cyclic", "loading": "mechanical", "strain_pp": 0.04, "frequency_hz": 1.0, "cycles": 10.0},
         "ten cycles",
     )
-    made = made_up(fit, proposal)
+    made = imagine_session(fit, proposal)
     assert made is not None
     later = Seen.of_fit(*made, fit).of
-    changes = {d.text: np.abs(d.change(later, fit.x)).max() for d in departures(fit)}
+    changes = {d.text: np.abs(d.change(later, fit.x)).max() for d in fit_free_quantities(fit)}
     assert changes["the stiffness differs from recording to recording"] < 1e-9
     assert changes["the stiffness changes for good"] > 1e-4
 

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.diagnose.diagnosis import _film_sd
+from pipeline.diagnose.diagnosis import estimate_film_sd
 from pipeline.diagnose.features.reduce import reduce
-from pipeline.diagnose.search.extend import Extended
-from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.search.extended_model import Extended
+from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from tests.hidden_effects.judging import Case, made
@@ -72,7 +72,7 @@ def test_a_damper_is_surer_than_its_spring_and_time_where_only_their_product_sho
     simulation = Simulation(session)
     found = fit_plain(session, simulation)
     of = Extended(session, simulation, found.model, (), np.ones(session.size))
-    sd, dampers = _film_sd(of.refined(of.fit(found.theta, most=3)))
+    sd, dampers = estimate_film_sd(of.refined(of.fit(found.theta, most=3)))
     film = found.model.physical(found.theta).film
     n = len(film.k)
     assert len(sd) == 1 + 2 * n

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.features.reduce import reduce
-from pipeline.diagnose.mechanisms import MECHANISMS, effect_of
-from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.mechanisms import MECHANISMS, make_effect
+from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.effects import NONE, Effect
 from pipeline.diagnose.simulation.families import Family
 from pipeline.diagnose.simulation.parameters import BaseModel
@@ -47,7 +47,7 @@ def fitted() -> _Fitted:
 def effect(id: str, variant: str) -> Effect:
     """A clear one: three tenths up the plausible range of each parameter."""
     values = {p.name: p.low + 0.3 * (p.high - p.low) for p in MECHANISMS[id].parameters}
-    return effect_of(id, values, variant)
+    return make_effect(id, values, variant)
 
 
 @pytest.mark.parametrize(("id", "variant"), FORMS)

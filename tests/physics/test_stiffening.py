@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.diagnose.mechanisms import effect_of
+from pipeline.diagnose.mechanisms import make_effect
 from tests.physics.courses import of_a_spring
 
 Float = NDArray[np.float64]
@@ -16,7 +16,7 @@ RISE, LARGEST = 0.2, 0.12
 def tension(strain: Float, uneven: float, *, periodic: bool) -> Float:
     """Of a spring of 3 N/mm and 50 mm under a strain (P,), over that of the spring at 1."""
     course = of_a_spring(strain[None], length_mm=50.0, largest=LARGEST, periodic=periodic)
-    (stiffer,) = effect_of("strain_stiffening", {"stiffening": RISE, "asymmetry": uneven}).tension
+    (stiffer,) = make_effect("strain_stiffening", {"stiffening": RISE, "asymmetry": uneven}).tension
     return np.asarray(stiffer(course)[0] / 150.0)
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from pipeline.diagnose.features.kinds import CYCLIC_CAPACITANCE
 from pipeline.diagnose.features.reduce import reduce
-from pipeline.diagnose.mechanisms import effect_of
-from pipeline.diagnose.search.plain import fit_plain
+from pipeline.diagnose.mechanisms import make_effect
+from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.effects import NONE
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -28,7 +28,7 @@ def test_the_capacitance_follows_the_active_film_alone() -> None:
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     physical = fitted.model.physical(fitted.theta)
-    effect = effect_of("passive_strip", STRIP)
+    effect = make_effect("passive_strip", STRIP)
     before, after = (simulation.predict(fitted.model, fitted.theta, e) for e in (NONE, effect))
     rig, film = physical.rigs[0], physical.film
     passive = film.k0 * (1 - STRIP["compliance_share"]) / STRIP["compliance_share"]

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from pipeline.diagnose.features import blocks, chirp
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.features.sweep_kernels import Piece, SweepReader, bands_of, harmonics_of
-from pipeline.diagnose.search.extend import Chosen, Extended, effect_of_all
-from pipeline.diagnose.search.plain import fit_plain
-from pipeline.diagnose.search.power import beyond_arms
-from pipeline.diagnose.search.screen import secants, signatures
+from pipeline.diagnose.search.detectable import discount_further_arms
+from pipeline.diagnose.search.extended_model import Chosen, Extended, compose_chosen
+from pipeline.diagnose.search.plain_fit import fit_plain
+from pipeline.diagnose.search.screen import compute_secants, compute_signatures
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.diagnose.simulation.sweeps import SweepFamily
@@ -73,7 +73,7 @@ def test_the_force_over_time_is_that_of_a_time_domain_rig() -> None:
     found = fit_plain(session, simulation)
     physical = found.model.physical(found.theta)
     (family,) = (f for f in simulation._families if isinstance(f, SweepFamily))
-    linear = family.linear(physical, effect_of_all((), ()))
+    linear = family.linear(physical, compose_chosen((), ()))
     force = truth.noise_free[0].channels["force"].values
     force = force - force[:100].mean()
     for sweep in family._sweeps:
@@ -123,7 +123,7 @@ def test_slack_begins_as_in_time(overload: float) -> None:
     loads = simulation.loads(physical)
     floor = float(slack.truth.equivalent["slack"]["preload_n"])
     values = {"overload": loads.fall_n / floor - 1, "residual": residual, "softness": softness / 2}
-    effect = effect_of_all((Chosen("slack", ""),), (values,))
+    effect = compose_chosen((Chosen("slack", ""),), (values,))
     passed = family._passed(family.linear(physical, effect), physical, effect, loads)
     before, after = (t.noise_free[0].channels["force"] for t in (truth, slack))
     change = np.fft.rfft(after.values - before.values)
@@ -149,7 +149,7 @@ def test_parts_of_a_session_are_simulated_as_within_the_whole(mixed: tuple[TrueS
     film = film_of(truth)
     model = session.base_model(len(film.k))
     theta = model.theta(film)
-    effect = effect_of_all((Chosen(id, ""),), (BENDING[id],))
+    effect = compose_chosen((Chosen(id, ""),), (BENDING[id],))
     whole = simulation.predict(model, theta, effect)
     for odd in (0, 1):
         keep = [p.state % 2 == odd for p in session.places]
@@ -172,8 +172,8 @@ def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
         found = fit_plain(session, simulation, order=order)
         of = Extended(session, simulation, found.model, (), np.ones(session.size))
         fit = of.refined(of.fit(found.theta, most=3))
-        looked = signatures(secants(fit), fit)
-        lengths.append((looked, beyond_arms(fit, looked).length))
+        looked = compute_signatures(compute_secants(fit), fit)
+        lengths.append((looked, discount_further_arms(fit, looked).length))
     (looked, beyond), (full, unchanged) = lengths
     assert np.array_equal(unchanged, full.length)
     relaxing = np.array([c.id in ("missing_relaxation", "power_law_relaxation") for c in looked.chosen])

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from pipeline.diagnose.results import NAMED, NONE
-from pipeline.diagnose.single.contest import Contest, contest
-from pipeline.diagnose.single.oscillator import DELAY, Oscillator, SystemRecord, linear
-from pipeline.diagnose.single.system_causes import SystemQuestion, system_causes
-from pipeline.diagnose.single.system_discrepancies import system_discrepancies
+from pipeline.diagnose.single.comparison import Comparison, compare_predictions
+from pipeline.diagnose.single.oscillator import DELAY, Oscillator, SystemRecord, make_linear
+from pipeline.diagnose.single.system_discrepancies import list_system_discrepancies
+from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
 
 Float = NDArray[np.float64]
 Force = Callable[[float, float, float], tuple[float, float]]
@@ -72,20 +72,20 @@ TRUTHS: dict[str, Force] = {
 
 
 @functools.cache
-def _question(truth: str) -> tuple[SystemQuestion, Contest]:
-    question = system_causes([_record(TRUTHS[truth])])
-    return question, _contest(question)
+def _question(truth: str) -> tuple[SystemQuestion, Comparison]:
+    question = ask_system([_record(TRUTHS[truth])])
+    return question, _compare(question)
 
 
-def _contest(q: SystemQuestion) -> Contest:
-    return contest(q.plain, q.entrants, q.measured, q.left_out, q.sd)
+def _compare(q: SystemQuestion) -> Comparison:
+    return compare_predictions(q.plain, q.models, q.measured, q.left_out, q.sd)
 
 
 @pytest.mark.parametrize("truth", [name for name in TRUTHS if name != "none"])
 def test_the_cause_is_named(truth: str) -> None:
     question, found = _question(truth)
-    best = found.places[0]
-    assert (found.verdict, best.entrant.mechanism) == (NAMED, truth)
+    best = found.ranked[0]
+    assert (found.verdict, best.model.mechanism) == (NAMED, truth)
     assert best.gain > 0.9
     assert best.lower > 0.8
     assert best.explained > 0.9
@@ -112,7 +112,7 @@ def test_nothing_is_found_where_there_is_nothing() -> None:
 )
 def test_its_size_is_within_its_uncertainty(truth: str, key: str, expected: Callable[[float], float]) -> None:
     question, found = _question(truth)
-    size = found.places[0].entrant.severity[key]
+    size = found.ranked[0].model.severity[key]
     assert size.lower < size.value < size.upper
     assert abs(size.value - expected(question.amplitude)) < 3 * size.sd
     assert size.sd < 0.05 * abs(size.value)
@@ -122,9 +122,9 @@ def test_a_saturated_reading_is_named() -> None:
     record = _record(TRUTHS["none"])
     limit = 1.2 * float(np.abs(record.output).max())
     bent = replace(record, output=record.output / np.sqrt(1 + (record.output / limit) ** 2))
-    best = _contest(system_causes([bent])).places[0]
-    assert best.entrant.mechanism == "sensor_saturation"
-    size = best.entrant.severity["overload"]
+    best = _compare(ask_system([bent])).ranked[0]
+    assert best.model.mechanism == "sensor_saturation"
+    size = best.model.severity["overload"]
     assert abs(size.value - (np.sqrt(1 + 1 / 1.2**2) - 1)) < 3 * size.sd + 0.01
     assert best.lower > 0.8
 
@@ -132,29 +132,29 @@ def test_a_saturated_reading_is_named() -> None:
 def test_nonlinear_damping_is_that_of_the_fastest_motion() -> None:
     question, found = _question("load_cell_damping")
     simulated = next(s for s in question.simulations if s.mechanism == "load_cell_damping").outputs[0]
-    size = found.places[0].entrant.severity["damping_ratio"]
+    size = found.ranked[0].model.severity["damping_ratio"]
     fastest = float(np.abs(np.gradient(simulated, INTERVAL_S)).max())
     assert abs(size.value - 0.25 * fastest / 2 / OMEGA) < 3 * size.sd
 
 
 def test_places_of_the_discrepancy_grow_with_the_output() -> None:
     question, _ = _question("strain_stiffening")
-    found = {d.statement.partition(" (")[0]: d for d in system_discrepancies(question)}
+    found = {d.statement.partition(" (")[0]: d for d in list_system_discrepancies(question)}
     assert found["where it is largest"].chi2 > 2 * found["where the output is smallest"].chi2
     assert "about its resonance" in found
-    assert not system_discrepancies(_question("none")[0])
+    assert not list_system_discrepancies(_question("none")[0])
 
 
 def test_a_steady_period_and_a_louder_record() -> None:
     """A period is predicted from a louder record and the reverse, and the names say which."""
     period = replace(_record(TRUTHS["strain_stiffening"], 0.05, growing=False, periodic=True, seed=3), name="period")
     loud = replace(_record(TRUTHS["strain_stiffening"], seed=4), name="loud")
-    question = system_causes([period, loud], sd=NOISE)
-    found = _contest(question)
+    question = ask_system([period, loud], sd=NOISE)
+    found = _compare(question)
     assert [part.name for part in question.parts] == ["loud, the loudest", "period"]
     assert question.parts[1].places.size == SAMPLES
-    assert (found.verdict, found.places[0].entrant.mechanism) == (NAMED, "strain_stiffening")
-    errors = found.places[0].entrant.unseen - question.left_out
+    assert (found.verdict, found.ranked[0].model.mechanism) == (NAMED, "strain_stiffening")
+    errors = found.ranked[0].model.unseen - question.left_out
     assert all(np.std(errors[part.values]) < 2 * NOISE for part in question.parts)
 
 
@@ -173,10 +173,10 @@ def test_steps_from_rest() -> None:
     found = solve_ivp(rate, (0, times[-1]), [0, 0], t_eval=times, rtol=1e-6, atol=1e-8, max_step=INTERVAL_S)
     y = found.y[0] + 0.002 * np.random.default_rng(5).standard_normal(times.size)
     record = SystemRecord("steps", np.array([at(t) for t in times]), y, INTERVAL_S, from_rest=True)
-    best = _contest(system_causes([record])).places[0]
-    assert best.entrant.mechanism == "strain_stiffening"
+    best = _compare(ask_system([record])).ranked[0]
+    assert best.model.mechanism == "strain_stiffening"
     assert best.lower > 0.9
-    assert best.entrant.whole.size == times.size
+    assert best.model.whole.size == times.size
 
 
 def test_the_linear_oscillator_is_exact() -> None:
@@ -185,7 +185,7 @@ def test_the_linear_oscillator_is_exact() -> None:
     t = np.arange(n) * INTERVAL_S
     wave = 2 * np.pi * 75.0
     record = SystemRecord("sine", np.cos(wave * t), np.zeros(n), INTERVAL_S, periodic=True)
-    theta = linear(damping=2 * ratio, gain=1.0)
+    theta = make_linear(damping=2 * ratio, gain=1.0)
     late = theta.copy()
     late[DELAY] = OMEGA * 0.4 * INTERVAL_S
     found = Oscillator([record], 1.0, OMEGA, 2 * ratio)(np.array([theta, late]).T)[0]

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from pipeline.diagnose.mechanisms import effect_of
+from pipeline.diagnose.mechanisms import make_effect
 from pipeline.diagnose.simulation.effects import Film, Scale, View
 
 WARM = {"per_kelvin": 0.02, "rise_k": 5.0, "time_constant_s": 500.0}
@@ -23,7 +23,7 @@ def stiffness(session_s: float, temperature_k: float, first_temperature_s: float
         test="sweep",
     )
     film = Film(np.ones((1, 1), dtype=complex), np.ones((1, 1), dtype=complex))
-    for softer in effect_of("thermal_softening", WARM).film:
+    for softer in make_effect("thermal_softening", WARM).film:
         film = softer(film, view)
     return float(film.k[0, 0].real)
 
@@ -51,7 +51,7 @@ def heated(test: str, frequency_hz: np.ndarray, strain: np.ndarray, elapsed: np.
     numbers |= {"elapsed": np.broadcast_to(elapsed, shape), "temperature_k": np.zeros(shape)}
     view = View(**numbers, scale=Scale(0.1, 5.0, 100.0, 4000.0, 30.0, 0.2), test=test, k0=2.0)
     film = Film(np.full(shape, 2.0 + 2.0j * loss), np.ones(shape, dtype=complex))
-    (softer,) = effect_of("thermal_softening", WARM | {"per_kelvin": 0.01, "self_heating_k": 1.0}).film
+    (softer,) = make_effect("thermal_softening", WARM | {"per_kelvin": 0.01, "self_heating_k": 1.0}).film
     return np.asarray(-np.log(np.abs(softer(film, view).k / film.k)) / 0.01)
 
 

@@ -23,7 +23,9 @@ _JUDGING = (
     "pipeline.diagnose", "pipeline.fit", "pipeline.simulate", "pipeline.transform", "schemas", "ingest", "tests.hidden_effects",
 )  # fmt: skip
 """The science, and what it is made of; not the nightly, which `import pipeline` brings along."""
-_PROPOSING = tuple(f"pipeline.diagnose.{name}" for name in ("designs", "imagined", "next_recording", "proving"))
+_PROPOSING = tuple(
+    f"pipeline.diagnose.proposals.{name}" for name in ("designs", "imagined", "next_recording", "proving")
+)
 _DIGITS = 5
 
 

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pipeline.diagnose.mechanisms import SEVERITY
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.intervals import NORMAL_90, ends
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.intervals import NORMAL_90, find_interval_ends
 
 Float = NDArray[np.float64]
 
@@ -38,17 +38,17 @@ def fit_of(bent: float) -> ExtendedFit:
 
 
 def test_a_straight_valley_has_the_interval_of_its_curvature() -> None:
-    down, up = ends(fit_of(0.0), np.array([0.5]))
+    down, up = find_interval_ends(fit_of(0.0), np.array([0.5]))
     assert (down[0], up[0]) == pytest.approx((-0.5 * NORMAL_90, 0.5 * NORMAL_90))
 
 
 def test_where_the_valley_is_flatter_the_interval_is_longer() -> None:
-    down, up = ends(fit_of(1.0), np.array([0.5]))
+    down, up = find_interval_ends(fit_of(1.0), np.array([0.5]))
     assert down[0] == pytest.approx(-up[0], rel=1e-6)
     assert 2.0 < (2 * np.tanh(up[0])) ** 2 < 3.5
     assert up[0] > 1.15 * 0.5 * NORMAL_90
 
 
 def test_an_interval_ends_at_the_limits_of_the_search() -> None:
-    down, up = ends(fit_of(3.0), np.array([0.5]))
+    down, up = find_interval_ends(fit_of(3.0), np.array([0.5]))
     assert (down[0], up[0]) == (-5.0, 5.0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.diagnose.search import further
+from pipeline.diagnose.search import several_causes
 
 
 @pytest.mark.parametrize(
@@ -33,13 +33,15 @@ def test_causes_are_added_to_a_second_one_where_the_best_leaves_something(
         assert goal < best.chi2
         return []
 
-    monkeypatch.setattr(further, "signatures", lambda _, base: SimpleNamespace(reaches=lambda *_: reached[base.name]))
-    monkeypatch.setattr(further, "scores", lambda _: (SimpleNamespace(statistic=50.0),))
-    monkeypatch.setattr(further, "_promising", lambda *_: True)
-    monkeypatch.setattr(further, "beyond_noise", lambda *_: left)
-    monkeypatch.setattr(further, "tried", tried)
+    monkeypatch.setattr(
+        several_causes, "compute_signatures", lambda _, base: SimpleNamespace(reaches=lambda *_: reached[base.name])
+    )
+    monkeypatch.setattr(several_causes, "find_best_scores", lambda _: (SimpleNamespace(statistic=50.0),))
+    monkeypatch.setattr(several_causes, "_is_promising", lambda *_: True)
+    monkeypatch.setattr(several_causes, "measure_excess", lambda *_: left)
+    monkeypatch.setattr(several_causes, "fit_each_mechanism", tried)
     plain: Any = SimpleNamespace(chi2=2000.0)
     changes: Any = None
-    found, shown = further._added(plain, [best, second], changes)  # type: ignore[list-item]
+    found, shown = several_causes._add_causes(plain, [best, second], changes)  # type: ignore[list-item]
     assert (found, shown) == (best, False)
     assert asked == built_on

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnose.proposals.designs import Proposal
-from pipeline.diagnose.proposals.imagined import Wanted, best_of
+from pipeline.diagnose.proposals.imagined import Wanted, choose_best
 from pipeline.diagnose.proposals.next_recording import _ENOUGH, _Apart
 
 SAYS = st.floats(0.0, 1e4)
@@ -77,5 +77,5 @@ SPHS = Proposal(
     ("each", "periods"), [(0.04, 100.0), (0.02, 300.0), (0.005, 1000.0), (0.0015, 1000.0), (0.0009, None)]
 )
 def test_longer_ones_are_proposed_only_where_shorter_ones_leave_a_doubt(each: float, periods: float | None) -> None:
-    best = best_of([SPHS], lambda p: Worth(p, each), Wanted(least=1.0, good=2.0, enough=4.0))
+    best = choose_best([SPHS], lambda p: Worth(p, each), Wanted(least=1.0, good=2.0, enough=4.0))
     assert (None if best is None else best.proposal.design["periods"]) == periods

@@ -10,32 +10,32 @@ from hypothesis import strategies as st
 
 from pipeline.diagnose.proposals.designs import Proposal
 from pipeline.diagnose.proposals.proving import _ENOUGH, _Judged
-from pipeline.diagnose.search.departures import Departure
-from pipeline.diagnose.search.doubt import of_number
+from pipeline.diagnose.search.doubt import choose_doubt
+from pipeline.diagnose.search.free_quantities import FreeQuantity
 
 TEST = Proposal({"protocol": "sphs", "loading": "electrical"}, "a test")
-WAY = Departure("the actuation follows the voltage in another way", 12.0, 1, 0.08)
-SPANS = Departure("the stiffness differs from recording to recording", 25.0, 9, 0.08)
+WAY = FreeQuantity("the actuation follows the voltage in another way", 12.0, 1, 0.08)
+SPANS = FreeQuantity("the stiffness differs from recording to recording", 25.0, 9, 0.08)
 SAYS = st.floats(0.0, 1e3)
 
 
-def judged(says: float, add: float = 5.0, found: Departure = WAY) -> _Judged:
+def judged(says: float, add: float = 5.0, found: FreeQuantity = WAY) -> _Judged:
     return _Judged(TEST, 200.0, add, ((found, says),), ())
 
 
 @given(says=SAYS, more=st.floats(1.0, 1e3), found=st.sampled_from([WAY, SPANS]))
-def test_the_more_a_recording_says_of_a_doubt_the_better(says: float, more: float, found: Departure) -> None:
+def test_the_more_a_recording_says_of_a_doubt_the_better(says: float, more: float, found: FreeQuantity) -> None:
     assert judged(says + more, found=found).merit() >= judged(says, found=found).merit()
 
 
 def test_a_recording_that_says_nothing_leaves_the_doubt_where_it_is() -> None:
     """Just as much is left as is tolerated: that is the least for which a recording is proposed."""
     alone = judged(0.0, add=1.01)
-    excess = of_number(WAY).tolerates(WAY, 200.0) * (200.0 + WAY.excess)
+    excess = choose_doubt(WAY).tolerates(WAY, 200.0) * (200.0 + WAY.excess)
     assert alone.merit() == pytest.approx(excess / WAY.excess, rel=0.02)
     assert alone.merit() < _ENOUGH
     tolerated = replace(WAY, statistic=3.0)
-    assert not of_number(tolerated).met_by(tolerated, 200.0)
+    assert not choose_doubt(tolerated).met_by(tolerated, 200.0)
     assert judged(0.0, add=1.01, found=tolerated).merit() > _ENOUGH
 
 

@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from pipeline.diagnose.search import refit
-from pipeline.diagnose.search.extend import Chosen
-from pipeline.diagnose.search.refit import _not_lost, _to_its_end
+from pipeline.diagnose.search import fit_mechanisms
+from pipeline.diagnose.search.extended_model import Chosen
+from pipeline.diagnose.search.fit_mechanisms import _drop_lost, _follow_to_end
 from pipeline.diagnose.search.screen import Score
 
 
@@ -45,7 +45,7 @@ def test_a_search_ends(chi2: float, fall: float, least: float, reach: float, fou
     taken: list[int] = []
     base: Any = SimpleNamespace(chi2=1000.0)
     fit: Any = Falling(chi2, fall, least, taken)
-    assert _to_its_end(base, fit, reach).chi2 == pytest.approx(found)
+    assert _follow_to_end(base, fit, reach).chi2 == pytest.approx(found)
     assert len(taken) == rounds
 
 
@@ -63,7 +63,7 @@ def test_severities_that_no_material_makes_room_for_are_left(
 ) -> None:
     base: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(session=SimpleNamespace(size=size)))
     rooms: Any = [SimpleNamespace(chi2=v) for v in chi2]
-    assert [room.chi2 for room in _not_lost(rooms, base)] == kept
+    assert [room.chi2 for room in _drop_lost(rooms, base)] == kept
 
 
 def fitted_without_a_session(monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -75,8 +75,8 @@ def fitted_without_a_session(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         chi2 = 1000.0 - 1.2 * score.statistic
         return SimpleNamespace(chi2=chi2, log_evidence=-chi2 / 2, of=SimpleNamespace(chosen=(score.chosen,)))
 
-    monkeypatch.setattr(refit, "refit", fit)
-    monkeypatch.setattr(refit, "noise_chi2", lambda _: 390.0)
+    monkeypatch.setattr(fit_mechanisms, "fit_mechanism", fit)
+    monkeypatch.setattr(fit_mechanisms, "expect_noise_chi2", lambda _: 390.0)
     return fitted
 
 
@@ -85,12 +85,14 @@ def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyP
     ids = {"slack": 500.0, "clamp_slip": 45.0, "gain_error": 5.0, "wrinkling": 5.0}
     found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
     base: Any = SimpleNamespace(chi2=1000.0)
-    kept = refit.tried(base, found, cast(Any, None), 8)
+    kept = fit_mechanisms.fit_each_mechanism(base, found, cast(Any, None), 8)
     # Of what the material can take the place of, a screen's promise says nothing.
     assert fitted == ["slack", "clamp_slip", "gain_error"]
     assert [f.chi2 for f in kept] == pytest.approx([400.0, 946.0, 994.0])
     fitted.clear()
-    assert [f.chi2 for f in refit.tried(base, found, cast(Any, None), 8, goal=450.0)] == pytest.approx([400.0, 994.0])
+    assert [
+        f.chi2 for f in fit_mechanisms.fit_each_mechanism(base, found, cast(Any, None), 8, goal=450.0)
+    ] == pytest.approx([400.0, 994.0])
     assert fitted == ["slack", "gain_error"]
 
 
@@ -99,8 +101,8 @@ def test_what_the_best_can_be_taken_for_is_fitted_wherever_it_stands_in_the_scre
 ) -> None:
     """A screen sees next to nothing of a strong cause whose place the material can take."""
     fitted = fitted_without_a_session(monkeypatch)
-    monkeypatch.setattr(refit, "_from_the_films_of", lambda best, fit, base: fit)
+    monkeypatch.setattr(fit_mechanisms, "_refit_from_film_of", lambda best, fit, base: fit)
     ids = {"passive_strip": 500.0, "slack": 45.0, "gain_error": 5.0, "missing_relaxation": 1.0}
     found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
-    refit.tried(cast(Any, SimpleNamespace(chi2=1000.0)), found, cast(Any, None), 1)
+    fit_mechanisms.fit_each_mechanism(cast(Any, SimpleNamespace(chi2=1000.0)), found, cast(Any, None), 1)
     assert fitted == ["passive_strip", "missing_relaxation"]

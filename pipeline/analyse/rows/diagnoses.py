@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.diagnose.features.kinds import FeatureBlock, RecordingFeatures
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import Diagnosis, Extension, Residuals
-from pipeline.diagnose.single.contest import Contest, Place
+from pipeline.diagnose.single.comparison import Comparison, RankedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.protocols import MECHANICAL
@@ -84,10 +84,10 @@ def diagnosis_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures]
     return tables
 
 
-def contest_tables(diagnosis: Diagnosis, contest: Contest) -> dict[str, pa.Table]:
+def comparison_tables(diagnosis: Diagnosis, comparison: Comparison) -> dict[str, pa.Table]:
     """The same of a record that was asked alone, whose causes have each their own gain."""
     tables = diagnosis_tables(diagnosis, ())
-    rows = [_place_row(diagnosis, place) for place in contest.places]
+    rows = [_place_row(diagnosis, place) for place in comparison.ranked]
     tables["diagnosis_candidates"] = TABLES["diagnosis_candidates"].rows(rows)
     if not diagnosis.plain_film.k:  # no film
         tables.pop("model_fits", None)
@@ -98,12 +98,12 @@ def contest_tables(diagnosis: Diagnosis, contest: Contest) -> dict[str, pa.Table
     return tables
 
 
-def _place_row(d: Diagnosis, place: Place) -> dict[str, Any]:
-    entrant = place.entrant
-    main = next(iter(entrant.severity.values()), None)
+def _place_row(d: Diagnosis, place: RankedModel) -> dict[str, Any]:
+    model = place.model
+    main = next(iter(model.severity.values()), None)
     return {
         "specimen_id": d.specimen_id,
-        "mechanism": entrant.mechanism,
+        "mechanism": model.mechanism,
         "severity": None if main is None else main.value,
         "severity_sd": None if main is None else _finite(main.sd),
         "gain": place.gain,
@@ -111,8 +111,8 @@ def _place_row(d: Diagnosis, place: Place) -> dict[str, Any]:
         "gain_upper": place.upper,
         "held_out_error": place.after,
         "explained": place.explained,
-        "form": entrant.form or None,
-        "equation": entrant.equation,
+        "form": model.variant or None,
+        "equation": model.equation,
     }
 
 

@@ -18,7 +18,7 @@ MECHANISMS: dict[str, Mechanism] = {
 """Id → mechanism, in the order of the stages."""
 
 
-def effect_of(id: str, values: Mapping[str, float], variant: str | None = None) -> Effect:
+def make_effect(id: str, values: Mapping[str, float], variant: str | None = None) -> Effect:
     """Effect of one mechanism; shapes that are not given are at their start. ValueError for names it does not have."""
     mechanism = MECHANISMS[id]
     names = {p.name for p in mechanism.parameters}
@@ -34,16 +34,16 @@ def effect_of(id: str, values: Mapping[str, float], variant: str | None = None) 
     return mechanism.effect(severities | shapes, chosen)
 
 
-def compose(severities: Mapping[str, Mapping[str, float]], variants: Mapping[str, str] | None = None) -> Effect:
+def compose_effects(severities: Mapping[str, Mapping[str, float]], variants: Mapping[str, str] | None = None) -> Effect:
     """Effect of several mechanisms, in the order of their stages whatever the order given."""
     total = Effect()
     for id in MECHANISMS:
         if id in severities:
-            total = total | effect_of(id, severities[id], (variants or {}).get(id))
+            total = total | make_effect(id, severities[id], (variants or {}).get(id))
     return total
 
 
-def invisible(kinds: Iterable[str]) -> tuple[str, ...]:
+def list_invisible(kinds: Iterable[str]) -> tuple[str, ...]:
     """Mechanisms that leave no trace in features of these kinds."""
     found = frozenset(kinds)
     return tuple(id for id, m in MECHANISMS.items() if not (m.shows & found))
@@ -56,7 +56,7 @@ __all__ = [
     "Context",
     "Mechanism",
     "Parameter",
-    "compose",
-    "effect_of",
-    "invisible",
+    "compose_effects",
+    "list_invisible",
+    "make_effect",
 ]

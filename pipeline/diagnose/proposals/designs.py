@@ -100,12 +100,12 @@ class Proposal:
         return "relaxation" if protocol == "step" and mechanical else protocol
 
 
-def showing(proposals: Sequence[Proposal], causes: Sequence[Mechanism]) -> list[Proposal]:
+def select_showing(proposals: Sequence[Proposal], causes: Sequence[Mechanism]) -> list[Proposal]:
     """Those in which at least one of the causes shows plainly."""
     return [p for p in proposals if any(_KINDS[p.test] & m.shows and p.test not in m.faint for m in causes)]
 
 
-def catalogue(session: Session, warmer_k: float | None) -> list[Proposal]:
+def list_proposals(session: Session, warmer_k: float | None) -> list[Proposal]:
     """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity,
     faster; and the calibrations of its rig.
 
@@ -118,10 +118,10 @@ def catalogue(session: Session, warmer_k: float | None) -> list[Proposal]:
     found: list[Proposal] = []
     for level in (round(0.3 * swing, 4), round(swing, 4)):
         for stop_hz in (_USUAL_HZ, _WIDE_HZ):
-            found.append(_sweeps(level, stop_hz, 2))
+            found.append(_propose_chirp(level, stop_hz, 2))
     for level in (round(0.2 * largest, 4), round(0.5 * largest, 4), round(largest, 4)):
         for frequency, cycles in ((0.02, 4.0), (1.0, 30.0)):
-            found.append(_cycles(level, frequency, cycles))
+            found.append(_propose_cycles(level, frequency, cycles))
     for level in (round(0.5 * largest, 4), round(largest, 4)):
         found.append(
             Proposal(
@@ -155,10 +155,10 @@ def catalogue(session: Session, warmer_k: float | None) -> list[Proposal]:
         if warmer_k is not None
     ]
     if session.scale.voltage_kv > 0:
-        found += _electrical(session.scale.voltage_kv)
+        found += _propose_electrical(session.scale.voltage_kv)
     weight: dict[str, Key] = {"protocol": "weight", "loading": "calibration"}
     tapped: dict[str, Key] = {"protocol": "tap", "loading": "calibration"}
-    extra_kg = _extra_kg(session)
+    extra_kg = _choose_extra_kg(session)
     return [
         *found,
         Proposal(weight, "known weights on the load cell, without film"),
@@ -171,13 +171,13 @@ def catalogue(session: Session, warmer_k: float | None) -> list[Proposal]:
     ]
 
 
-def _extra_kg(session: Session) -> float:
+def _choose_extra_kg(session: Session) -> float:
     """About the mass of the clamp, as sets of weights have it."""
     clamp = next((rig.clamp_mass_kg for rig in session.rigs if rig.clamp_mass_kg), _USUAL_CLAMP_KG)
     return float(min(_WEIGHTS_KG, key=lambda kg: abs(np.log(kg / clamp))))
 
 
-def repeated(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
+def repeat_proposal(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
     """The same sweeps, cycles, periods or voltage steps as many times as often as `often` says; None for other tests, and for those
     with a rest or another room."""
     design = proposal.design
@@ -185,19 +185,19 @@ def repeated(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
         return None
     if proposal.test == "chirp":
         number = int(float(design["repeats"])) * often["chirp"]
-        return _sweeps(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
+        return _propose_chirp(float(design["strain_pp"]), float(design["frequency_stop_hz"]), number)
     if proposal.test == "cyclic":
         cycles = float(design["cycles"]) * often["cyclic"]
-        return _cycles(float(design["strain_pp"]), float(design["frequency_hz"]), cycles)
+        return _propose_cycles(float(design["strain_pp"]), float(design["frequency_hz"]), cycles)
     kv, polarity = float(design["drive_kv"]), float(design.get("polarity", 1.0))
     if proposal.test == "step":
-        return _steps(kv, polarity, int(float(design["cycles"])) * often["step"])
+        return _propose_steps(kv, polarity, int(float(design["cycles"])) * often["step"])
     periods = int(float(design["periods"])) * often["sphs"]
-    return _multisine(kv, polarity, float(design["frequency_stop_hz"]), periods)
+    return _propose_sphs(kv, polarity, float(design["frequency_stop_hz"]), periods)
 
 
-def _multisine(kv: float, polarity: float, stop_hz: float, periods: int) -> Proposal:
-    side, sign = _polarity(polarity)
+def _propose_sphs(kv: float, polarity: float, stop_hz: float, periods: int) -> Proposal:
+    side, sign = _describe_polarity(polarity)
     wide = "" if stop_hz == _USUAL_HZ else f", to {stop_hz:g} Hz"
     return Proposal(
         {
@@ -213,8 +213,8 @@ def _multisine(kv: float, polarity: float, stop_hz: float, periods: int) -> Prop
     )
 
 
-def _steps(kv: float, polarity: float, number: int) -> Proposal:
-    side, sign = _polarity(polarity)
+def _propose_steps(kv: float, polarity: float, number: int) -> Proposal:
+    side, sign = _describe_polarity(polarity)
     return Proposal(
         {
             "protocol": "step",
@@ -229,12 +229,12 @@ def _steps(kv: float, polarity: float, number: int) -> Proposal:
     )
 
 
-def _polarity(polarity: float) -> tuple[str, dict[str, Key]]:
+def _describe_polarity(polarity: float) -> tuple[str, dict[str, Key]]:
     """Words and keys of a design."""
     return ("", {}) if polarity > 0 else (" of the opposite polarity", {"polarity": -1.0})
 
 
-def _sweeps(level: float, stop_hz: float, number: int) -> Proposal:
+def _propose_chirp(level: float, stop_hz: float, number: int) -> Proposal:
     return Proposal(
         {
             "protocol": "chirp",
@@ -249,7 +249,7 @@ def _sweeps(level: float, stop_hz: float, number: int) -> Proposal:
     )
 
 
-def _cycles(level: float, frequency_hz: float, number: float) -> Proposal:
+def _propose_cycles(level: float, frequency_hz: float, number: float) -> Proposal:
     return Proposal(
         {
             "protocol": "cyclic",
@@ -262,31 +262,31 @@ def _cycles(level: float, frequency_hz: float, number: float) -> Proposal:
     )
 
 
-def _electrical(highest: float) -> list[Proposal]:
+def _propose_electrical(highest: float) -> list[Proposal]:
     found = []
     for share in (0.125, 0.25, 0.5, 1.0):
         for polarity in (1.0, -1.0):
             kv = round(share * highest, 2)
-            found.append(_multisine(kv, polarity, _USUAL_HZ, 100))
+            found.append(_propose_sphs(kv, polarity, _USUAL_HZ, 100))
             if polarity > 0 and share == 1.0:
-                found.append(_multisine(kv, polarity, _WIDE_HZ, 100))
-            found.append(_steps(kv, polarity, 3))
+                found.append(_propose_sphs(kv, polarity, _WIDE_HZ, 100))
+            found.append(_propose_steps(kv, polarity, 3))
     return found
 
 
-def imagined(session: Session, physical: Physical, proposal: Proposal) -> list[RecordingFeatures]:
+def imagine_features(session: Session, physical: Physical, proposal: Proposal) -> list[RecordingFeatures]:
     """Features of the proposed recordings after the session's last one, on its rig. Raises `NotIdentifiableError` as `reduce`."""
     made: list[RecordingFeatures] = []
     for number, design in enumerate(proposal.designs):
         last = made[-1] if made else session.recordings[-1]
         pause_s = float(design.get("rest_before_s", _PAUSE_S))
         started_at = last.started_at + timedelta(seconds=last.duration_s + pause_s)
-        make = _calibrated if design["loading"] == "calibration" else _tested
+        make = _imagine_calibration if design["loading"] == "calibration" else _imagine_test
         made.append(make(session, physical, proposal, number, started_at))
     return made
 
 
-def _calibrated(
+def _imagine_calibration(
     session: Session, physical: Physical, proposal: Proposal, place: int, started_at: datetime
 ) -> RecordingFeatures:
     """A calibration of the rig; what it would read is predicted later, its noise is what laboratories reach."""
@@ -309,7 +309,7 @@ def _calibrated(
     )
 
 
-def _tested(
+def _imagine_test(
     session: Session, physical: Physical, proposal: Proposal, place: int, started_at: datetime
 ) -> RecordingFeatures:
     """A test of the specimen, with the output that the plain model gives for its input."""
@@ -322,18 +322,20 @@ def _tested(
     channels: dict[str, Float] = {"voltage" if electrical else "displacement": given}
     frequency = np.asarray(np.fft.rfftfreq(2 * given.size, 1 / _RATE_HZ[proposal.test]), dtype=np.float64)
     drive = given**2 if electrical else given
-    channels["force"] = _filtered(drive, _response(physical, number, frequency, electrical))
+    channels["force"] = _filter_signal(drive, _compute_response(physical, number, frequency, electrical))
     kinds = session.kinds
     if electrical and kinds & {SPHS_VOLTAGE, STEP_VOLTAGE}:
         channels["command"] = given / physical.amplifier[number]
     if proposal.test == "step" and STEP_CAPACITANCE in kinds:
         k = physical.film.stiffness(frequency)
-        sensed = _response(physical, number, frequency, True) * (physical.film.k0 / k) * physical.pf_per_n
-        channels["capacitance"] = _filtered(drive, sensed)
+        sensed = _compute_response(physical, number, frequency, True) * (physical.film.k0 / k) * physical.pf_per_n
+        channels["capacitance"] = _filter_signal(drive, sensed)
     begin = int(started_at.timestamp() * _NS)
     stamps = begin + np.rint(time * _NS).astype(np.int64)
     made = {
-        quantity: Channel(quantity, stamps, values + rng.normal(0.0, _noise(session, number, quantity), values.size))
+        quantity: Channel(
+            quantity, stamps, values + rng.normal(0.0, _estimate_noise(session, number, quantity), values.size)
+        )
         for quantity, values in channels.items()
     }
     extra = ("polarity", "hold_s", _WARMER)
@@ -357,12 +359,12 @@ def _tested(
     return replace(found, values={**found.values, **carried})
 
 
-def _noise(session: Session, rig: int, quantity: str) -> float:
+def _estimate_noise(session: Session, rig: int, quantity: str) -> float:
     law = session.laws.get((rig, quantity))
     return 0.0 if law is None else float(np.sqrt(np.median(law.white)))
 
 
-def _response(physical: Physical, number: int, frequency: Float, electrical: bool) -> Complex:
+def _compute_response(physical: Physical, number: int, frequency: Float, electrical: bool) -> Complex:
     """F/x0 or −F/V² of the plain model at frequencies (m,)."""
     rig = physical.rigs[number]
     mass, compliance, damping, gain = (float(v[0, 0]) for v in (rig.mass, rig.compliance, rig.damping, rig.gain))
@@ -373,18 +375,18 @@ def _response(physical: Physical, number: int, frequency: Float, electrical: boo
     return np.asarray(gain * numerator / (own + k * compliance), dtype=complex)
 
 
-def _filtered(values: Float, response: Complex) -> Float:
+def _filter_signal(values: Float, response: Complex) -> Float:
     """Causal answer of a filter to a signal that begins at rest, without wrapping around."""
     return np.asarray(np.fft.irfft(np.fft.rfft(values, 2 * values.size) * response, 2 * values.size)[: values.size])
 
 
-def _clock(duration_s: float, interval_s: float) -> Float:
+def _make_clock(duration_s: float, interval_s: float) -> Float:
     return np.asarray(np.arange(round(duration_s / interval_s)) * interval_s)
 
 
-def _chirp(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+def _make_chirp(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
     repeats = int(float(design["repeats"]))
-    time = _clock(_REST_S + repeats * (_SWEEP_S + _REST_S), interval_s)
+    time = _make_clock(_REST_S + repeats * (_SWEEP_S + _REST_S), interval_s)
     total: Float = np.zeros(time.size)
     for repeat in range(repeats):
         one = excitation.sweep(
@@ -401,38 +403,38 @@ def _chirp(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tu
     return time, total
 
 
-def _cyclic(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+def _make_cyclic(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
     frequency, cycles = float(design["frequency_hz"]), int(float(design["cycles"]))
-    time = _clock(1.0 + cycles / frequency, interval_s)
+    time = _make_clock(1.0 + cycles / frequency, interval_s)
     peak = float(design["strain_pp"]) * length_mm
     return time, excitation.raised_cosine(time - 1.0, frequency_hz=frequency, peak_to_peak=peak, cycles=cycles)
 
 
-def _relaxation(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
-    time = _clock(8.0 + float(design["hold_s"]), interval_s)
+def _make_relaxation(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+    time = _make_clock(8.0 + float(design["hold_s"]), interval_s)
     return time, excitation.ramp(time, start_s=8.0, duration_s=0.2, height=float(design["strain_pp"]) * length_mm)
 
 
-def _sphs(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+def _make_sphs(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
     period = round(float(design["period_s"]) / interval_s)
     lines = excitation.excited_lines("odd", int(float(design["frequency_stop_hz"]) * float(design["period_s"])))
     wave = excitation.square_root_drive(0.95 * excitation.schroeder_multisine(period, lines), float(design["drive_kv"]))
     rest = np.zeros(round(0.5 / interval_s))
     given = np.concatenate([rest, np.tile(wave, int(float(design["periods"])))]) * float(design.get("polarity", 1.0))
-    return _clock(given.size * interval_s, interval_s), np.asarray(given, dtype=np.float64)
+    return _make_clock(given.size * interval_s, interval_s), np.asarray(given, dtype=np.float64)
 
 
-def _step(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
+def _make_step(design: Mapping[str, Key], length_mm: float, interval_s: float) -> tuple[Float, Float]:
     on, off, cycles = (float(design[k]) for k in ("on_s", "off_s", "cycles"))
-    time = _clock(1.0 + cycles * (on + off), interval_s)
+    time = _make_clock(1.0 + cycles * (on + off), interval_s)
     kv = float(design["drive_kv"]) * float(design.get("polarity", 1.0))
     return time, excitation.pulses(time, levels=(kv,) * int(cycles), on_s=on, off_s=off, first_s=1.0)
 
 
 _INPUTS: dict[str, Callable[[Mapping[str, Key], float, float], tuple[Float, Float]]] = {
-    "chirp": _chirp,
-    "cyclic": _cyclic,
-    "relaxation": _relaxation,
-    "sphs": _sphs,
-    "step": _step,
+    "chirp": _make_chirp,
+    "cyclic": _make_cyclic,
+    "relaxation": _make_relaxation,
+    "sphs": _make_sphs,
+    "step": _make_step,
 }

@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.diagnose.features.kinds import TAP_RING, WEIGHT_GAIN
 from pipeline.diagnose.features.noise_density import NoiseLaw
-from pipeline.diagnose.proposals.designs import MOST_OFTEN, OFTEN, Proposal, imagined, repeated
-from pipeline.diagnose.search.extend import Extended, ExtendedFit
+from pipeline.diagnose.proposals.designs import MOST_OFTEN, OFTEN, Proposal, imagine_features, repeat_proposal
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import central
@@ -23,12 +23,12 @@ _MODEL_ERROR = 0.15
 """Share of a predicted difference that counts as noise: no cause has exactly its form."""
 
 
-def made_up(final: ExtendedFit, proposal: Proposal) -> tuple[Session, Simulation] | None:
+def imagine_session(final: ExtendedFit, proposal: Proposal) -> tuple[Session, Simulation] | None:
     """The proposed recordings after a session, and their simulation; None where they would have no features."""
     session = final.of.session
     try:
-        new = imagined(session, final.of.model.physical(final.theta), proposal)
-        later = make_session([*session.recordings, *new], _laws(session, len(new)))
+        new = imagine_features(session, final.of.model.physical(final.theta), proposal)
+        later = make_session([*session.recordings, *new], _extend_laws(session, len(new)))
     except NotIdentifiableError:
         return None
     number = len(session.recordings)
@@ -37,7 +37,7 @@ def made_up(final: ExtendedFit, proposal: Proposal) -> tuple[Session, Simulation
     return part, Simulation(part, final.of.simulation)
 
 
-def _laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
+def _extend_laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
     """Noise of a session's channels, with that of so many further recordings: as loud as that of the others."""
     return {
         key: replace(law, white=np.append(law.white, np.full(number, np.median(law.white))))
@@ -120,7 +120,7 @@ class Wanted:
     enough: float
 
 
-def best_of(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None], wanted: Wanted) -> J | None:
+def choose_best(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None], wanted: Wanted) -> J | None:
     """Of proposals what has the most merit, those included that are made often or very often where none is good without; None where
     no one has the least."""
 
@@ -132,7 +132,7 @@ def best_of(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None]
     def longer(often: Mapping[str, int], worth: float) -> list[J]:
         """The best that, made so many times as often, may be worth that much."""
         hopeful = [j for j in found if j.times(often.get(j.proposal.test, 1)).merit() >= worth]
-        again = [p for p in (repeated(j.proposal, often) for j in hopeful) if p is not None]
+        again = [p for p in (repeat_proposal(j.proposal, often) for j in hopeful) if p is not None]
         return best(again[:1])
 
     found = best(proposals)

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.special import log_expit, log_ndtr
 
 from pipeline.diagnose.mechanisms import Mechanism
-from pipeline.diagnose.proposals.designs import WARMER_K, Proposal, catalogue, showing
-from pipeline.diagnose.proposals.imagined import Seen, Wanted, best_of, made_up
+from pipeline.diagnose.proposals.designs import WARMER_K, Proposal, list_proposals, select_showing
+from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imagine_session
 from pipeline.diagnose.results import NextRecording
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.further import CLOSE
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.several_causes import CLOSE
 
 _ENOUGH = 2 * CLOSE
 """Difference of χ² from which a cause stands alone."""
@@ -35,15 +35,15 @@ _STEPS = 10
 """Steps of a fit in which a cause is tried in its other forms."""
 
 
-def next_recording(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
+def propose_separating(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
     """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
     if not alternatives:
         return None
-    believed, rivals = _forms(final), [form for fit in alternatives for form in _forms(fit)]
+    believed, rivals = _list_variants(final), [form for fit in alternatives for form in _list_variants(fit)]
     causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
-    best = best_of(
-        showing(catalogue(final.of.session, WARMER_K), causes),
-        lambda proposal: _judged(proposal, believed, rivals),
+    best = choose_best(
+        select_showing(list_proposals(final.of.session, WARMER_K), causes),
+        lambda proposal: _judge_proposal(proposal, believed, rivals),
         _WANTED,
     )
     if best is None:
@@ -99,17 +99,19 @@ class _Judged:
         return replace(self, apart=tuple(pair.times(often) for pair in self.apart))
 
 
-def _judged(proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]) -> _Judged | None:
+def _judge_proposal(
+    proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]
+) -> _Judged | None:
     """What a proposal would say; None where its recording would have no features."""
-    made = made_up(believed[0], proposal)
+    made = imagine_session(believed[0], proposal)
     if made is None:
         return None
     seen = [[Seen.of_fit(*made, fit) for fit in fits] for fits in (believed, rivals)]
-    apart = [_apart(one, other) for one in seen[0] for other in seen[1]]
+    apart = [_compute_separation(one, other) for one in seen[0] for other in seen[1]]
     return _Judged(proposal, tuple(apart))
 
 
-def _forms(fit: ExtendedFit) -> list[ExtendedFit]:
+def _list_variants(fit: ExtendedFit) -> list[ExtendedFit]:
     """A fit, and those with other forms of its first cause that do as well: whichever is true, a recording has to tell it from the
     others."""
     first, *others = fit.of.chosen
@@ -117,14 +119,14 @@ def _forms(fit: ExtendedFit) -> list[ExtendedFit]:
     for variant in first.mechanism.variants:
         if variant != first.variant:
             of = replace(fit.of, chosen=(replace(first, variant=variant), *others))
-            starts = [fit.values[0], *_reversed(first.mechanism, fit.values[0])]
+            starts = [fit.values[0], *_reverse_signs(first.mechanism, fit.values[0])]
             tried = [of.fit(of.entries(fit.theta, (own, *fit.values[1:])), most=_STEPS) for own in starts]
             other = min(tried, key=lambda f: f.chi2)
             found += [other] if other.chi2 < fit.chi2 + 2 * CLOSE else []
     return found
 
 
-def _reversed(mechanism: Mechanism, values: Mapping[str, float]) -> list[dict[str, float]]:
+def _reverse_signs(mechanism: Mechanism, values: Mapping[str, float]) -> list[dict[str, float]]:
     """The parameters with severities of the other sign, where they may have one: what one channel reads too high another may read
     too low."""
     if not all(p.signed for p in mechanism.severities):
@@ -132,14 +134,14 @@ def _reversed(mechanism: Mechanism, values: Mapping[str, float]) -> list[dict[st
     return [{**values, **{p.name: -values[p.name] / (1 + values[p.name] * p.factor) for p in mechanism.severities}}]
 
 
-def _ahead(form: ExtendedFit, rival: ExtendedFit) -> float:
+def _compute_lead(form: ExtendedFit, rival: ExtendedFit) -> float:
     """Twice the log evidence of a form over a rival's; nothing where what both leave, not the evidence, makes it a rival."""
     ahead = 2 * (form.log_evidence - rival.log_evidence)
     return ahead if ahead < 2 * CLOSE else 0.0
 
 
-def _apart(form: Seen, rival: Seen) -> _Apart:
-    ahead = _ahead(form.fit, rival.fit)
+def _compute_separation(form: Seen, rival: Seen) -> _Apart:
+    ahead = _compute_lead(form.fit, rival.fit)
     apart = form.values - rival.values
     simpler = form.narrowed(apart) - rival.narrowed(apart)
     return _Apart(rival.against(form.values), form.against(rival.values), ahead, simpler)

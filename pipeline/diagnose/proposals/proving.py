@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pipeline.diagnose.proposals.designs import LITTLE_WARMER_K, Proposal, catalogue, showing
-from pipeline.diagnose.proposals.imagined import Seen, Wanted, best_of, made_up
+from pipeline.diagnose.proposals.designs import LITTLE_WARMER_K, Proposal, list_proposals, select_showing
+from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imagine_session
 from pipeline.diagnose.results import NextRecording
-from pipeline.diagnose.search.departures import Departure
-from pipeline.diagnose.search.doubt import of_number
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.further import CLOSE
+from pipeline.diagnose.search.doubt import choose_doubt
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.free_quantities import FreeQuantity
+from pipeline.diagnose.search.several_causes import CLOSE
 
 _ENOUGH = 1.0
 """What is tolerated of a quantity over what would be left of it, from which a recording is proposed; a longer one only where no other
@@ -30,8 +30,8 @@ _NOTHING = 1e-3
 """χ² that is nothing."""
 
 
-def proving_recording(
-    plain: ExtendedFit, final: ExtendedFit, beside: Sequence[Departure], instead: Sequence[Departure]
+def propose_proving(
+    plain: ExtendedFit, final: ExtendedFit, beside: Sequence[FreeQuantity], instead: Sequence[FreeQuantity]
 ) -> NextRecording | None:
     """The test after which least of the doubts would be left, were the causes believed the right ones; None where too much would.
 
@@ -39,7 +39,7 @@ def proving_recording(
     """
 
     def judge(proposal: Proposal) -> _Judged | None:
-        made = made_up(final, proposal)
+        made = imagine_session(final, proposal)
         if made is None:
             return None
         believed, rival = (Seen.of_fit(*made, fit) for fit in (final, plain))
@@ -54,7 +54,9 @@ def proving_recording(
 
     causes = [c.mechanism for c in final.of.chosen[:1]]
     warmer_k = LITTLE_WARMER_K if any(c.id == _OF_WARMTH for c in final.of.chosen) else None
-    best = best_of(showing(catalogue(final.of.session, warmer_k), causes), judge, Wanted(_ENOUGH, _ENOUGH, _ENOUGH))
+    best = choose_best(
+        select_showing(list_proposals(final.of.session, warmer_k), causes), judge, Wanted(_ENOUGH, _ENOUGH, _ENOUGH)
+    )
     if best is None:
         return None
     names = " and ".join(c.id for c in final.of.chosen)
@@ -72,8 +74,8 @@ class _Judged:
     proposal: Proposal
     fall: float
     add: float
-    beside: tuple[tuple[Departure, float], ...]
-    instead: tuple[tuple[Departure, float], ...]
+    beside: tuple[tuple[FreeQuantity, float], ...]
+    instead: tuple[tuple[FreeQuantity, float], ...]
 
     def merit(self) -> float:
         """What is tolerated of a quantity over what would be left of it, were the causes true; of the worst. Nothing where the causes do
@@ -82,13 +84,13 @@ class _Judged:
         worst = min([*beside, *(self._over_ahead(d, says) for d, says in self.instead)])
         return worst if self.add > _SHOWN else 0.0
 
-    def _over_left(self, found: Departure, says: float) -> float:
+    def _over_left(self, found: FreeQuantity, says: float) -> float:
         # The further recording has nothing of it, so that its best value goes down with what is known of it; but the form has.
         statistic = found.statistic / (1 + says / found.statistic)
         excess, fall = max(statistic - found.degrees_of_freedom, _NOTHING) + _OF_FORM * self.add, self.fall + self.add
-        return of_number(found).tolerates(found, fall) * (fall + excess) / excess
+        return choose_doubt(found).tolerates(found, fall) * (fall + excess) / excess
 
-    def _over_ahead(self, found: Departure, says: float) -> float:
+    def _over_ahead(self, found: FreeQuantity, says: float) -> float:
         return says / (2 * CLOSE + max(found.evidence - self.fall, 0.0))
 
     def separation(self) -> float:
@@ -96,7 +98,7 @@ class _Judged:
         return min([*(says or self.add for _, says in self.beside), *(says for _, says in self.instead)])
 
     def times(self, often: float) -> _Judged:
-        def more(found: tuple[tuple[Departure, float], ...]) -> tuple[tuple[Departure, float], ...]:
+        def more(found: tuple[tuple[FreeQuantity, float], ...]) -> tuple[tuple[FreeQuantity, float], ...]:
             return tuple((d, often * says) for d, says in found)
 
         return replace(self, add=often * self.add, beside=more(self.beside), instead=more(self.instead))

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN
-from pipeline.diagnose.search.departures import Departure, departures
-from pipeline.diagnose.search.doubt import SURE, beside_causes, instead_of_causes
-from pipeline.diagnose.search.extend import Extended, ExtendedFit
-from pipeline.diagnose.search.further import CLOSE, several
-from pipeline.diagnose.search.plain import PlainFit
-from pipeline.diagnose.search.refit import confirmed, ranked, tried
-from pipeline.diagnose.search.screen import Signatures, scores, secants, signatures
-from pipeline.diagnose.search.structure import Structure, structure
-from pipeline.diagnose.search.tempering import beyond_noise, explained, tempered
+from pipeline.diagnose.search.doubt import SURE, find_beside_causes, find_instead_of_causes
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, rank_by_evidence
+from pipeline.diagnose.search.free_quantities import FreeQuantity, fit_free_quantities
+from pipeline.diagnose.search.patterns import Patterns, test_patterns
+from pipeline.diagnose.search.plain_fit import PlainFit
+from pipeline.diagnose.search.screen import Signatures, compute_secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.several_causes import CLOSE, combine_causes
+from pipeline.diagnose.search.tempering import measure_excess, measure_explained_share, temper_weights
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.arrays import Float
@@ -62,11 +62,11 @@ class Outcome:
     threshold: float
     explained: float
     looked: Signatures
-    before: Structure
-    after: Structure | None
-    departed: tuple[Departure, ...] = ()
-    doubtful: tuple[Departure, ...] = ()
-    instead: tuple[Departure, ...] = ()
+    before: Patterns
+    after: Patterns | None
+    departed: tuple[FreeQuantity, ...] = ()
+    doubtful: tuple[FreeQuantity, ...] = ()
+    instead: tuple[FreeQuantity, ...] = ()
 
     @property
     def pattern_stays(self) -> bool:
@@ -117,10 +117,10 @@ def _decided(of: Extended, start: Float) -> Outcome:
     film = of.model.physical(untempered.theta)
     of = replace(of, simulation=of.simulation.about(film).measured_against(film))
     untempered = ExtendedFit(of, untempered.solution)
-    changes = secants(untempered)
-    looked = signatures(changes, untempered)
-    found = scores(looked)
-    before = structure(untempered)
+    changes = compute_secants(untempered)
+    looked = compute_signatures(changes, untempered)
+    found = find_best_scores(looked)
+    before = test_patterns(untempered)
     p_value = looked.p_value(found[0].statistic) if found else 1.0
     threshold = looked.threshold(LEVEL) if found else float("inf")
     listed, unlisted = p_value < LEVEL, before.p_value < STRUCTURE_LEVEL
@@ -129,17 +129,17 @@ def _decided(of: Extended, start: Float) -> Outcome:
     )
     if not (listed or unlisted):
         return nothing
-    weighted = of.with_weight(tempered(session, untempered.misfit))
+    weighted = of.with_weight(temper_weights(session, untempered.misfit))
     plain = weighted.refined(weighted.fit(untempered.theta))
-    weakened = signatures(changes, plain)
-    singles = confirmed(tried(plain, scores(weakened), weakened, CANDIDATES))
+    weakened = compute_signatures(changes, plain)
+    singles = confirm_best(fit_each_mechanism(plain, find_best_scores(weakened), weakened, CANDIDATES))
     gained = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
-    left = structure(plain) if unlisted else None
+    left = test_patterns(plain) if unlisted else None
     patterned = left is not None and left.p_value < LEFT_LEVEL
     if not patterned and gained < _CONFIRMED * threshold:
         # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the model.
         return replace(nothing, p_value=looked.p_value(gained)) if singles else nothing
-    searched = several(untempered, plain, singles, changes)
+    searched = combine_causes(untempered, plain, singles, changes)
     plain, singles, final = searched.plain, searched.singles, searched.final
     p_value = min(p_value, before.p_value if unlisted else 1.0)
     if final is None:
@@ -155,16 +155,16 @@ def _decided(of: Extended, start: Float) -> Outcome:
             0.0,
             looked,
             before,
-            left or structure(plain),
+            left or test_patterns(plain),
         )
-    singles = ranked([final if _better_single(final, f) else f for f in singles])
+    singles = rank_by_evidence([final if _better_single(final, f) else f for f in singles])
     alternatives = _alternatives(plain, final, singles)
-    share = explained(plain, final)
-    after = structure(final)
-    alone = departures(plain)
-    doubtful = beside_causes(plain, final, alone)
+    share = measure_explained_share(plain, final)
+    after = test_patterns(final)
+    alone = fit_free_quantities(plain)
+    doubtful = find_beside_causes(plain, final, alone)
     beside = tuple(d for d in doubtful if SURE.met_by(d, plain.chi2 - final.chi2))
-    instead = instead_of_causes(plain, final, alone)
+    instead = find_instead_of_causes(plain, final, alone)
     outcome = Outcome(
         AMBIGUOUS if alternatives or doubtful or instead else NAMED,
         untempered,
@@ -183,7 +183,7 @@ def _decided(of: Extended, start: Float) -> Outcome:
         instead,
     )
     unexplained = beside or (
-        outcome.pattern_stays and share < EXPLAINED and beyond_noise(plain, final) > _MORE_THAN_NOISE
+        outcome.pattern_stays and share < EXPLAINED and measure_excess(plain, final) > _MORE_THAN_NOISE
     )
     return replace(outcome, verdict=UNKNOWN) if unexplained else outcome
 
@@ -213,14 +213,14 @@ def _alternatives(plain: ExtendedFit, final: ExtendedFit, singles: Sequence[Exte
             fit = single
         if _as_good(plain, final, fit):
             fits.append(fit)
-    return ranked(fits)
+    return rank_by_evidence(fits)
 
 
 def _as_good(plain: ExtendedFit, best: ExtendedFit, other: ExtendedFit) -> bool:
     if best.log_evidence - other.log_evidence < CLOSE:
         return True
     # What both leave beyond the noise: where even the best leaves much, its form is wrong and the ratio decides.
-    left, left_other = beyond_noise(plain, best), beyond_noise(plain, other)
+    left, left_other = measure_excess(plain, best), measure_excess(plain, other)
     return left > _MUCH_LEFT and left_other < CLOSE_MISFIT**2 * left
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.results import Discrepancy
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.structure import block_probability
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.patterns import compute_block_p
 from pipeline.diagnose.simulation.session import Place, Session
 from schemas.arrays import Float, Int
 
@@ -45,19 +45,19 @@ plain model leaves there: the rest is the form of the causes."""
 _MOST_TOLD = 3
 
 
-def discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
+def list_discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
     """Every block of the session in its bands or spans of time, with χ² and a sentence; worst first.
 
     All are listed, also those within the noise: a page chooses by p-value, which counts the noise's own uncertainty.
     """
-    return tuple(sorted(_everywhere(fit), key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
+    return tuple(sorted(_test_everywhere(fit), key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
 
 
-def left_by_causes(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
+def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
     """Where causes mend next to nothing of what is far beyond the noise, the worst places in words; whatever they explain elsewhere."""
     found = [
         now
-        for before, now in zip(_everywhere(plain), _everywhere(extended), strict=True)
+        for before, now in zip(_test_everywhere(plain), _test_everywhere(extended), strict=True)
         if now.p_value < _LEFT
         and now.chi2 > _TIMES_THE_NOISE**2 * now.degrees_of_freedom
         and now.chi2 > _STAYS * before.chi2
@@ -67,17 +67,17 @@ def left_by_causes(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]
     return (*(f"{d.recording_id}: {d.statement[0].lower()}{d.statement[1:]}" for d in worst), *more)
 
 
-def _everywhere(fit: ExtendedFit) -> list[Discrepancy]:
+def _test_everywhere(fit: ExtendedFit) -> list[Discrepancy]:
     """Every block in its bands or spans of time, in the order of the session."""
     session = fit.of.session
     simulated, residual = fit.of.predict(fit.x), fit.of.data_residual(fit.x)
     found = []
     for p in session.places:
-        for where, rows in _spans(p):
+        for where, rows in _split_block(p):
             r = residual[p.first + rows]
             chi2 = float(r @ r)
-            probability = block_probability(chi2, rows.size, NOISE_SPREAD)
-            statement = _statement(session, p, rows, simulated[p.first + rows], where, probability)
+            probability = compute_block_p(chi2, rows.size, NOISE_SPREAD)
+            statement = _write_statement(session, p, rows, simulated[p.first + rows], where, probability)
             found.append(
                 Discrepancy(
                     session.recordings[p.recording].recording_id, where, chi2, rows.size, probability, statement
@@ -86,37 +86,37 @@ def _everywhere(fit: ExtendedFit) -> list[Discrepancy]:
     return found
 
 
-def described(kind: str) -> str:
+def name_kind(kind: str) -> str:
     """A kind of features in words."""
     return _WORDS[kind]
 
 
-def _spans(p: Place) -> list[tuple[str, Int]]:
+def _split_block(p: Place) -> list[tuple[str, Int]]:
     """Label and rows of the parts of a block: bands for responses, spans of time for courses."""
     rows = np.arange(p.block.size)
     f, t = p.block.frequency_hz, p.block.time_s
     if p.block.size < _SPLIT_FROM:
         return [(p.block.label, rows)]
     if np.isfinite(f).all() and (f > 0).all() and np.ptp(np.log(f)) > 0:
-        return [(f"{p.block.label}, {_range(f[own], 'Hz')}", own) for own in _split(np.log(f), rows)]
+        return [(f"{p.block.label}, {_write_range(f[own], 'Hz')}", own) for own in _split_rows(np.log(f), rows)]
     if np.isfinite(t).all() and np.ptp(t) > 0:
         since = t - t.min()
-        return [(f"{p.block.label}, {_range(since[own], 's')}", own) for own in _split(t, rows)]
+        return [(f"{p.block.label}, {_write_range(since[own], 's')}", own) for own in _split_rows(t, rows)]
     return [(p.block.label, rows)]
 
 
-def _split(along: Float, rows: Int) -> list[Int]:
+def _split_rows(along: Float, rows: Int) -> list[Int]:
     edges = np.linspace(along.min(), along.max(), _PARTS + 1)
     number = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, _PARTS - 1)
     return [rows[number == i] for i in range(_PARTS) if (number == i).any()]
 
 
-def _range(values: Float, unit: str) -> str:
+def _write_range(values: Float, unit: str) -> str:
     low, high = float(values.min()), float(values.max())
     return f"{low:.3g} to {high:.3g} {unit}" if high > low * 1.0001 else f"{low:.3g} {unit}"
 
 
-def _statement(session: Session, p: Place, rows: Int, simulated: Float, where: str, probability: float) -> str:
+def _write_statement(session: Session, p: Place, rows: Int, simulated: Float, where: str, probability: float) -> str:
     """A sentence with size, sign where there is one, and how many times the noise."""
     value = p.block.value[rows]
     sd = session.sd[p.first + rows]
@@ -126,7 +126,7 @@ def _statement(session: Session, p: Place, rows: Int, simulated: Float, where: s
     if probability > 0.01:
         return f"{subject} is simulated within the noise."
     if p.block.kind == kinds.TAP_RING:
-        return _ring_missed(subject, difference, sd, value)
+        return _write_ring(subject, difference, sd, value)
     if p.block.kind == kinds.REST_HUM:
         return f"{subject}: there is more power at the mains' frequency than in its neighbourhood."
     size = float(np.sqrt(np.mean(value**2)))
@@ -135,11 +135,11 @@ def _statement(session: Session, p: Place, rows: Int, simulated: Float, where: s
     lean = ""
     if abs(mean) > 0.7 * rms and not p.block.is_complex:
         lean = ", simulated too high" if mean * float(np.sign(np.mean(value))) > 0 else ", simulated too low"
-    share = f"{_figure(100 * relative)} % of it" if relative < 3 else "more than there is"
-    return f"{subject} is missed by {share}{lean}: {_figure(rms)} times the noise."
+    share = f"{_write_figure(100 * relative)} % of it" if relative < 3 else "more than there is"
+    return f"{subject} is missed by {share}{lean}: {_write_figure(rms)} times the noise."
 
 
-def _ring_missed(subject: str, difference: Float, sd: Float, value: Float) -> str:
+def _write_ring(subject: str, difference: Float, sd: Float, value: Float) -> str:
     """Logarithm of the frequency and damping ratio, whichever is farther off."""
     worse = int(np.argmax(np.abs(difference / sd)))
     share = np.expm1(difference[0]) if worse == 0 else difference[1] / value[1]
@@ -147,12 +147,12 @@ def _ring_missed(subject: str, difference: Float, sd: Float, value: Float) -> st
     times = float(np.abs(difference[worse] / sd[worse]))
     lean = "high" if difference[worse] > 0 else "low"
     return (
-        f"{subject} has its {what} simulated {_figure(100 * abs(float(share)))} % too {lean}: {_figure(times)} times the noise;"
+        f"{subject} has its {what} simulated {_write_figure(100 * abs(float(share)))} % too {lean}: {_write_figure(times)} times the noise;"
         " clamp or load cell were others then."
     )
 
 
-def _figure(value: float) -> str:
+def _write_figure(value: float) -> str:
     """Two digits without powers of ten: "1.3", "27", "2700"."""
     rounded = float(f"{value:.2g}")
     return f"{rounded:.0f}" if rounded >= 10 else f"{rounded:g}"

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pipeline.diagnose.search.departures import Departure, departures
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.further import CLOSE
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.free_quantities import FreeQuantity, fit_free_quantities
+from pipeline.diagnose.search.several_causes import CLOSE
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,11 @@ class Demand:
     share: float
     of_weak: float
 
-    def tolerates(self, found: Departure, fall: float) -> float:
+    def tolerates(self, found: FreeQuantity, fall: float) -> float:
         """Share of what a quantity and causes that explain `fall` of χ² explain together, up to which it is their form."""
         return self.share * (self.of_weak + (1 - self.of_weak) * min(1.0, fall / _ALL_OF_FORM)) * found.tolerated
 
-    def met_by(self, found: Departure, fall: float) -> bool:
+    def met_by(self, found: FreeQuantity, fall: float) -> bool:
         """Whether a quantity explains, left free, beside causes that explain `fall` of χ² a share that no form of theirs does."""
         return found.p_value < self.level and found.excess > self.tolerates(found, fall) * (fall + found.excess)
 
@@ -58,21 +58,25 @@ and its numbers at most: more imitate, with a number for each recording, whateve
 there at once are less likely, by as much as parts causes, and what explains all of both has any number of numbers."""
 
 
-def of_number(found: Departure) -> Doubt:
+def choose_doubt(found: FreeQuantity) -> Doubt:
     """What a quantity has to be for a doubt, by how many numbers it has."""
     if found.degrees_of_freedom <= _FEWEST:
         return DOUBT
     return DOUBT_OF_SOME if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
 
 
-def beside_causes(plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure]) -> tuple[Departure, ...]:
+def find_beside_causes(
+    plain: ExtendedFit, final: ExtendedFit, alone: Sequence[FreeQuantity]
+) -> tuple[FreeQuantity, ...]:
     """Quantities left free beside the causes that are no form of theirs, and explain much of the same without them, `alone`."""
     fall = plain.chi2 - final.chi2
-    stands = {d.text for d in alone if d.excess > of_number(d).in_place * fall}
-    return tuple(d for d in departures(final, stands) if of_number(d).met_by(d, fall))
+    stands = {d.text for d in alone if d.excess > choose_doubt(d).in_place * fall}
+    return tuple(d for d in fit_free_quantities(final, stands) if choose_doubt(d).met_by(d, fall))
 
 
-def instead_of_causes(plain: ExtendedFit, final: ExtendedFit, alone: Sequence[Departure]) -> tuple[Departure, ...]:
+def find_instead_of_causes(
+    plain: ExtendedFit, final: ExtendedFit, alone: Sequence[FreeQuantity]
+) -> tuple[FreeQuantity, ...]:
     """Quantities left free that explain, alone, more than the causes do."""
     others = len(final.of.chosen) - 1
     least = plain.chi2 - final.chi2 + _BETTER - others * 2 * CLOSE

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.diagnose.results import HeldOut, Predicted
-from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.arrays import Float, Int
@@ -39,7 +39,7 @@ class _Part:
     blocks: tuple[int, ...]
 
 
-def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
+def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
     """Pooled held-out error of both models; None where nothing can be left out.
 
     gain = (χ²_plain − χ²_extended)/(χ²_plain − ν) over the features that the mechanisms touch; its interval is a bootstrap over
@@ -47,7 +47,7 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
     """
     session = extended.of.session
     touched = extended.trace / max(float(extended.trace.sum()), 1e-300)
-    parts = _parts(extended, touched)
+    parts = _choose_parts(extended, touched)
     if len(parts) < 2:
         return None
     found: list[tuple[int, float, float, int]] = []
@@ -78,11 +78,11 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
                 continue
             before, after = (float(np.sum(e[place.first : place.stop] ** 2)) for e in errors)
             own.append((i, before, after, place.stop - place.first))
-            predicted.append(_predicted(session, place, values[0], values[1]))
+            predicted.append(_record_prediction(session, place, values[0], values[1]))
         found += own
         size = sum(n for *_, n in own)
         if size:
-            named[part.name] = _rms([r[1] for r in own], size), _rms([r[2] for r in own], size)
+            named[part.name] = _compute_rms([r[1] for r in own], size), _compute_rms([r[2] for r in own], size)
     if not found:
         return None
     table = np.array([r[1:] for r in found], dtype=float)
@@ -91,8 +91,10 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
     drawn = table[draws].sum(axis=1)
     gain = lower = upper = float("nan")
     if pooled[0] - pooled[2] > _REMOVABLE * np.sqrt(2 * pooled[2]):
-        gain = float(_gain(pooled[0], pooled[1], pooled[2]))
-        lower, upper = (float(v) for v in np.quantile(_gain(drawn[:, 0], drawn[:, 1], drawn[:, 2]), [0.025, 0.975]))
+        gain = float(_compute_gain(pooled[0], pooled[1], pooled[2]))
+        lower, upper = (
+            float(v) for v in np.quantile(_compute_gain(drawn[:, 0], drawn[:, 1], drawn[:, 2]), [0.025, 0.975])
+        )
     return HeldOut(
         before=float(np.sqrt(pooled[0] / pooled[2])),
         after=float(np.sqrt(pooled[1] / pooled[2])),
@@ -106,55 +108,57 @@ def held_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
     )
 
 
-def _predicted(session: Session, place: Place, plain: Float, extended: Float) -> Predicted:
+def _record_prediction(session: Session, place: Place, plain: Float, extended: Float) -> Predicted:
     own = slice(place.first, place.stop)
     recording = session.recordings[place.recording].recording_id
     return Predicted(recording, place.block.kind, place.block.label, plain[own], extended[own], session.sd[own])
 
 
-def supported_by(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
+def list_supporting_protocols(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
     """Protocols in whose features the extension lowers χ² clearly."""
     session = extended.of.session
     before, after = plain.misfit, extended.misfit
     fall: dict[str, float] = {}
     for p in session.places:
-        name = protocol_of(session, p.recording)
+        name = name_protocol(session, p.recording)
         own = slice(p.first, p.stop)
         fall[name] = fall.get(name, 0.0) + float(np.sum(before[own] ** 2) - np.sum(after[own] ** 2))
     return tuple(name for name in session.protocols if fall.get(name, 0.0) > _SUPPORTS)
 
 
-def protocol_of(session: Session, recording: int) -> str:
+def name_protocol(session: Session, recording: int) -> str:
     r = session.recordings[recording]
     return "relaxation" if (r.protocol, r.loading) == ("step", "mechanical") else r.protocol
 
 
-def _rms(squares: Sequence[float], size: int) -> float:
+def _compute_rms(squares: Sequence[float], size: int) -> float:
     return float(np.sqrt(sum(squares) / size))
 
 
-def _gain(before: Float | float, after: Float | float, size: Float | float) -> Float:
+def _compute_gain(before: Float | float, after: Float | float, size: Float | float) -> Float:
     removable = np.maximum(np.asarray(before) - size, 1e-9)
     return np.asarray(np.clip((np.asarray(before) - after) / removable, -1.0, 1.0))
 
 
-def _parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
+def _choose_parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
     """Protocols that show the mechanisms, in smaller parts where the rest would not know what it is to predict them with."""
     session = extended.of.session
     by_protocol: dict[str, list[int]] = {}
     for i, p in enumerate(session.places):
-        by_protocol.setdefault(protocol_of(session, p.recording), []).append(i)
+        by_protocol.setdefault(name_protocol(session, p.recording), []).append(i)
     shows = [name for name, blocks in by_protocol.items() if touched[blocks].sum() > _CARRIES]
     parts: list[_Part] = []
     for name in shows:
         whole = _Part(name, tuple(by_protocol[name]))
         parts += (
-            [whole] if len(shows) > 1 and _predictable(extended, whole, touched) else _split(extended, whole, touched)
+            [whole]
+            if len(shows) > 1 and _is_predictable(extended, whole, touched)
+            else _split_protocol(extended, whole, touched)
         )
     return parts
 
 
-def _split(extended: ExtendedFit, part: _Part, touched: Float) -> list[_Part]:
+def _split_protocol(extended: ExtendedFit, part: _Part, touched: Float) -> list[_Part]:
     """A protocol's recordings dealt into parts, those in turn into blocks where needed; what cannot be predicted is left in."""
     session = extended.of.session
     recordings: dict[int, list[int]] = {}
@@ -168,18 +172,18 @@ def _split(extended: ExtendedFit, part: _Part, touched: Float) -> list[_Part]:
     found = []
     for names, blocks in dealt:
         smaller = _Part(", ".join(names), tuple(blocks))
-        if len(dealt) > 1 and _predictable(extended, smaller, touched):
+        if len(dealt) > 1 and _is_predictable(extended, smaller, touched):
             found.append(smaller)
             continue
-        units = _units(extended, blocks)
+        units = _group_blocks(extended, blocks)
         for side in (0, 1):
             half = _Part(f"{smaller.name}, {('odd', 'even')[side]} blocks", tuple(i for u in units[side::2] for i in u))
-            if half.blocks and len(half.blocks) < len(blocks) and _predictable(extended, half, touched):
+            if half.blocks and len(half.blocks) < len(blocks) and _is_predictable(extended, half, touched):
                 found.append(half)
     return found
 
 
-def _units(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int]]:
+def _group_blocks(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int]]:
     """Blocks by sweep or group of cycles, whose features need each other; one by one where there is one such group."""
     by_state: dict[int, list[int]] = {}
     for i in blocks:
@@ -187,7 +191,7 @@ def _units(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int]]:
     return list(by_state.values()) if len(by_state) > 1 else [[i] for i in blocks]
 
 
-def _predictable(extended: ExtendedFit, part: _Part, touched: Float) -> bool:
+def _is_predictable(extended: ExtendedFit, part: _Part, touched: Float) -> bool:
     """Whether the rest of the session determines what the part is predicted with: mean variance of the prediction below the noise,
     over what the mechanisms touch."""
     places = extended.of.session.places

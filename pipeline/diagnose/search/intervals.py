@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.diagnose.mechanisms import SEVERITY
-from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.physics.least_squares import minimise
 from schemas.arrays import Float
 
@@ -20,37 +20,37 @@ _NEAR = 0.7
 """Share of the rise of χ² that an end of an interval stands for from which it is far enough."""
 
 
-def linear(spread: Float) -> tuple[Float, Float]:
+def make_linear_ends(spread: Float) -> tuple[Float, Float]:
     """(Q,) steps down and up to the ends of 90 % intervals, by standard deviations (Q,) alone."""
     return -NORMAL_90 * spread, NORMAL_90 * spread
 
 
-def ends(fit: ExtendedFit, spread: Float) -> tuple[Float, Float]:
+def find_interval_ends(fit: ExtendedFit, spread: Float) -> tuple[Float, Float]:
     """(Q,) steps of the mechanisms' entries down and up to the ends of their 90 % intervals; `spread` (Q,) standard deviations.
 
     Those of severities are where χ² has risen by 2.7 with everything else at its best, never nearer than the curvature says.
     """
-    down, up = linear(spread)
+    down, up = make_linear_ends(spread)
     for i, coordinate in enumerate(fit.of.coordinates):
         if coordinate.parameter.role == SEVERITY and not coordinate.fixed and spread[i] > 0:
-            down[i], up[i] = (_end(fit, fit.of.model.size + i, step) for step in (down[i], up[i]))
+            down[i], up[i] = (_find_end(fit, fit.of.model.size + i, step) for step in (down[i], up[i]))
     return down, up
 
 
-def _end(fit: ExtendedFit, entry: int, step: float) -> float:
+def _find_end(fit: ExtendedFit, entry: int, step: float) -> float:
     low, high = (float(bound[entry]) for bound in fit.of.limits)
     x = float(fit.x[entry])
     for _ in range(_ROUNDS):
         if not low < x + step < high:
             break
-        rise = _rise(fit, entry, step) / NORMAL_90**2
+        rise = _measure_rise(fit, entry, step) / NORMAL_90**2
         if rise > _NEAR:
             break
         step *= min(1 / np.sqrt(max(rise, _LEAST_RISE**2)), _MOST_FACTOR)
     return float(np.clip(x + step, low, high) - x)
 
 
-def _rise(fit: ExtendedFit, entry: int, step: float) -> float:
+def _measure_rise(fit: ExtendedFit, entry: int, step: float) -> float:
     """Rise of χ² where one entry is held a step away and the others are at their best."""
     low, high = (bound.copy() for bound in fit.of.limits)
     start = np.clip(fit.x + step * fit.covariance[:, entry] / fit.covariance[entry, entry], low, high)

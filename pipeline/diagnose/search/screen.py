@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
-from pipeline.diagnose.search.extend import Chosen, Extended, ExtendedFit, effect_of_all, orthonormal
+from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen, orthonormalise
 from schemas.arrays import Bool, Float
 
 _LEVELS = 3
@@ -116,7 +116,7 @@ class Secants:
     weak: Bool
 
 
-def secants(fit: ExtendedFit) -> Secants:
+def compute_secants(fit: ExtendedFit) -> Secants:
     """Changes about a fitted model, of every visible mechanism that is not in it. The one costly step of a screen.
 
     Weak effects of either sign have central differences: what a small step leaves of the curvature is more than some causes show.
@@ -125,19 +125,19 @@ def secants(fit: ExtendedFit) -> Secants:
     base = of.predict(fit.x)
 
     def change(c: Chosen, values: Mapping[str, float], part: float) -> Float:
-        own = scaled(c.mechanism, values, part)
-        moved = of.simulation.predict(of.model, fit.theta, effect_of_all((*of.chosen, c), (*fit.values, own)))
+        own = scale_severities(c.mechanism, values, part)
+        moved = of.simulation.predict(of.model, fit.theta, compose_chosen((*of.chosen, c), (*fit.values, own)))
         return np.asarray((moved - base) / part)
 
     rows, chosen, values, weak = [], [], [], []
     opposite: dict[tuple[Chosen, tuple[float, ...]], Float] = {}
-    for c, own, part in grid(of, {c.id for c in of.chosen}):
+    for c, own, part in make_grid(of, {c.id for c in of.chosen}):
         row = opposite.get((c, tuple(own.values())))
         if row is None:
             row = change(c, own, part)
-            if part < 1 and _either_sign(c.mechanism, own):
+            if part < 1 and _may_change_sign(c.mechanism, own):
                 row = (row + change(c, own, -part)) / 2
-                opposite[c, tuple(scaled(c.mechanism, own, -1.0).values())] = -row
+                opposite[c, tuple(scale_severities(c.mechanism, own, -1.0).values())] = -row
         if np.isfinite(row).all():
             rows.append(row)
             chosen.append(c)
@@ -147,12 +147,12 @@ def secants(fit: ExtendedFit) -> Secants:
     return Secants(tuple(chosen), tuple(values), changes, np.array(weak, dtype=bool))
 
 
-def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
+def compute_signatures(found: Secants, fit: ExtendedFit) -> Signatures:
     """Secants seen from a fitted model: weighted as it is, without what its entries absorb and without its mechanisms."""
     held = {c.id for c in fit.of.chosen}
     open_ = np.array([i for i, c in enumerate(found.chosen) if c.id not in held], dtype=np.int64)
     seen = fit.of.weight[:, None] * found.change[:, open_]
-    gram, along = unabsorbed(fit, seen, absorbed_by(fit))
+    gram, along = project_out(fit, seen, make_absorbed_basis(fit))
     length = np.sqrt(np.maximum(np.diag(gram), 0.0))
     places = np.flatnonzero(length > np.maximum(LEAST_VISIBLE, 1e-6 * np.sqrt(np.sum(seen**2, axis=0))))
     length = length[places]
@@ -166,7 +166,7 @@ def signatures(found: Secants, fit: ExtendedFit) -> Signatures:
     )
 
 
-def scores(found: Signatures) -> tuple[Score, ...]:
+def find_best_scores(found: Signatures) -> tuple[Score, ...]:
     """Best point of each mechanism and form, best first."""
     along = np.maximum(found.score, 0.0)
     share = along / found.length
@@ -180,7 +180,7 @@ def scores(found: Signatures) -> tuple[Score, ...]:
     return tuple(sorted(result, key=lambda s: -s.statistic))
 
 
-def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float], float]]:
+def make_grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float], float]]:
     """Points at which signatures are taken: of every visible mechanism, its forms, severities and shapes.
 
     With each the part of the severity at which its change is taken: a small one where a weak effect is asked for, for what the
@@ -189,26 +189,26 @@ def grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float
     for id, mechanism in MECHANISMS.items():
         if id in held or not (mechanism.shows & of.session.kinds):
             continue
-        shapes = [_places(p, _SHAPES[min(i, len(_SHAPES) - 1)]) for i, p in enumerate(mechanism.shapes)]
+        shapes = [_place_shapes(p, _SHAPES[min(i, len(_SHAPES) - 1)]) for i, p in enumerate(mechanism.shapes)]
         for variant in mechanism.variants:
-            for severity, part in _severities(mechanism):
+            for severity, part in _list_severities(mechanism):
                 for combination in itertools.product(*shapes):
                     own = dict(zip((p.name for p in mechanism.shapes), combination, strict=True))
                     yield Chosen(id, variant), severity | own, part
 
 
-def scaled(mechanism: Mechanism, values: Mapping[str, float], part: float) -> dict[str, float]:
+def scale_severities(mechanism: Mechanism, values: Mapping[str, float], part: float) -> dict[str, float]:
     """Parameters with the severities times a part."""
     names = {p.name for p in mechanism.severities}
     return {name: part * value if name in names else value for name, value in values.items()}
 
 
-def _either_sign(mechanism: Mechanism, values: Mapping[str, float]) -> bool:
+def _may_change_sign(mechanism: Mechanism, values: Mapping[str, float]) -> bool:
     """Whether the severities that are not 0 may be of either sign."""
     return all(p.signed for p in mechanism.severities if values[p.name] != 0)
 
 
-def _places(p: Parameter, shares: tuple[float, ...]) -> list[float]:
+def _place_shapes(p: Parameter, shares: tuple[float, ...]) -> list[float]:
     if p.low == p.high:
         return [p.low]
     if p.log:
@@ -216,7 +216,7 @@ def _places(p: Parameter, shares: tuple[float, ...]) -> list[float]:
     return [p.low + (p.high - p.low) * s for s in shares]
 
 
-def _severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float]]:
+def _list_severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float]]:
     """Levels of each severity alone, the others 0; both signs where both are possible. With the part at which each is taken."""
     found = []
     for p in mechanism.severities:
@@ -228,7 +228,7 @@ def _severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float]]:
     return found
 
 
-def unabsorbed(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, Float]:
+def project_out(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, Float]:
     """Products of weighted whitened changes (N, G) without what a fit absorbs, (G, G), and their scores (G,) with its residual."""
     # The priors' rows see nothing of a change, but they hold back what absorbs it.
     coefficients = absorbed[: fit.of.session.size].T @ seen
@@ -236,6 +236,6 @@ def unabsorbed(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, F
     return gram, seen.T @ fit.misfit - coefficients.T @ (absorbed.T @ fit.solution.residual)
 
 
-def absorbed_by(fit: ExtendedFit) -> Float:
+def make_absorbed_basis(fit: ExtendedFit) -> Float:
     """(M, P) orthonormal: what changes of the fitted entries can absorb, priors in the last rows."""
-    return orthonormal(fit.solution.jacobian)
+    return orthonormalise(fit.solution.jacobian)

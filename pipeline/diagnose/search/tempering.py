@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.diagnose.search.extend import ExtendedFit
+from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Float
 
@@ -21,7 +21,7 @@ _CLEARLY, _FEWEST = 10.0, 4
 """Misfit of a block in standard deviations of its χ² from which it has a share, and number of such blocks from which theirs counts."""
 
 
-def tempered(session: Session, misfit: Float, share: float = SHARE) -> Float:
+def temper_weights(session: Session, misfit: Float, share: float = SHARE) -> Float:
     """(N,) weights: the variance of every block grows by the square of `share` times its misfit, of which `misfit` is (N,)."""
     weight = np.ones(session.size)
     for p in session.places:
@@ -30,7 +30,7 @@ def tempered(session: Session, misfit: Float, share: float = SHARE) -> Float:
     return weight
 
 
-def outweighed(fit: ExtendedFit, weight: Float) -> Float:
+def lower_outlier_weights(fit: ExtendedFit, weight: Float) -> Float:
     """(N,) weights, lowered in blocks that a fit misses by more than the noise until it misses them by as much: what no model
     describes says little of the film. `weight` (N,): what they would be without."""
     found = weight.copy()
@@ -43,42 +43,42 @@ def outweighed(fit: ExtendedFit, weight: Float) -> Float:
     return found
 
 
-def noise_chi2(plain: ExtendedFit) -> float:
+def expect_noise_chi2(plain: ExtendedFit) -> float:
     """χ² that the noise alone would leave on the tempered scale."""
     return float(np.sum(plain.of.weight**2)) - plain.of.model.size
 
 
-def beyond_noise(plain: ExtendedFit, fit: ExtendedFit) -> float:
+def measure_excess(plain: ExtendedFit, fit: ExtendedFit) -> float:
     """χ² that a fit leaves beyond what the noise alone would, in standard deviations of that (tempered scale)."""
-    noise = noise_chi2(plain)
+    noise = expect_noise_chi2(plain)
     return float((fit.chi2 - noise) / np.sqrt(2 * max(noise, 1.0)))
 
 
-def explained(plain: ExtendedFit, extended: ExtendedFit) -> float:
+def measure_explained_share(plain: ExtendedFit, extended: ExtendedFit) -> float:
     """Share of the plain model's misfit, in excess of the noise, that an extended one explains (tempered scale)."""
     fall = plain.chi2 - extended.chi2
-    return float(np.clip(fall / max(plain.chi2 - noise_chi2(plain), fall, 1e-9), 0.0, 1.0))
+    return float(np.clip(fall / max(plain.chi2 - expect_noise_chi2(plain), fall, 1e-9), 0.0, 1.0))
 
 
-def by_block(fit: ExtendedFit, noise: bool = False) -> Float:
+def sum_by_block(fit: ExtendedFit, noise: bool = False) -> Float:
     """(B,) weighted χ² of each block, or what the noise alone would leave."""
     squares = fit.of.weight**2 if noise else fit.misfit**2
     return np.array([float(squares[p.first : p.stop].sum()) for p in fit.of.session.places])
 
 
-def by_part(fit: ExtendedFit, noise: bool = False) -> Float:
+def sum_by_part(fit: ExtendedFit, noise: bool = False) -> Float:
     """(B + 1,) the same, and in the end that of what the files say of the rig: a cause may do nothing but reconcile them."""
     files = fit.solution.residual[fit.of.session.size :][: int(np.isfinite(fit.of.model.prior_sd).sum())]
-    return np.append(by_block(fit, noise), files.size if noise else float(files @ files))
+    return np.append(sum_by_block(fit, noise), files.size if noise else float(files @ files))
 
 
-def share_of_form(plain: ExtendedFit, extended: ExtendedFit) -> float:
+def estimate_form_share(plain: ExtendedFit, extended: ExtendedFit) -> float:
     """Share of their misfit that the form of a cause is seen to leave in most blocks; `SHARE` at most. Both without tempering.
 
     What another cause leaves in some of the blocks counts for nothing in the median of all.
     """
-    size = by_block(plain, noise=True)
-    before, after = by_block(plain) - size, by_block(extended) - size
+    size = sum_by_block(plain, noise=True)
+    before, after = sum_by_block(plain) - size, sum_by_block(extended) - size
     clear = before > _CLEARLY * np.sqrt(2 * size) + 2 * _CLEARLY
     if clear.sum() < _FEWEST:
         return SHARE

@@ -13,11 +13,18 @@ import numpy as np
 from scipy.stats import chi2 as chi2_law
 
 from pipeline.diagnose.features.kinds import CYCLE_FORCE
-from pipeline.diagnose.mechanisms import MECHANISMS, invisible
+from pipeline.diagnose.mechanisms import MECHANISMS, list_invisible
 from pipeline.diagnose.results import AMBIGUOUS, NONE, Diagnosis, Discrepancy, Estimate, NextRecording, Residuals
-from pipeline.diagnose.single.alone import Films, Told, diagnosis_of, left_by, smallest_of, thinned
-from pipeline.diagnose.single.contest import Contest, Entrant, contest
-from pipeline.diagnose.single.cycle_causes import Cause, CycleModel, Fitted, LargeCycle, causes
+from pipeline.diagnose.single.comparison import Comparison, TriedModel, compare_predictions
+from pipeline.diagnose.single.cycle_model import CycleMechanism, CycleModel, Fitted, LargeCycle, list_mechanisms
+from pipeline.diagnose.single.report import (
+    Films,
+    Report,
+    describe_what_stays,
+    list_smallest,
+    report_comparison,
+    thin_curves,
+)
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Bool, Float, Int
 from schemas.mechanisms import plain_name
@@ -64,14 +71,14 @@ class _Tried:
             found[key] = Estimate(here, float((high - low) / (2 * _NORMAL_90)), float(low), float(high))
         return found
 
-    def entrant(self, unloading: Bool, plain: _Tried) -> Entrant:
+    def predict_unloading(self, unloading: Bool, plain: _Tried) -> TriedModel:
         """What it predicts of the unloading: what the plain model does where the loading does not show its cause."""
         cause = self.whole.model.cause
         learned, drawn_x = (plain, plain.learned.x[None]) if self.learned.unseen else (self, self.drawn_learned)
         drawn = np.array([learned.learned.stress(x)[unloading] for x in drawn_x])
-        return Entrant(
+        return TriedModel(
             mechanism="" if cause is None else cause.mechanism,
-            form="" if cause is None else cause.form,
+            variant="" if cause is None else cause.variant,
             equation="" if cause is None else cause.equation,
             severity={} if cause is None else self.severity,
             whole=self.whole.stress(),
@@ -80,32 +87,32 @@ class _Tried:
         )
 
 
-def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Contest]:
+def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Comparison]:
     """The diagnosis of one cycle, and the contest behind it. Raises `NotIdentifiableError` where no model has a fit."""
     up = cycle.loading
-    sd = noise_sd(cycle.stress) * (1 + _UNSURE / np.sqrt(cycle.stress.size))
+    sd = estimate_noise_sd(cycle.stress) * (1 + _UNSURE / np.sqrt(cycle.stress.size))
     rng = np.random.default_rng(_SEED)
     span, interval = float(np.ptp(cycle.time_s)), float(np.median(np.diff(cycle.time_s)))
-    plain, *others = (_tried(cycle, cause, rng) for cause in (None, *causes(span, interval)))
-    entrants = [t.entrant(~up, plain) for t in (plain, *others)]
-    found = contest(entrants[0], entrants[1:], cycle.stress, cycle.stress[~up], sd)
-    told = _told(cycle, sd, plain, others, found)
-    return diagnosis_of(found, cycle.stress, cycle.stress[~up], sd, plain.whole.stress(), told), found
+    plain, *others = (_try_mechanism(cycle, cause, rng) for cause in (None, *list_mechanisms(span, interval)))
+    models = [t.predict_unloading(~up, plain) for t in (plain, *others)]
+    found = compare_predictions(models[0], models[1:], cycle.stress, cycle.stress[~up], sd)
+    told = _write_report(cycle, sd, plain, others, found)
+    return report_comparison(found, cycle.stress, cycle.stress[~up], sd, plain.whole.stress(), told), found
 
 
-def noise_sd(values: Float) -> float:
+def estimate_noise_sd(values: Float) -> float:
     """Standard deviation of the noise of single values (m,), from second differences, robust against corners and steps of time."""
     second = np.diff(values, 2)
     return float(np.sqrt(np.median(second**2) / (0.4549 * 6)))
 
 
-def _tried(cycle: LargeCycle, cause: Cause | None, rng: np.random.Generator) -> _Tried:
+def _try_mechanism(cycle: LargeCycle, cause: CycleMechanism | None, rng: np.random.Generator) -> _Tried:
     model = CycleModel(cycle, cause)
     learned, whole = model.fit(cycle.loading), model.fit(np.ones(cycle.time_s.size, dtype=bool))
-    return _Tried(learned, whole, _drawn(learned, rng), _drawn(whole, rng))
+    return _Tried(learned, whole, _draw_open_parameters(learned, rng), _draw_open_parameters(whole, rng))
 
 
-def _drawn(fit: Fitted, rng: np.random.Generator) -> Float:
+def _draw_open_parameters(fit: Fitted, rng: np.random.Generator) -> Float:
     """(B, P) parameters that the fit leaves open, within their limits; as they are where the cause is not seen.
 
     What is left stands for the noise, as few independent values as its memory allows. Drawn from the linear problem, with what it
@@ -115,7 +122,7 @@ def _drawn(fit: Fitted, rng: np.random.Generator) -> Float:
     if fit.unseen:
         return np.tile(fit.x, (_DRAWS, 1))
     n, size = fit.residual.size, fit.x.size
-    variance = float(fit.residual @ fit.residual) / max(n - size, 1) * _memory(fit.residual)
+    variance = float(fit.residual @ fit.residual) / max(n - size, 1) * _measure_memory(fit.residual)
     covariance = np.linalg.inv(fit.jacobian.T @ fit.jacobian / variance + np.eye(size) / _OPEN**2)
     z = rng.standard_normal((_TRIALS, size))
     x = np.clip(fit.x + _WIDER * z @ np.linalg.cholesky(covariance).T, *fit.model.limits)
@@ -126,7 +133,7 @@ def _drawn(fit: Fitted, rng: np.random.Generator) -> Float:
     return np.asarray(x[rng.choice(_TRIALS, _DRAWS, p=weight / weight.sum())])
 
 
-def _memory(residual: Float) -> int:
+def _measure_memory(residual: Float) -> int:
     """Values over which a residual remembers: twice those after which its correlation is below 1/e, at most a quarter."""
     r = residual - residual.mean()
     spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
@@ -136,55 +143,55 @@ def _memory(residual: Float) -> int:
     return int(np.clip(2 * first, 1, max(r.size // 4, 1)))
 
 
-def _told(cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[_Tried], found: Contest) -> Told:
-    best = found.places[0]
-    winner = next(t for t in others if _is(t, best.entrant))
+def _write_report(cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[_Tried], found: Comparison) -> Report:
+    best = found.ranked[0]
+    winner = next(t for t in others if _is_of(t, best.model))
     left = (cycle.stress - plain.whole.stress()) / sd
-    plain_sd, _ = _film_sd(plain)
-    extended_sd, damper_sd = _film_sd(winner)
-    words = plain_name(best.entrant.mechanism).lower()
-    return Told(
+    plain_sd, _ = _estimate_film_sd(plain)
+    extended_sd, damper_sd = _estimate_film_sd(winner)
+    words = plain_name(best.model.mechanism).lower()
+    return Report(
         specimen_id=cycle.fits.specimen_id,
         protocols=("cycle",),
         left_out={"the unloading": (best.before, best.after)},
         films=Films(
-            _film(plain.whole.model, plain.whole.x),
-            _film(winner.whole.model, winner.whole.x),
+            _make_film(plain.whole.model, plain.whole.x),
+            _make_film(winner.whole.model, winner.whole.x),
             plain_sd,
             extended_sd,
             damper_sd,
         ),
-        discrepancies=tuple(_discrepancies(cycle, left, sd)),
-        residuals=(_residuals(cycle, plain, plain if found.verdict == NONE else winner, sd),),
-        smallest=smallest_of(p.entrant for p in found.places),
-        invisible=tuple(m for m in invisible({CYCLE_FORCE}) if m in MECHANISMS),
-        could_not_ask=_not_asked(sd),
-        unexplained=(left_by(words, winner.whole.residual, sd, "kPa"),),
-        next_recording=_next(cycle, others, found, sd) if found.verdict == AMBIGUOUS else None,
+        discrepancies=tuple(_list_discrepancies(cycle, left, sd)),
+        residuals=(_list_residuals(cycle, plain, plain if found.verdict == NONE else winner, sd),),
+        smallest=list_smallest(p.model for p in found.ranked),
+        invisible=tuple(m for m in list_invisible({CYCLE_FORCE}) if m in MECHANISMS),
+        could_not_ask=_list_unaskable(sd),
+        unexplained=(describe_what_stays(words, winner.whole.residual, sd, "kPa"),),
+        next_recording=_propose_recording(cycle, others, found, sd) if found.verdict == AMBIGUOUS else None,
     )
 
 
-def _is(tried: _Tried, entrant: Entrant) -> bool:
+def _is_of(tried: _Tried, model: TriedModel) -> bool:
     cause = tried.whole.model.cause
-    return cause is not None and (cause.mechanism, cause.form) == (entrant.mechanism, entrant.form)
+    return cause is not None and (cause.mechanism, cause.variant) == (model.mechanism, model.variant)
 
 
-def _film(model: CycleModel, x: Float) -> RelaxationModel:
+def _make_film(model: CycleModel, x: Float) -> RelaxationModel:
     """The branch and the slope of the equilibrium stress at rest, as a 1 mm cube."""
     k0 = model.split(x)[0].k0 * _N_PER_MM_OF_KPA
     return RelaxationModel(k0, (float(np.exp(x[0])) * _N_PER_MM_OF_KPA,), (float(np.exp(x[1])),))
 
 
-def _film_sd(tried: _Tried) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _estimate_film_sd(tried: _Tried) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Standard deviations of k0, k1, τ1, and of the damper."""
-    drawn = [_film(tried.whole.model, x) for x in tried.drawn_whole]
+    drawn = [_make_film(tried.whole.model, x) for x in tried.drawn_whole]
     values = np.array([[f.k0, f.k[0], f.tau[0], f.k[0] * f.tau[0]] for f in drawn])
     low, high = np.quantile(values, [0.05, 0.95], axis=0)
     spread = ((high - low) / (2 * _NORMAL_90)).tolist()
     return tuple(spread[:3]), (spread[3],)
 
 
-def _parts(cycle: LargeCycle) -> list[tuple[str, Int]]:
+def _split_cycle(cycle: LargeCycle) -> list[tuple[str, Int]]:
     """Loading and unloading in parts of equal length: words, and the numbers of their samples."""
     found = []
     for words, numbers in (("loading", np.flatnonzero(cycle.loading)), ("unloading", np.flatnonzero(~cycle.loading))):
@@ -194,9 +201,9 @@ def _parts(cycle: LargeCycle) -> list[tuple[str, Int]]:
     return found
 
 
-def _discrepancies(cycle: LargeCycle, left: Float, sd: float) -> list[Discrepancy]:
+def _list_discrepancies(cycle: LargeCycle, left: Float, sd: float) -> list[Discrepancy]:
     found = []
-    for where, part in _parts(cycle):
+    for where, part in _split_cycle(cycle):
         own = left[part]
         chi2, mean = float(own @ own), float(own.mean()) * sd
         side = "low" if mean > 0 else "high"
@@ -214,7 +221,7 @@ def _discrepancies(cycle: LargeCycle, left: Float, sd: float) -> list[Discrepanc
     return found
 
 
-def _not_asked(sd: float) -> tuple[str, ...]:
+def _list_unaskable(sd: float) -> tuple[str, ...]:
     return (
         "There is one cycle at one rate: a relaxation and another law of equilibrium differ in what they predict of the unloading, "
         "in nothing else",
@@ -223,11 +230,11 @@ def _not_asked(sd: float) -> tuple[str, ...]:
     )
 
 
-def _residuals(cycle: LargeCycle, plain: _Tried, extended: _Tried, sd: float) -> Residuals:
+def _list_residuals(cycle: LargeCycle, plain: _Tried, extended: _Tried, sd: float) -> Residuals:
     """Everything as fitted to everything, and as the fits to the loading predict it."""
     whole = [cycle.time_s, cycle.stress, plain.whole.stress(), extended.whole.stress()]
     learned = [cycle.time_s, cycle.stress, plain.learned.stress(), extended.learned.stress()]
-    parts = [thinned(values, _SHOWN) for values in (whole, learned)]
+    parts = [thin_curves(values, _SHOWN) for values in (whole, learned)]
     n = parts[0][0].size
     time, measured, first, second = (np.concatenate(both) for both in zip(*parts, strict=True))
     return Residuals(
@@ -243,20 +250,25 @@ def _residuals(cycle: LargeCycle, plain: _Tried, extended: _Tried, sd: float) ->
     )
 
 
-def _next(cycle: LargeCycle, others: Sequence[_Tried], found: Contest, sd: float) -> NextRecording | None:
+def _propose_recording(
+    cycle: LargeCycle, others: Sequence[_Tried], found: Comparison, sd: float
+) -> NextRecording | None:
     """Of a slower cycle, a faster one and a hold the one that separates the causes that are possible best; None where none does.
 
     As in `next_recording`: Dᵀ (N + C)⁻¹ D, of which C is what the cycle at hand leaves open about the rival.
     """
-    possible = [next(t for t in others if _is(t, p.entrant)) for p in found.possible]
+    possible = [next(t for t in others if _is_of(t, p.model)) for p in found.possible]
     best: tuple[float, str, dict[str, str | float]] | None = None
-    for text, design, time, stretch in _proposals(cycle):
+    for text, design, time, stretch in _list_proposals(cycle):
         seen = np.unique(np.linspace(1, time.size - 1, _COMPARED).astype(int))
-        shown = [_elsewhere(t, time, stretch)[:, seen] for t in possible]
+        shown = [_predict_elsewhere(t, time, stretch)[:, seen] for t in possible]
         pairs = [
-            (i, j) for i in range(len(shown)) for j in range(len(shown)) if _cause(possible[i]) != _cause(possible[j])
+            (i, j)
+            for i in range(len(shown))
+            for j in range(len(shown))
+            if _name_mechanism(possible[i]) != _name_mechanism(possible[j])
         ]
-        apart = min((_separation(shown[i], shown[j], sd) for i, j in pairs), default=0.0)
+        apart = min((_compute_separation(shown[i], shown[j], sd) for i, j in pairs), default=0.0)
         if best is None or apart > best[0]:
             best = apart, text, design
     if best is None or best[0] < _DECIDES:
@@ -264,24 +276,24 @@ def _next(cycle: LargeCycle, others: Sequence[_Tried], found: Contest, sd: float
     return NextRecording((best[2],), f"{best[1]}: tells the causes that are possible apart", best[0])
 
 
-def _cause(tried: _Tried) -> str:
+def _name_mechanism(tried: _Tried) -> str:
     return "" if tried.whole.model.cause is None else tried.whole.model.cause.mechanism
 
 
-def _elsewhere(tried: _Tried, time: Float, stretch: Float) -> Float:
+def _predict_elsewhere(tried: _Tried, time: Float, stretch: Float) -> Float:
     """(1 + B, m) what a model predicts of another test, at its optimum and drawn, kPa."""
     model = tried.whole.model.elsewhere(time, stretch)
     return np.array([model.stress(x) for x in (tried.whole.x, *tried.drawn_whole[:_FEW])])
 
 
-def _separation(true: Float, rival: Float, sd: float) -> float:
+def _compute_separation(true: Float, rival: Float, sd: float) -> float:
     """χ² against a rival, (1 + B, m) each, with what forms may be wrong by as noise."""
     difference = true[0] - rival[0]
     noise = np.diag(sd**2 + (_MODEL_ERROR * difference) ** 2)
     return float(difference @ np.linalg.solve(noise + np.cov(rival[1:].T), difference))
 
 
-def _proposals(cycle: LargeCycle) -> list[tuple[str, dict[str, str | float], Float, Float]]:
+def _list_proposals(cycle: LargeCycle) -> list[tuple[str, dict[str, str | float], Float, Float]]:
     t, lam = cycle.time_s - cycle.time_s[0], cycle.stretch
     strain = float(lam.max() - 1)
     test: dict[str, str | float] = {"protocol": "cycle", "loading": "mechanical"}

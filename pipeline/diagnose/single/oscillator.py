@@ -51,7 +51,7 @@ class SystemRecord:
     from_rest: bool = False
 
 
-def linear(damping: float, gain: float) -> Float:
+def make_linear(damping: float, gain: float) -> Float:
     """(PARAMETERS,) of the linear system of κ = 1 with that δ and γ."""
     start = np.zeros(PARAMETERS)
     start[[STIFFNESS, DAMPING, GAIN]] = 1.0, damping, gain

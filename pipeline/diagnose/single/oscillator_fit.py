@@ -86,13 +86,13 @@ class _State:
     done: bool
 
 
-def bounded(parameters: Float) -> Float:
+def clip_parameters(parameters: Float) -> Float:
     """(…, PARAMETERS) within what a fit may reach; rates that are none stay so."""
     none = np.isneginf(parameters)
     return np.where(none, parameters, np.clip(parameters, _LOWER, _UPPER))
 
 
-def values_of(oscillator: Oscillator, of_records: Sequence[Float]) -> Float:
+def join_compared(oscillator: Oscillator, of_records: Sequence[Float]) -> Float:
     """(…, M) values that are compared, of all records one after the other; from (…, n) of each."""
     parts = [v[..., oscillator.compared(r)] for r, v in zip(oscillator.records, of_records, strict=True)]
     return np.concatenate(parts, axis=-1)
@@ -121,7 +121,7 @@ def _evaluated(oscillator: Oscillator, measured: Float, asked: Sequence[tuple[Pr
         for row in problem.free:
             columns.append(theta + _STEP * (np.arange(PARAMETERS) == row))
     by_record = oscillator(np.array(columns).T)
-    everything = values_of(oscillator, by_record)
+    everything = join_compared(oscillator, by_record)
     found, first = [], 0
     for problem, theta in asked:
         own = slice(first, first + 1 + len(problem.free))
@@ -172,12 +172,12 @@ def _step(fit: Fit, measured: Float, damping: float) -> tuple[Float, float]:
     return theta, -float(change @ (2 * gradient + normal @ change)) / fit.cost
 
 
-def linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, float]:
+def find_linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, float]:
     """Angular frequency in rad/s, damping ratio and gain of y″ + 2ζω y′ + ω² y = g u, from spectra under a window of Hann.
 
     The response error |Y − g U/D|² on a grid of ω and ζ, with the best g of each, and on from its least.
     """
-    w, u, y = (np.concatenate(part) for part in zip(*(_spectra(r) for r in records), strict=True))
+    w, u, y = (np.concatenate(part) for part in zip(*(_compute_spectra(r) for r in records), strict=True))
     strongest = np.argsort(np.abs(y))[-_LINES:]
     w, u, y = w[strongest], u[strongest], y[strongest]
 
@@ -202,7 +202,7 @@ def linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, float]:
     return float(omega), float(ratio), gain(omega, ratio)[0]
 
 
-def _spectra(record: SystemRecord) -> tuple[Float, Complex, Complex]:
+def _compute_spectra(record: SystemRecord) -> tuple[Float, Complex, Complex]:
     """Angular frequencies in rad/s and spectra of input and output, without the mean."""
     n = record.input.size
     window = np.ones(n) if record.periodic else np.hanning(n)

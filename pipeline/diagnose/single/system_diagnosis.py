@@ -11,11 +11,11 @@ import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import NONE, Diagnosis, Residuals
-from pipeline.diagnose.single.alone import Films, Told, diagnosis_of, left_by, smallest_of
-from pipeline.diagnose.single.contest import Contest, contest
+from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import SystemRecord
-from pipeline.diagnose.single.system_causes import SystemQuestion, system_causes
-from pipeline.diagnose.single.system_discrepancies import system_discrepancies
+from pipeline.diagnose.single.report import Films, Report, describe_what_stays, list_smallest, report_comparison
+from pipeline.diagnose.single.system_discrepancies import list_system_discrepancies
+from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.mechanisms import plain_name
@@ -29,50 +29,54 @@ _NO_FILM = RelaxationModel(1.0, (), ())
 
 def diagnose_system(
     specimen_id: str, records: Sequence[SystemRecord], protocols: Sequence[str], unit: str
-) -> tuple[Diagnosis, Contest]:
+) -> tuple[Diagnosis, Comparison]:
     """The diagnosis of one system, and the contest behind it; `unit` of the output."""
-    question = system_causes(records)
-    found = contest(question.plain, question.entrants, question.measured, question.left_out, question.sd)
-    told = _told(specimen_id, tuple(dict.fromkeys(protocols)), question, found, unit)
-    return diagnosis_of(found, question.measured, question.left_out, question.sd, question.plain.whole, told), found
+    question = ask_system(records)
+    found = compare_predictions(question.plain, question.models, question.measured, question.left_out, question.sd)
+    told = _write_report(specimen_id, tuple(dict.fromkeys(protocols)), question, found, unit)
+    return report_comparison(
+        found, question.measured, question.left_out, question.sd, question.plain.whole, told
+    ), found
 
 
-def _told(specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion, found: Contest, unit: str) -> Told:
-    best = found.places[0].entrant
-    tried = {e.mechanism for e in question.entrants} | {"amplitude_softening", "strain_stiffening"}
+def _write_report(
+    specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion, found: Comparison, unit: str
+) -> Report:
+    best = found.ranked[0].model
+    tried = {e.mechanism for e in question.models} | {"amplitude_softening", "strain_stiffening"}
     parts = {
         part.name: (
-            _error(question.plain.unseen[part.values] - question.left_out[part.values], question.sd),
-            _error(best.unseen[part.values] - question.left_out[part.values], question.sd),
+            _compute_error(question.plain.unseen[part.values] - question.left_out[part.values], question.sd),
+            _compute_error(best.unseen[part.values] - question.left_out[part.values], question.sd),
         )
         for part in question.parts
     }
-    words = f"{plain_name(best.mechanism).lower()} ({best.form})"
-    return Told(
+    words = f"{plain_name(best.mechanism).lower()} ({best.variant})"
+    return Report(
         specimen_id=specimen_id,
         protocols=protocols,
         left_out=parts,
         films=Films(_NO_FILM, _NO_FILM),
-        discrepancies=system_discrepancies(question),
-        residuals=tuple(_residuals(question, found)),
-        smallest=smallest_of(p.entrant for p in found.places),
+        discrepancies=list_system_discrepancies(question),
+        residuals=tuple(_list_residuals(question, found)),
+        smallest=list_smallest(p.model for p in found.ranked),
         invisible=tuple(m for m in MECHANISMS if m not in tried),
         could_not_ask=(
             "This is no film in a rig: it is simulated as one resonance, and asked for what bends it",
             f"The noise of the output, {question.sd:.2g} {unit}, is {question.noise}",
         ),
-        unexplained=(left_by(words, best.whole - question.measured, question.sd, unit),),
+        unexplained=(describe_what_stays(words, best.whole - question.measured, question.sd, unit),),
     )
 
 
-def _error(difference: Float, sd: float) -> float:
+def _compute_error(difference: Float, sd: float) -> float:
     return float(np.sqrt(np.mean((difference / sd) ** 2)))
 
 
-def _residuals(question: SystemQuestion, found: Contest) -> list[Residuals]:
+def _list_residuals(question: SystemQuestion, found: Comparison) -> list[Residuals]:
     """Of every record the stretch about its largest output."""
-    winner = found.places[0].entrant.form if found.verdict != NONE else ""
-    forms = [question.plain.form, *(e.form for e in question.entrants)]
+    winner = found.ranked[0].model.variant if found.verdict != NONE else ""
+    forms = [question.plain.variant, *(e.variant for e in question.models)]
     plain, best = question.simulations[0], question.simulations[forms.index(winner)]
     shown = []
     for i, name in enumerate(question.names):

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from pipeline.diagnose.results import Discrepancy
-from pipeline.diagnose.single.system_causes import SystemQuestion
+from pipeline.diagnose.single.system_mechanisms import SystemQuestion
 from schemas.arrays import Float
 
 _BANDS = (
@@ -23,7 +23,7 @@ _WINDOWS = 30
 _THIRDS = ("where the output is smallest", "where it is middling", "where it is largest")
 
 
-def system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ...]:
+def list_system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ...]:
     """Per record and band of frequency, and per record and third of its stretches by output; those beyond the noise, worst first.
 
     χ² of a band is of its spectral lines, two values each; of a third that of its samples.
@@ -34,12 +34,12 @@ def system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ...]:
         question.names, question.times, question.measured_outputs, plain.outputs, plain.compared, strict=True
     ):
         interval = float(times[1] - times[0])
-        found += _bands(name, interval, y[compared], simulated[compared], question)
-        found += _levels(name, y[compared], simulated[compared], question)
+        found += _test_bands(name, interval, y[compared], simulated[compared], question)
+        found += _test_levels(name, y[compared], simulated[compared], question)
     return tuple(sorted((d for d in found if d.p_value < 0.01), key=lambda d: -d.chi2 / d.degrees_of_freedom))
 
 
-def _bands(name: str, interval: float, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:
+def _test_bands(name: str, interval: float, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:
     resonance = question.angular_frequency / 2 / np.pi
     frequency = np.fft.rfftfreq(y.size, interval)[1:]
     measured, error = (2 * np.abs(np.fft.rfft(x)[1:]) ** 2 / y.size for x in (y, simulated - y))
@@ -49,11 +49,11 @@ def _bands(name: str, interval: float, y: Float, simulated: Float, question: Sys
         if inside.any():
             last = min(high * resonance, float(frequency[-1]))
             where = f"{low * resonance:.3g} to {last:.3g} Hz"
-            found.append(_discrepancy(name, where, words, measured[inside], error[inside], 2, question.sd))
+            found.append(_make_discrepancy(name, where, words, measured[inside], error[inside], 2, question.sd))
     return found
 
 
-def _levels(name: str, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:
+def _test_levels(name: str, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:
     windows = np.array_split(np.arange(y.size), _WINDOWS)
     order = np.argsort([float(np.std(y[w])) for w in windows])
     found = []
@@ -61,11 +61,15 @@ def _levels(name: str, y: Float, simulated: Float, question: SystemQuestion) -> 
         chosen = np.concatenate([windows[i] for i in third])
         largest = float(np.abs(y[chosen]).max() / question.amplitude)
         where = f"outputs up to {100 * largest:.0f} % of the largest"
-        found.append(_discrepancy(name, where, words, y[chosen] ** 2, (simulated - y)[chosen] ** 2, 1, question.sd))
+        found.append(
+            _make_discrepancy(name, where, words, y[chosen] ** 2, (simulated - y)[chosen] ** 2, 1, question.sd)
+        )
     return found
 
 
-def _discrepancy(name: str, where: str, words: str, measured: Float, error: Float, each: int, sd: float) -> Discrepancy:
+def _make_discrepancy(
+    name: str, where: str, words: str, measured: Float, error: Float, each: int, sd: float
+) -> Discrepancy:
     """measured, error : (n,) squares, of `each` values"""
     square, freedom = float(error.sum()) / sd**2, each * error.size
     share = 100 * float(np.sqrt(error.sum() / measured.sum()))

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from pipeline.diagnose.single.oscillator import Oscillator, SystemRecord
-from pipeline.diagnose.single.oscillator_fit import values_of
+from pipeline.diagnose.single.oscillator_fit import join_compared
 from schemas.arrays import Bool, Float
 
 _WINDOWS = 32
@@ -26,7 +26,7 @@ _EXCITED = 1e-4
 _TINY = 1e-30
 
 
-def two_parts(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[str, str], Bool]:
+def split_in_two(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[str, str], Bool]:
     """Names of the two parts, and (M,) what belongs to the first: the record of the largest output, or of one record the half that is driven
     more, else the second one, else every other stretch; the first of these in which both parts are driven at the same frequencies.
     """
@@ -35,7 +35,7 @@ def two_parts(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[s
         levels = [float(np.abs(y[oscillator.compared(r)]).max()) for r, y in zip(records, outputs, strict=True)]
         loudest = int(np.argmax(levels))
         others = " and ".join(r.name for i, r in enumerate(records) if i != loudest)
-        mask = values_of(oscillator, [np.full(y.size, float(i == loudest)) for i, y in enumerate(outputs)])
+        mask = join_compared(oscillator, [np.full(y.size, float(i == loudest)) for i, y in enumerate(outputs)])
         return (f"{records[loudest].name}, the loudest", others), mask > 0
     u = records[0].input[oscillator.compared(records[0])]
     windows = np.array_split(np.arange(u.size), _WINDOWS)
@@ -48,17 +48,17 @@ def two_parts(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[s
         ("the second half", "the first half", number >= half),
         ("every other stretch", "the stretches between", number % 2 == 1),
     ]
-    found = next((way for way in ways[0 if louder else 1 : -1] if _alike(power, way[2])), ways[-1])
+    found = next((way for way in ways[0 if louder else 1 : -1] if _are_driven_alike(power, way[2])), ways[-1])
     return (found[0], found[1]), np.repeat(found[2], [w.size for w in windows])
 
 
-def _alike(power: Float, chosen: Bool) -> bool:
+def _are_driven_alike(power: Float, chosen: Bool) -> bool:
     """Whether two parts are driven at the same frequencies; power : (windows, frequencies) of the input."""
     inside, outside = (power[c].sum(axis=0) / max(power[c].sum(), _TINY) for c in (chosen, ~chosen))
     return bool(np.minimum(inside, outside).sum() > _ALIKE)
 
 
-def noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
+def estimate_noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
     """Standard deviation of the noise of one output value, and in words how it is told: from frequencies that are not excited, as if
     it were white: the upper end of its 95 % interval, so that noise alone is no misfit; the largest of the records'."""
     levels, free = [], True

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pipeline.diagnose.features.kinds import REST_HUM, TAP_RING, WEIGHT_GAIN
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.screen import make_absorbed_basis, project_out
 from pipeline.diagnose.simulation.session import Place, Session
 from schemas.arrays import Bool, Float, Int
 
@@ -32,7 +32,7 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class Structure:
+class Patterns:
     """Smooth patterns in a residual. `statistic` is χ² with `degrees_of_freedom` under the null.
 
     kind_p : kind of feature → probability of its own patterns; variable_p : variable → that of the patterns that it modulates
@@ -45,32 +45,32 @@ class Structure:
     variable_p: dict[str, float]
 
 
-def structure(fit: ExtendedFit) -> Structure:
+def test_patterns(fit: ExtendedFit) -> Patterns:
     """Smooth patterns that a fitted model leaves."""
     session = fit.of.session
     columns, labels = [], []
-    for kind, variable, column in _patterns(session):
+    for kind, variable, column in _make_patterns(session):
         columns.append(column)
         labels.append((kind, variable))
     if not columns:
-        return Structure(0.0, 0, 1.0, {}, {})
+        return Patterns(0.0, 0, 1.0, {}, {})
     seen = fit.of.weight[:, None] * np.column_stack(columns)
-    gram, score = unabsorbed(fit, seen, absorbed_by(fit))
+    gram, score = project_out(fit, seen, make_absorbed_basis(fit))
     scale = np.sqrt(np.maximum(np.sum(seen**2, axis=0), 1e-300))
     gram, score = gram / np.outer(scale, scale), score / scale
     kinds = np.array([k for k, _ in labels])
     variables = np.array([v for _, v in labels])
-    total, freedom, _ = quadratic(gram, score)
-    return Structure(
+    total, freedom, _ = compute_quadratic(gram, score)
+    return Patterns(
         total,
         freedom,
         float(chdtrc(max(freedom, 1), total)),
-        {str(k): _p(gram, score, kinds == k) for k in np.unique(kinds)},
-        {str(v): _p(gram, score, variables == v) for v in np.unique(variables) if v},
+        {str(k): _compute_p(gram, score, kinds == k) for k in np.unique(kinds)},
+        {str(v): _compute_p(gram, score, variables == v) for v in np.unique(variables) if v},
     )
 
 
-def words(variable: str) -> str:
+def name_variable(variable: str) -> str:
     """A variable's name in words."""
     return _WORDS[variable]
 
@@ -80,17 +80,17 @@ def blocks_p(fit: ExtendedFit, spread: float) -> Float:
     result = np.ones(len(fit.of.session.places))
     for i, p in enumerate(fit.of.session.places):
         r = fit.misfit[p.first : p.stop]
-        result[i] = block_probability(float(r @ r), r.size, spread)
+        result[i] = compute_block_p(float(r @ r), r.size, spread)
     return result
 
 
-def block_probability(chi2: float, size: int, spread: float) -> float:
+def compute_block_p(chi2: float, size: int, spread: float) -> float:
     """Probability of χ² or more of `size` values whose common variance is known to `spread` (relative): Satterthwaite."""
     variance = 2 * size + (spread * size) ** 2
     return float(chdtrc(2 * size**2 / variance, chi2 * 2 * size / variance))
 
 
-def _patterns(session: Session) -> Iterator[tuple[str, str, Float]]:
+def _make_patterns(session: Session) -> Iterator[tuple[str, str, Float]]:
     """Kind, variable ("" for none) and whitened column (N,) of each pattern."""
     by_kind: dict[str, list[Place]] = {}
     for p in session.places:
@@ -99,14 +99,14 @@ def _patterns(session: Session) -> Iterator[tuple[str, str, Float]]:
     sd = session.sd
     for kind, places in by_kind.items():
         index = np.concatenate([np.arange(p.first, p.stop) for p in places])
-        half = np.concatenate([_halves(p) for p in places])
-        along = np.concatenate([_along(p) for p in places])
-        powers = np.polynomial.legendre.legvander(_scaled(along), _DEGREE if np.ptp(along) > 0 else 0)
+        half = np.concatenate([_number_sides(p) for p in places])
+        along = np.concatenate([_make_abscissa(p) for p in places])
+        powers = np.polynomial.legendre.legvander(_scale_to_unit(along), _DEGREE if np.ptp(along) > 0 else 0)
         modulations: list[tuple[str, Float]] = [("", np.ones(index.size))]
         for name in _BY_VARIABLE:
             values = session.covariate(name)[index]
             if np.isfinite(values).all() and np.ptp(values) > 1e-9 * max(float(np.abs(values).max()), 1e-300):
-                modulations.append((name, _scaled(values)))
+                modulations.append((name, _scale_to_unit(values)))
         for side in np.unique(half):
             for name, modulation in modulations:
                 for power in powers.T:
@@ -115,7 +115,7 @@ def _patterns(session: Session) -> Iterator[tuple[str, str, Float]]:
                     yield kind, name, session.whiten(column)
 
 
-def _halves(p: Place) -> Int:
+def _number_sides(p: Place) -> Int:
     """0 for real parts and harmonic 2, 1 for imaginary parts; harmonics of order 3 count on their own."""
     n = p.block.size
     side = np.zeros(n, dtype=np.int64)
@@ -127,7 +127,7 @@ def _halves(p: Place) -> Int:
     return side
 
 
-def _along(p: Place) -> Float:
+def _make_abscissa(p: Place) -> Float:
     """Logarithm of frequency, else of time."""
     f = p.block.frequency_hz
     if np.isfinite(f).all() and (f > 0).all():
@@ -140,12 +140,12 @@ def _along(p: Place) -> Float:
     )
 
 
-def _scaled(values: Float) -> Float:
+def _scale_to_unit(values: Float) -> Float:
     low, high = float(values.min()), float(values.max())
     return np.asarray(2 * (values - low) / (high - low) - 1) if high > low else np.zeros(values.size)
 
 
-def quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
+def compute_quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
     """scoreᵀ gram⁺ score over patterns of unit length, its rank, and gram⁺ score."""
     values, vectors = np.linalg.eigh((gram + gram.T) / 2)
     kept = values > _RELATIVE_RANK * max(float(values[-1]), 1e-300)
@@ -158,6 +158,6 @@ def quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
     )
 
 
-def _p(gram: Float, score: Float, chosen: Bool) -> float:
-    total, freedom, _ = quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
+def _compute_p(gram: Float, score: Float, chosen: Bool) -> float:
+    total, freedom, _ = compute_quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
     return float(chdtrc(freedom, total)) if freedom else 1.0

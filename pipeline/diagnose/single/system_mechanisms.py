@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.diagnose.results import Estimate
-from pipeline.diagnose.single.contest import Entrant, drawn_parameters
+from pipeline.diagnose.single.comparison import TriedModel, draw_parameters
 from pipeline.diagnose.single.oscillator import (
     ARM,
     CEILING,
@@ -35,10 +35,17 @@ from pipeline.diagnose.single.oscillator import (
     STIFFNESS,
     Oscillator,
     SystemRecord,
-    linear,
+    make_linear,
 )
-from pipeline.diagnose.single.oscillator_fit import Fit, Problem, bounded, fit_all, linear_start, values_of
-from pipeline.diagnose.single.system_parts import noise_sd, two_parts
+from pipeline.diagnose.single.oscillator_fit import (
+    Fit,
+    Problem,
+    clip_parameters,
+    find_linear_start,
+    fit_all,
+    join_compared,
+)
+from pipeline.diagnose.single.system_parts import estimate_noise_sd, split_in_two
 from schemas.arrays import Bool, Float, Int
 
 _LINEAR = (STIFFNESS, DAMPING, GAIN)
@@ -84,7 +91,7 @@ class SystemQuestion:
 
     measured, left_out : (N,) compared values of all records, and (H,) those of the parts left out; sd : of the noise of one value, noise
     in words how it was told
-    plain, entrants : for the contest; parts : what was left out, one after the other
+    plain, models : for the contest; parts : what was left out, one after the other
     angular_frequency, damping_ratio : of the linear system, rad/s and share of the critical one; amplitude : largest output
     names, times : of all records, (n,) in s; measured_outputs : (n,) per record as compared; simulations : the plain model's first
     """
@@ -93,8 +100,8 @@ class SystemQuestion:
     left_out: Float
     sd: float
     noise: str
-    plain: Entrant
-    entrants: tuple[Entrant, ...]
+    plain: TriedModel
+    models: tuple[TriedModel, ...]
     parts: tuple[Part, ...]
     angular_frequency: float
     damping_ratio: float
@@ -106,7 +113,7 @@ class SystemQuestion:
 
 
 @dataclass(frozen=True)
-class _Cause:
+class _SystemMechanism:
     """A term.
 
     rows : parameters that are free beyond the linear ones; starts : of them, each tried
@@ -114,7 +121,7 @@ class _Cause:
     severity : of parameters (…, PARAMETERS), largest speed over A w, and w in rad/s
     """
 
-    form: str
+    variant: str
     equation: str
     rows: tuple[int, ...]
     starts: tuple[tuple[float, ...], ...]
@@ -122,35 +129,35 @@ class _Cause:
     severity: Callable[[Float, float, float], Mapping[str, Float]]
 
 
-def _stiffening(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+def _report_cubic(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     return {"stiffening": 3 * p[..., CUBIC] / p[..., STIFFNESS], "drop": -p[..., CUBIC] / p[..., STIFFNESS]}
 
 
-def _residual(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+def _report_quadratic(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     return {"residual": 1 - 2 * np.abs(p[..., QUADRATIC]) / p[..., STIFFNESS]}
 
 
-def _damping(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+def _report_drag(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     return {"damping_ratio": p[..., DRAG] * speed / 2 / np.sqrt(p[..., STIFFNESS])}
 
 
-def _overload(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+def _report_ceiling(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     # The largest reading is 1: y = 1/√(1 − l) before the ceiling.
     return {"overload": 1 / np.sqrt(np.maximum(1 - p[..., CEILING], 1e-6)) - 1}
 
 
-def _slip(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+def _report_slip(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     return {
         "slip_force": p[..., ARM] * np.exp(-p[..., SLIP]) / p[..., STIFFNESS],
         "hardening": p[..., ARM] / p[..., STIFFNESS],
     }
 
 
-def _arm(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+def _report_arm(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     return {"stiffness_ratio": p[..., ARM] / p[..., STIFFNESS], "time_constant_s": np.exp(-p[..., RATE]) / w}
 
 
-def _late(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+def _report_delay(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     return {"delay_s": p[..., DELAY] / w}
 
 
@@ -158,73 +165,73 @@ def _always(name: str) -> Callable[[float], str]:
     return lambda value: name
 
 
-CAUSES: tuple[_Cause, ...] = (
-    _Cause(
+MECHANISMS: tuple[_SystemMechanism, ...] = (
+    _SystemMechanism(
         "cubic stiffness",
         "y″ + d y′ + w₀² y + k₃ y³ = g u",
         (CUBIC,),
         ((0.0,),),
         lambda value: "strain_stiffening" if value >= 0 else "amplitude_softening",
-        _stiffening,
+        _report_cubic,
     ),
-    _Cause(
+    _SystemMechanism(
         "quadratic stiffness",
         "y″ + d y′ + w₀² y + k₂ y² = g u",
         (QUADRATIC,),
         ((0.0,),),
         _always("slack"),
-        _residual,
+        _report_quadratic,
     ),
-    _Cause(
+    _SystemMechanism(
         "damping grows with speed",
         "y″ + d y′ + c |y′| y′ + w₀² y = g u",
         (DRAG,),
         ((0.0,),),
         _always("load_cell_damping"),
-        _damping,
+        _report_drag,
     ),
-    _Cause(
+    _SystemMechanism(
         "reading bends to a ceiling",
         "reading y/√(1 + y²/L²)",
         (CEILING,),
         ((0.0,),),
         _always("sensor_saturation"),
-        _overload,
+        _report_ceiling,
     ),
-    _Cause(
+    _SystemMechanism(
         "friction that yields",
         "y″ + d y′ + w₀² y + k q = g u, q′ = y′ − |y′| q/q_s",
         (ARM, SLIP),
         ((0.05, np.log(2.0)), (0.05, np.log(20.0))),
         _always("clamp_slip"),
-        _slip,
+        _report_slip,
     ),
-    _Cause(
+    _SystemMechanism(
         "an arm that relaxes",
         "y″ + d y′ + w₀² y + k₁ q = g u, q′ = y′ − q/τ",
         (ARM, RATE),
         ((0.05, np.log(0.3)), (0.05, np.log(3.0))),
         _always("missing_relaxation"),
-        _arm,
+        _report_arm,
     ),
-    _Cause("output late", "reading y(t − Δ)", (DELAY,), ((0.0,),), _always("sensor_delay"), _late),
+    _SystemMechanism("output late", "reading y(t − Δ)", (DELAY,), ((0.0,),), _always("sensor_delay"), _report_delay),
 )
 """Causes that are tried."""
 
 
-def system_causes(records: Sequence[SystemRecord], *, sd: float | None = None) -> SystemQuestion:
+def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> SystemQuestion:
     """The question of one system's records, all with one interval.
 
     sd : of the noise of one output, where the caller knows it, for instance from periods that repeat
     """
-    oscillator, start = _plain_start(records)
-    measured_outputs = tuple(_compared(oscillator, r) for r in records)
-    measured = values_of(oscillator, measured_outputs)
+    oscillator, start = _start_plain(records)
+    measured_outputs = tuple(_centre_output(oscillator, r) for r in records)
+    measured = join_compared(oscillator, measured_outputs)
     everything = np.ones(measured.size, dtype=bool)
-    name, loud = two_parts(oscillator, measured_outputs)
+    name, loud = split_in_two(oscillator, measured_outputs)
     folds = (everything, ~loud, loud)
     problems, owners = [], []
-    for number, cause in enumerate((None, *CAUSES)):
+    for number, cause in enumerate((None, *MECHANISMS)):
         rows = cause.rows if cause else ()
         for given in cause.starts if cause else ((),):
             theta = start.copy()
@@ -238,10 +245,10 @@ def system_causes(records: Sequence[SystemRecord], *, sd: float | None = None) -
             fits[owner] = fit
     decay = 2 / start[DAMPING] / oscillator.angular_frequency / records[0].interval_s
     memory = int(max(_DECAYS * decay, measured.size / _BLOCKS, 1))
-    known, noise = (sd, "given") if sd is not None else noise_sd(records)
+    known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
     found = [
-        _entrant(cause, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
-        for number, cause in enumerate((None, *CAUSES))
+        _try_model(cause, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
+        for number, cause in enumerate((None, *MECHANISMS))
     ]
     compared = tuple(oscillator.compared(r) for r in records)
     louder, quieter = np.flatnonzero(loud), np.flatnonzero(~loud)
@@ -251,7 +258,7 @@ def system_causes(records: Sequence[SystemRecord], *, sd: float | None = None) -
         sd=known,
         noise=noise,
         plain=found[0],
-        entrants=tuple(found[1:]),
+        models=tuple(found[1:]),
         parts=(
             Part(name[0], slice(0, louder.size), louder),
             Part(name[1], slice(louder.size, measured.size), quieter),
@@ -263,20 +270,20 @@ def system_causes(records: Sequence[SystemRecord], *, sd: float | None = None) -
         times=tuple(np.arange(float(r.input.size)) * r.interval_s for r in records),
         measured_outputs=measured_outputs,
         simulations=tuple(
-            Simulated(entrant.mechanism, fits[number, 0].records, compared, fits[number, 0].parameters)
-            for number, entrant in enumerate(found)
+            Simulated(model.mechanism, fits[number, 0].records, compared, fits[number, 0].parameters)
+            for number, model in enumerate(found)
         ),
     )
 
 
-def _plain_start(records: Sequence[SystemRecord]) -> tuple[Oscillator, Float]:
+def _start_plain(records: Sequence[SystemRecord]) -> tuple[Oscillator, Float]:
     """The oscillator in units of the linear fit to everything, and its parameters (PARAMETERS,)."""
     amplitude = max(float(np.abs(r.output - (0 if r.from_rest else r.output.mean())).max()) for r in records)
-    omega, ratio, gain = linear_start(records)
+    omega, ratio, gain = find_linear_start(records)
     for _ in range(2):
         oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * ratio)
-        start = linear(damping=2 * ratio, gain=gain / omega**2)
-        measured = values_of(oscillator, [_compared(oscillator, r) for r in records])
+        start = make_linear(damping=2 * ratio, gain=gain / omega**2)
+        measured = join_compared(oscillator, [_centre_output(oscillator, r) for r in records])
         plain = fit_all(oscillator, measured, [Problem(start, _LINEAR, np.ones(measured.size, dtype=bool))])[0]
         theta = plain.parameters
         frequency = float(np.sqrt(theta[STIFFNESS]))
@@ -287,23 +294,28 @@ def _plain_start(records: Sequence[SystemRecord]) -> tuple[Oscillator, Float]:
     return oscillator, theta
 
 
-def _compared(oscillator: Oscillator, record: SystemRecord) -> Float:
+def _centre_output(oscillator: Oscillator, record: SystemRecord) -> Float:
     """(n,) the record's output as it is compared."""
     if record.from_rest:
         return record.output
     return np.asarray(record.output - float(record.output[oscillator.compared(record)].mean()))
 
 
-def _entrant(
-    cause: _Cause | None, fits: Sequence[Fit], oscillator: Oscillator, measured: Float, loud: Bool, memory: int
-) -> Entrant:
+def _try_model(
+    cause: _SystemMechanism | None,
+    fits: Sequence[Fit],
+    oscillator: Oscillator,
+    measured: Float,
+    loud: Bool,
+    memory: int,
+) -> TriedModel:
     """Of the fits to everything, to the quiet and to the loud part."""
     rng = np.random.default_rng(_SEED)
     unseen: list[Float] = []
     drawn: list[Float] = []
     for fit, left in ((fits[1], loud), (fits[2], ~loud)):
         seen = fit.problem.fitted
-        changes = drawn_parameters(fit.jacobian[seen], (fit.simulated - measured)[seen], memory, _DRAWN, rng)
+        changes = draw_parameters(fit.jacobian[seen], (fit.simulated - measured)[seen], memory, _DRAWN, rng)
         # What runs away predicts nothing.
         predicted, slope = (np.nan_to_num(x[left], posinf=0, neginf=0) for x in (fit.simulated, fit.jacobian))
         unseen.append(predicted)
@@ -312,20 +324,20 @@ def _entrant(
     severity: dict[str, Estimate] = {}
     mechanism = cause.mechanism(float(whole.parameters[cause.rows[0]])) if cause else ""
     if cause:
-        changes = drawn_parameters(whole.jacobian, whole.simulated - measured, memory, _DRAWN, rng)
+        changes = draw_parameters(whole.jacobian, whole.simulated - measured, memory, _DRAWN, rng)
         around = np.tile(whole.parameters, (_DRAWN, 1))
         around[:, list(whole.problem.free)] += changes
-        around = bounded(around)
-        speed = _fastest(oscillator, whole)
+        around = clip_parameters(around)
+        speed = _find_largest_speed(oscillator, whole)
         values = cause.severity(whole.parameters, speed, oscillator.angular_frequency)
         for key, spread in cause.severity(around, speed, oscillator.angular_frequency).items():
             if key not in _KEYS.get(mechanism, (key,)):
                 continue
             low, high = np.quantile(spread, [0.05, 0.95])
             severity[key] = Estimate(float(values[key]), float(np.std(spread)), float(low), float(high))
-    return Entrant(
+    return TriedModel(
         mechanism=mechanism,
-        form=cause.form if cause else "",
+        variant=cause.variant if cause else "",
         equation=cause.equation if cause else "",
         severity=severity,
         whole=whole.simulated,
@@ -334,7 +346,7 @@ def _entrant(
     )
 
 
-def _fastest(oscillator: Oscillator, fit: Fit) -> float:
+def _find_largest_speed(oscillator: Oscillator, fit: Fit) -> float:
     """Largest |y′| of a simulation over A w."""
     unit = oscillator.amplitude * oscillator.angular_frequency
     return max(

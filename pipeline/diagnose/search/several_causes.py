@@ -11,10 +11,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.diagnose.search.extend import ExtendedFit
-from pipeline.diagnose.search.refit import confirmed, finished, ranked, tried, without
-from pipeline.diagnose.search.screen import Score, Secants, scores, secants, signatures
-from pipeline.diagnose.search.tempering import SHARE, beyond_noise, by_part, noise_chi2, share_of_form, tempered
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.fit_mechanisms import (
+    confirm_best,
+    drop_mechanism,
+    finish_fit,
+    fit_each_mechanism,
+    rank_by_evidence,
+)
+from pipeline.diagnose.search.screen import Score, Secants, compute_secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.tempering import (
+    SHARE,
+    estimate_form_share,
+    expect_noise_chi2,
+    measure_excess,
+    sum_by_part,
+    temper_weights,
+)
 from schemas.arrays import Int
 
 CLOSE = 4.6
@@ -62,18 +75,20 @@ class Searched:
     final: ExtendedFit | None
 
 
-def several(untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit], changes: Secants) -> Searched:
+def combine_causes(
+    untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit], changes: Secants
+) -> Searched:
     """Causes added one by one to the best single ones, and those that are no longer needed dropped."""
     worth = [f for f in singles if f.log_evidence > plain.log_evidence]
     if not worth:
         return Searched(plain, tuple(singles), None)
-    best, shown = _added(plain, worth, changes)
+    best, shown = _add_causes(plain, worth, changes)
     if len(best.of.chosen) > 1:
-        return Searched(plain, tuple(singles), _needed(plain, best, shown))
-    return _beside(untempered, plain, singles, changes) or Searched(plain, tuple(singles), best)
+        return Searched(plain, tuple(singles), _drop_needless_causes(plain, best, shown))
+    return _search_weaker_causes(untempered, plain, singles, changes) or Searched(plain, tuple(singles), best)
 
 
-def _beside(
+def _search_weaker_causes(
     untempered: ExtendedFit, plain: ExtendedFit, singles: Sequence[ExtendedFit], changes: Secants
 ) -> Searched | None:
     """Causes beside the best single one, on the scale that its form is seen to need; None where that is no finer, or shows none.
@@ -82,29 +97,29 @@ def _beside(
     """
     alone = singles[0]
     raw = alone.of.with_weight(np.ones(untempered.of.session.size))
-    share = share_of_form(untempered, finished(raw.fit(alone.x, most=_ROUGHLY)))
+    share = estimate_form_share(untempered, finish_fit(raw.fit(alone.x, most=_ROUGHLY)))
     if share > _MUCH_BETTER * SHARE:
         return None
-    weight = tempered(untempered.of.session, untempered.misfit, share)
+    weight = temper_weights(untempered.of.session, untempered.misfit, share)
 
     def moved(fit: ExtendedFit) -> ExtendedFit:
         of = fit.of.with_weight(weight)
         return of.refined(of.fit(fit.x, most=_ROUGHLY))
 
-    plain, base = moved(plain), finished(moved(alone))
-    looked = signatures(changes, base)
-    found = scores(looked)
+    plain, base = moved(plain), finish_fit(moved(alone))
+    looked = compute_signatures(changes, base)
+    found = find_best_scores(looked)
     if not found or not looked.reaches(found[0].statistic, _WORTH_A_LOOK):
         return None
-    best, shown = _added(plain, [base], secants(base), share)
+    best, shown = _add_causes(plain, [base], compute_secants(base), share)
     if len(best.of.chosen) > 1:
-        best = _needed(plain, best, shown, share)
+        best = _drop_needless_causes(plain, best, shown, share)
     if len(best.of.chosen) == 1:
         return None
-    return Searched(plain, ranked([base, *(moved(f) for f in singles[1:])]), best)
+    return Searched(plain, rank_by_evidence([base, *(moved(f) for f in singles[1:])]), best)
 
 
-def _added(
+def _add_causes(
     plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, share: float = SHARE
 ) -> tuple[ExtendedFit, bool]:
     """Causes added one by one: a further one where it is significant on what is left, and adds a share worth naming.
@@ -118,37 +133,37 @@ def _added(
         bases = [b for b in bases if b.chi2 < _HOPELESS * worth[0].chi2]
         further: list[ExtendedFit] = []
         for base in bases:
-            looked = signatures(changes, base)
-            found = scores(looked)
+            looked = compute_signatures(changes, base)
+            found = find_best_scores(looked)
             if not found or not looked.reaches(found[0].statistic, SECOND_LEVEL):
-                if base is bases[0] and beyond_noise(plain, base) < _NOISE:
+                if base is bases[0] and measure_excess(plain, base) < _NOISE:
                     break  # what the best leaves is noise: others with a cause more could explain nothing else
                 continue
-            promising = [s for s in found if _promising(plain, base, s, share)]
+            promising = [s for s in found if _is_promising(plain, base, s, share)]
             goal = min([best.chi2 - CLOSE, *(f.chi2 + _OUT_OF_REACH for f in further)])
-            further += tried(base, promising, looked, 2, goal=goal)
-        better = [f for f in further if _worthwhile(plain, best, f, shown, share)]
+            further += fit_each_mechanism(base, promising, looked, 2, goal=goal)
+        better = [f for f in further if _is_worthwhile(plain, best, f, shown, share)]
         if not better:
             break
         sure = max(f.log_evidence for f in better) + CLOSE
-        likelier = [f for f in further if f.log_evidence > sure and _worthwhile(plain, best, f, True, share)]
+        likelier = [f for f in further if f.log_evidence > sure and _is_worthwhile(plain, best, f, True, share)]
         shown = shown or bool(likelier)
-        best = confirmed(likelier or better)[0]
+        best = confirm_best(likelier or better)[0]
     return best, shown
 
 
-def _promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
+def _is_promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
     """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice that."""
-    least = 0.5 * _LEAVING_NOISE * SECOND_SHARE * _of_form(share)
-    return score.statistic > max(2 * CLOSE, least * min(plain.chi2 - base.chi2, base.chi2 - noise_chi2(plain)))
+    least = 0.5 * _LEAVING_NOISE * SECOND_SHARE * _scale_demand(share)
+    return score.statistic > max(2 * CLOSE, least * min(plain.chi2 - base.chi2, base.chi2 - expect_noise_chi2(plain)))
 
 
-def _of_form(share: float) -> float:
+def _scale_demand(share: float) -> float:
     """What is asked of a further cause where forms may be wrong by a share, over what is asked as long as nothing is known of that."""
     return (share / SHARE) ** 2 if share > _EXACT else 0.0
 
 
-def _worthwhile(
+def _is_worthwhile(
     plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, shown: bool = False, share: float = SHARE
 ) -> bool:
     """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything.
@@ -157,15 +172,15 @@ def _worthwhile(
     """
     if more.log_evidence - best.log_evidence < CLOSE:
         return False
-    before, so_far, now = (by_part(f) for f in (plain, best, more))
+    before, so_far, now = (sum_by_part(f) for f in (plain, best, more))
     added = so_far - now
     order = np.argsort(-added)
     most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
     where = order[: int(most.sum()) + 1]
-    noise = by_part(plain, noise=True)
+    noise = sum_by_part(plain, noise=True)
     adds, explained = float(added[where].sum()), float((before - so_far)[where].sum())
-    of_another = shown or explained < _NOTHING * adds or not _alike(more)
-    form = _of_form(share) * (_LEAVING_NOISE if beyond_noise(plain, more) < _NOISE and of_another else 1.0)
+    of_another = shown or explained < _NOTHING * adds or not _contains_confusable(more)
+    form = _scale_demand(share) * (_LEAVING_NOISE if measure_excess(plain, more) < _NOISE and of_another else 1.0)
     least = (
         (form * SECOND_OF_ALL if of_another else _SECOND_OF_THE_SAME) * (plain.chi2 - best.chi2),
         form * SECOND_SHARE * explained,
@@ -174,26 +189,28 @@ def _worthwhile(
     return adds > max(least)
 
 
-def _alike(fit: ExtendedFit) -> bool:
+def _contains_confusable(fit: ExtendedFit) -> bool:
     """Whether one of the causes can be taken for another of them: both together may be the form of one."""
     ids = {c.id for c in fit.of.chosen}
     return any(ids & set(c.mechanism.confusable) for c in fit.of.chosen)
 
 
-def _needed(plain: ExtendedFit, final: ExtendedFit, shown: bool = False, share: float = SHARE) -> ExtendedFit:
+def _drop_needless_causes(
+    plain: ExtendedFit, final: ExtendedFit, shown: bool = False, share: float = SHARE
+) -> ExtendedFit:
     """Causes that are no longer needed are dropped; those that stay are in the order of what each explains beside the others."""
     while len(final.of.chosen) > 1:
-        fewer = [without(final, i) for i in range(len(final.of.chosen))]
+        fewer = [drop_mechanism(final, i) for i in range(len(final.of.chosen))]
         best = max(fewer, key=lambda f: f.log_evidence)
-        if _worthwhile(plain, best, final, shown, share):
-            return _in_order(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
+        if _is_worthwhile(plain, best, final, shown, share):
+            return _reorder_causes(final, np.argsort([-f.chi2 for f in fewer], kind="stable"))
         final = best
     return final
 
 
-def _in_order(final: ExtendedFit, order: Int) -> ExtendedFit:
+def _reorder_causes(final: ExtendedFit, order: Int) -> ExtendedFit:
     """The same fit with its causes in another order."""
     if np.array_equal(order, np.arange(order.size)):
         return final
     of = replace(final.of, chosen=tuple(final.of.chosen[i] for i in order))
-    return finished(of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3))
+    return finish_fit(of.fit(of.entries(final.theta, tuple(final.values[i] for i in order)), most=3))

@@ -22,7 +22,7 @@ from pipeline.diagnose.results import (
     NextRecording,
     Residuals,
 )
-from pipeline.diagnose.single.contest import Contest, Entrant, Place
+from pipeline.diagnose.single.comparison import Comparison, RankedModel, TriedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 
@@ -42,7 +42,7 @@ class Films:
 
 
 @dataclass(frozen=True)
-class Told:
+class Report:
     """What is known of a record beside the contest, in the words of `Diagnosis`.
 
     left_out : what was left out, in words, → root mean square error of the plain and of the best model; unexplained : what the best
@@ -62,24 +62,28 @@ class Told:
     next_recording: NextRecording | None = None
 
 
-def diagnosis_of(contest: Contest, measured: Float, left_out: Float, sd: float, plain: Float, told: Told) -> Diagnosis:
+def report_comparison(
+    comparison: Comparison, measured: Float, left_out: Float, sd: float, plain: Float, told: Report
+) -> Diagnosis:
     """The diagnosis that a contest leads to; `measured`, `plain` (N,) everything and the plain model's fit to it, `left_out` (H,)."""
-    best = contest.places[0]
+    best = comparison.ranked[0]
     chi2 = float(np.sum(((measured - plain) / sd) ** 2))
-    nothing = contest.verdict == NONE
-    possible = dict.fromkeys(p.entrant.mechanism for p in contest.possible)
+    nothing = comparison.verdict == NONE
+    possible = dict.fromkeys(p.model.mechanism for p in comparison.possible)
     return Diagnosis(
         specimen_id=told.specimen_id,
-        verdict=contest.verdict,
-        mechanisms=() if nothing else (best.entrant.mechanism,),
-        also_possible=tuple(m for m in possible if m != best.entrant.mechanism) if contest.verdict == AMBIGUOUS else (),
+        verdict=comparison.verdict,
+        mechanisms=() if nothing else (best.model.mechanism,),
+        also_possible=tuple(m for m in possible if m != best.model.mechanism)
+        if comparison.verdict == AMBIGUOUS
+        else (),
         p_value=float(chi2_law.sf(chi2, measured.size)),
-        supported_by=told.protocols if contest.verdict in (NAMED, AMBIGUOUS) else (),
+        supported_by=told.protocols if comparison.verdict in (NAMED, AMBIGUOUS) else (),
         held_out=HeldOut(best.before, best.after, best.gain, best.lower, best.upper, left_out.size, told.left_out),
-        extension=None if nothing else _extension(best, measured, sd, chi2, told.films),
+        extension=None if nothing else _describe_extension(best, measured, sd, chi2, told.films),
         candidates=(),
         discrepancies=told.discrepancies,
-        next_recording=told.next_recording if contest.verdict == AMBIGUOUS else None,
+        next_recording=told.next_recording if comparison.verdict == AMBIGUOUS else None,
         smallest_detectable=told.smallest,
         invisible=told.invisible,
         could_not_ask=told.could_not_ask,
@@ -90,33 +94,33 @@ def diagnosis_of(contest: Contest, measured: Float, left_out: Float, sd: float, 
     )
 
 
-def _extension(best: Place, measured: Float, sd: float, chi2: float, films: Films) -> Extension:
-    entrant = best.entrant
+def _describe_extension(best: RankedModel, measured: Float, sd: float, chi2: float, films: Films) -> Extension:
+    model = best.model
     return Extension(
-        severities={entrant.mechanism: entrant.severity},
-        variants={entrant.mechanism: entrant.form},
+        severities={model.mechanism: model.severity},
+        variants={model.mechanism: model.variant},
         film=films.extended,
         film_sd=films.extended_sd,
         damper_sd=films.damper_sd,
         plain_film=films.plain,
         plain_film_sd=films.plain_sd,
-        chi2=float(np.sum(((measured - entrant.whole) / sd) ** 2)),
+        chi2=float(np.sum(((measured - model.whole) / sd) ** 2)),
         plain_chi2=chi2,
         size=measured.size,
     )
 
 
-def smallest_of(entrants: Iterable[Entrant]) -> dict[str, dict[str, float]]:
+def list_smallest(models: Iterable[TriedModel]) -> dict[str, dict[str, float]]:
     """Mechanism → main key → severity that stands out of what the fit to everything leaves open, of its first form."""
     found: dict[str, dict[str, float]] = {}
-    for entrant in entrants:
-        for key, estimate in list(entrant.severity.items())[:1]:
+    for model in models:
+        for key, estimate in list(model.severity.items())[:1]:
             if np.isfinite(estimate.sd) and estimate.sd > 0:
-                found.setdefault(entrant.mechanism, {key: _POWER * estimate.sd})
+                found.setdefault(model.mechanism, {key: _POWER * estimate.sd})
     return found
 
 
-def left_by(words: str, residual: Float, sd: float, unit: str) -> str:
+def describe_what_stays(words: str, residual: Float, sd: float, unit: str) -> str:
     """What a cause leaves, fitted to everything: (N,) in a unit, and how much of it neighbours have in common."""
     correlation = float(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300))
     return (
@@ -125,6 +129,6 @@ def left_by(words: str, residual: Float, sd: float, unit: str) -> str:
     )
 
 
-def thinned(values: Sequence[Float], most: int) -> list[Float]:
+def thin_curves(values: Sequence[Float], most: int) -> list[Float]:
     """Every so many values of arrays of one length, `most` of each."""
     return [v[:: max(1, -(-v.size // most))] for v in values]

@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parameter
-from pipeline.diagnose.search.plain import bounds, deviations
+from pipeline.diagnose.search.plain_fit import compute_deviations, make_bounds
 from pipeline.diagnose.simulation.effects import NONE, Effect
 from pipeline.diagnose.simulation.parameters import BaseModel
 from pipeline.diagnose.simulation.session import Session
@@ -129,7 +129,7 @@ class Extended:
 
     @cached_property
     def limits(self) -> tuple[Float, Float]:
-        low, high = bounds(self.model)
+        low, high = make_bounds(self.model)
         own = [c.limits for c in self.coordinates]
         return np.concatenate([low, [a for a, _ in own]]), np.concatenate([high, [b for _, b in own]])
 
@@ -151,7 +151,7 @@ class Extended:
         return np.concatenate([theta, own])
 
     def effect(self, x: Float) -> Effect:
-        return effect_of_all(self.chosen, self.values(x))
+        return compose_chosen(self.chosen, self.values(x))
 
     def predict(self, x: Float) -> Float:
         """(N,) features."""
@@ -186,7 +186,7 @@ class Extended:
         own = x[self.model.size :]
         mean, sd = self._priors
         shaped = np.isfinite(sd)
-        return np.concatenate([deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
+        return np.concatenate([compute_deviations(self.model, x), (own[shaped] - mean[shaped]) / sd[shaped]])
 
     def fit(
         self,
@@ -287,7 +287,7 @@ class ExtendedFit:
         of = self.of
         alone = of.simulation.predict(of.model, self.theta)
         change = of.weight * of.session.whiten(of.predict(self.x) - alone)
-        absorbed = orthonormal(self.solution.jacobian[:, : of.model.size])[: of.session.size]
+        absorbed = orthonormalise(self.solution.jacobian[:, : of.model.size])[: of.session.size]
         change = change - absorbed @ (absorbed.T @ change)
         return np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in of.session.places])
 
@@ -352,22 +352,22 @@ class ExtendedFit:
         return float(max((p.high - p.low) / c.scale, 1e-3) / np.sqrt(2 * np.pi))
 
 
-def orthonormal(jacobian: Float) -> Float:
+def orthonormalise(jacobian: Float) -> Float:
     """(M, R) orthonormal columns that span those of a Jacobian which are not 0."""
     length = np.sqrt(np.sum(jacobian**2, axis=0))
     return np.asarray(np.linalg.qr(jacobian[:, length > 0] / length[length > 0])[0])
 
 
-def effect_of_all(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float]]) -> Effect:
+def compose_chosen(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float]]) -> Effect:
     """The composed effect of mechanisms in their forms, in the order of the stages."""
     total = NONE
     order = list(MECHANISMS)
     for c, own in sorted(zip(chosen, values, strict=True), key=lambda pair: order.index(pair[0].id)):
-        total = total | _effect_of(c, tuple(own.items()))
+        total = total | _make_effect(c, tuple(own.items()))
     return total
 
 
 @lru_cache(maxsize=256)
-def _effect_of(chosen: Chosen, values: tuple[tuple[str, float], ...]) -> Effect:
+def _make_effect(chosen: Chosen, values: tuple[tuple[str, float], ...]) -> Effect:
     """The effect of one mechanism: the same object for the same parameters, so that predictions from it are known again."""
     return chosen.mechanism.effect(dict(values), chosen.variant)

@@ -71,41 +71,45 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
     chosen = [p.block.kind in _MECHANICAL for p in session.places]
     responds = any(p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE) for p in session.places)
     if not responds or all(chosen):
-        return _searched(session, simulation, order)
+        return _search_near_and_far(session, simulation, order)
     part = session.part(chosen)
-    found = _searched(part, Simulation(part), order)
+    found = _search_near_and_far(part, Simulation(part), order)
     model = session.base_model(found.model.arms)
     if found.model.is_widened:
         model = model.widened
-    start = _theta(session, model, found.model.physical(found.theta).film)
+    start = _make_theta(session, model, found.model.physical(found.theta).film)
     for i, name in enumerate(found.model.names):
         place = model.index(name)
         if place is not None:
             start[place] = found.theta[i]
-    return refit(session, simulation, model, start)
+    return refit_plain(session, simulation, model, start)
 
 
-def refit(session: Session, simulation: Simulation, model: BaseModel, start: Float, *, most: int = 40) -> PlainFit:
+def refit_plain(
+    session: Session, simulation: Simulation, model: BaseModel, start: Float, *, most: int = 40
+) -> PlainFit:
     """The optimum of a plain model from a start nearby."""
     about = simulation.about(model.physical(start))
-    found = minimise(lambda several: residuals_of(session, about, model, several), start, *bounds(model), most=most)
+    found = minimise(
+        lambda several: compute_residuals(session, about, model, several), start, *make_bounds(model), most=most
+    )
     return PlainFit(model, found.x, found, found.chi2, found.residual[: session.size])
 
 
-def _searched(session: Session, simulation: Simulation, order: int | None) -> PlainFit:
+def _search_near_and_far(session: Session, simulation: Simulation, order: int | None) -> PlainFit:
     """The search near the rigs' files, or that farther away where only it comes near to the data."""
-    found = _of_all_orders(session, simulation, order)
+    found = _choose_order(session, simulation, order)
     if found.chi2 < _ASTRAY * session.size:
         return found
-    farther = _of_all_orders(session, simulation, order, widened=True)
+    farther = _choose_order(session, simulation, order, widened=True)
     return farther if farther.chi2 < _ASTRAY * session.size else found
 
 
-def _of_all_orders(session: Session, simulation: Simulation, order: int | None, *, widened: bool = False) -> PlainFit:
+def _choose_order(session: Session, simulation: Simulation, order: int | None, *, widened: bool = False) -> PlainFit:
     """Orders one after the other, each from the optimum of that below and from rough ladders."""
-    found = _best(session, simulation, 1, widened=widened)
+    found = _fit_order(session, simulation, 1, widened=widened)
     for arms in range(2, (order or ORDERS[-1]) + 1):
-        more = _best(session, simulation, arms, found, widened=widened)
+        more = _fit_order(session, simulation, arms, found, widened=widened)
         dispersion = max(1.0, more.chi2 / max(session.size - more.theta.size, 1))
         if order is None and found.chi2 - more.chi2 <= ARM_WORTH * dispersion:
             break
@@ -113,43 +117,43 @@ def _of_all_orders(session: Session, simulation: Simulation, order: int | None, 
     return found
 
 
-def residuals_of(session: Session, simulation: Simulation, model: BaseModel, several: Float) -> Float:
+def compute_residuals(session: Session, simulation: Simulation, model: BaseModel, several: Float) -> Float:
     """(B, N + P′) whitened residuals of several θ (B, P), and their deviations from the prior."""
     data = session.whiten((session.value - simulation.predict_several(model, several)).T).T
-    return np.concatenate([data, np.array([deviations(model, theta) for theta in several])], axis=1)
+    return np.concatenate([data, np.array([compute_deviations(model, theta) for theta in several])], axis=1)
 
 
-def deviations(model: BaseModel, theta: Float) -> Float:
+def compute_deviations(model: BaseModel, theta: Float) -> Float:
     """(P′,) deviations of θ from its prior in standard deviations, for the entries that have one."""
     known = np.isfinite(model.prior_sd)
     return np.asarray((theta[: known.size][known] - model.prior_mean[known]) / model.prior_sd[known])
 
 
-def bounds(model: BaseModel) -> tuple[Float, Float]:
+def make_bounds(model: BaseModel) -> tuple[Float, Float]:
     low = np.array([max(e.low, -_FAR) for e in model.entries])
     high = np.array([min(e.high, _FAR) for e in model.entries])
     return low, high
 
 
-def _best(
+def _fit_order(
     session: Session, simulation: Simulation, arms: int, lower: PlainFit | None = None, *, widened: bool = False
 ) -> PlainFit:
     model = session.base_model(arms)
     if widened:
         model = model.widened
 
-    starts = _starts(session, model, lower)
+    starts = _make_starts(session, model, lower)
     near = model.physical(starts[0]) if lower is None else lower.model.physical(lower.theta)
     about = simulation.about(near)
 
     def residuals(several: Float) -> Float:
-        return residuals_of(session, about, model, several)
+        return compute_residuals(session, about, model, several)
 
     def searched(starts: Sequence[Float]) -> list[Solution]:
         """The finite ends of searches from these starts, up to the first that has found what there is, or on which several agree."""
         ends: list[Solution] = []
         for start in starts:
-            end = minimise(residuals, start, *bounds(model), most=_MOST)
+            end = minimise(residuals, start, *make_bounds(model), most=_MOST)
             if np.isfinite(end.chi2):
                 ends.append(end)
                 best = min(e.chi2 for e in ends)
@@ -160,41 +164,41 @@ def _best(
 
     found = searched(starts)
     if min((end.chi2 for end in found), default=np.inf) >= _ASTRAY * session.size:
-        found += searched(_with_other_clamps(session, model))
+        found += searched(_try_other_clamps(session, model))
     if not found:
         raise NotIdentifiableError("the plain model has no finite simulation", where=session.specimen_id)
     best = min(found, key=lambda end: end.chi2)
     return PlainFit(model, best.x, best, best.chi2, best.residual[: session.size])
 
 
-def _starts(session: Session, model: BaseModel, lower: PlainFit | None) -> list[Float]:
+def _make_starts(session: Session, model: BaseModel, lower: PlainFit | None) -> list[Float]:
     """Starts of θ: arms from a ladder fitted to rough stiffnesses, arms spread over the band, one more arm than `lower`."""
-    f, k = rough_stiffness(session)
+    f, k = estimate_stiffness(session)
     starts = []
     if lower is not None:
-        starts = [_grown(model, lower, tau) for tau in np.geomspace(*_places(f), _PLACES)[::-1]]
-    films = _clustered(f, k, model.arms)[0], _spread(f, k, model.arms)
-    starts += [_theta(session, model, film) for film in films]
+        starts = [_add_arm(model, lower, tau) for tau in np.geomspace(*_bound_arm_times(f), _PLACES)[::-1]]
+    films = _cluster_arms(f, k, model.arms)[0], _spread_arms(f, k, model.arms)
+    starts += [_make_theta(session, model, film) for film in films]
     return starts
 
 
-def _with_other_clamps(session: Session, model: BaseModel) -> list[Float]:
+def _try_other_clamps(session: Session, model: BaseModel) -> list[Float]:
     """Starts with clamps of the masses that leave the film smoothest: from the wrong side of a resonance no slope leads over it."""
     tried = []
     for ratio in _OTHER_CLAMPS:
-        f, k = rough_stiffness(session, ratio)
-        film, misfit = _clustered(f, k, model.arms)
-        tried.append((misfit, model.with_clamps(_theta(session, model, film), ratio)))
+        f, k = estimate_stiffness(session, ratio)
+        film, misfit = _cluster_arms(f, k, model.arms)
+        tried.append((misfit, model.with_clamps(_make_theta(session, model, film), ratio)))
     tried.sort(key=lambda pair: pair[0])
     return [start for _, start in tried[:_TRIED]]
 
 
-def _places(f: Float) -> tuple[float, float]:
+def _bound_arm_times(f: Float) -> tuple[float, float]:
     """Shortest and longest relaxation time at which another arm is tried."""
     return 0.2 / (2 * np.pi * f.max()), 30 / (2 * np.pi * f.min())
 
 
-def _grown(model: BaseModel, lower: PlainFit, tau: float) -> Float:
+def _add_arm(model: BaseModel, lower: PlainFit, tau: float) -> Float:
     """θ of the lower order with one more arm at `tau`, which takes its spring from the arms' mean."""
     film = lower.model.physical(lower.theta).film
     arms = [(t, 0.8 * k) for t, k in zip(film.tau, film.k, strict=True)] + [(tau, 0.2 * sum(film.k) / len(film.k))]
@@ -204,15 +208,15 @@ def _grown(model: BaseModel, lower: PlainFit, tau: float) -> Float:
     return theta
 
 
-def _theta(session: Session, model: BaseModel, film: RelaxationModel) -> Float:
+def _make_theta(session: Session, model: BaseModel, film: RelaxationModel) -> Float:
     theta = model.theta(film)
     place = model.index("capacitance per force")
     if place is not None:
-        theta[place] = _sensing(session)
+        theta[place] = _estimate_sensing(session)
     return theta
 
 
-def _sensing(session: Session) -> float:
+def _estimate_sensing(session: Session) -> float:
     """Rough pF per N: largest change of the capacitance over that of the force among the steps."""
     force = [np.abs(p.block.value).max() for p in session.places if p.block.kind == STEP_FORCE]
     change = [
@@ -221,7 +225,7 @@ def _sensing(session: Session) -> float:
     return float(np.median(change) / np.median(force)) if force and change else 0.0
 
 
-def rough_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Complex]:
+def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Complex]:
     """Frequencies Hz (m,) and k(jω) N/mm (m,) as the responses have it with the rig as its file says, its clamp `ratio` times as heavy.
 
     Raises `NotIdentifiableError` where no response of the film is among the features.
@@ -232,12 +236,12 @@ def rough_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Comple
             continue
         n = p.block.size // 2
         f, g = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]
-        own, compliance = _clamp(session, int(session.rig[p.recording]), f, ratio)
+        own, compliance = _compute_clamp(session, int(session.rig[p.recording]), f, ratio)
         clear = np.abs(own) > _CLEAR
         frequencies.append(f[clear])
         stiffness.append((own * g / (1 - g * compliance))[clear])
     if sum(f.size for f in frequencies) == 0:
-        _from_electrical(session, frequencies, stiffness, ratio)
+        _append_electrical(session, frequencies, stiffness, ratio)
     f, k = np.concatenate(frequencies), np.concatenate(stiffness)
     sound = np.isfinite(k) & (f > 0)
     if sound.sum() < 2:
@@ -249,21 +253,21 @@ def rough_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Comple
     return f[sound], k[sound]
 
 
-def _from_electrical(session: Session, frequencies: list[Float], stiffness: list[Complex], ratio: float) -> None:
+def _append_electrical(session: Session, frequencies: list[Float], stiffness: list[Complex], ratio: float) -> None:
     """k = kL (a/H − 1 − …) with the actuation that the geometry promises; the order of magnitude is what counts."""
     for p in session.places:
         if p.block.kind != SPHS_RESPONSE:
             continue
         n = p.block.size // 2
         f, h = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]
-        own, compliance = _clamp(session, int(session.rig[p.recording]), f, ratio)
+        own, compliance = _compute_clamp(session, int(session.rig[p.recording]), f, ratio)
         drive = session.recordings[p.recording].values.get("actuation_n_per_kv2", float(np.abs(h).max()))
         k = (drive / h - own) / compliance if compliance > 0 else np.ones(f.size, dtype=complex)
         frequencies.append(f)
         stiffness.append(np.where(k.real > 0.02 / max(compliance, 1e-9), k, 0.1 / max(compliance, 1e-9)))
 
 
-def _clamp(session: Session, rig: int, f: Float, ratio: float) -> tuple[Complex, float]:
+def _compute_clamp(session: Session, rig: int, f: Float, ratio: float) -> tuple[Complex, float]:
     prior = session.priors[rig]
     if prior is None:
         return np.ones(f.size, dtype=complex), 0.0
@@ -272,7 +276,7 @@ def _clamp(session: Session, rig: int, f: Float, ratio: float) -> tuple[Complex,
     return np.asarray(1 + (-on_clamp * omega**2 + 1j * omega * damping) / stiffness), 1 / float(stiffness)
 
 
-def _ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float, float]:
+def _fit_ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float, float]:
     """Springs ≥ 0 of arms at `times` under k, least squares relative to |k|: k0, (len(times),) and the misfit, root mean square."""
     s = 2j * np.pi * f[:, None] * times
     design = np.column_stack([np.ones(f.size, dtype=complex), s / (1 + s)]) / np.abs(k)[:, None]
@@ -281,11 +285,11 @@ def _ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float, float]:
     return max(float(springs[0]), 0.02 * float(np.abs(k).min())), springs[1:], float(left) / np.sqrt(f.size)
 
 
-def _clustered(f: Float, k: Complex, arms: int) -> tuple[RelaxationModel, float]:
+def _cluster_arms(f: Float, k: Complex, arms: int) -> tuple[RelaxationModel, float]:
     """As many arms as asked for out of a fine ladder, neighbours merged, nearest first; with the ladder's misfit."""
     low, high = 0.1 / (2 * np.pi * f.max()), 10 / (2 * np.pi * f.min())
     times = np.geomspace(low, high, int(np.log10(high / low) * _PER_DECADE) + 1)
-    k0, springs, misfit = _ladder(f, k, times)
+    k0, springs, misfit = _fit_ladder(f, k, times)
     groups = [(float(np.log(t)), float(v)) for t, v in zip(times, springs, strict=True) if v > 1e-4 * k0]
     while len(groups) > arms:
         gap = int(np.argmin(np.diff([g[0] for g in groups])))
@@ -295,17 +299,17 @@ def _clustered(f: Float, k: Complex, arms: int) -> tuple[RelaxationModel, float]
         taken = np.array([g[0] for g in groups] or [0.0])
         places = np.linspace(np.log(low), np.log(high), 25)
         groups.append((float(places[np.argmax(np.min(np.abs(places[:, None] - taken), axis=1))]), 0.05 * k0))
-    return _film(k0, groups), misfit
+    return _make_film(k0, groups), misfit
 
 
-def _spread(f: Float, k: Complex, arms: int) -> RelaxationModel:
+def _spread_arms(f: Float, k: Complex, arms: int) -> RelaxationModel:
     """Arms evenly spread over the band."""
     ends = np.log([0.3 / (2 * np.pi * f.max()), 3 / (2 * np.pi * f.min())])
     places = np.linspace(ends[0], ends[1], arms + 2)[1:-1]
-    k0, springs, _ = _ladder(f, k, np.exp(places))
-    return _film(k0, [(float(t), max(float(v), 0.05 * k0)) for t, v in zip(places, springs, strict=True)])
+    k0, springs, _ = _fit_ladder(f, k, np.exp(places))
+    return _make_film(k0, [(float(t), max(float(v), 0.05 * k0)) for t, v in zip(places, springs, strict=True)])
 
 
-def _film(k0: float, groups: Sequence[tuple[float, float]]) -> RelaxationModel:
+def _make_film(k0: float, groups: Sequence[tuple[float, float]]) -> RelaxationModel:
     ordered = sorted(groups, reverse=True)
     return RelaxationModel(k0, tuple(v for _, v in ordered), tuple(float(np.exp(t)) for t, _ in ordered), 0.0)

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
-from pipeline.diagnose.search.extend import Chosen, ExtendedFit, effect_of_all
-from pipeline.diagnose.search.plain import ORDERS
-from pipeline.diagnose.search.screen import Signatures, absorbed_by, scaled, unabsorbed
+from pipeline.diagnose.search.extended_model import Chosen, ExtendedFit, compose_chosen
+from pipeline.diagnose.search.plain_fit import ORDERS
+from pipeline.diagnose.search.screen import Signatures, make_absorbed_basis, project_out, scale_severities
 from schemas.arrays import Float
 
 Shape = tuple[float, ...]
@@ -28,7 +28,7 @@ _ARMS_S = np.geomspace(1e-4, 100.0, 19)
 """Relaxation times at which the model could have another arm."""
 
 
-def smallest_parameters(looked: Signatures, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
+def find_smallest(looked: Signatures, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
     """Mechanism → form and parameters at which its signature reaches the threshold Λ with 80 % probability.
 
     `looked` are the signatures about the plain model: their points are the shapes that count, in four of five of which this
@@ -43,15 +43,17 @@ def smallest_parameters(looked: Signatures, threshold: float) -> dict[str, tuple
     for id, mechanism in MECHANISMS.items():
         for chosen in (Chosen(id, variant) for variant in mechanism.variants):
             points = by_form.get(chosen, [])
-            needed = (_by_grid if mechanism.onset else _by_slope)(mechanism, looked, points, wanted)
-            values = _of_most_shapes(mechanism, needed)
+            needed = (_solve_by_grid if mechanism.onset else _solve_by_slope)(mechanism, looked, points, wanted)
+            values = _cover_most_shapes(mechanism, needed)
             if values is not None:
                 found[id] = chosen.variant, values
                 break
     return found
 
 
-def reported(found: Mapping[str, tuple[str, Mapping[str, float]]], context: Context) -> dict[str, dict[str, float]]:
+def report_smallest(
+    found: Mapping[str, tuple[str, Mapping[str, float]]], context: Context
+) -> dict[str, dict[str, float]]:
     """The same by the keys of the contract: mechanism → key → severity."""
     result = {}
     for id, (variant, values) in found.items():
@@ -63,11 +65,11 @@ def reported(found: Mapping[str, tuple[str, Mapping[str, float]]], context: Cont
     return result
 
 
-def _shape(mechanism: Mechanism, values: Mapping[str, float]) -> Shape:
+def _take_shape(mechanism: Mechanism, values: Mapping[str, float]) -> Shape:
     return tuple(values[p.name] for p in mechanism.shapes)
 
 
-def _of_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict[str, float] | None:
+def _cover_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict[str, float] | None:
     """Parameters at the severity that is enough in all but the hardest shapes."""
     if not needed:
         return None
@@ -80,28 +82,31 @@ def _of_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict
     return {main.name: at, **others, **dict(zip((p.name for p in mechanism.shapes), shape, strict=True))}
 
 
-def _by_slope(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
+def _solve_by_slope(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
     """In proportion to a small severity: far from zero the model could absorb more than its derivatives say."""
     main = mechanism.severities[0]
     needed: dict[Shape, float] = {}
     for i in points:
         severity = abs(looked.values[i][main.name])
         if looked.weak[i] and severity > 0:
-            needed[_shape(mechanism, looked.values[i])] = wanted * severity / float(looked.length[i])
+            needed[_take_shape(mechanism, looked.values[i])] = wanted * severity / float(looked.length[i])
     return needed
 
 
-def _by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
+def _solve_by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
     """Along a chain of powers through the lengths at the grid's severities: an onset has no slope at zero."""
     main = mechanism.severities[0]
     lengths: dict[Shape, list[tuple[float, float]]] = {}
     for i in points:
-        own = lengths.setdefault(_shape(mechanism, looked.values[i]), [])
+        own = lengths.setdefault(_take_shape(mechanism, looked.values[i]), [])
         own.append((looked.values[i][main.name], float(looked.length[i])))
-    return {shape: _along(np.log(np.array(sorted(own))), float(np.log(wanted))) for shape, own in lengths.items()}
+    return {
+        shape: _interpolate_length(np.log(np.array(sorted(own))), float(np.log(wanted)))
+        for shape, own in lengths.items()
+    }
 
 
-def _along(logs: Float, wanted: float) -> float:
+def _interpolate_length(logs: Float, wanted: float) -> float:
     """Severity at a wanted log length, from logarithms (L, 2) of severities and lengths; beyond them as steep as at the end."""
     if len(logs) == 1:
         return float(np.exp(logs[0, 0])) if logs[0, 1] >= wanted else float("inf")
@@ -111,7 +116,7 @@ def _along(logs: Float, wanted: float) -> float:
     return float(np.exp(logs[near, 0] + (wanted - logs[near, 1]) / slopes[place]))
 
 
-def beyond_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
+def discount_further_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
     """Signatures about a plain fit, of relaxations as long as what arms leave that the model could still have.
 
     A plain model below the highest order takes another arm where the recordings ask for one, and then there is nothing to find.
@@ -124,14 +129,17 @@ def beyond_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
     arm = Chosen("missing_relaxation", MECHANISMS["missing_relaxation"].variants[0])
     ratio = MECHANISMS["missing_relaxation"].severities[0].low
     changes = [
-        of.simulation.predict(of.model, fit.theta, effect_of_all((c,), (values,))) - base
+        of.simulation.predict(of.model, fit.theta, compose_chosen((c,), (values,))) - base
         for c, values in (
             *((arm, {"stiffness_ratio": _SMALL * ratio, "time_constant_s": float(t), "spread": 1.0}) for t in _ARMS_S),
-            *((looked.chosen[i], scaled(looked.chosen[i].mechanism, looked.values[i], _SMALL)) for i in points),
+            *(
+                (looked.chosen[i], scale_severities(looked.chosen[i].mechanism, looked.values[i], _SMALL))
+                for i in points
+            ),
         )
     ]
     seen = of.weight[:, None] * of.session.whiten(np.array(changes).T / _SMALL)
-    gram = unabsorbed(fit, seen, absorbed_by(fit))[0]
+    gram = project_out(fit, seen, make_absorbed_basis(fit))[0]
     length = looked.length.copy()
     for place, i in enumerate(points, start=_ARMS_S.size):
         left = gram.copy()

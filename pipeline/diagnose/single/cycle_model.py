@@ -88,7 +88,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Cause:
+class CycleMechanism:
     """One cause in one form.
 
     stress : parts, values → (m,) kPa; severity : values → key → value, relative to the parts
@@ -96,7 +96,7 @@ class Cause:
     """
 
     mechanism: str
-    form: str
+    variant: str
     equation: str
     starts: tuple[tuple[float, ...], ...]
     low: tuple[float, ...]
@@ -106,12 +106,12 @@ class Cause:
     severity: Callable[[Parts, Float], Mapping[str, float]]
 
 
-def _branches(parts: Parts, values: Float) -> Float:
+def _add_branches(parts: Parts, values: Float) -> Float:
     gamma, tau = np.exp(values[::2]), np.exp(values[1::2])
     return np.asarray(parts.total + branch(parts.time_s, parts.stretch, tau) @ (parts.k0 * gamma))
 
 
-def _power_law(parts: Parts, values: Float) -> Float:
+def _add_power_law(parts: Parts, values: Float) -> Float:
     """K (s · 1 s)^α as branches: G(t) = K t^−α/Γ(1−α) = (K sin πα/π) ∫ τ^−α e^(−t/τ) d ln τ."""
     ratio, exponent = np.exp(values[0]), values[1]
     tau = parts.ladder.tau
@@ -119,80 +119,80 @@ def _power_law(parts: Parts, values: Float) -> Float:
     return np.asarray(parts.total + parts.ladder.stress @ (parts.k0 * ratio * weight))
 
 
-def _stiffening(parts: Parts, values: Float) -> Float:
+def _stiffen(parts: Parts, values: Float) -> Float:
     return np.asarray(parts.total + values[0] * parts.equilibrium * parts.strain ** np.exp(values[1]))
 
 
-def _softening(parts: Parts, values: Float) -> Float:
+def _soften(parts: Parts, values: Float) -> Float:
     less = np.exp(values[0]) * parts.strain ** np.exp(values[1])
     return np.asarray(parts.total / (1 + less))
 
 
-def _damage(parts: Parts, values: Float) -> Float:
+def _apply_damage(parts: Parts, values: Float) -> Float:
     below = (parts.highest - parts.stretch) / np.exp(values[1])
     return np.asarray(parts.total * (1 + values[0] * np.expm1(-below)))
 
 
-def _gain(parts: Parts, values: Float) -> Float:
+def _apply_gain(parts: Parts, values: Float) -> Float:
     return np.asarray(parts.total * (1 + values[0]))
 
 
-def _drift(parts: Parts, values: Float) -> Float:
+def _add_drift(parts: Parts, values: Float) -> Float:
     since = parts.time_s - parts.time_s[0]
     mean = float(np.mean(parts.total))
     return np.asarray(parts.total + values[0] * mean * np.log10(1 + since / np.exp(values[1])))
 
 
-def _relaxations(parts: Parts, values: Float) -> Mapping[str, float]:
+def _report_relaxation(parts: Parts, values: Float) -> Mapping[str, float]:
     return {"stiffness_ratio": float(np.exp(values[0])), "time_constant_s": float(np.exp(values[1]))}
 
 
-def causes(span_s: float, interval_s: float) -> tuple[Cause, ...]:
+def list_mechanisms(span_s: float, interval_s: float) -> tuple[CycleMechanism, ...]:
     """The causes that one cycle of that length and sampling can be asked for."""
     shortest, longest = float(np.log(interval_s)), float(np.log(_PER_SPAN * span_s))
     fast, middle, slow = (float(np.log(share * span_s)) for share in (0.02, 0.2, 3.0))
     weak, bent = -_FAR, (np.log(0.2), np.log(6.0))
     return (
-        Cause(
+        CycleMechanism(
             "missing_relaxation", "a second branch", "+ Q₂, dQ₂/dt + Q₂/τ₂ = γ₂ dλ/dt",
             ((0.0, fast), (0.0, middle), (0.0, slow)),
-            (weak, shortest), (_FAR, longest), (weak, middle), _branches, _relaxations,
+            (weak, shortest), (_FAR, longest), (weak, middle), _add_branches, _report_relaxation,
         ),
-        Cause(
+        CycleMechanism(
             "missing_relaxation", "a second and a third branch", "+ Q₂ + Q₃, dQᵢ/dt + Qᵢ/τᵢ = γᵢ dλ/dt",
             ((0.0, fast, 0.0, middle), (0.0, middle, 0.0, slow)),
-            (weak, shortest) * 2, (_FAR, longest) * 2, (weak, middle) * 2, _branches, _relaxations,
+            (weak, shortest) * 2, (_FAR, longest) * 2, (weak, middle) * 2, _add_branches, _report_relaxation,
         ),
-        Cause(
+        CycleMechanism(
             "power_law_relaxation", "", "+ ∫ K (t − s)^−α/Γ(1 − α) dλ",
-            ((0.0, 0.2), (0.0, 0.6)), (weak, 0.02), (_FAR, 0.95), (weak, 0.2), _power_law,
+            ((0.0, 0.2), (0.0, 0.6)), (weak, 0.02), (_FAR, 0.95), (weak, 0.2), _add_power_law,
             lambda parts, values: {"stiffness_ratio": float(np.exp(values[0])), "exponent": float(values[1])},
         ),
-        Cause(
+        CycleMechanism(
             "strain_stiffening", "beyond the law", "P_eq (1 + s (ε/ε_max)^m)",
-            ((0.1, 0.0), (0.1, 1.0)), (0.0, bent[0]), (20.0, bent[1]), (0.0, 0.0), _stiffening,
+            ((0.1, 0.0), (0.1, 1.0)), (0.0, bent[0]), (20.0, bent[1]), (0.0, 0.0), _stiffen,
             lambda parts, values: {"stiffening": float(values[0])},
         ),
-        Cause(
+        CycleMechanism(
             "amplitude_softening", "with the strain, reversible", "P/(1 + (ε/ε_c)^m)",
-            ((-2.0, 0.0), (-2.0, 1.0)), (weak, bent[0]), (3.0, bent[1]), (weak, 0.0), _softening,
+            ((-2.0, 0.0), (-2.0, 1.0)), (weak, bent[0]), (3.0, bent[1]), (weak, 0.0), _soften,
             lambda parts, values: {
                 "drop": float(1 - 1 / (1 + np.exp(values[0]))),
                 "strain_scale": float((parts.stretch.max() - 1) * np.exp(-values[0] / np.exp(values[1]))),
             },
         ),
-        Cause(
+        CycleMechanism(
             "cyclic_softening", "damage below the largest stretch so far", "P (1 − d (1 − e^(−(λ_max − λ)/a)))",
-            ((0.1, 0.0),), (0.0, -3.0), (0.95, 3.0), (0.0, 0.0), _damage,
+            ((0.1, 0.0),), (0.0, -3.0), (0.95, 3.0), (0.0, 0.0), _apply_damage,
             lambda parts, values: {"loss": float(values[0]), "strain_scale": float(np.exp(values[1]))},
         ),
-        Cause(
-            "gain_error", "", "P (1 + g)", ((0.1,), (1.0,)), (-0.9,), (20.0,), (0.0,), _gain,
+        CycleMechanism(
+            "gain_error", "", "P (1 + g)", ((0.1,), (1.0,)), (-0.9,), (20.0,), (0.0,), _apply_gain,
             lambda parts, values: {"gain": float(values[0])},
         ),
-        Cause(
+        CycleMechanism(
             "baseline_drift", "", "P + b log₁₀(1 + t/t₀)",
-            ((0.05, fast), (0.05, middle)), (-5.0, shortest), (5.0, longest), (0.0, middle), _drift,
+            ((0.05, fast), (0.05, middle)), (-5.0, shortest), (5.0, longest), (0.0, middle), _add_drift,
             lambda parts, values: {"per_decade": float(values[0]), "onset_s": float(np.exp(values[1]))},
         ),
     )  # fmt: skip
@@ -227,7 +227,7 @@ class Fitted:
 class CycleModel:
     """One branch on an equilibrium stress, with a cause or none, over a cycle."""
 
-    def __init__(self, cycle: LargeCycle, cause: Cause | None) -> None:
+    def __init__(self, cycle: LargeCycle, cause: CycleMechanism | None) -> None:
         self.cycle, self.cause, self._ladder = cycle, cause, Ladder.of(cycle)
         self._law = LAWS[cycle.fits.law]
         first = next(fit for fit in cycle.fits.fits if fit.order == 1)
@@ -316,7 +316,7 @@ class CycleModel:
         return Fitted(self, seen, x, residual(x), best.jac, unseen)
 
 
-def large_cycle(
+def make_cycle(
     time_s: Float,
     stretch: Float,
     stress: Float,

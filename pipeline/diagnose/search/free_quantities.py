@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from pipeline.diagnose.search.extend import Extended, ExtendedFit
-from pipeline.diagnose.search.screen import absorbed_by, unabsorbed
-from pipeline.diagnose.search.structure import quadratic
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.patterns import compute_quadratic
+from pipeline.diagnose.search.screen import make_absorbed_basis, project_out
 from pipeline.diagnose.simulation.effects import Course, Effect, Film, Reading, View
 from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Complex, Float
@@ -39,7 +39,7 @@ _RATE_S = 0.1
 
 
 @dataclass(frozen=True)
-class Departure:
+class FreeQuantity:
     """One quantity left free. `statistic` is χ² with `degrees_of_freedom` under the null; `text` says what differs.
 
     tolerated : share of what it and the causes explain together that it may have where the causes are right
@@ -71,44 +71,46 @@ class Departure:
 
     def change(self, of: Extended, x: Float) -> Float:
         """(N,) what it would change of features, to first order, at its best values; of an extended model at entries `x`."""
-        return np.asarray(self.values) @ _slopes(of, x, self.effects) if self.effects else np.zeros(of.session.size)
+        return (
+            np.asarray(self.values) @ _differentiate(of, x, self.effects) if self.effects else np.zeros(of.session.size)
+        )
 
 
-def departures(fit: ExtendedFit, among: Collection[str] | None = None) -> tuple[Departure, ...]:
+def fit_free_quantities(fit: ExtendedFit, among: Collection[str] | None = None) -> tuple[FreeQuantity, ...]:
     """Every quantity left free beside a fitted model, the least probable first; of those with these texts alone if `among` is given."""
     of, session = fit.of, fit.of.session
-    absorbed = absorbed_by(fit)
+    absorbed = make_absorbed_basis(fit)
     found = []
-    for free in _free(session):
+    for free in _propose_quantities(session):
         if not free.effects or (among is not None and free.text not in among):
             continue
-        rows = _slopes(of, fit.x, free.effects)
+        rows = _differentiate(of, fit.x, free.effects)
         seen = of.weight[:, None] * session.whiten(np.nan_to_num(rows).T)
         length = np.linalg.norm(seen, axis=0)
         visible = (length > _LEAST_VISIBLE) & np.isfinite(rows).all(axis=1)
         if not visible.any():
             continue
         scale = np.maximum(length, _LEAST_VISIBLE)
-        gram, score = unabsorbed(fit, seen / scale, absorbed)
+        gram, score = project_out(fit, seen / scale, absorbed)
         at_once = free.at_once or visible.size
         forms = [i[visible[i]] for i in np.arange(visible.size).reshape(-1, at_once) if visible[i].any()]
         tests = []
         for i in forms:
-            statistic, freedom, best = quadratic(gram[np.ix_(i, i)], score[i])
+            statistic, freedom, best = compute_quadratic(gram[np.ix_(i, i)], score[i])
             effects, values = tuple(free.effects[k] for k in i), tuple((best / scale[i]).tolist())
-            tests.append(Departure(free.text, statistic, freedom, free.tolerated, effects, values, len(forms)))
+            tests.append(FreeQuantity(free.text, statistic, freedom, free.tolerated, effects, values, len(forms)))
         found.append(min(tests, key=lambda d: d.p_value))
     return tuple(sorted(found, key=lambda d: d.p_value))
 
 
-def _slopes(of: Extended, x: Float, effects: Sequence[Effect]) -> Float:
+def _differentiate(of: Extended, x: Float, effects: Sequence[Effect]) -> Float:
     """(E, N) derivatives of the features by effects of size `_STEP`, beside those of the model."""
     base, own, theta = of.predict(x), of.effect(x), x[: of.model.size]
     return np.array([(of.simulation.predict(of.model, theta, own | effect) - base) / _STEP for effect in effects])
 
 
 @dataclass(frozen=True)
-class _Free:
+class _Proposed:
     """What is left free, in words, an effect of size `_STEP` for each number, and the share that it may have.
 
     at_once : numbers that are one form, of which the best is taken; 0: all are
@@ -120,31 +122,43 @@ class _Free:
     tolerated: float = _TOLERATED
 
 
-def _free(session: Session) -> Iterator[_Free]:
-    spans = _spans(session)
-    yield _Free("the stiffness differs from recording to recording", [_stiffer(_within(s)) for s in spans])
-    yield _Free("the stiffness changes for good", [_stiffer(_within((t, np.inf))) for t in _moments(session)], 1)
-    yield _Free(
+def _propose_quantities(session: Session) -> Iterator[_Proposed]:
+    spans = _group_recordings(session)
+    yield _Proposed(
+        "the stiffness differs from recording to recording", [_change_stiffness(_weigh_span(s)) for s in spans]
+    )
+    yield _Proposed(
+        "the stiffness changes for good",
+        [_change_stiffness(_weigh_span((t, np.inf))) for t in _choose_moments(session)],
+        1,
+    )
+    yield _Proposed(
         "the stiffness comes and goes over the session",
-        [_stiffer(_swinging(period, turn)) for period in _PERIODS_S for turn in (0.0, 0.25)],
+        [_change_stiffness(_weigh_sine(period, turn)) for period in _PERIODS_S for turn in (0.0, 0.25)],
         2,
     )
     if session.scale.voltage_kv > 0:
-        yield _Free("the actuation differs from recording to recording", [_acting(_within(s)) for s in spans])
-        ways = [_acting(f) for f in _of_voltage(session.scale.voltage_kv)]
-        yield _Free("the actuation follows the voltage in another way", ways, 1)
+        yield _Proposed(
+            "the actuation differs from recording to recording", [_change_actuation(_weigh_span(s)) for s in spans]
+        )
+        ways = [_change_actuation(f) for f in _weigh_voltage(session.scale.voltage_kv)]
+        yield _Proposed("the actuation follows the voltage in another way", ways, 1)
     for knots in _KNOTS_HZ:
-        yield _Free(
+        yield _Proposed(
             "the stiffness under mechanical tests follows the frequency in another way",
-            [_stiffer(_near(knots, i, turn)) for i in range(knots.size) for turn in (1.0, 1j)],
+            [_change_stiffness(_weigh_frequency(knots, i, turn)) for i in range(knots.size) for turn in (1.0, 1j)],
             tolerated=_TOLERATED_BY_FREQUENCY,
         )
     if session.scale.strain > 0:
-        yield _Free("the force follows the strain in another way", [Effect(tension=(t,)) for t in _of_strain(session)])
-    yield _Free("the reading follows the force in another way", [Effect(reading=(_bent(power),)) for power in (2, 3)])
+        yield _Proposed(
+            "the force follows the strain in another way", [Effect(tension=(t,)) for t in _bend_tension(session)]
+        )
+    yield _Proposed(
+        "the reading follows the force in another way", [Effect(reading=(_bend_reading(power),)) for power in (2, 3)]
+    )
 
 
-def _spans(session: Session) -> list[tuple[float, float]]:
+def _group_recordings(session: Session) -> list[tuple[float, float]]:
     """Times in the session between the starts of recordings, those of long sessions in groups."""
     groups = np.array_split(session.start_s, min(session.start_s.size, _MOST_RECORDINGS))
     first = np.array([g[0] for g in groups])
@@ -153,7 +167,7 @@ def _spans(session: Session) -> list[tuple[float, float]]:
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 
-def _moments(session: Session) -> Float:
+def _choose_moments(session: Session) -> Float:
     """Times in the session between its states, recordings, sweeps and cycles, at which something may have happened."""
     times = np.unique(session.states.session_s)
     between = (times[:-1] + times[1:]) / 2
@@ -164,26 +178,26 @@ def _moments(session: Session) -> Float:
 Weight = Callable[[View], Float | Complex]
 
 
-def _stiffer(weight: Weight) -> Effect:
+def _change_stiffness(weight: Weight) -> Effect:
     def stiffer(film: Film, view: View) -> Film:
         return Film(film.k * (1 + _STEP * weight(view)), film.share)
 
     return Effect(film=(stiffer,))
 
 
-def _acting(weight: Weight) -> Effect:
+def _change_actuation(weight: Weight) -> Effect:
     return Effect(actuation=(lambda view: 1 + _STEP * weight(view),))
 
 
-def _within(span: tuple[float, float]) -> Weight:
+def _weigh_span(span: tuple[float, float]) -> Weight:
     return lambda view: np.asarray((view.session_s >= span[0]) & (view.session_s < span[1]), dtype=np.float64)
 
 
-def _swinging(period_s: float, turn: float) -> Weight:
+def _weigh_sine(period_s: float, turn: float) -> Weight:
     return lambda view: np.sin(2 * np.pi * (view.session_s / period_s + turn))
 
 
-def _of_voltage(highest_kv: float) -> list[Weight]:
+def _weigh_voltage(highest_kv: float) -> list[Weight]:
     """Powers of the voltage, at once and as something that charges slowly."""
 
     def at(power: int, charging_s: float) -> Weight:
@@ -192,7 +206,7 @@ def _of_voltage(highest_kv: float) -> list[Weight]:
     return [at(power, charging_s) for power in (1, 2, 4) for charging_s in _CHARGING_S]
 
 
-def _near(knots: Float, number: int, turn: complex) -> Weight:
+def _weigh_frequency(knots: Float, number: int, turn: complex) -> Weight:
     """A triangle over the logarithm of the frequency about one of the knots, in mechanical tests."""
     width = float(np.log(knots[1] / knots[0]))
 
@@ -205,7 +219,7 @@ def _near(knots: Float, number: int, turn: complex) -> Weight:
     return weight
 
 
-def _of_strain(session: Session) -> list[Callable[[Course], Float]]:
+def _bend_tension(session: Session) -> list[Callable[[Course], Float]]:
     """Powers of the strain, and what goes with its rate: smooth, and with its sign alone, as friction and hysteresis do."""
     largest = session.scale.strain
 
@@ -229,7 +243,7 @@ def _of_strain(session: Session) -> list[Callable[[Course], Float]]:
     ]
 
 
-def _bent(power: int) -> Callable[[Reading], Float]:
+def _bend_reading(power: int) -> Callable[[Reading], Float]:
     def bent(reading: Reading) -> Float:
         if reading.largest_n <= 0:  # no mechanical test says what a large force is
             return reading.force
