@@ -3,26 +3,7 @@
 `find_mapping` finds and parses the one that belongs to a file; `<file>.toml` beside it comes before `recordings.toml`
 of its folder, whose `[[files]]` entries are tried in order: the first whose `match` fits the file's name is taken.
 
-Keys beyond the contract's example
-----------------------------------
-`format`             csv, excel, matlab, hdf5, tdms, uff or mcap, where the file's ending does not tell
-`kind = "ignore"`    files that match are passed over
-`csv`                delimiter (one character or "whitespace"), decimal, encoding, skip_rows, header, unit_row, quote,
-                     comment (lines that begin so are left out), missing (list of texts that stand for no value),
-                     final_newline (false: this exporter ends its last line without a line end)
-`excel`              sheet (name, or number from 0), skip_rows, header, unit_row
-`hdf5`, `matlab`     root (prefix of every path; MATLAB paths are `structure.field`), transpose (true: the samples run
-                     along the rows of matrices)
-`tdms`               group
-`uff`                no keys; a column is the number of the type-58 set from 0, or its first description line
-`time`               column, index, unit, sample_rate_hz, origin ("started_at": elapsed time, the default; "unix": time
-                     since 1970 UTC), format ("iso" or a strptime pattern: absolute times as text), zone (an IANA name,
-                     for absolute times that lack theirs)
-`columns.<name>`     column, index (column of a matrix, from 0), field (key inside an MCAP message, dots for deeper
-                     ones), time (a time column of its own), unit (may be left out where a unit row has it), scale,
-                     offset, sparse (true: an empty cell means that this slower channel has no sample there), sensor,
-                     delay_s, resolution, filter_hz
-tables               see `ingest.tables`
+Which keys there are, and what they mean, is in `ingest.mapping_keys`; `ingest/README.md` lists them with examples.
 
 Does not belong here: reading the data files.
 """
@@ -45,10 +26,12 @@ from ingest.mapping_keys import (
     KINDS,
     OPTIONS,
     RECORDING,
+    SELECT,
     TABLE_COLUMN,
     TABLE_COLUMNS,
     TIME,
-    Types,
+    TOP,
+    Key,
     checked,
     choice,
     refused,
@@ -98,7 +81,7 @@ def column_label(column: ColumnName | None, index: int | None = None) -> str:
 
 @dataclass(frozen=True)
 class TimeMapping:
-    """Where the time of the samples comes from; see the module's docstring."""
+    """Where the time of the samples comes from; see `ingest.mapping_keys.TIME`."""
 
     column: ColumnName | None = None
     index: int | None = None
@@ -143,7 +126,7 @@ class FileMapping:
         Raises `RefusedError` for keys that are unknown, of a wrong type or missing.
         """
         content = {k: _with_stem(v, stem) for k, v in content.items() if k != "match"}
-        known = {"kind", "format", "time", "columns", "recording", "rig", "select", *OPTIONS}
+        known = {*TOP, "time", "columns", "recording", "rig", "select", *OPTIONS}
         for key in content:
             if key not in known:
                 raise refused(source, f'key "{key[:80]}" is unknown', "one of " + ", ".join(sorted(known)))
@@ -256,7 +239,7 @@ def _format(content: Mapping[str, Any], source: str) -> str | None:
 
 def _columns(content: Mapping[str, Any], kind: str, chosen: str | None, source: str) -> dict[str, ColumnMapping]:
     columns = table(content, "columns", source)
-    allowed = tuple(QUANTITIES) if kind == RECORDING else TABLE_COLUMNS[kind]
+    allowed = tuple(QUANTITIES if kind == RECORDING else TABLE_COLUMNS[kind])
     keys = COLUMN if kind == RECORDING else TABLE_COLUMN
     mapped = {}
     for name, entry in columns.items():
@@ -268,7 +251,7 @@ def _columns(content: Mapping[str, Any], kind: str, chosen: str | None, source: 
     return mapped
 
 
-def _column(entry: Any, name: str, keys: Mapping[str, Types], source: str) -> ColumnMapping:
+def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> ColumnMapping:
     entry = checked(entry, name, keys, source)
     if ("column" in entry) == ("value" in entry):
         raise refused(
@@ -329,7 +312,7 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
         raise refused(source, "select is not a list of tables", "[[select]] entries with column and equals")
     selections = []
     for entry in entries:
-        found = checked(entry, "select", {"column": (str, int), "equals": (list, str, int, float, bool)}, source)
+        found = checked(entry, "select", SELECT, source)
         if "column" not in found or "equals" not in found:
             raise refused(source, "a select entry lacks column or equals", 'column = "Set" and equals = 0')
         equals = found["equals"]

@@ -1,17 +1,27 @@
 """The keys of a mapping TOML: which there are, of which type, and the checks that name a wrong one.
 
-What they mean is told in `ingest.mapping`, which builds the mapping from them.
+The mapping is built from them in `ingest.mapping`; `ingest/README.md` shows them with an example of each kind.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from schemas.errors import RefusedError
 
 Types: TypeAlias = tuple[type, ...]
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of the TOML: the types that its value may have, and what it means."""
+
+    types: Types
+    meaning: str
+
 
 RECORDING, LIFETIMES, FREQUENCY_RESPONSE, RELAXATION, IGNORE = (
     "recording",
@@ -34,87 +44,121 @@ FORMATS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """File endings by format."""
 
-OPTIONS: Mapping[str, Mapping[str, Types]] = {
+_NUMBER: Types = (float, int)
+_COLUMN: Types = (str, int)
+
+TOP: Mapping[str, str] = MappingProxyType(
+    {
+        "kind": "what the file holds",
+        "format": "where the file's ending does not tell it",
+    }
+)
+"""Keys at the top of a mapping with what they mean; beside them stand the tables below."""
+OPTIONS: Mapping[str, Mapping[str, Key]] = {
     "csv": {
-        "delimiter": (str,),
-        "decimal": (str,),
-        "encoding": (str,),
-        "skip_rows": (int,),
-        "header": (bool,),
-        "unit_row": (bool,),
-        "quote": (str,),
-        "comment": (str,),
-        "missing": (list,),
-        "final_newline": (bool,),
+        "delimiter": Key((str,), 'one character, or "whitespace"'),
+        "decimal": Key((str,), "decimal mark"),
+        "encoding": Key((str,), "character encoding, such as utf-8 or cp1252"),
+        "skip_rows": Key((int,), "lines before the header"),
+        "header": Key((bool,), "false: there is none, columns are numbers from 0"),
+        "unit_row": Key((bool,), "true: the line after the header holds units"),
+        "quote": Key((str,), "quotation mark"),
+        "comment": Key((str,), "lines that begin so are left out"),
+        "missing": Key((list,), "texts that stand for no value"),
+        "final_newline": Key((bool,), "false: this exporter ends its last line without a line end"),
     },
-    "excel": {"sheet": (str, int), "skip_rows": (int,), "header": (bool,), "unit_row": (bool,)},
-    "hdf5": {"root": (str,), "transpose": (bool,)},
-    "matlab": {"root": (str,), "transpose": (bool,)},
-    "tdms": {"group": (str,)},
+    "excel": {
+        "sheet": Key(_COLUMN, "name, or number from 0"),
+        "skip_rows": Key((int,), "rows before the header"),
+        "header": Key((bool,), "false: there is none, columns are numbers from 0"),
+        "unit_row": Key((bool,), "true: the row after the header holds units"),
+    },
+    "hdf5": {
+        "root": Key((str,), "prefix of every path"),
+        "transpose": Key((bool,), "true: the samples run along the rows of matrices"),
+    },
+    "matlab": {
+        "root": Key((str,), "prefix of every path"),
+        "transpose": Key((bool,), "true: the samples run along the rows of matrices"),
+    },
+    "tdms": {"group": Key((str,), "group whose channels are meant")},
     "uff": {},
     "mcap": {},
 }
-TIME = {
-    "column": (str, int),
-    "index": (int,),
-    "unit": (str,),
-    "sample_rate_hz": (float, int),
-    "origin": (str,),
-    "format": (str,),
-    "zone": (str,),
+"""Keys of each format's own table."""
+TIME: Mapping[str, Key] = {
+    "column": Key(_COLUMN, "the column of times"),
+    "index": Key((int,), "column of a matrix, from 0"),
+    "unit": Key((str,), "unit of time"),
+    "sample_rate_hz": Key(_NUMBER, "in place of a column: equal steps"),
+    "origin": Key((str,), '"started_at": time since the start, the default; "unix": since 1970 UTC'),
+    "format": Key((str,), 'for times as text: "iso" or a strptime pattern'),
+    "zone": Key((str,), "for absolute times that lack theirs: an IANA name such as Europe/Berlin"),
 }
 CHANNEL_METADATA = ("sensor", "delay_s", "resolution", "filter_hz")
-COLUMN = {
-    "column": (str, int),
-    "index": (int,),
-    "field": (str,),
-    "time": (str, int),
-    "unit": (str,),
-    "scale": (float, int),
-    "offset": (float, int),
-    "sparse": (bool,),
-    "sensor": (str,),
-    "delay_s": (float, int),
-    "resolution": (float, int),
-    "filter_hz": (float, int),
+_ANY_COLUMN: Mapping[str, Key] = {
+    "column": Key(_COLUMN, "name of the column in the file, or its number from 0"),
+    "index": Key((int,), "column of a matrix, from 0"),
+    "unit": Key((str,), "unit of the column; may be left out where a unit row or the file has it"),
+    "scale": Key(_NUMBER, "value = scale × raw + offset, in the unit"),
+    "offset": Key(_NUMBER, "see scale"),
 }
-TABLE_COLUMN = {
-    "column": (str, int),
-    "index": (int,),
-    "unit": (str,),
-    "scale": (float, int),
-    "offset": (float, int),
-    "value": (str, int, float, bool),
-    "failed_values": (list,),
-    "censored_values": (list,),
-    "left_censored_values": (list,),
+COLUMN: Mapping[str, Key] = {
+    **_ANY_COLUMN,
+    "field": Key((str,), "key inside an MCAP message, dots for deeper ones"),
+    "time": Key(_COLUMN, "a time column of its own"),
+    "sparse": Key((bool,), "true: an empty cell means that this slower channel has no sample there"),
+    "sensor": Key((str,), "what measured it"),
+    "delay_s": Key(_NUMBER, "known latency"),
+    "resolution": Key(_NUMBER, "one step of the converter, in the unit"),
+    "filter_hz": Key(_NUMBER, "corner of the anti-alias filter"),
 }
-TABLE_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    LIFETIMES: (
-        "lifetime",
-        "failed",
-        "voltage",
-        "configuration",
-        "specimen_id",
-        "breakdown_voltage",
-        "failure_site",
-        "failure_region",
-    ),
-    FREQUENCY_RESPONSE: (
-        "frequency",
-        "storage",
-        "loss",
-        "magnitude",
-        "phase",
-        "standard_error",
-        "temperature",
-        "displacement",
-        "transducer_displacement",
-    ),
-    RELAXATION: ("time", "relaxation", "standard_error"),
+"""Keys of `columns.<quantity>` of a recording."""
+TABLE_COLUMN: Mapping[str, Key] = {
+    **_ANY_COLUMN,
+    "value": Key((str, int, float, bool), "in place of a column: the same in every row"),
+    "failed_values": Key((list,), "column `failed`: cells that mean failed"),
+    "censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be longer"),
+    "left_censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be shorter"),
 }
-"""Names that `columns.<name>` may have in each kind of table."""
-_TYPE_NAMES = {str: "text", int: "a whole number", float: "a number", bool: "true or false", list: "a list"}
+"""Keys of `columns.<name>` of a table."""
+SELECT: Mapping[str, Key] = {
+    "column": Key(_COLUMN, "the column that is looked at"),
+    "equals": Key((list, str, int, float, bool), "the value, or list of values, of the rows that are read"),
+}
+TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
+    LIFETIMES: {
+        "lifetime": "required; a unit of time",
+        "failed": "required; `failed_values` and `censored_values` say which cells mean what: numbers are compared as"
+        " numbers, other cells as text, and a value in neither list refuses the table. No survival curve here can use"
+        " left-censored lives: they refuse it too",
+        "voltage": "a unit of voltage; absent: `voltage_setpoint_kv` of `[recording]`",
+        "configuration": "absent: that of `[recording]`",
+        "specimen_id": "absent: `<name of the file>-<row from 1>`",
+        "breakdown_voltage": "of staircase tests",
+        "failure_site": "absent: that of `[recording]`",
+        "failure_region": "absent: that of `[recording]`",
+    },
+    FREQUENCY_RESPONSE: {
+        "frequency": "required; Hz or rad/s, the two are told apart",
+        "storage": "required with `loss`, or magnitude and phase; N/mm (stiffness) or MPa (modulus)",
+        "loss": "see storage",
+        "magnitude": "required with `phase`, or storage and loss; N/mm or MPa",
+        "phase": "deg or rad; a lossy material has a positive phase",
+        "standard_error": "√E|Δ|² of both components together, in the unit of storage or magnitude",
+        "temperature": "of the row",
+        "displacement": "amplitude of the specimen's deformation",
+        "transducer_displacement": "amplitude of the machine's own transducer, which it has taken off already, of the same"
+        " kind as `displacement`: lines that are more the transducer's than the specimen's are not used",
+    },
+    RELAXATION: {
+        "time": "required; time since the step",
+        "relaxation": "required; N/mm (stiffness) or MPa (modulus)",
+        "standard_error": "in the same unit",
+    },
+}
+"""Names that `columns.<name>` may have in each kind of table, with what they mean."""
+TYPE_NAMES = {str: "text", int: "a whole number", float: "a number", bool: "true or false", list: "a list"}
 
 
 def table(content: Mapping[str, Any], name: str, source: str) -> dict[str, Any]:
@@ -125,16 +169,16 @@ def table(content: Mapping[str, Any], name: str, source: str) -> dict[str, Any]:
     return dict(found)
 
 
-def checked(entry: Any, name: str, keys: Mapping[str, Types], source: str) -> dict[str, Any]:
+def checked(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> dict[str, Any]:
     """A table whose keys are all known and of their types."""
     if not isinstance(entry, dict):
         raise refused(source, f"{name} is {str(entry)[:80]!r}", f"a table [{name}]")
     for key, value in entry.items():
         if key not in keys:
             raise refused(source, f'key "{name}.{key[:80]}" is unknown', "one of " + ", ".join(keys))
-        types = keys[key]
+        types = keys[key].types
         if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-            raise refused(source, f"{name}.{key} is {str(value)[:80]!r}", " or ".join(_TYPE_NAMES[t] for t in types))
+            raise refused(source, f"{name}.{key} is {str(value)[:80]!r}", " or ".join(TYPE_NAMES[t] for t in types))
     return dict(entry)
 
 

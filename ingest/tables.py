@@ -4,30 +4,8 @@
 recordings, or `value = …` for what is the same in every row. Only rows that pass every `[[select]]` (column, equals)
 are read. `[recording]` holds the table's own metadata (`schemas.metadata.TableMetadata`).
 
-`lifetimes`
-    lifetime             required, a unit of time
-    failed               required: `failed_values` and `censored_values` list which cell values mean what (numbers are
-                         compared as numbers, other cells as text). A value in neither list refuses the table.
-                         `left_censored_values` names lives known only to be shorter: no survival curve here can use
-                         them, the table is refused
-    voltage              a unit of voltage; else `voltage_setpoint_kv` of [recording]
-    configuration        else that of [recording]
-    specimen_id          else `<file's name>-<row from 1>`
-    breakdown_voltage    staircase tests
-    failure_site, failure_region   as the contract names them; else those of [recording]
-`frequency_response`
-    frequency            Hz, or rad/s: the two are told apart
-    storage and loss, or magnitude and phase (deg or rad; e^{+jωt}, so a lossy material has a positive phase)
-                         in N/mm (stiffness) or in MPa (modulus): the unit tells which
-    standard_error       √E|Δ|², both components together, in the unit of storage or magnitude
-    temperature
-    displacement and transducer_displacement
-                         amplitudes of the specimen's deformation and of the machine's own transducer, which it has taken
-                         off already; lengths or angles, both of one kind. Where they are given, lines that are more
-                         the transducer's than the specimen's are not used
-`relaxation`
-    time, relaxation     time since the step; N/mm or MPa as above
-    standard_error
+The columns of each kind, and what they mean: `ingest.mapping_keys.TABLE_COLUMNS`. Frequency responses are those of e^{jωt}, so
+that a lossy material has a positive phase; whether a value is a modulus or a stiffness tells its unit.
 
 A modulus becomes a stiffness with `film_length_mm`, `film_width_mm` and `film_thickness_mm` of [recording]: E·w·t/L. With
 none of them it is that of a 1 mm cube (1 MPa = 1 N/mm); with some of them only the table is refused.

@@ -110,74 +110,94 @@ def _choice(*allowed: str) -> Callable[[Any], str]:
     return check
 
 
-def _key(parser: Callable[[Any], Any], *, required: bool = False) -> Any:
-    if required:
-        return field(metadata={"parser": parser})
-    return field(default=None, metadata={"parser": parser})
+def _key(parser: Callable[[Any], Any], meaning: str = "", *, required: bool = False) -> Any:
+    about = {"parser": parser, "meaning": meaning}
+    return field(metadata=about) if required else field(default=None, metadata=about)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingMetadata:
     """Keys of a recording, contract section 2. Lengths in mm, times in s, frequencies in Hz, voltages in kV."""
 
-    recording_id: str = _key(_identifier, required=True)
-    protocol: str = _key(_text, required=True)
-    loading: str = _key(_choice(*LOADINGS), required=True)
-    specimen_id: str = _key(_name, required=True)
-    started_at: datetime = _key(instant, required=True)
-    campaign: str | None = _key(_text)
-    material: str | None = _key(_text)
-    configuration: str | None = _key(_text)
-    rig_id: str | None = _key(_text)
-    operator: str | None = _key(_text)
-    notes: str | None = _key(_text)
-    film_length_mm: float | None = _key(_positive)
-    film_width_mm: float | None = _key(_positive)
-    film_thickness_mm: float | None = _key(_positive)
-    stretch_1: float | None = _key(_positive)
-    stretch_2: float | None = _key(_positive)
-    layers: int | None = _key(_count)
-    active_length_mm: float | None = _key(_positive)
-    active_width_mm: float | None = _key(_positive)
-    active_drawn: str | None = _key(_choice("undeformed", "stretched"))
-    sensing_length_mm: float | None = _key(_positive)
-    sensing_width_mm: float | None = _key(_positive)
-    sensing_region: str | None = _key(_choice("separate", "active"))
-    total_length_mm: float | None = _key(_positive)
-    constrained_length_mm: float | None = _key(_not_negative)
-    relative_permittivity: float | None = _key(_positive)
-    relative_permittivity_sd: float | None = _key(_not_negative)
-    crosslink_modulus_kpa: float | None = _key(_not_negative)
-    entanglement_modulus_kpa: float | None = _key(_not_negative)
-    largest_stretch: float | None = _key(_positive)
-    frequency_start_hz: float | None = _key(_positive)
-    frequency_stop_hz: float | None = _key(_positive)
-    sweep: str | None = _key(_choice("linear", "log"))
-    repeats: int | None = _key(_count)
-    period_s: float | None = _key(_positive)
-    periods: int | None = _key(_count)
-    lines: str | None = _key(_choice("full", "odd", "random_odd"))
-    frequency_hz: float | None = _key(_positive)
-    cycles: int | None = _key(_count)
-    strain_pp: float | None = _key(_positive)
-    drive_kv: float | None = _key(_not_negative)
-    on_s: float | None = _key(_positive)
-    off_s: float | None = _key(_not_negative)
-    controller: str | None = _key(_choice("open", "closed"))
-    proportional_gain: float | None = _key(_number)
-    integral_gain: float | None = _key(_number)
-    masses_kg: tuple[float, ...] | None = _key(_positive_list)
-    extra_clamp_mass_kg: float | None = _key(_not_negative)
-    voltage_setpoint_kv: float | None = _key(_positive)
-    test_duration_s: float | None = _key(_positive)
-    failure_site: str | None = _key(_choice("rod", "lead", "active", "edge", "none", "unknown"))
-    failure_region: str | None = _key(_choice("left", "centre", "right"))
-    rest_before_s: float | None = _key(_not_negative)
-    rods: int | None = _key(_count)
-    rod_spacing_mm: float | None = _key(_positive)
-    rod_diameter_mm: float | None = _key(_positive)
-    electrode_gap_mm: float | None = _key(_not_negative)
-    coats: int | None = _key(_count)
+    recording_id: str = _key(
+        _identifier,
+        "identity of the recording: 1 to 80 of `A-Z a-z 0-9 . _ -`, the first a letter or digit",
+        required=True,
+    )
+    protocol: str = _key(_text, "kind of test", required=True)
+    loading: str = _key(_choice(*LOADINGS), "what is loaded", required=True)
+    specimen_id: str = _key(_name, "the specimen", required=True)
+    started_at: datetime = _key(instant, "start of the test, ISO 8601 with time zone", required=True)
+    campaign: str | None = _key(_text, "the campaign it belongs to")
+    material: str | None = _key(_text, "the film's material")
+    configuration: str | None = _key(_text, "how the specimen is built: the group it is compared in")
+    rig_id: str | None = _key(_text, "the rig; names the file of its constants")
+    operator: str | None = _key(_text, "who measured")
+    notes: str | None = _key(_text, "anything worth knowing")
+    film_length_mm: float | None = _key(_positive, "length of the undeformed film")
+    film_width_mm: float | None = _key(_positive, "width of the undeformed film")
+    film_thickness_mm: float | None = _key(_positive, "thickness of the undeformed film, all layers together")
+    stretch_1: float | None = _key(_positive, "pre-stretch along the force")
+    stretch_2: float | None = _key(_positive, "pre-stretch across it; absent: uniaxial, 1/√stretch_1")
+    layers: int | None = _key(_count, "layers of film with electrodes in between")
+    active_length_mm: float | None = _key(_positive, "length of the electrode")
+    active_width_mm: float | None = _key(_positive, "width of the electrode")
+    active_drawn: str | None = _key(
+        _choice("undeformed", "stretched"), "state of the film in which the electrode was drawn and its size taken"
+    )
+    sensing_length_mm: float | None = _key(_positive, "length of the sensing electrode")
+    sensing_width_mm: float | None = _key(_positive, "width of the sensing electrode")
+    sensing_region: str | None = _key(
+        _choice("separate", "active"), "whether the capacitance is that of an electrode of its own or of the active one"
+    )
+    total_length_mm: float | None = _key(_positive, "stretched length between the clamps")
+    constrained_length_mm: float | None = _key(_not_negative, "stretched length that is held rigid and takes no part")
+    relative_permittivity: float | None = _key(_positive, "relative permittivity of the film as known beforehand")
+    relative_permittivity_sd: float | None = _key(_not_negative, "its standard deviation; absent: 10 %")
+    crosslink_modulus_kpa: float | None = _key(_not_negative, "equilibrium law of large cycles: crosslinks")
+    entanglement_modulus_kpa: float | None = _key(_not_negative, "equilibrium law of large cycles: entanglements")
+    largest_stretch: float | None = _key(
+        _positive, "equilibrium law of large cycles: stretch at which the chains are at their end"
+    )
+    frequency_start_hz: float | None = _key(_positive, "first frequency of a sweep or sequence")
+    frequency_stop_hz: float | None = _key(_positive, "last frequency of a sweep or sequence")
+    sweep: str | None = _key(_choice("linear", "log"), "how the frequency of a sweep runs")
+    repeats: int | None = _key(_count, "sweeps in the record")
+    period_s: float | None = _key(_positive, "from the start of one repeat to the start of the next, rest included")
+    periods: int | None = _key(_count, "periods of a sequence")
+    lines: str | None = _key(_choice("full", "odd", "random_odd"), "harmonics that a sequence excites")
+    frequency_hz: float | None = _key(_positive, "frequency of a sinusoid")
+    cycles: int | None = _key(_count, "cycles of a sinusoid")
+    strain_pp: float | None = _key(_positive, "strain of the stretched length, peak to peak: 0.10 is 10 %")
+    drive_kv: float | None = _key(_not_negative, "peak voltage")
+    on_s: float | None = _key(_positive, "time at voltage in each step")
+    off_s: float | None = _key(_not_negative, "time without voltage in each step")
+    controller: str | None = _key(
+        _choice("open", "closed"), "whether the steps are those of the voltage or of a closed loop"
+    )
+    proportional_gain: float | None = _key(_number, "proportional gain of the loop")
+    integral_gain: float | None = _key(_number, "integral gain of the loop")
+    masses_kg: tuple[float, ...] | None = _key(
+        _positive_list, "masses of a weight calibration in the order they were hung, comma-separated"
+    )
+    extra_clamp_mass_kg: float | None = _key(_not_negative, "mass on the clamp beside its own in this recording")
+    voltage_setpoint_kv: float | None = _key(_positive, "set point of a lifetime test")
+    test_duration_s: float | None = _key(_positive, "planned end of a lifetime test")
+    failure_site: str | None = _key(
+        _choice("rod", "lead", "active", "edge", "none", "unknown"), "where the film failed"
+    )
+    failure_region: str | None = _key(
+        _choice("left", "centre", "right"), "third of the film, along the rods, in which it failed"
+    )
+    rest_before_s: float | None = _key(_not_negative, "how long the film had rested; absent: as long as it takes")
+    rods: int | None = _key(_count, "rods that hold the width of the film")
+    rod_spacing_mm: float | None = _key(_positive, "distance of neighbouring rods")
+    rod_diameter_mm: float | None = _key(_positive, "diameter of a rod")
+    electrode_gap_mm: float | None = _key(
+        _not_negative,
+        "distance that separate electrodes keep from the rods; absent: one electrode over all of the film",
+    )
+    coats: int | None = _key(_count, "coats of electrode so far")
     extra: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -265,20 +285,20 @@ class RigConstants:
     was never calibrated. `noise_sd` is the standard deviation of one raw sample by quantity, canonical units.
     """
 
-    rig_id: str | None = _key(_text)
-    clamp_mass_kg: float | None = _key(_not_negative)
+    rig_id: str | None = _key(_text, "the rig, as its file is named")
+    clamp_mass_kg: float | None = _key(_not_negative, "mass that moves with the clamp at the load cell")
     clamp_mass_kg_sd: float | None = _key(_not_negative)
-    load_cell_stiffness_n_per_mm: float | None = _key(_positive)
+    load_cell_stiffness_n_per_mm: float | None = _key(_positive, "stiffness of the load cell")
     load_cell_stiffness_n_per_mm_sd: float | None = _key(_not_negative)
-    load_cell_damping_n_s_per_mm: float | None = _key(_not_negative)
+    load_cell_damping_n_s_per_mm: float | None = _key(_not_negative, "damping of the load cell")
     load_cell_damping_n_s_per_mm_sd: float | None = _key(_not_negative)
-    load_cell_range_n: float | None = _key(_positive)
+    load_cell_range_n: float | None = _key(_positive, "largest force it can read")
     load_cell_range_n_sd: float | None = _key(_not_negative)
-    amplifier_gain_kv_per_v: float | None = _key(_positive)
+    amplifier_gain_kv_per_v: float | None = _key(_positive, "output voltage over command")
     amplifier_gain_kv_per_v_sd: float | None = _key(_not_negative)
-    clamp_frequency_hz: float | None = _key(_positive)
+    clamp_frequency_hz: float | None = _key(_positive, "measured frequency of the clamp without film")
     clamp_frequency_hz_sd: float | None = _key(_not_negative)
-    force_gain: float | None = _key(_positive)
+    force_gain: float | None = _key(_positive, "recorded over true force")
     force_gain_sd: float | None = _key(_not_negative)
     noise_sd: Mapping[str, float] = field(default_factory=dict)
     extra: Mapping[str, str] = field(default_factory=dict)
