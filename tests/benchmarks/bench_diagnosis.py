@@ -13,9 +13,9 @@ import numpy as np
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import AMBIGUOUS, NONE, UNKNOWN
-from tests.hidden_effects.judging import Case, Judgement, hidden_in, made
-from tests.hidden_effects.truth import KINDS, Effect, random_effect
-from tests.studies.kept import sessions_of
+from tests.helpers.judging import Case, Judgement, hidden_in, made
+from tests.helpers.kept_judgements import sessions_of
+from tests.helpers.truth_rig import KINDS, Effect, random_effect
 
 TITLE = "Diagnosis of a session, one core"
 MULTIPLE = 3.0

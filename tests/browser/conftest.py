@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from reports.build import build_reports
-from tests.browser import synthetic
+from tests.helpers import synthetic_lab
 
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A lab with findings of every kind, its report built."""
-    folder = synthetic.whole_story().write(tmp_path_factory.mktemp("whole") / "lab")
+    folder = synthetic_lab.whole_story().write(tmp_path_factory.mktemp("whole") / "lab")
     build_reports(folder)
     return folder
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from reports.build import build_reports
-from tests.browser import chromium, synthetic
 from tests.conftest import ROOT
+from tests.helpers import chromium, synthetic_lab
 
 ARTIFACTS = Path(os.environ.get("DEALAB_ARTIFACTS", ROOT / "artifacts")) / "pages"
 AXE = Path(__file__).with_name("axe") / "axe.min.js"
@@ -98,7 +98,7 @@ def test_axe_would_find_something(browser: chromium.Chromium, tmp_path: Path) ->
 def test_axe_finds_nothing_on_the_page_of_a_lab_with_little(
     browser: chromium.Chromium, tmp_path: Path, story: str
 ) -> None:
-    browser.open(build_reports(getattr(synthetic, story)().write(tmp_path / "lab")).index)
+    browser.open(build_reports(getattr(synthetic_lab, story)().write(tmp_path / "lab")).index)
     assert violations(browser) == []
 
 

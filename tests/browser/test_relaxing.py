@@ -14,15 +14,15 @@ from scipy.integrate import solve_ivp
 
 from reports.build import build_reports
 from reports.pages.specimen import relaxing
-from tests.browser import synthetic
+from tests.helpers import synthetic_lab
 
-K0, SPRING, DAMPER = synthetic.SILICONE[0], 0.4, 0.8
+K0, SPRING, DAMPER = synthetic_lab.SILICONE[0], 0.4, 0.8
 TAU = DAMPER / SPRING
 
 
 def lab_with_a_step(folder: Path, *, ramp: float, wrong: float = 1.0) -> Path:
     """A film (one arm, 2 s) that is pulled by 0.5 mm in `ramp` s and held; the stored model's arm is `wrong` times the true one."""
-    story = synthetic.Story()
+    story = synthetic_lab.Story()
     story.recording("R-1_step", "R-1", "step", "mechanical", duration_s=40.0)
     model = (K0, (SPRING * wrong,), (DAMPER * wrong,))
     story.responses("R-1", model, ["R-1_step"])

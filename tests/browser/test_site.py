@@ -24,7 +24,7 @@ from reports.build import build_reports
 from reports.manifest import NAME
 from reports.results import MEMORY, Query, Results, Row
 from schemas.errors import LabError
-from tests.browser import synthetic
+from tests.helpers import synthetic_lab
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 HOSTILE_IDS = {"hostile-1"}
@@ -111,7 +111,7 @@ def contents(site: Path) -> dict[str, bytes]:
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
     """A small lab of its own, its report built."""
-    lab = synthetic.small_story().write(tmp_path / "small")
+    lab = synthetic_lab.small_story().write(tmp_path / "small")
     build_reports(lab)
     return lab
 
@@ -315,7 +315,7 @@ def test_findings_stand_in_the_index(site: Path) -> None:
 
 
 def test_empty_lab(tmp_path: Path) -> None:
-    result = build_reports(synthetic.Story().write(tmp_path / "lab"))
+    result = build_reports(synthetic_lab.Story().write(tmp_path / "lab"))
     text = result.index.read_text(encoding="utf-8")
     assert "No recordings yet" in text
     assert "dealab nightly RAW" in text
@@ -323,7 +323,7 @@ def test_empty_lab(tmp_path: Path) -> None:
 
 
 def test_only_refused_files(tmp_path: Path) -> None:
-    lab = synthetic.only_refused().write(tmp_path / "lab")
+    lab = synthetic_lab.only_refused().write(tmp_path / "lab")
     page = Parsed(build_reports(lab).index.read_text(encoding="utf-8"))
     text = "".join(page.text).replace("\u00a0", " ")
     assert "Nothing could be used: all three files were refused" in text
@@ -331,7 +331,7 @@ def test_only_refused_files(tmp_path: Path) -> None:
 
 
 def test_recordings_without_any_analysis(tmp_path: Path) -> None:
-    story = synthetic.Story()
+    story = synthetic_lab.Story()
     story.recording(
         "a-1", "A", "chirp", "mechanical", metadata=None, source_sha256=None, duration_s=None, campaign=None
     )
@@ -385,7 +385,7 @@ def test_hundreds_of_recordings_stay_small_and_cost_in_proportion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Queries and rows per page do not grow with the campaign: what 80 recordings cost, 500 cost six times."""
-    labs = {count: synthetic.many(count, points=200).write(tmp_path / str(count)) for count in (40, 80)}
+    labs = {count: synthetic_lab.many(count, points=200).write(tmp_path / str(count)) for count in (40, 80)}
     few, many = (work(lab, monkeypatch) for lab in labs.values())
     assert many[0] > few[0] + 40
     assert many[1] / many[0] <= 1.2 * few[1] / few[0], "a square would double it"
@@ -397,7 +397,7 @@ def test_hundreds_of_recordings_stay_small_and_cost_in_proportion(
 
 
 def test_a_preview_of_full_length_stays_small(tmp_path: Path) -> None:
-    lab = synthetic.many(10).write(tmp_path / "lab")
+    lab = synthetic_lab.many(10).write(tmp_path / "lab")
     build_reports(lab)
     largest = max((lab / "reports" / "recordings").glob("*.html"), key=lambda p: p.stat().st_size)
     assert largest.stat().st_size <= 200_000
@@ -407,7 +407,7 @@ def test_one_new_recording_in_a_large_campaign_touches_a_handful_of_pages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Counted: its own page, its specimen, its campaign, the index and the last part of the list."""
-    lab = synthetic.many(60, points=40).write(tmp_path / "lab")
+    lab = synthetic_lab.many(60, points=40).write(tmp_path / "lab")
     whole = work(lab, monkeypatch)
     with duckdb.connect(str(lab / "results.duckdb")) as connection:
         connection.execute(
@@ -420,7 +420,7 @@ def test_one_new_recording_in_a_large_campaign_touches_a_handful_of_pages(
 
 
 def test_long_lists_come_in_parts_and_the_index_stays_small(tmp_path: Path) -> None:
-    story = synthetic.Story()
+    story = synthetic_lab.Story()
     for i in range(210):
         story.recording(
             None,
@@ -432,7 +432,7 @@ def test_long_lists_come_in_parts_and_the_index_stays_small(tmp_path: Path) -> N
             problem="broken. Mend it again",
         )
         story.recording(f"r-{i:04d}", f"s-{i:04d}", "chirp", "mechanical")
-        story.fits(f"s-{i:04d}", synthetic.SILICONE)
+        story.fits(f"s-{i:04d}", synthetic_lab.SILICONE)
     story.run()
     lab = story.write(tmp_path / "lab")
     for row in story.rows["model_fits"]:

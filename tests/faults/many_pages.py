@@ -17,15 +17,15 @@ import reports.pages.recording.page
 import reports.pages.specimen.page
 from reports.blocks import Page
 from reports.site import Site
-from tests.browser import synthetic
+from tests.helpers import synthetic_lab
 from tests.helpers.machine import peak_mb
 
 
 def lab(folder: Path, number: int) -> Path:
     """A lab with so many recordings, each of a specimen of its own that has its model."""
-    story = synthetic.Story()
+    story = synthetic_lab.Story()
     story.recording("R-0", "S-0", "chirp", "mechanical", campaign=None, rig_id=None, operator=None)
-    story.fits("S-0", synthetic.SILICONE)
+    story.fits("S-0", synthetic_lab.SILICONE)
     story.run()
     story.write(folder)
     with duckdb.connect(str(folder / "results.duckdb")) as connection:

@@ -15,7 +15,7 @@ from pipeline.cli import main
 from pipeline.lab.annotations import annotate
 from pipeline.nightly.night import nightly
 from tests.helpers.session_files import write_recordings
-from tests.hidden_effects.truth import Session, make_session
+from tests.helpers.truth_rig import Session, make_session
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -30,7 +30,7 @@ DESIGNS = (
 )
 EFFECT, SEVERITY = "field_dependent_permittivity", 0.1
 FORM = 0.4
-"""Relative difference of a severity for the form of the truth, which is not that of the extension (see `hidden_effects.truth`)."""
+"""Relative difference of a severity for the form of the truth, which is not that of the extension (see `tests.helpers.truth_rig`)."""
 
 
 def write(folder: Path, session: Session, name: str, count: int | None = None) -> None:

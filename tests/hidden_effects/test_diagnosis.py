@@ -21,9 +21,9 @@ from pipeline.diagnose.results import Diagnosis
 from schemas.errors import NotIdentifiableError
 from schemas.mechanisms import UNLISTED
 from schemas.recording import Recording
+from tests.helpers.judging import Case, _covered, _split, judge, made, observe
 from tests.helpers.session_files import write_recordings
-from tests.hidden_effects.judging import Case, _covered, _split, judge, made, observe
-from tests.hidden_effects.truth import KINDS, Effect, compact_session
+from tests.helpers.truth_rig import KINDS, Effect, compact_session
 
 SEED = 103
 

@@ -14,8 +14,8 @@ from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.diagnose.simulation.sweeps import SweepFamily
 from pipeline.physics.film import RelaxationModel
-from tests.hidden_effects.truth import Effect, Session
-from tests.hidden_effects.truth import make_session as true_session
+from tests.helpers.truth_rig import Effect, Session
+from tests.helpers.truth_rig import make_session as true_session
 
 SWEEPS = tuple({"protocol": "chirp", "strain_pp": s} for s in (0.006, 0.05))
 CYCLES = tuple({"protocol": "cyclic", "strain_pp": s, "frequency_hz": 1.0, "cycles": 10} for s in (0.02, 0.12))

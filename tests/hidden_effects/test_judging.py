@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.hidden_effects.judging import Case, clean, judge, smallest_of
-from tests.hidden_effects.truth import KINDS, Effect, random_effect
+from tests.helpers.judging import Case, clean, judge, smallest_of
+from tests.helpers.truth_rig import KINDS, Effect, random_effect
 
 CASE = Case(103)
 

@@ -14,11 +14,11 @@ from scipy.integrate import solve_ivp
 
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Recording
-from tests.hidden_effects import truth
-from tests.hidden_effects.truth import KINDS, MECHANISMS, UNLISTED, Film, Rig, Session, Specimen, hide, sensors
-from tests.hidden_effects.truth import design as designs
-from tests.hidden_effects.truth.hidden import resolve
-from tests.hidden_effects.truth.rig import TruthRig
+from tests.helpers import truth_rig as truth
+from tests.helpers.truth_rig import KINDS, MECHANISMS, UNLISTED, Film, Rig, Session, Specimen, hide, sensors
+from tests.helpers.truth_rig import design as designs
+from tests.helpers.truth_rig.hidden import resolve
+from tests.helpers.truth_rig.rig import TruthRig
 
 Float = NDArray[np.float64]
 
@@ -575,7 +575,7 @@ def test_designs_that_are_none_are_refused(design: dict[str, object], complaint:
 
 
 def test_truth_shares_no_code_with_the_pipeline() -> None:
-    allowed = ("schemas.metadata", "schemas.recording", "tests.hidden_effects.truth", "numpy", "scipy", "numba")
+    allowed = ("schemas.metadata", "schemas.recording", "tests.helpers.truth_rig", "numpy", "scipy", "numba")
     for path in Path(truth.__file__).parent.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []

@@ -23,7 +23,7 @@ import numpy as np
 
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.reduce import reduce
-from tests.hidden_effects.truth import KINDS, compact_session
+from tests.helpers.truth_rig import KINDS, compact_session
 
 SEED = 103
 SESSIONS: tuple[tuple[str | None, int], ...] = ((None, SEED), (None, SEED + 1), *((id, SEED) for id in KINDS))

@@ -11,8 +11,8 @@ from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.effects import NONE, Cracks, Effect
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
-from tests.hidden_effects.judging import Case, judge
-from tests.hidden_effects.truth import make_session as true_session
+from tests.helpers.judging import Case, judge
+from tests.helpers.truth_rig import make_session as true_session
 
 LOST, POWER, SAMPLES = 0.05, 1.7, 720
 DESIGNS = (

@@ -18,8 +18,8 @@ from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.search.screen import make_absorbed_basis, project_out
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
-from tests.hidden_effects.truth import Effect
-from tests.hidden_effects.truth import make_session as true_session
+from tests.helpers.truth_rig import Effect
+from tests.helpers.truth_rig import make_session as true_session
 
 Designs = tuple[dict[str, Any], ...]
 DESIGNS: Designs = (

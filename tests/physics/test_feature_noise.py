@@ -18,9 +18,9 @@ from pipeline.diagnose.features.records import thin, thinned_gain
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.simulation.mains import HUM_HZ, mains_components, mains_of
 from pipeline.diagnose.simulation.session import make_session
-from tests.hidden_effects.truth import Effect
-from tests.hidden_effects.truth import make_session as true_session
-from tests.hidden_effects.truth.material import random_specimen
+from tests.helpers.truth_rig import Effect
+from tests.helpers.truth_rig import make_session as true_session
+from tests.helpers.truth_rig.material import random_specimen
 
 Float = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from pipeline.transform.loop import LoopResponse, measure_loop
 from pipeline.transform.step import measure_steps
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
-from tests.physics import sensing_truth
+from tests.helpers import sensing_truth
 
 
 def loop(

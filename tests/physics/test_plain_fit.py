@@ -11,9 +11,9 @@ from pipeline.diagnose.search.extended_model import Extended
 from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
-from tests.hidden_effects.judging import Case, made
-from tests.hidden_effects.truth import Effect, compact_designs
-from tests.hidden_effects.truth import make_session as true_session
+from tests.helpers.judging import Case, made
+from tests.helpers.truth_rig import Effect, compact_designs
+from tests.helpers.truth_rig import make_session as true_session
 
 
 @pytest.mark.parametrize(("seed", "mass_error"), [(895730046, -0.39), (895730069, 0.4)])

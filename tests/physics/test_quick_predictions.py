@@ -16,7 +16,7 @@ from pipeline.diagnose.simulation.families import Family
 from pipeline.diagnose.simulation.parameters import BaseModel
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
-from tests.hidden_effects.judging import Case, made
+from tests.helpers.judging import Case, made
 
 FORMS = [(id, variant) for id, m in MECHANISMS.items() for variant in m.variants or ("",)]
 SHARE = 1e-3

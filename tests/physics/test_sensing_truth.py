@@ -14,7 +14,7 @@ from pipeline.transform.capacitance_cycles import capacitance_cycles
 from pipeline.transform.coats import Coat, measure_coat
 from pipeline.transform.step import measure_steps
 from schemas.errors import NotIdentifiableError
-from tests.physics import sensing_truth
+from tests.helpers import sensing_truth
 from tests.studies.study_sensing import Tally, actuator, coats, electrode, film
 
 

@@ -12,7 +12,7 @@ from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.effects import NONE
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
-from tests.hidden_effects.truth import make_session as true_session
+from tests.helpers.truth_rig import make_session as true_session
 
 DESIGNS = (
     {"protocol": "chirp", "strain_pp": 0.02},

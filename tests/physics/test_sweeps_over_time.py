@@ -21,9 +21,9 @@ from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.diagnose.simulation.sweeps import SweepFamily
 from pipeline.physics.film import RelaxationModel
-from tests.hidden_effects.truth import Effect
-from tests.hidden_effects.truth import Session as TrueSession
-from tests.hidden_effects.truth import make_session as true_session
+from tests.helpers.truth_rig import Effect
+from tests.helpers.truth_rig import Session as TrueSession
+from tests.helpers.truth_rig import make_session as true_session
 
 SWEEPS: tuple[dict[str, Any], ...] = tuple({"protocol": "chirp", "strain_pp": s} for s in (0.006, 0.05))
 CYCLES: tuple[dict[str, Any], ...] = ({"protocol": "cyclic", "strain_pp": 0.08, "frequency_hz": 1.0, "cycles": 10},)

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from html import escape
 
-from tests.hidden_effects.judging import Judgement
-from tests.hidden_effects.truth import MECHANISMS, UNLISTED
+from tests.helpers.judging import Judgement
+from tests.helpers.truth_rig import MECHANISMS, UNLISTED
 
 _CELL, _LEFT, _TOP = 22, 230, 200
 

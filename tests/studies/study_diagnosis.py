@@ -3,7 +3,7 @@
     python -m tests.studies.study_diagnosis [--seed N] [--jobs N] [--clean N] [--per-mechanism N] [--pairs N] [--unlisted N]
                                             [--severities N] [--size compact|full] [--minutes N] [--log FILE]
 
-The truth rig of `tests.hidden_effects` integrates in time and gives every effect a form that the extensions do not have. Severities
+The truth rig integrates in time and gives every effect a form that the extensions do not have. Severities
 are multiples of the smallest detectable one of the same specimen's clean session, which is one of the clean ones. Rates stand with
 95 % intervals (Clopper and Pearson). `--minutes` ends the study early: what was not begun is left out and counted. Targets that are
 missed are named. A share that is wanted within ten points needs more than the forty effects whose severity is defined: further ones
@@ -28,10 +28,10 @@ import numpy as np
 from scipy.stats import beta
 
 from schemas.errors import NotIdentifiableError
-from tests.hidden_effects.judging import INSEPARABLE, Case, Judgement, judged
-from tests.hidden_effects.truth import KINDS, MECHANISMS, UNLISTED
+from tests.helpers.judging import INSEPARABLE, Case, Judgement, judged
+from tests.helpers.kept_judgements import Kept, digest
+from tests.helpers.truth_rig import KINDS, MECHANISMS, UNLISTED
 from tests.studies.confusion import confusion_svg
-from tests.studies.kept import Kept, digest
 
 HERE = Path(__file__).resolve().parent
 MULTIPLES = (1.5, 2.0, 3.0, 4.0)

@@ -2,7 +2,7 @@
 
     python -m tests.studies.study_sensing [--runs N] [--seed N]
 
-Actuators, wrinkling films and migrating electrodes are simulated in time by `tests.physics.sensing_truth`, which shares no
+Actuators, wrinkling films and migrating electrodes are simulated in time by `tests.helpers.sensing_truth`, which shares no
 code and no functional form with what is fitted. The study fails when the pooled share of intervals that contain the truth
 leaves 93 to 97 %, when less than 95 % of the wrinkling is found or more than 1 % of the other films are said to wrinkle,
 and when less than 95 % of the onsets of migration lie within 10 % of the true cycle.
@@ -25,7 +25,7 @@ from pipeline.fit.weighted import Estimate
 from pipeline.transform.capacitance_cycles import capacitance_cycles
 from pipeline.transform.coats import Coat
 from pipeline.transform.step import measure_steps
-from tests.physics import sensing_truth
+from tests.helpers import sensing_truth
 
 
 @dataclass

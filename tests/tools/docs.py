@@ -90,7 +90,7 @@ def pictures(lab: Path) -> None:
 
     from PIL import Image
 
-    from tests.browser import chromium
+    from tests.helpers import chromium
 
     binary, reason = chromium.find()
     if binary is None:

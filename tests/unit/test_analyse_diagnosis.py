@@ -14,7 +14,7 @@ from pipeline.analyse.recording import session_features
 from pipeline.analyse.session_features import SessionFeatures
 from schemas.metadata import TableMetadata
 from schemas.recording import Recording
-from tests.hidden_effects.truth import make_session
+from tests.helpers.truth_rig import make_session
 
 DESIGNS = (
     {"protocol": "chirp", "sweep_s": 3.0, "repeats": 1},

@@ -21,7 +21,7 @@ from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
 from schemas.metadata import RigConstants
-from tests.hidden_effects.truth import make_session as true_session
+from tests.helpers.truth_rig import make_session as true_session
 
 WEIGHTS = ("re_data", "im_data")
 finite = st.floats(-1e12, 1e12, allow_subnormal=False).map(lambda x: x if abs(x) > 1e-100 else 0.0)

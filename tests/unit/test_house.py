@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 
 import grimp
 import pytest
 
+MODULE = re.compile(r"^\s*(?:from|import) (tests\.\w+\.\w+)", re.MULTILINE)
 PACKAGES = ("schemas", "ingest", "pipeline", "reports")
 
 
@@ -42,3 +45,16 @@ def test_no_module_imports_itself_by_a_detour() -> None:
     """Also not for the sake of types alone: a detour of names is one for the reader as well."""
     graph = grimp.build_graph(*PACKAGES, cache_dir=None)
     assert find_cycles({name: graph.find_modules_directly_imported_by(name) for name in graph.modules}) == []
+
+
+def test_helpers_of_two_folders_are_in_the_folder_of_helpers() -> None:
+    """A studies' own command may be called by the test of it; everything else that two folders share is in `tests/helpers`."""
+    tests = Path(__file__).resolve().parents[1]
+    shared = {}
+    for path in tests.rglob("*.py"):
+        folder = path.relative_to(tests).parts[0]
+        for name in MODULE.findall(path.read_text(encoding="utf-8")):
+            home, _, module = name.removeprefix("tests.").partition(".")
+            if home not in (folder, "helpers", "tools") and not module.startswith(("study_", "__main__")):
+                shared[name] = path.relative_to(tests).as_posix()
+    assert shared == {}

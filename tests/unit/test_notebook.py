@@ -16,14 +16,14 @@ from pipeline import Lab
 from pipeline.simulate.campaign import simulate_one
 from pipeline.simulate.plan import read_campaign
 from schemas.errors import DealabError, UsageError
-from tests.browser import synthetic
+from tests.helpers import synthetic_lab
 
 mpl.use("Agg")
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    folder = synthetic.whole_story().write(tmp_path_factory.mktemp("notebook") / "lab")
+    folder = synthetic_lab.whole_story().write(tmp_path_factory.mktemp("notebook") / "lab")
     with duckdb.connect(str(folder / "results.duckdb")) as connection:
         connection.execute(
             "UPDATE recordings SET metadata = json_merge_patch(metadata, '"
@@ -87,7 +87,7 @@ def test_a_table_by_its_columns(lab: Lab) -> None:
 def test_the_fit_evaluates_as_its_parameters_say(lab: Lab) -> None:
     fit = lab.fit("P-07")
     f = np.array([1.0, 10.0, 90.0])
-    np.testing.assert_allclose(fit.stiffness(f), synthetic.film(synthetic.POLYACRYLATE, f), rtol=1e-12)
+    np.testing.assert_allclose(fit.stiffness(f), synthetic_lab.film(synthetic_lab.POLYACRYLATE, f), rtol=1e-12)
     frame = fit.frame(f)
     assert frame.attrs["units"]["magnitude_sd"] == "N/mm"
     assert (frame["magnitude_sd"] > 0).all()

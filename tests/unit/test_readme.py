@@ -19,7 +19,7 @@ from ingest.mapping import find_mapping
 from ingest.read import read_raw
 from pipeline.cli import main
 from pipeline.simulate.plan import load_campaign
-from tests.browser import synthetic
+from tests.helpers import synthetic_lab
 from tests.tools.docs import PICTURES, README, SHOTS, renewed
 
 TEXT = README.read_text(encoding="utf-8")
@@ -65,7 +65,7 @@ def test_the_mapping_example_makes_a_recording(tmp_path: Path) -> None:
 @pytest.fixture
 def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with a lab in it, as the README's reader has one."""
-    synthetic.whole_story().write(tmp_path / "lab")
+    synthetic_lab.whole_story().write(tmp_path / "lab")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.hidden_effects.judging import Case, Judgement
+from tests.helpers.judging import Case, Judgement
+from tests.helpers.kept_judgements import Code, Kept, digest
 from tests.studies import study_diagnosis
-from tests.studies.kept import Code, Kept, digest
 
 NAN = float("nan")
 ASKED = Case(7, "compact", (("slack", 1.5),))

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
-from tests.hidden_effects.truth import sensors
-from tests.hidden_effects.truth.design import Plan, completed, plan
-from tests.hidden_effects.truth.effects import Effect, Shape, as_effects
-from tests.hidden_effects.truth.hidden import Loads, preload, resolve
-from tests.hidden_effects.truth.material import Specimen, random_specimen
-from tests.hidden_effects.truth.rig import Memory, Signals, TruthRig
+from tests.helpers.truth_rig import sensors
+from tests.helpers.truth_rig.design import Plan, completed, plan
+from tests.helpers.truth_rig.effects import Effect, Shape, as_effects
+from tests.helpers.truth_rig.hidden import Loads, preload, resolve
+from tests.helpers.truth_rig.material import Specimen, random_specimen
+from tests.helpers.truth_rig.rig import Memory, Signals, TruthRig
 
 Float = NDArray[np.float64]
 Design = Mapping[str, Any]

@@ -30,7 +30,7 @@ from pipeline.diagnose.simulation.session import make_session as session_of
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
 from pipeline.physics.least_squares import central
-from tests.hidden_effects.truth import (
+from tests.helpers.truth_rig import (
     KINDS,
     Effect,
     Session,

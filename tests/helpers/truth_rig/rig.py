@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.hidden_effects.truth import actuation, drive, mechanics, sensors
-from tests.hidden_effects.truth.design import Plan
-from tests.hidden_effects.truth.hidden import EMPTY, Hidden, Loads, exposure_scale, saturation_limit, slew
-from tests.hidden_effects.truth.material import NOMINAL_GAIN_KV_PER_V, Specimen
+from tests.helpers.truth_rig import actuation, drive, mechanics, sensors
+from tests.helpers.truth_rig.design import Plan
+from tests.helpers.truth_rig.hidden import EMPTY, Hidden, Loads, exposure_scale, saturation_limit, slew
+from tests.helpers.truth_rig.material import NOMINAL_GAIN_KV_PER_V, Specimen
 
 Float = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.hidden_effects.truth import ladders
-from tests.hidden_effects.truth.effects import Effect, Shape
-from tests.hidden_effects.truth.material import Specimen
-from tests.hidden_effects.truth.mechanics import Law
+from tests.helpers.truth_rig import ladders
+from tests.helpers.truth_rig.effects import Effect, Shape
+from tests.helpers.truth_rig.material import Specimen
+from tests.helpers.truth_rig.mechanics import Law
 
 Float = NDArray[np.float64]
 

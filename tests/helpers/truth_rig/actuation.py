@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from tests.hidden_effects.truth.jit import kernel
+from tests.helpers.truth_rig.jit import kernel
 
 Float = NDArray[np.float64]
 

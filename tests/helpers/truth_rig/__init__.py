@@ -46,9 +46,9 @@ Designs of recordings: a dict with `protocol` (chirp, sphs, cyclic, step, cycle,
 An unknown protocol, loading or key is a `ValueError`; a key that is None counts as absent.
 """
 
-from tests.hidden_effects.truth.effects import KINDS, MECHANISMS, UNLISTED, Effect, Kind, hide, random_effect
-from tests.hidden_effects.truth.material import MATERIALS, Film, Rig, Specimen, random_specimen
-from tests.hidden_effects.truth.session import (
+from tests.helpers.truth_rig.effects import KINDS, MECHANISMS, UNLISTED, Effect, Kind, hide, random_effect
+from tests.helpers.truth_rig.material import MATERIALS, Film, Rig, Specimen, random_specimen
+from tests.helpers.truth_rig.session import (
     Session,
     Truth,
     compact_designs,

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.hidden_effects.truth.jit import kernel
+from tests.helpers.truth_rig.jit import kernel
 
 Float = NDArray[np.float64]
 

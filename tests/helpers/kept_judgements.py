@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.diagnose.results import AMBIGUOUS
-from tests.hidden_effects.judging import Case, Judgement
+from tests.helpers.judging import Case, Judgement
 
 _JUDGING = (
-    "pipeline.diagnose", "pipeline.fit", "pipeline.simulate", "pipeline.transform", "schemas", "ingest", "tests.hidden_effects",
+    "pipeline.diagnose", "pipeline.fit", "pipeline.simulate", "pipeline.transform", "schemas", "ingest",
+    "tests.helpers.judging", "tests.helpers.truth_rig",
 )  # fmt: skip
 """The science, and what it is made of; not the nightly, which `import pipeline` brings along."""
 _PROPOSING = tuple(

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.special import roots_genlaguerre
 
-from tests.hidden_effects.truth.jit import kernel
+from tests.helpers.truth_rig.jit import kernel
 
 Float = NDArray[np.float64]
 

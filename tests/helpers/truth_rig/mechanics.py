@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tests.hidden_effects.truth.jit import kernel
+from tests.helpers.truth_rig.jit import kernel
 
 
 class Law(NamedTuple):
