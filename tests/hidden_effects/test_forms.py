@@ -17,6 +17,9 @@ from pipeline.physics.film import RelaxationModel
 from tests.helpers.truth_rig import Effect, Session
 from tests.helpers.truth_rig import make_session as true_session
 
+SESSION = 101
+"""Seed of a session: specimen, pauses and noise follow from it."""
+
 SWEEPS = tuple({"protocol": "chirp", "strain_pp": s} for s in (0.006, 0.05))
 CYCLES = tuple({"protocol": "cyclic", "strain_pp": s, "frequency_hz": 1.0, "cycles": 10} for s in (0.02, 0.12))
 STEPS = tuple({"protocol": "step", "loading": "electrical", "drive_kv": kv} for kv in (4.0, 8.0))
@@ -96,7 +99,7 @@ def test_an_extension_explains_what_was_hidden(
     start: dict[str, float],
     least: float,
 ) -> None:
-    truth = true_session(101, designs, [Effect(id, severity, shape)])
+    truth = true_session(SESSION, designs, [Effect(id, severity, shape)])
     share, found = explained(truth, id, variant, start)
     assert share > least, found.values
 
@@ -104,7 +107,7 @@ def test_an_extension_explains_what_was_hidden(
 @pytest.mark.parametrize("variant", ["damper", "drag", "second_mode"])
 def test_damping_beyond_the_cell_takes_energy(variant: str) -> None:
     """The clamp's dynamic stiffness turns forward at every frequency, and not at all at rest."""
-    truth = true_session(101, SWEEPS[1:], ())
+    truth = true_session(SESSION, SWEEPS[1:], ())
     session = make_session([reduce(r) for r in truth.recordings])
     simulation, film = Simulation(session), truth.truth.specimen.film
     model = session.base_model(len(film.k))
@@ -118,7 +121,7 @@ def test_damping_beyond_the_cell_takes_energy(variant: str) -> None:
 
 def test_drag_is_that_of_the_speed_which_it_leaves() -> None:
     """The drag at a speed of the clamp, and the speed under that drag, are found together (to 10⁻⁶) beside a sharp resonance."""
-    truth = true_session(101, SWEEPS[1:], ())
+    truth = true_session(SESSION, SWEEPS[1:], ())
     session = make_session([reduce(r) for r in truth.recordings])
     simulation, film = Simulation(session), truth.truth.specimen.film
     model = session.base_model(len(film.k))

@@ -8,14 +8,17 @@ import pytest
 from tests.helpers.judging import Case, clean, judge, smallest_of
 from tests.helpers.truth_rig import KINDS, Effect, random_effect
 
-CASE = Case(103)
+SESSION = 103
+"""Seed of a session: specimen, pauses and noise follow from it."""
+
+CASE = Case(SESSION)
 
 
 @pytest.mark.parametrize("id", ["cyclic_softening", "wrinkling", "leakage"])
 def test_what_is_called_detectable_is(id: str) -> None:
     """Within a factor of two: the forms differ, and the hardest fifth of the shapes is not promised."""
     kind = KINDS[id]
-    drawn = random_effect(id, kind.typical, np.random.default_rng(3))
+    drawn = random_effect(id, kind.typical, np.random.default_rng(seed=3))
     true = smallest_of(CASE, drawn)
     said = clean(CASE.seed, CASE.size).smallest_parameters[id]
     assert true is not None

@@ -20,6 +20,10 @@ from tests.helpers.truth_rig import design as designs
 from tests.helpers.truth_rig.hidden import resolve
 from tests.helpers.truth_rig.rig import TruthRig
 
+SESSION, OTHER_SESSION, SHORT_SESSION, FULL_SESSION = 11, 12, 3, 21
+HUMMING, PLAIN, SUBJECT_GIVEN = 4, 5, 0
+"""Seeds of sessions: pauses and noise follow from them, and the specimen where none is given."""
+
 Float = NDArray[np.float64]
 
 CONTRACT = [
@@ -88,7 +92,7 @@ PASSIVE = (
 
 
 def specimen(kind: str, **changes: object) -> Specimen:
-    return replace(truth.random_specimen(np.random.default_rng(3), kind=kind), **changes)
+    return replace(truth.random_specimen(np.random.default_rng(seed=3), kind=kind), **changes)
 
 
 def stiff_cell(film: Film) -> Specimen:
@@ -99,7 +103,7 @@ def stiff_cell(film: Film) -> Specimen:
 
 
 def single(subject: Specimen, design: dict[str, object]) -> Recording:
-    return truth.make_session(0, [design], material=subject).noise_free[0]
+    return truth.make_session(SUBJECT_GIVEN, [design], material=subject).noise_free[0]
 
 
 def values(recording: Recording, quantity: str) -> Float:
@@ -201,9 +205,9 @@ def test_capacitance_follows_the_compliance_of_the_film() -> None:
 @cache
 def rig_with(id: str | None, severity: float | None, kind: str = "polyacrylate") -> TruthRig:
     """A specimen with one effect, scaled as in a session of the five short tests."""
-    base = truth.make_session(5, [SHORT["cyclic"], SHORT["chirp"], SHORT["step"]], material=kind).truth
+    base = truth.make_session(PLAIN, [SHORT["cyclic"], SHORT["chirp"], SHORT["step"]], material=kind).truth
     effects = () if id is None else (hide(id, severity),)
-    hidden = resolve(effects, base.specimen, base.plain, np.random.default_rng(1))
+    hidden = resolve(effects, base.specimen, base.plain, np.random.default_rng(seed=1))
     return TruthRig(base.specimen, hidden, base.plain)
 
 
@@ -213,7 +217,7 @@ def signals(id: str | None, test: str, severity: float | None = None) -> dict[st
     rig = rig_with(id, severity)
     subject = rig.specimen
     plan = designs.plan(SHORT[test], length_mm=subject.length_mm, fastest_s=min(subject.film.tau))
-    found = rig.run(plan, rig.fresh(), np.random.default_rng(2)).values
+    found = rig.run(plan, rig.fresh(), np.random.default_rng(seed=2)).values
     names = {"chirp": "df", "sphs": "vf", "step": "vfc", "cyclic": "dfc", "relaxation": "df"}[test]
     chosen = [name for name in ("displacement", "voltage", "force", "capacitance") if name[0] in names]
     return {name: found[name] - (found[name][0] if name == "force" else 0.0) for name in chosen}
@@ -309,7 +313,7 @@ def test_severity_is_given_in_the_keys_of_the_contract(id: str) -> None:
 
 
 def test_random_shapes_stay_within_their_ranges() -> None:
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed=0)
     for id, kind in KINDS.items():
         effect = truth.random_effect(id, kind.typical, rng)
         assert set(effect.shape) == set(kind.ranges)
@@ -339,12 +343,12 @@ def tiny_session(*effects: tuple[str, float]) -> Session:
         {"protocol": "step", "loading": "electrical", "on_s": 1.0, "off_s": 1.0, "cycles": 1},
         {"protocol": "cyclic", "strain_pp": 0.01, "frequency_hz": 2.0, "cycles": 3},
     ]
-    return truth.make_session(11, plan, effects, material="polyacrylate")
+    return truth.make_session(SESSION, plan, effects, material="polyacrylate")
 
 
 @pytest.fixture(scope="module")
 def full() -> Session:
-    return truth.full_session(21)
+    return truth.full_session(FULL_SESSION)
 
 
 def test_full_session_has_what_a_diagnosis_asks_for(full: Session) -> None:
@@ -367,7 +371,7 @@ def test_sessions_are_small(full: Session) -> None:
         clocks = {id(c.time_ns): c.time_ns for r in session.recordings for c in r.channels.values()}
         return sum(a.nbytes for a in (*arrays, *clocks.values())) / 1e6
 
-    compact = truth.compact_session(4, ["mains_hum"])
+    compact = truth.compact_session(HUMMING, ["mains_hum"])
     assert len(compact.recordings) == 10
     assert megabytes(full) < 25
     assert megabytes(compact) < 10
@@ -411,7 +415,7 @@ def test_same_seed_same_session_and_effects_leave_the_noise_alone() -> None:
         assert a.metadata == c.metadata
     noise = [values(s.recordings[0], "force") - values(s.noise_free[0], "force") for s in (first, other)]
     assert np.abs(noise[0] - noise[1]).max() <= first.recordings[0].channels["force"].resolution
-    different = truth.make_session(12, [SHORT["cyclic"]], material="polyacrylate")
+    different = truth.make_session(OTHER_SESSION, [SHORT["cyclic"]], material="polyacrylate")
     assert different.truth.specimen != first.truth.specimen
 
 
@@ -431,7 +435,7 @@ def test_softening_with_amplitude_has_its_drop_at_the_largest_amplitude() -> Non
     cycles = {"protocol": "cyclic", "strain_pp": 0.12, "cycles": 8, "frequency_hz": 0.5}
 
     def swing(*effects: tuple[str, float]) -> float:
-        recording = truth.make_session(3, [cycles], effects, material="silicone").noise_free[0]
+        recording = truth.make_session(SHORT_SESSION, [cycles], effects, material="silicone").noise_free[0]
         return float(np.ptp(values(recording, "force")[-1250:-250]))
 
     assert swing(("amplitude_softening", 0.2)) == pytest.approx(0.8 * swing(), rel=0.03)
@@ -439,7 +443,7 @@ def test_softening_with_amplitude_has_its_drop_at_the_largest_amplitude() -> Non
 
 def test_drift_meets_the_logarithm() -> None:
     step = {"protocol": "step", "loading": "electrical", "drive_kv": 0.0, "cycles": 3}
-    recording = truth.make_session(3, [step], [("baseline_drift", 0.05)]).noise_free[0]
+    recording = truth.make_session(SHORT_SESSION, [step], [("baseline_drift", 0.05)]).noise_free[0]
     force, rest = values(recording, "force"), preload(recording)
     assert force[20 * 500] == pytest.approx(rest * (1 - 0.05 * np.log10(21)), rel=1e-9)
     assert np.all(np.diff(force) < 0)
@@ -449,7 +453,7 @@ def test_damage_stays_and_softening_with_amplitude_does_not() -> None:
     small, large = {"protocol": "cyclic", "strain_pp": 0.01}, {"protocol": "cyclic", "strain_pp": 0.12}
 
     def swings(effect: str) -> list[float]:
-        session = truth.make_session(3, [small, large, small], [effect], material="polyacrylate")
+        session = truth.make_session(SHORT_SESSION, [small, large, small], [effect], material="polyacrylate")
         return [float(np.ptp(values(r, "force")[750:2250])) for r in session.noise_free]
 
     before, _, after = swings("cyclic_softening")
@@ -460,7 +464,9 @@ def test_damage_stays_and_softening_with_amplitude_does_not() -> None:
 
 def test_exposure_and_warming_carry_on_through_the_session() -> None:
     step = {"protocol": "step", "loading": "electrical", "cycles": 2}
-    session = truth.make_session(3, [step, SHORT["cyclic"], step], ["electrode_degradation", "thermal_softening"])
+    session = truth.make_session(
+        SHORT_SESSION, [step, SHORT["cyclic"], step], ["electrode_degradation", "thermal_softening"]
+    )
     first, last = (r for r in session.noise_free if r.metadata.protocol == "step")
     assert values(last, "capacitance")[0] == pytest.approx(values(first, "capacitance")[-1], rel=1e-9)
     assert values(last, "capacitance")[0] < 0.95 * values(first, "capacitance")[0]
@@ -516,7 +522,8 @@ def test_weights_show_the_gain_of_the_force_channel() -> None:
 
 def test_longer_film_rests_at_higher_tension_and_is_not_slack() -> None:
     plain, slack = (
-        truth.make_session(3, [SHORT["cyclic"]], effects, material="polyacrylate") for effects in ((), [("slack", 1.0)])
+        truth.make_session(SHORT_SESSION, [SHORT["cyclic"]], effects, material="polyacrylate")
+        for effects in ((), [("slack", 1.0)])
     )
 
     def swing(session: Session, extension: float) -> tuple[Recording, Float]:
@@ -537,7 +544,7 @@ def test_longer_film_rests_at_higher_tension_and_is_not_slack() -> None:
 def test_tears_lower_the_stiffness_in_steps() -> None:
     cycles = {"protocol": "cyclic", "strain_pp": 0.05, "cycles": 20, "frequency_hz": 2.0}
     torn, whole = (
-        truth.make_session(3, [cycles], effects, material="silicone").noise_free[0]
+        truth.make_session(SHORT_SESSION, [cycles], effects, material="silicone").noise_free[0]
         for effects in ([("edge_tear", 0.2)], ())
     )
     # From peak to peak, where silicone has relaxed.

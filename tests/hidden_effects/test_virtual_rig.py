@@ -48,7 +48,7 @@ def test_slow_and_fast_cycles_of_a_plain_film_hold_nothing() -> None:
 @pytest.mark.parametrize("start", [lambda t: np.sin(t), lambda t: (1 - np.cos(t)) / 2], ids=["sine", "1 - cosine"])
 @pytest.mark.parametrize("hz", [0.01, 0.1, 1.0])
 def test_rest_ends_where_a_slow_cycle_begins(start, hz: float) -> None:  # type: ignore[no-untyped-def]
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     interval_s, rest = 0.02, 60
     t = np.arange(int(2 / hz / interval_s)) * interval_s
     motion = 5.0 * start(2 * np.pi * hz * t)
@@ -61,7 +61,7 @@ def test_rest_ends_where_a_slow_cycle_begins(start, hz: float) -> None:  # type:
 @pytest.mark.parametrize("quantum", [0.0, 1e-3], ids=["smooth", "quantised"])
 def test_a_filter_that_settles_is_rest(quantum: float) -> None:
     """Neighbours of noise that was smoothed differ by little, and its first samples are on their way to the level."""
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed=4)
     rest, per_cycle = 42, 42
     noise = np.convolve(rng.normal(0, 4e-4, rest + 3 * per_cycle + 3), np.ones(4) / 4, "valid")
     settling = 9e-4 * np.exp(-np.arange(noise.size) / 4)

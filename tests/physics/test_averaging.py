@@ -34,7 +34,7 @@ def noise(rng, sd, n=F.size):
 
 
 def test_repeats_of_one_amplitude_average_down() -> None:
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed=0)
     ratios = []
     for _ in range(20):
         sds = (0.01, 0.02, 0.05)
@@ -50,7 +50,7 @@ def test_repeats_of_one_amplitude_average_down() -> None:
 
 
 def test_spread_between_strains_is_found_and_widens_the_error() -> None:
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     spread, sd, found, ratios = 0.1, 0.02, [], []
     for _ in range(30):
         strains = [0.05, 0.1, 0.15, 0.2, 0.25, 0.3]
@@ -68,7 +68,7 @@ def test_spread_between_strains_is_found_and_widens_the_error() -> None:
 
 
 def test_an_amplitude_measured_often_does_not_outweigh_the_others() -> None:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     several = [made(TRUE * 0.8 + noise(rng, 0.01), 0.01, amplitude=0.1) for _ in range(8)]
     result = average([made(TRUE * 1.2 + noise(rng, 0.01), 0.01, amplitude=0.05), *several])
     np.testing.assert_allclose(result.value / TRUE, 1.0, atol=0.03)
@@ -134,7 +134,7 @@ def test_kinds_are_not_mixed() -> None:
 @given(order=st.permutations(range(5)), scale=st.floats(1e-3, 1e3))
 @settings(max_examples=25, deadline=None)
 def test_order_and_unit_do_not_matter(order, scale) -> None:
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed=7)
     several = [(TRUE * (1 + 0.05 * i) + noise(rng, 0.02), 0.05 * (1 + i % 3)) for i in range(5)]
     base = average([made(v, 0.02, amplitude=a) for v, a in several])
     other = average([made(scale * several[i][0], scale * 0.02, amplitude=several[i][1]) for i in order])

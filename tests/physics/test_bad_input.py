@@ -51,7 +51,7 @@ def rows(analysis: Analysis, table: str) -> list[dict[str, Any]]:
 
 
 def noise_only(channels: dict[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(9)
+    rng = np.random.default_rng(seed=9)
     return channels | {name: rng.normal(0, 1e-3, channels[name].size)}
 
 
@@ -110,7 +110,7 @@ def test_a_drive_of_a_part_of_the_band_is_used_where_it_is_one(sweep: Sweep) -> 
     [
         (lambda t: np.full_like(t, 5.0), "does not move"),
         (
-            lambda t: 5.0 + np.random.default_rng(1).normal(0, 1e-3, t.size),
+            lambda t: 5.0 + np.random.default_rng(seed=1).normal(0, 1e-3, t.size),
             "lines are usable|excites|lines of a multisine",
         ),
     ],
@@ -118,7 +118,7 @@ def test_a_drive_of_a_part_of_the_band_is_used_where_it_is_one(sweep: Sweep) -> 
 )
 def test_a_voltage_without_lines(voltage: Any, reason: str) -> None:
     time = np.arange(20000) / RATE
-    force = np.random.default_rng(2).normal(0, 1e-3, time.size)
+    force = np.random.default_rng(seed=2).normal(0, 1e-3, time.size)
     made = recording(
         {"voltage": voltage(time), "force": force}, RATE, rig=STIFF.constants(), protocol="sphs", loading="electrical",
         period_s=1.0, frequency_stop_hz=100.0, lines="odd",
@@ -205,7 +205,7 @@ def test_missing_clamp_constants_with_a_resonance_raise_the_alarm() -> None:
 def test_electrical_recordings_without_the_load_cell_give_no_model() -> None:
     lines = np.arange(1, 100, 2)
     square = np.tile(1 + schroeder(lines, round(RATE)), 12) / 2
-    force = -0.002 * filtered(49 * square, 1 / RATE, STIFF.ratio) + np.random.default_rng(4).normal(
+    force = -0.002 * filtered(49 * square, 1 / RATE, STIFF.ratio) + np.random.default_rng(seed=4).normal(
         0, 1e-5, square.size
     )
     made = recording(

@@ -57,7 +57,7 @@ class Bench:
         self.v[now] = to + (self.v[now] - to) * np.exp(-(self.t[now] - at) / tau)
 
     def detect(self, *, command: bool = True, **keys: Any) -> Lifetime:
-        v = self.v + np.random.default_rng(1).normal(0, self.noise, self.t.size)
+        v = self.v + np.random.default_rng(seed=1).normal(0, self.noise, self.t.size)
         values = {"voltage": v} | self.others | ({"command": self.command} if command else {})
         return detect_breakdown(record(self.t, values, self.problems, **keys))
 
@@ -105,7 +105,7 @@ def test_half_a_second_separates_glitch_and_breakdown(held: float, failed: bool)
 def test_recovery_without_jump_of_leakage_is_a_dip_of_the_supply() -> None:
     bench = Bench()
     bench.fall(6.0, 0.3, until=6.8)
-    bench.others["leakage_current"] = 0.2 + np.random.default_rng(2).normal(0, 0.02, bench.t.size)
+    bench.others["leakage_current"] = 0.2 + np.random.default_rng(seed=2).normal(0, 0.02, bench.t.size)
     found = bench.detect()
     assert not found.failed
     assert found.dips == 1
@@ -185,7 +185,7 @@ def test_single_lost_samples_are_no_glitches(lost: float) -> None:
 def test_lost_sample_with_a_jump_of_leakage_is_a_discharge() -> None:
     bench = Bench(noise=0.0)
     bench.v[7000] = 0.0
-    current = 0.2 + np.random.default_rng(2).normal(0, 0.02, bench.t.size)
+    current = 0.2 + np.random.default_rng(seed=2).normal(0, 0.02, bench.t.size)
     current[7000:7003] += 30
     bench.others["leakage_current"] = current
     assert bench.detect().glitches == 1
@@ -261,7 +261,7 @@ def test_without_command_coarse_samples_cannot_decide() -> None:
 def test_leakage_current_decides_without_command() -> None:
     bench = Bench(rate=100.0)
     bench.fall(10.0, 0.0, tau=2e-3)
-    quiet = 0.2 + np.random.default_rng(2).normal(0, 0.02, bench.t.size)
+    quiet = 0.2 + np.random.default_rng(seed=2).normal(0, 0.02, bench.t.size)
     bench.others["leakage_current"] = quiet + np.where(bench.t > 10, 25.0, 0.0)
     jump = bench.detect(command=False)
     assert (jump.failed, jump.decided, jump.confirmed_by) == (True, True, ("leakage_current",))
@@ -280,7 +280,7 @@ def test_failure_site_none_against_the_record_is_a_contradiction() -> None:
 def test_force_confirms_or_contradicts() -> None:
     bench = Bench()
     bench.fall(10.0, 0.2)
-    noise = np.random.default_rng(3).normal(0, 1e-3, bench.t.size)
+    noise = np.random.default_rng(seed=3).normal(0, 1e-3, bench.t.size)
     bench.others["force"] = 1 - 0.005 * bench.v**2 + noise
     assert bench.detect().confirmed_by == ("force",)
     bench.others["force"] = 1 + noise

@@ -216,7 +216,7 @@ def test_repeats_are_averaged_in_synchrony(told) -> None:
 
 def test_covariance_formula_of_repeats() -> None:
     """σ_H² = |H|²[σ_Y²/|Y|² + σ_U²/|U|² − 2Re(σ_YU/(YU*))]/P at one bin, against 4000 drawn averages."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed=5)
     u, h, repeats, draws = 3.0 + 1.0j, 2.0 - 1.0j, 4, 4000
     shared = rng.normal(size=(draws, repeats, 2)) @ [1, 1j] * 0.05
     nu = shared + rng.normal(size=(draws, repeats, 2)) @ [1, 1j] * 0.03

@@ -41,7 +41,7 @@ def test_without_censoring_it_is_the_share_of_failures() -> None:
 
 
 def test_one_minus_kaplan_meier_would_overstate() -> None:
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed=0)
     time = rng.exponential(1.0, 200)
     codes = rng.integers(1, 3, 200)
     rod = next(
@@ -53,7 +53,7 @@ def test_one_minus_kaplan_meier_would_overstate() -> None:
 
 def test_bands_hold_their_level() -> None:
     """Two constant hazards 0.7 and 0.3 with censoring: F_rod(t) = 0.7 (1 − e^{−t})."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     held = 0
     for _ in range(500):
         life, end = rng.exponential(1.0, 40), rng.uniform(0.5, 3.0, 40)
@@ -67,7 +67,7 @@ def test_bands_hold_their_level() -> None:
 
 def test_against_lifelines() -> None:
     lifelines = pytest.importorskip("lifelines", reason="lifelines is in the environment of peers only")
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     for _ in range(50):
         time, codes = rng.permutation(60) + 1.0, rng.integers(0, 3, 60)
         rod = next(

@@ -146,7 +146,7 @@ def test_amplification_table(load_cell, table) -> None:
 
 
 def test_variance_of_the_noise_against_draws() -> None:
-    truth, f, rng = Truth(load_cell=20.0), np.array([5, 30, 45, 60, 90.0]), np.random.default_rng(3)
+    truth, f, rng = Truth(load_cell=20.0), np.array([5, 30, 45, 60, 90.0]), np.random.default_rng(seed=3)
     clean = truth.measured(f)
     run = response(f, clean, relative=0.01)
     noise = (rng.normal(size=(4000, 5)) + 1j * rng.normal(size=(4000, 5))) * 0.01 * np.abs(clean) / np.sqrt(2)
@@ -156,7 +156,7 @@ def test_variance_of_the_noise_against_draws() -> None:
 
 
 def test_systematic_covariance_against_drawn_constants() -> None:
-    truth, f, rng = Truth(load_cell=20.0), np.array([5, 30, 44, 60, 90.0]), np.random.default_rng(4)
+    truth, f, rng = Truth(load_cell=20.0), np.array([5, 30, 44, 60, 90.0]), np.random.default_rng(seed=4)
     sd = {
         "clamp_mass_kg_sd": 2e-3 * truth.mass * 1e3,
         "load_cell_stiffness_n_per_mm_sd": 1e-3 * truth.load_cell,

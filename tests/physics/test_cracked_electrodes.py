@@ -14,6 +14,9 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from tests.helpers.judging import Case, judge
 from tests.helpers.truth_rig import make_session as true_session
 
+SESSION = 140_430_080
+"""Seed of a session: specimen, pauses and noise follow from it."""
+
 LOST, POWER, SAMPLES = 0.05, 1.7, 720
 DESIGNS = (
     {"protocol": "chirp", "strain_pp": 0.02},
@@ -24,7 +27,7 @@ DESIGNS = (
 
 def test_cracks_open_with_the_strain_of_the_film() -> None:
     """Against the same in time: sample by sample what is lost of the capacitance, and its harmonics over those of the displacement."""
-    session = make_session([reduce(r) for r in true_session(140_430_080, DESIGNS, ()).recordings])
+    session = make_session([reduce(r) for r in true_session(SESSION, DESIGNS, ()).recordings])
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     cracked = Effect(opening=(Cracks(lambda view: LOST, POWER),))
@@ -58,6 +61,6 @@ def test_cracks_open_with_the_strain_of_the_film() -> None:
 
 def test_dying_electrodes_leave_the_film_as_it_is() -> None:
     """What cracks take of the capacitance has a phase; put down to the load cell, it moved the film by ten standard deviations."""
-    found = judge(Case(140_430_080, effects=(("electrode_degradation", 3.0),)))
+    found = judge(Case(SESSION, effects=(("electrode_degradation", 3.0),)))
     assert found.named[0] == "electrode_degradation"
     assert found.apart_after < 3.0

@@ -21,6 +21,9 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from tests.helpers.truth_rig import Effect
 from tests.helpers.truth_rig import make_session as true_session
 
+SESSIONS = (301, 302)
+"""Seeds of sessions with nothing hidden."""
+
 Designs = tuple[dict[str, Any], ...]
 DESIGNS: Designs = (
     {"protocol": "chirp", "strain_pp": 0.006},
@@ -44,7 +47,7 @@ def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIG
     return fit_free_quantities(plain_model(seed, *effects, designs=designs))
 
 
-@pytest.mark.parametrize("seed", range(301, 303))
+@pytest.mark.parametrize("seed", SESSIONS)
 def test_nothing_departs_where_nothing_is_hidden(seed: int) -> None:
     fit = plain_model(seed)
     found = fit_free_quantities(fit)
@@ -103,6 +106,6 @@ def test_electrical_tests_alone_are_asked_without_a_warning() -> None:
     """Nothing says there what a large strain or reading is."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = beside_the_plain_model(301, designs=({"protocol": "sphs", "drive_kv": 8.0},))
+        found = beside_the_plain_model(SESSIONS[0], designs=({"protocol": "sphs", "drive_kv": 8.0},))
     assert found
     assert "the reading follows the force in another way" not in [d.text for d in found]

@@ -22,6 +22,9 @@ from tests.helpers.truth_rig import Effect
 from tests.helpers.truth_rig import make_session as true_session
 from tests.helpers.truth_rig.material import random_specimen
 
+HUMMING, STEPPING, SILENT = 104, 105, 106
+"""Seeds of sessions: specimen, pauses and noise follow from them."""
+
 Float = NDArray[np.float64]
 
 
@@ -49,7 +52,7 @@ def test_pink_noise_moves_means_as_predicted(stretch: int) -> None:
     samples, interval_s, runs = 1000, 0.01, 800
     kernels = windows((55, 90), (stretch - 60, stretch), rest=50, samples=stretch)
     predicted = Functionals(kernels, 0, samples, interval_s).covariances([Component("force", 1)])[0]
-    seen = pink(samples, interval_s, np.random.default_rng(3), runs)[:, :stretch] @ kernels.T
+    seen = pink(samples, interval_s, np.random.default_rng(seed=3), runs)[:, :stretch] @ kernels.T
     spread = np.diag(np.cov(seen.T)) / np.diag(predicted)
     assert np.all(np.abs(spread - 1) < 4 * np.sqrt(2 / runs) + 0.03), spread
 
@@ -57,7 +60,7 @@ def test_pink_noise_moves_means_as_predicted(stretch: int) -> None:
 def test_pink_noise_between_windows_is_correlated_as_predicted() -> None:
     kernels = windows((60, 200), (200, 500), (500, 1000), rest=50, samples=1000)
     predicted = Functionals(kernels, 0, 1000, 0.01).covariances([Component("force", 1)])[0]
-    seen = pink(1000, 0.01, np.random.default_rng(4), 1000) @ kernels.T
+    seen = pink(1000, 0.01, np.random.default_rng(seed=4), 1000) @ kernels.T
     scale = np.sqrt(np.diag(predicted))
     assert np.cov(seen.T) / np.outer(scale, scale) == pytest.approx(predicted / np.outer(scale, scale), abs=0.12)
 
@@ -75,7 +78,7 @@ def test_noise_of_any_frequency_is_counted_once(samples: int) -> None:
 
 @pytest.mark.parametrize("line_hz", HUM_HZ)
 def test_a_hum_of_any_phase_adds_its_component(line_hz: float) -> None:
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed=5)
     kernels = rng.normal(size=(3, 400))
     t = np.arange(400) * 1e-3
     predicted = Functionals(kernels, 0, 400, 1e-3).covariances([Component("mains", 0, None, line_hz)])[0]
@@ -111,8 +114,8 @@ def test_named_mains_leave_nothing_but_noise() -> None:
         {"protocol": "sphs", "drive_kv": 5.5},
     )
     hum = Effect("mains_hum", 5e-3)
-    loud = make_session([reduce(r) for r in true_session(104, designs, (hum,)).recordings])
-    calm = make_session([reduce(r) for r in true_session(104, designs, ()).recordings])
+    loud = make_session([reduce(r) for r in true_session(HUMMING, designs, (hum,)).recordings])
+    calm = make_session([reduce(r) for r in true_session(HUMMING, designs, ()).recordings])
     named = mains_components({50.0: 5e-3, 100.0: 5e-3 * hum.number("second")})
     laws = {(0, q): NoiseLaw(np.full(len(designs), c), 0.0, 0.0) for q, c in named.items()}
     quiet, told = replace(loud, laws=calm.laws), replace(loud, laws=calm.laws | laws)
@@ -131,7 +134,7 @@ def test_named_mains_leave_nothing_but_noise() -> None:
 
 def test_a_rest_without_noise_says_nothing_of_mains() -> None:
     """There is no neighbourhood to hold them against, and no warning of a division by zero."""
-    (recording,) = true_session(104, ({"protocol": "chirp"},), ()).recordings
+    (recording,) = true_session(HUMMING, ({"protocol": "chirp"},), ()).recordings
     force, moved = recording.channels["force"], recording.channels["displacement"]
     rest = moved.time_ns < recording.start_ns + 1_000_000_000
     still = replace(recording, channels=dict(recording.channels))
@@ -151,7 +154,7 @@ def samples_of(values: list[Float], interval_s: float = 1e-2) -> list[tuple[int,
 @pytest.mark.parametrize("level", [0.0, 1e-160, 1e-12, 1.0, 1e12])
 def test_a_channel_of_any_level_has_a_law(level: float) -> None:
     """Channels that stand still (a command at zero) and such in odd units: finite laws, no overflow on the way."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     values = [level * rng.normal(size=400) for _ in range(3)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -163,7 +166,7 @@ def test_a_channel_of_any_level_has_a_law(level: float) -> None:
 
 
 def test_one_still_recording_among_others_keeps_its_silence() -> None:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         law = noise_law(samples_of([rng.normal(size=800), np.zeros(800), rng.normal(size=800)]), 3)
@@ -173,7 +176,7 @@ def test_one_still_recording_among_others_keeps_its_silence() -> None:
 
 def test_residuals_of_slow_noise_have_variance_one_on_average() -> None:
     """A law from short rests is wrong by a factor of two either way: 1/s must be right on average."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed=7)
     count, runs = 120, 60
     ratio = []
     for _ in range(runs):
@@ -185,7 +188,7 @@ def test_residuals_of_slow_noise_have_variance_one_on_average() -> None:
 def test_plateaus_of_steps_show_noise_that_is_slower_than_the_rest() -> None:
     """Of what is still there: not of the force, for the clamp rings."""
     designs = ({"protocol": "step", "loading": "electrical", "drive_kv": 5.0},)
-    found = reduce(true_session(105, designs, ()).recordings[0])
+    found = reduce(true_session(STEPPING, designs, ()).recordings[0])
     slowest = {
         q: min(s.frequency_hz.min() for s in found.noise if s.quantity == q)
         for q in ("voltage", "command", "capacitance", "force")
@@ -198,11 +201,11 @@ def test_plateaus_of_steps_show_noise_that_is_slower_than_the_rest() -> None:
 
 def test_a_clamp_that_rings_longer_than_the_file_says_is_not_in_the_early_periods() -> None:
     """Damping stated 2.5 times too high, two standard deviations: the start has died away where the first period begins."""
-    specimen = random_specimen(np.random.default_rng(5), kind="silicone")
+    specimen = random_specimen(np.random.default_rng(seed=5), kind="silicone")
     light = 2 * 0.0042 * float(np.sqrt(specimen.rig.stiffness * specimen.rig.mass))
     stated = {"load_cell_damping_n_s_per_mm": 2.5 * light, "load_cell_damping_n_s_per_mm_sd": 0.75 * light}
     rig = replace(specimen.rig, damping=light)
     specimen = replace(specimen, rig=rig, rig_file={**specimen.rig_file, **stated})
-    silent = true_session(106, ({"protocol": "sphs", "drive_kv": 8.0},), (), material=specimen).noise_free[0]
+    silent = true_session(SILENT, ({"protocol": "sphs", "drive_kv": 8.0},), (), material=specimen).noise_free[0]
     early, late = (b.value for b in reduce(silent).blocks if b.kind == SPHS_RESPONSE)
     assert np.abs(early - late).max() < 3e-4 * np.abs(late).max()

@@ -53,7 +53,7 @@ def test_ogden_with_exponent_two_is_neo_hookean() -> None:
 
 
 def test_two_branches_and_the_law_are_recovered() -> None:
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed=0)
     base = 12.0 * (STRETCH - STRETCH**-2)
     stress = base + 30 * overstress(8.0) + 60 * overstress(0.4) + 0.02 * rng.normal(size=TIME.size)
     fits = fit_cycle(TIME, STRETCH, stress, law=NEO_HOOKEAN, specimen_id="s")
@@ -86,7 +86,7 @@ def test_given_law_is_not_fitted() -> None:
 
 def test_a_ramp_gives_no_negative_moduli_and_says_what_it_cannot_tell() -> None:
     """Loading alone: equilibrium and slow branches look alike, and what comes after is anybody's guess."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     time = np.arange(0, 6, 0.1)
     stretch = 1 + 0.5 * time
     stress = 40 * (1 - np.exp(-(stretch - 1) / 0.4)) + 0.5 * rng.normal(size=time.size)
@@ -126,7 +126,7 @@ def cycle_recording(**keys: float) -> Recording:
     )  # fmt: skip
     stamps = np.rint(TIME * 1e9).astype(np.int64)
     given = {"crosslink_modulus": 8.0, "entanglement_modulus": 18.0, "largest_stretch": 4.8}
-    noise = 0.05 * np.random.default_rng(2).normal(size=TIME.size)
+    noise = 0.05 * np.random.default_rng(seed=2).normal(size=TIME.size)
     stress = NON_AFFINE.stress(STRETCH, given) + 30 * overstress(5.0) + noise
     channels = {"stretch": Channel("stretch", stamps, STRETCH), "stress": Channel("stress", stamps, stress)}
     return Recording(about, RigConstants(), channels)

@@ -76,7 +76,7 @@ def test_one_that_contradicts_the_others_is_left_out_with_the_reason(spoil: Call
 
 def test_films_that_soften_with_amplitude_are_no_contradiction() -> None:
     """The whole recordings differ by 10 % among themselves: a damaged one within that is not thrown out."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     clean = mechanical(BAND, film(BAND, ACRYLATE))
     given = [
         response(BAND, gain * clean, rng, recording_id=f"r{gain}", amplitude=a)
@@ -96,7 +96,7 @@ def test_without_a_whole_recording_it_is_used_and_said() -> None:
 
 
 def test_electrical_recordings_too() -> None:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     clean = electrical(BAND, film(BAND, ACRYLATE), 0.002)
     given = [electrical_response(BAND, clean, rng, recording_id=f"r{i}") for i in range(2)]
     given.append(electrical_response(BAND, clean * np.exp(1e-3j * BAND * 5), rng, recording_id="cut"))

@@ -30,11 +30,11 @@ K = film(BAND, ACRYLATE)
 
 @pytest.fixture(scope="module")
 def mechanical_fit() -> SpecimenFits:
-    return fit_specimen([response(BAND, mechanical(BAND, K), np.random.default_rng(0))], rig(1.03))
+    return fit_specimen([response(BAND, mechanical(BAND, K), np.random.default_rng(seed=0))], rig(1.03))
 
 
 def test_actuation_force_with_the_mechanical_model(mechanical_fit: SpecimenFits) -> None:
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     data = electrical_response(BAND, electrical(BAND, K, FORCE), rng, recording_id="e1")
     fits = fit_electrical([data], rig(1.03), mechanical_fit)
     e = fits.selected.estimates[AMPLITUDE]
@@ -47,7 +47,7 @@ def test_actuation_force_with_the_mechanical_model(mechanical_fit: SpecimenFits)
 
 
 def test_voltages_that_differ_by_a_factor_widen_the_force(mechanical_fit: SpecimenFits) -> None:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     data = [
         electrical_response(BAND, electrical(BAND, K, FORCE * g), rng, recording_id=f"e{i}")
         for i, g in enumerate((1.03, 1.0, 0.97))
@@ -62,13 +62,13 @@ def test_voltages_that_differ_by_a_factor_widen_the_force(mechanical_fit: Specim
 def test_contradiction_with_the_mechanical_model_is_said(mechanical_fit: SpecimenFits) -> None:
     """A strip of another relaxation in series: the shape of H is not the one that k predicts."""
     lagging = 1 / (1 + 2j * np.pi * BAND * 0.002)
-    data = electrical_response(BAND, electrical(BAND, K, FORCE) * lagging, np.random.default_rng(3))
+    data = electrical_response(BAND, electrical(BAND, K, FORCE) * lagging, np.random.default_rng(seed=3))
     fits = fit_electrical([data], rig(1.03), mechanical_fit)
     assert any("does not fit the electrical recordings" in w for w in fits.selected.warnings)
 
 
 def test_free_stiffness_from_electrical_recordings_alone() -> None:
-    data = electrical_response(BAND, electrical(BAND, K, FORCE), np.random.default_rng(5))
+    data = electrical_response(BAND, electrical(BAND, K, FORCE), np.random.default_rng(seed=5))
     fits = fit_electrical([data], rig())
     e = fits.selected.estimates[AMPLITUDE]
     assert e.sd is not None
@@ -78,7 +78,7 @@ def test_free_stiffness_from_electrical_recordings_alone() -> None:
 
 
 def test_joint_fit_shares_arms_and_sharpens_the_rig(mechanical_fit: SpecimenFits) -> None:
-    rng = np.random.default_rng(6)
+    rng = np.random.default_rng(seed=6)
     g = response(BAND, mechanical(BAND, K), rng, recording_id="m")
     h = electrical_response(BAND, electrical(BAND, K, FORCE), rng, recording_id="e")
     fits = fit_joint([g], [h], rig(1.03))
@@ -111,7 +111,7 @@ def test_prediction_of_the_electrical_response_has_no_shape_parameter(mechanical
 
 
 def test_reverse_prediction_and_refusal() -> None:
-    data = electrical_response(BAND, electrical(BAND, K, FORCE), np.random.default_rng(5))
+    data = electrical_response(BAND, electrical(BAND, K, FORCE), np.random.default_rng(seed=5))
     fits = fit_electrical([data], rig())
     g = response(BAND, mechanical(BAND, K), None)
     found = predict(fits, [g], [rig()], predicted="mechanical")

@@ -17,7 +17,7 @@ MASTER = (1.0, tuple([2.0] * 8), tuple(2.0 * TAUS))
 
 
 def test_enough_is_the_number_of_arms_that_there_are() -> None:
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed=0)
     given = [response(WIDE, film(WIDE, MASTER), rng)]
     fits = fit_specimen(given)
     assert wants_ladder(fits)
@@ -35,7 +35,7 @@ def test_enough_is_the_number_of_arms_that_there_are() -> None:
 
 def test_curves_in_time_have_their_own_share() -> None:
     model = (1.0, (2.0, 1.0), (0.2, 10.0))
-    (rung,) = ladder([], relaxations=[relaxation_curve(model, np.random.default_rng(1))], orders=(2,))
+    (rung,) = ladder([], relaxations=[relaxation_curve(model, np.random.default_rng(seed=1))], orders=(2,))
     assert rung.r_squared_storage is None
     assert rung.r_squared_loss is None
     assert rung.r_squared_relaxation > 0.99
@@ -45,7 +45,7 @@ def test_curves_in_time_have_their_own_share() -> None:
 
 
 def test_a_sweep_needs_no_ladder() -> None:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     assert not wants_ladder(fit_specimen([response(BAND, film(BAND, ACRYLATE), rng)]))
     narrow = fit_specimen([response(BAND, film(BAND, MASTER), rng)], orders=(1,))
     assert narrow.selected.order_p_value < 0.01

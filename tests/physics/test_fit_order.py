@@ -16,7 +16,7 @@ from tests.physics.fit_truth import BAND, SILICONE, film, response
 @pytest.mark.parametrize("length", [1.0, 3.0, 6.0])
 def test_tail_is_that_of_the_largest_positive_value_of_a_process(length: float) -> None:
     """Z(t) = a cos t + b sin t + noise along a curve of known length on the sphere of four dimensions."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed=0)
     t = np.linspace(0, length, 200)
     curve = np.stack(
         [np.cos(t / 2), np.sin(t / 2), np.cos(np.sqrt(3) * t / 2 * 1.0), np.sin(np.sqrt(3) * t / 2)]
@@ -32,7 +32,7 @@ def test_tail_is_that_of_the_largest_positive_value_of_a_process(length: float) 
 def test_arc_length_does_not_depend_on_the_noise_level() -> None:
     lengths = []
     for relative in (0.01, 0.001):
-        data = response(BAND, film(BAND, SILICONE), np.random.default_rng(0), relative=relative)
+        data = response(BAND, film(BAND, SILICONE), np.random.default_rng(seed=0), relative=relative)
         observations, _, _ = assemble([data], [None])
         search = Search(find_reference(observations))
         lengths.append(arc_length(observations, search.order(1, None).solution, search.bounds))

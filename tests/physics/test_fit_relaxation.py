@@ -57,7 +57,7 @@ def test_intervals_cover() -> None:
     inside = total = 0
     for seed in range(40):
         fit = fit_specimen(
-            [response(BAND, film(BAND, ACRYLATE), np.random.default_rng(1000 + seed))], orders=(3,)
+            [response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=1000 + seed))], orders=(3,)
         ).selected
         truth = (
             {"k0": 1.0}
@@ -74,7 +74,7 @@ def test_intervals_cover() -> None:
 
 def test_limits_come_from_the_profile_where_a_parabola_is_too_short() -> None:
     """Limits of the curvature where a parameter is known to 10 %, of the profile beyond; both hold the parameter."""
-    fits = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(4), relative=0.05)])
+    fits = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=4), relative=0.05)])
     fit = fits.selected
     assert fits.selected_order == 3
     spread = np.sqrt(np.diag(fit.covariance))
@@ -91,7 +91,7 @@ def test_limits_come_from_the_profile_where_a_parabola_is_too_short() -> None:
 def test_what_a_pure_dashpot_leaves_open_goes_to_one_side() -> None:
     """The spring of the fastest arm is not resolved: it may be softer than rigid, never stiffer, and its neighbours know."""
     f = np.logspace(-2, np.log10(5), 30)
-    fits = fit_specimen([response(f, film(f, STACK), np.random.default_rng(2), relative=0.05)])
+    fits = fit_specimen([response(f, film(f, STACK), np.random.default_rng(seed=2), relative=0.05)])
     fit = fits.of_order(3)
     assert fit.model.c_inf > 0
     assert fit.names[-1] == "1/k3"
@@ -124,7 +124,7 @@ def test_wrong_clamp_mass_is_found_by_the_forward_fit() -> None:
 
 def test_corrected_fit_carries_the_rig_as_systematic_error() -> None:
     truth = film(BAND, ACRYLATE)
-    data = response(BAND, mechanical(BAND, truth), np.random.default_rng(4))
+    data = response(BAND, mechanical(BAND, truth), np.random.default_rng(seed=4))
     fits = fit_corrected(correct_mechanical(data, rig(1.03)))
     assert fits.method == "corrected"
     assert fits.selected_order == 3
@@ -161,14 +161,14 @@ def test_spring_that_the_band_does_not_reach_gets_no_standard_deviation_it_canno
 
 def test_kelvin_voigt_is_a_spring_with_a_dashpot() -> None:
     value = 1.0 + 2j * np.pi * BAND * 0.01
-    fits = fit_specimen([response(BAND, value, np.random.default_rng(0))])
+    fits = fit_specimen([response(BAND, value, np.random.default_rng(seed=0))])
     assert fits.selected_order == 1
     assert fits.selected.model.c_inf == pytest.approx(0.01, rel=0.01)
     assert fits.selected.model.k == ()
 
 
 def test_elastic_film_has_no_relaxation() -> None:
-    fits = fit_specimen([response(BAND, np.full(100, 0.3 + 0j), np.random.default_rng(1))])
+    fits = fit_specimen([response(BAND, np.full(100, 0.3 + 0j), np.random.default_rng(seed=1))])
     assert fits.selected_order == 1
     assert any("no relaxation resolved" in w for w in fits.warnings)
     arm = {n: e for n, e in fits.selected.estimates.items() if n in ("k1", "c1")}
@@ -177,19 +177,19 @@ def test_elastic_film_has_no_relaxation() -> None:
 
 def test_delay_of_the_force_raises_the_alarm_and_not_the_order() -> None:
     value = film(BAND, ACRYLATE) * np.exp(-2j * np.pi * BAND * 3e-4)
-    fits = fit_specimen([response(BAND, value, np.random.default_rng(0))])
+    fits = fit_specimen([response(BAND, value, np.random.default_rng(seed=0))])
     assert fits.positivity.raised
     assert fits.positivity.chi2_per_line > 1.8
     assert fits.selected_order <= 3
-    clean = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(0))])
+    clean = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=0))])
     assert not clean.positivity.raised
-    gain = fit_specimen([response(BAND, 1.1 * film(BAND, ACRYLATE), np.random.default_rng(0))])
+    gain = fit_specimen([response(BAND, 1.1 * film(BAND, ACRYLATE), np.random.default_rng(seed=0))])
     assert not gain.positivity.raised  # a gain is a stiffness for ever
 
 
 def test_recordings_at_different_strains_do_not_raise_the_order() -> None:
     """Softening by 20 % from the smallest to the largest strain, far beyond the noise: a factor per strain, third order."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed=7)
     responses = []
     for i, amplitude in enumerate((0.05, 0.10, 0.15, 0.20, 0.25)):
         for j, f in enumerate(np.geomspace(0.01, 5, 16)):
@@ -214,7 +214,7 @@ def test_recordings_at_different_strains_do_not_raise_the_order() -> None:
 
 
 def test_equal_recordings_get_no_factor() -> None:
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     responses = [response(BAND, film(BAND, ACRYLATE), rng, recording_id=f"r{i}") for i in range(3)]
     fits = fit_specimen(responses)
     assert fits.spread.gain_sd == 0
@@ -224,7 +224,7 @@ def test_equal_recordings_get_no_factor() -> None:
 
 def test_chirp_cyclic_and_relaxation_give_one_model_over_decades() -> None:
     """A slow arm that the sweep does not see, a fast one that the relaxation does not see."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed=3)
     model = (0.5, (0.3, 1.0, 8.0), (3.0, 0.02, 0.01))  # 10 s, 20 ms, 1.25 ms
     sweep = response(BAND, mechanical(BAND, film(BAND, model)), rng, recording_id="chirp")
     cyclic = [
@@ -247,25 +247,27 @@ def test_chirp_cyclic_and_relaxation_give_one_model_over_decades() -> None:
 
 def test_relaxation_curve_alone() -> None:
     model = (0.4, (0.4, 1.0), (1.0, 0.1))
-    fits = fit_specimen([], relaxations=[relaxation_curve(model, np.random.default_rng(0), cell=None)])
+    fits = fit_specimen([], relaxations=[relaxation_curve(model, np.random.default_rng(seed=0), cell=None)])
     assert fits.selected_order == 2
     assert fits.selected.model.k0 == pytest.approx(0.4, rel=0.02)
     assert fits.selected.model.tau[0] == pytest.approx(2.5, rel=0.1)
 
 
 def test_without_variance_the_noise_is_estimated_and_said_so() -> None:
-    fits = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(2), relative=0.02, variance=False)])
+    fits = fit_specimen(
+        [response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=2), relative=0.02, variance=False)]
+    )
     assert fits.selected_order == 3
     assert any("no variance given" in w for w in fits.warnings)
     assert not fits.positivity.raised
     assert np.isnan(fits.positivity.p_value)
-    with_variance = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(2), relative=0.02)])
+    with_variance = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=2), relative=0.02)])
     ratio = fits.selected.estimates["k3"].sd / with_variance.selected.estimates["k3"].sd
     assert ratio == pytest.approx(1.0, abs=0.25)
 
 
 def test_neighbouring_lines_that_share_data_count_once() -> None:
-    data = response(BAND, film(BAND, ACRYLATE), np.random.default_rng(2))
+    data = response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=2))
     whole = fit_specimen([data]).selected
     half = fit_specimen([replace(data, effective_lines=50.0)]).selected
     assert half.data == pytest.approx(100.0)
@@ -273,7 +275,7 @@ def test_neighbouring_lines_that_share_data_count_once() -> None:
 
 
 def test_held_out_error_is_that_of_fits_without_the_line() -> None:
-    data = response(BAND[::4], film(BAND[::4], ACRYLATE), np.random.default_rng(9))
+    data = response(BAND[::4], film(BAND[::4], ACRYLATE), np.random.default_rng(seed=9))
     fit = fit_specimen([data], orders=(2,)).selected
     squares = []
     for i in range(25):
@@ -287,7 +289,7 @@ def test_held_out_error_is_that_of_fits_without_the_line() -> None:
 def test_higher_orders_on_request_and_a_word_when_they_are_needed() -> None:
     model = (1.0, (1.0, 2.0, 4.0, 8.0), (10.0, 1.0, 0.1, 0.016))
     f = np.logspace(-2.5, 2, 120)
-    data = response(f, film(f, model), np.random.default_rng(0), relative=0.003)
+    data = response(f, film(f, model), np.random.default_rng(seed=0), relative=0.003)
     three = fit_specimen([data])
     assert three.selected_order == 3
     assert any("order 4 would fit better still" in w for w in three.warnings)
@@ -307,13 +309,13 @@ def test_higher_orders_on_request_and_a_word_when_they_are_needed() -> None:
     ],
 )
 def test_what_cannot_be_fitted_is_refused_with_a_reason(change: dict, words: str) -> None:
-    data = response(BAND, film(BAND, ACRYLATE), np.random.default_rng(0))
+    data = response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=0))
     with pytest.raises(NotIdentifiableError, match=words):
         fit_specimen([replace(data, **change)])
 
 
 def test_fewer_frequencies_than_parameters() -> None:
-    data = response(BAND, film(BAND, ACRYLATE), np.random.default_rng(0))
+    data = response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=0))
     with pytest.raises(NotIdentifiableError, match="2 distinct frequencies or times for 3 parameters"):
         fit_specimen([data.select(np.arange(100) < 2)])
     fits = fit_specimen([data.select(np.arange(100) % 20 == 0)])
@@ -322,7 +324,7 @@ def test_fewer_frequencies_than_parameters() -> None:
 
 
 def test_noise_alone_is_refused() -> None:
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed=0)
     data = response(BAND, film(BAND, ACRYLATE), rng)
     noise = 0.1 * (rng.normal(size=100) + 1j * rng.normal(size=100))
     with pytest.raises(NotIdentifiableError, match="no relaxation comes near"):
@@ -330,7 +332,7 @@ def test_noise_alone_is_refused() -> None:
 
 
 def test_missing_clamp_constants_are_said() -> None:
-    fits = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(0))], RigConstants(rig_id="x"))
+    fits = fit_specimen([response(BAND, film(BAND, ACRYLATE), np.random.default_rng(seed=0))], RigConstants(rig_id="x"))
     assert any("load-cell stiffness missing" in w for w in fits.warnings)
 
 

@@ -55,7 +55,7 @@ def test_merging_keeps_the_barycentre() -> None:
 
 def test_mixed_jacobian_is_the_derivative() -> None:
     """Chirp and electrical lines on a rig, a film's own response, a relaxation curve, gains: all rows, all parameters."""
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     k = film(BAND[::7], STACK)
     responses = [
         response(BAND[::7], mechanical(BAND[::7], k), rng, recording_id="a"),
@@ -81,7 +81,7 @@ def test_mixed_jacobian_is_the_derivative() -> None:
 
 
 def test_compressed_problem_has_the_cost_of_the_whole_one() -> None:
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed=5)
     observations, _, _ = assemble([response(BAND, mechanical(BAND, film(BAND, ACRYLATE)), rng)], [rig()])
     whole = Linearisation(observations, first_expansion(observations))
     problem = LinearProblem(whole, *bounds(*observations.omega_range))
@@ -94,7 +94,7 @@ def test_compressed_problem_has_the_cost_of_the_whole_one() -> None:
 
 def test_search_finds_the_optimum_that_many_random_starts_find() -> None:
     """Third order at 5 % noise: no start of an independent optimiser (scipy, moduli and times, 30 starts) does better."""
-    rng = np.random.default_rng(11)
+    rng = np.random.default_rng(seed=11)
     data = response(BAND, film(BAND, ACRYLATE), rng, relative=0.05)
     observations, _, _ = assemble([data], [None])
     search = Search(find_reference(observations))
@@ -117,7 +117,7 @@ def test_search_finds_the_optimum_that_many_random_starts_find() -> None:
 
 
 def test_orders_are_nested() -> None:
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed=3)
     observations, _, _ = assemble([response(BAND, mechanical(BAND, film(BAND, ACRYLATE)), rng)], [rig(1.03)])
     search = Search(find_reference(observations))
     chi2 = [search.spring_only().chi2]

@@ -15,7 +15,7 @@ from tests.physics.fit_truth import ACRYLATE, BAND, SLOW_BAND, STACK, film, mech
 
 
 def test_rows_of_all_orders() -> None:
-    data = response(BAND, mechanical(BAND, film(BAND, ACRYLATE)), np.random.default_rng(0))
+    data = response(BAND, mechanical(BAND, film(BAND, ACRYLATE)), np.random.default_rng(seed=0))
     forward = fit_specimen([data], rig(1.03), geometry=Geometry(70.0, 35.7))
     corrected = fit_corrected(correct_mechanical(data, rig(1.03)))
     rows = fit_tables([forward, corrected])["model_fits"].to_pylist()
@@ -44,7 +44,7 @@ def test_rows_of_all_orders() -> None:
 
 def test_pure_dashpot_has_no_spring_and_its_damper() -> None:
     value = film(SLOW_BAND, (STACK[0], STACK[1][:2], STACK[2][:2])) + 2j * np.pi * SLOW_BAND * 0.05
-    fits = fit_specimen([response(SLOW_BAND, value, np.random.default_rng(1), relative=0.01)])
+    fits = fit_specimen([response(SLOW_BAND, value, np.random.default_rng(seed=1), relative=0.01)])
     row = fit_tables([fits])["model_fits"].to_pylist()[2]
     if fits.of_order(3).model.c_inf == 0:
         assert row["k3_n_per_mm_sd"] is None

@@ -188,7 +188,7 @@ def campaign(
 
 @pytest.mark.parametrize("scatter", [{"absolute": 0.008}, {"relative": 0.04}, {"painted": 0.04, "relative": 0.002}])
 def test_constancy_keeps_its_level_and_the_interval_its_coverage(scatter: dict[str, float]) -> None:
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     rejected, held, runs = np.zeros(2), 0, 200
     for _ in range(runs):
         fit = fit_force_map(force_points(campaign(rng, **scatter)))
@@ -200,7 +200,7 @@ def test_constancy_keeps_its_level_and_the_interval_its_coverage(scatter: dict[s
 
 
 def test_falling_permittivity_is_found_with_its_slope() -> None:
-    fit = fit_force_map(force_points(campaign(np.random.default_rng(2), falling=0.4, relative=0.02)))
+    fit = fit_force_map(force_points(campaign(np.random.default_rng(seed=2), falling=0.4, relative=0.02)))
     assert fit.constancy is not None
     assert fit.constancy.p_value < 1e-3
     assert fit.constancy.slope.lower <= -0.4 <= fit.constancy.slope.upper < 0
@@ -229,7 +229,7 @@ def test_two_directions_far_apart_have_no_one_permittivity() -> None:
 
 
 def test_noise_free_map_is_exact() -> None:
-    points = force_points(campaign(np.random.default_rng(0)))
+    points = force_points(campaign(np.random.default_rng(seed=0)))
     values = [p.relative_permittivity.value for p in points]
     np.testing.assert_allclose(values, 2.8, rtol=1e-12)
     assert fit_force_map(points).relative_permittivity.value == pytest.approx(2.8, rel=1e-12)
@@ -283,7 +283,7 @@ def test_rods_against_conventional() -> None:
 
 
 def test_divided_against_single_over_specimens() -> None:
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed=5)
     maps = []
     for configuration, mean in (("single", 0.20), ("divided", 0.188)):
         for i in range(5):
@@ -317,7 +317,7 @@ def test_other_stretch_or_voltage_is_not_compared() -> None:
 
 
 def test_tables() -> None:
-    maps = [*campaign(np.random.default_rng(3), relative=0.03), readings([0.45, 0.46], configuration="rods")]
+    maps = [*campaign(np.random.default_rng(seed=3), relative=0.03), readings([0.45, 0.46], configuration="rods")]
     points, fits = fit_force_maps(maps)
     tables = force_map_tables(points, fits, compare_forces(points))
     for name, table in tables.items():

@@ -116,7 +116,7 @@ def test_failures_at_zero_enter_as_failures_before_the_shortest_life() -> None:
 
 
 def test_goodness_rejects_the_wrong_distribution_and_keeps_its_level() -> None:
-    rng = np.random.default_rng(12)
+    rng = np.random.default_rng(seed=12)
     wear = Lives.right_censored(200 * rng.weibull(8.0, 30), np.ones(30))
     exponential = fit_distribution(wear, EXPONENTIAL).goodness
     assert exponential is not None
@@ -147,7 +147,7 @@ def test_equal_lives_taken_once_count_as_often_as_they_are(distribution: str) ->
     """Exact, right-censored, left-censored and inspected lives, each several times, against the same taken one by one."""
     lower = np.repeat([3.0, 7.0, 11.0, 16.0, 20.0, 0.0, 5.0], [4, 1, 3, 2, 9, 2, 3])
     upper = np.repeat([3.0, 7.0, 11.0, 16.0, np.inf, 2.0, 9.0], [4, 1, 3, 2, 9, 2, 3])
-    order = np.random.default_rng(3).permutation(lower.size)
+    order = np.random.default_rng(seed=3).permutation(lower.size)
     lives = Lives(lower[order], upper[order])
     once, singly = lives.distinct(), lives.logarithms()
     assert once.lower.shape == (1, 7)

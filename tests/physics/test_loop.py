@@ -131,7 +131,7 @@ def test_a_demand_that_never_changes_or_hardly_is_named() -> None:
 
 
 def test_one_step_only_gives_a_ratio_and_says_so() -> None:
-    truth = sensing_truth.sensing(np.random.default_rng(3))
+    truth = sensing_truth.sensing(np.random.default_rng(seed=3))
     steps = measure_steps(truth.recording).steps
     fit = fit_sensing([steps[-1:]], truth.recording.metadata)
     assert fit.force_per_capacitive_strain.value == pytest.approx(truth.slope_n, rel=0.05)
@@ -148,7 +148,7 @@ def test_steps_shorter_than_the_settling_time_are_named() -> None:
         on = (since >= 0) & (since < 2.0)
         voltage[on] = 8.0
         drop[on] = 0.05 * (1 - np.exp(-since[on] / 3.0))
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed=4)
     made = sensing_truth.recording(
         sensing_truth.metadata(), t, voltage=voltage, force=0.5 - drop + 1e-4 * rng.standard_normal(t.size)
     )

@@ -15,8 +15,13 @@ from tests.helpers.judging import Case, made
 from tests.helpers.truth_rig import Effect, compact_designs
 from tests.helpers.truth_rig import make_session as true_session
 
+HARD_THIRD_ARM = 700_267_027
+"""Seed of a session whose third arm is hard to find."""
+FAR_CLAMP, FAR_CLAMP_TOO = 895_730_046, 895_730_069
+"""Seeds of sessions whose clamps are put far from their files."""
 
-@pytest.mark.parametrize(("seed", "mass_error"), [(895730046, -0.39), (895730069, 0.4)])
+
+@pytest.mark.parametrize(("seed", "mass_error"), [(FAR_CLAMP, -0.39), (FAR_CLAMP_TOO, 0.4)])
 def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, mass_error: float) -> None:
     """Twenty standard deviations away, and from the wrong side of the resonance."""
     truth = true_session(seed, compact_designs()[:4], (Effect("rig_constants", mass_error, {}),))
@@ -30,7 +35,7 @@ def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, m
 
 def test_a_third_arm_is_found_where_two_leave_nearly_everything() -> None:
     """A search of three arms that stops short looks as if two would do, and the third like a hidden cause."""
-    session = make_session([reduce(r) for r in made(Case(700_267_027), ()).recordings])
+    session = make_session([reduce(r) for r in made(Case(HARD_THIRD_ARM), ()).recordings])
     found = fit_plain(session, Simulation(session))
     assert found.model.arms == 3
     assert found.chi2 < 1.2 * session.size
@@ -38,7 +43,7 @@ def test_a_third_arm_is_found_where_two_leave_nearly_everything() -> None:
 
 def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None:
     """Their frequencies are √(kL/M) and √(kL/(M + m)) of one clamp: alone, neither says what M is."""
-    truth = true_session(895730046, compact_designs()[:4], (Effect("rig_constants", 0.08, {}),))
+    truth = true_session(FAR_CLAMP, compact_designs()[:4], (Effect("rig_constants", 0.08, {}),))
     taps: tuple[dict[str, Any], ...] = ({"protocol": "tap"}, {"protocol": "tap", "extra_clamp_mass_kg": 0.2})
 
     def mass(*designs: dict[str, Any]) -> tuple[float, float]:
@@ -58,7 +63,7 @@ def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None
 
 
 def test_a_recording_with_a_mass_on_the_clamp_has_the_response_of_the_heavier_one() -> None:
-    truth = true_session(895730046, compact_designs()[:4], ())
+    truth = true_session(FAR_CLAMP, compact_designs()[:4], ())
     chirp = next(d for d in compact_designs() if d["protocol"] == "chirp")
     session = make_session([reduce(r) for r in truth.extended({**chirp, "extra_clamp_mass_kg": 0.1}).recordings])
     assert session.loaded == ((0, 0.0), (0, 1e-4))
@@ -67,7 +72,7 @@ def test_a_recording_with_a_mass_on_the_clamp_has_the_response_of_the_heavier_on
 
 
 def test_a_damper_is_surer_than_its_spring_and_time_where_only_their_product_shows() -> None:
-    truth = true_session(895730046, compact_designs()[:4], ())
+    truth = true_session(FAR_CLAMP, compact_designs()[:4], ())
     session = make_session([reduce(r) for r in truth.recordings])
     simulation = Simulation(session)
     found = fit_plain(session, simulation)

@@ -18,6 +18,9 @@ from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from tests.helpers.judging import Case, made
 
+SESSION = 4_242
+"""Seed of a session: specimen, pauses and noise follow from it."""
+
 FORMS = [(id, variant) for id, m in MECHANISMS.items() for variant in m.variants or ("",)]
 SHARE = 1e-3
 """What few nodes may miss of what a cause changes, root mean square; causes' forms are wrong by far more."""
@@ -37,7 +40,7 @@ class _Fitted:
 
 @lru_cache(maxsize=1)
 def fitted() -> _Fitted:
-    session = make_session([reduce(r) for r in made(Case(4_242), ()).recordings])
+    session = make_session([reduce(r) for r in made(Case(SESSION), ()).recordings])
     simulation = Simulation(session)
     found = fit_plain(session, simulation)
     physical = found.model.physical(found.theta)

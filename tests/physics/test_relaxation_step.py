@@ -94,7 +94,7 @@ def test_rounding_of_a_quiet_channel_is_not_averaged_away() -> None:
     [
         (lambda x, f: (x[4030:], f[4030:]), "before the step|no step"),
         (lambda x, f: (x[:4065], f[:4065]), "held|windows"),
-        (lambda x, f: (0 * x + np.random.default_rng(0).normal(0, 1e-3, x.size), f), "no step"),
+        (lambda x, f: (0 * x + np.random.default_rng(seed=0).normal(0, 1e-3, x.size), f), "no step"),
         (lambda x, f: (x, np.minimum(f, 1.2)), "saturated"),
     ],
 )

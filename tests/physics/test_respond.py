@@ -83,7 +83,7 @@ def test_rounded_stamps_are_no_jitter() -> None:
 
 
 def test_jitter_is_interpolated_and_limits_the_band() -> None:
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     time = np.cumsum(rng.choice([0.010, 0.016, 0.017], 2000, p=[0.8, 0.1, 0.1]))
     time[1000:] += 0.299
     found = sample({"force": channel(time, np.sin(2 * np.pi * time))}, START_NS)

@@ -51,7 +51,7 @@ def test_onset_of_migration_is_near_and_only_where_there_is_one() -> None:
 
 
 def test_a_wave_that_is_distorted_from_the_start_has_no_early_onset() -> None:
-    truth = sensing_truth.waves(np.random.default_rng(5), migrating=False)
+    truth = sensing_truth.waves(np.random.default_rng(seed=5), migrating=False)
     cycles = capacitance_cycles(truth.recording, 1.0)
     assert cycles is not None
     assert migration(cycles).onset_cycle is None
@@ -62,7 +62,7 @@ def test_a_wave_that_is_distorted_from_the_start_has_no_early_onset() -> None:
 
 
 def test_cycles_of_a_capacitance_need_the_channel_and_enough_of_them() -> None:
-    truth = sensing_truth.waves(np.random.default_rng(6), migrating=False)
+    truth = sensing_truth.waves(np.random.default_rng(seed=6), migrating=False)
     channels = dict(truth.recording.channels)
     del channels["capacitance"]
     assert capacitance_cycles(replace(truth.recording, channels=channels), 1.0) is None
@@ -70,7 +70,7 @@ def test_cycles_of_a_capacitance_need_the_channel_and_enough_of_them() -> None:
 
 
 def test_films_of_two_levels_or_without_capacitance_keep_none() -> None:
-    steps = measure_steps(sensing_truth.wrinkles(np.random.default_rng(7), wrinkled=True).recording).steps
+    steps = measure_steps(sensing_truth.wrinkles(np.random.default_rng(seed=7), wrinkled=True).recording).steps
     marked, onset = wrinkling(steps[:2])
     assert onset is None
     assert [s.wrinkled for s in marked] == [None, None]
@@ -94,7 +94,7 @@ def test_a_rise_that_has_not_saturated_says_so() -> None:
 
 def test_a_coat_is_the_mean_of_its_record_and_needs_its_number() -> None:
     t = np.arange(200) / 100
-    rng = np.random.default_rng(8)
+    rng = np.random.default_rng(seed=8)
     about = sensing_truth.metadata(protocol="coverage", coats=3)
     made = sensing_truth.recording(about, t, capacitance=25.0 + 0.002 * rng.standard_normal(t.size))
     coat = measure_coat(made)

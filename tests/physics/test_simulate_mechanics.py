@@ -161,7 +161,7 @@ def test_arms_of_one_time_are_their_sum() -> None:
 def test_blocks_of_the_propagator_follow_the_integrator() -> None:
     parts = [RelaxationModel(0.2, (0.2,), (3.0,)), RelaxationModel(0.3, (0.2, 0.3), (0.4, 0.02))]
     system = assemble(parts, RIG, active=0, watched=1)
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed=3)
     signal = np.concatenate([[0.0], np.cumsum(rng.standard_normal(400))])
     expected = integrate(system, [None, signal], 1e-3)
     block = Propagator.of(system, 1, 1e-3, 20)

@@ -64,7 +64,7 @@ def test_voltage_squared_has_the_lines_and_no_others() -> None:
 
 
 def test_random_odd_lines_leave_one_of_each_four_out() -> None:
-    lines = excitation.excited_lines("random_odd", 99, np.random.default_rng(1))
+    lines = excitation.excited_lines("random_odd", 99, np.random.default_rng(seed=1))
     assert np.all(lines % 2 == 1)
     odd = np.arange(1, 100, 2)
     for first in range(0, 48, 4):
@@ -138,13 +138,13 @@ def test_converter_steps_limits_and_noise() -> None:
     sensor = Sensor(sample_rate_hz=1000.0, noise_sd=0.0, low=-2.0, high=2.0)
     assert sensor.resolution == 2.0**-14
     signal = np.linspace(-3, 3, 30_001)
-    values = sensor.digitise(signal, 1e-3, 1, np.random.default_rng(0))
+    values = sensor.digitise(signal, 1e-3, 1, np.random.default_rng(seed=0))
     assert (values.min(), values.max()) == (-2.0, 2.0 - 2.0**-14)
     assert np.all(values / 2.0**-14 == np.rint(values / 2.0**-14))
     inside = np.abs(signal) < 1.9
     assert np.std(values[inside] - signal[inside]) == pytest.approx(2.0**-14 / np.sqrt(12), rel=0.05)
     noisy = Sensor(sample_rate_hz=1000.0, noise_sd=1e-3, low=-2.0, high=2.0)
-    flat = noisy.digitise(np.full(100_000, 0.3), 1e-3, 2, np.random.default_rng(0))
+    flat = noisy.digitise(np.full(100_000, 0.3), 1e-3, 2, np.random.default_rng(seed=0))
     assert flat.size == 50_000
     assert np.std(flat) == pytest.approx(1e-3, rel=0.02)
 

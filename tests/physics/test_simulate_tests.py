@@ -200,11 +200,11 @@ def test_lives_follow_their_distribution(draw: str) -> None:
     from dataclasses import replace
 
     group = replace(GROUP, draw=draw, reference_kv=7.5, voltage_exponent=10.0)
-    lives = group.lives_s(np.random.default_rng(5))
+    lives = group.lives_s(np.random.default_rng(seed=5))
     # h = (β/t0)(t/t0)^(β−1) (V/V0)^p: the scale falls by (V/V0)^(−p/β)
     scale = 50.0 * (8.0 / 7.5) ** (-10.0 / 1.7)
     assert kstest(lives, weibull_min(1.7, loc=3.0, scale=scale).cdf).pvalue > 0.01
-    cut = replace(group, maximum_s=40.0).lives_s(np.random.default_rng(5))
+    cut = replace(group, maximum_s=40.0).lives_s(np.random.default_rng(seed=5))
     assert cut.max() < 40.0
     law = weibull_min(1.7, loc=3.0, scale=scale)
     assert kstest(cut, lambda t: law.cdf(t) / law.cdf(40.0)).pvalue > 0.01

@@ -26,7 +26,7 @@ def lines_of(kind: str) -> np.ndarray:
     odd = np.arange(1, 101, 2)
     if kind == "odd":
         return odd
-    keep, rng = np.ones(odd.size, dtype=bool), np.random.default_rng(2)
+    keep, rng = np.ones(odd.size, dtype=bool), np.random.default_rng(seed=2)
     for first in range(0, odd.size - 3, 4):
         keep[first + rng.integers(4)] = False
     return odd[keep]
@@ -157,7 +157,7 @@ def test_a_voltage_offset_leaves_even_lines() -> None:
 
 
 def test_several_realisations_separate_noise_and_distortion() -> None:
-    rng = np.random.default_rng(8)
+    rng = np.random.default_rng(seed=8)
     lines, periods, count = lines_of("full"), 4, 12
     level, noise = 0.02, 0.01
     inputs, outputs = [], []
@@ -175,7 +175,7 @@ def test_several_realisations_separate_noise_and_distortion() -> None:
 
 
 def test_realisations_in_one_record_are_found() -> None:
-    lines, rng = lines_of("odd"), np.random.default_rng(9)
+    lines, rng = lines_of("odd"), np.random.default_rng(seed=9)
     parts = []
     t = np.arange(2000) / 2000
     for _ in range(3):
@@ -264,7 +264,7 @@ def test_what_cannot_carry_a_response_is_refused(change, reason) -> None:
     u = schroeder(lines_of("odd"), 2000)
     voltage = np.tile(7 * np.sqrt((1 + u) / 2), 6)
     voltage, force = change(voltage, -PER_VOLTAGE * voltage**2)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     if reason == "noise|usable":
         force = force + rng.normal(0, 1e-3, force.size)
     made = recording(

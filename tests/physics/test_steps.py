@@ -155,7 +155,7 @@ def test_no_step_is_refused_and_missing_capacitance_is_not() -> None:
     recording = record([8.0] * 3)
     silent = replace(
         recording.channels["voltage"],
-        values=0.003 * np.random.default_rng(1).standard_normal(recording.channels["voltage"].values.size),
+        values=0.003 * np.random.default_rng(seed=1).standard_normal(recording.channels["voltage"].values.size),
     )
     with pytest.raises(NotIdentifiableError, match="no step"):
         measure_steps(replace(recording, channels={**recording.channels, "voltage": silent}))

@@ -14,6 +14,9 @@ from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from tests.helpers.truth_rig import make_session as true_session
 
+SESSION = 140_430_080
+"""Seed of a session: specimen, pauses and noise follow from it."""
+
 DESIGNS = (
     {"protocol": "chirp", "strain_pp": 0.02},
     {"protocol": "cyclic", "strain_pp": 0.12, "frequency_hz": 1.0, "cycles": 10},
@@ -24,7 +27,7 @@ STRIP = {"compliance_share": 0.2, "time_constant_s": 0.05, "relaxing": 1.5}
 
 def test_the_capacitance_follows_the_active_film_alone() -> None:
     """Three springs in a row, written out: film, strip, and the load cell with its clamp."""
-    session = make_session([reduce(r) for r in true_session(140_430_080, DESIGNS, ()).recordings])
+    session = make_session([reduce(r) for r in true_session(SESSION, DESIGNS, ()).recordings])
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     physical = fitted.model.physical(fitted.theta)

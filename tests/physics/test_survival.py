@@ -65,7 +65,7 @@ def test_all_failed_ends_with_an_exact_upper_limit() -> None:
 
 
 def test_agrees_with_scipy_on_a_thousand_samples() -> None:
-    rng = np.random.default_rng(20)
+    rng = np.random.default_rng(seed=20)
     worst = 0.0
     for _ in range(1000):
         time, failed = random_sample(rng)
@@ -88,7 +88,7 @@ def test_agrees_with_scipy_on_a_thousand_samples() -> None:
 
 def test_agrees_with_lifelines_on_a_thousand_samples() -> None:
     lifelines = pytest.importorskip("lifelines", reason="lifelines is in the environment of peers only")
-    rng = np.random.default_rng(21)
+    rng = np.random.default_rng(seed=21)
     worst = 0.0
     for _ in range(1000):
         time, failed = random_sample(rng)
@@ -127,7 +127,7 @@ def test_properties(rows: list[tuple[int, bool]], factor: float) -> None:
     np.testing.assert_array_equal(scaled.survival, curve.survival)
     for moment in (0.0, 7.5, 30.0):
         assert curve.number_at_risk(moment) == np.count_nonzero(time >= moment)
-    order = np.random.default_rng(0).permutation(time.size)
+    order = np.random.default_rng(seed=0).permutation(time.size)
     np.testing.assert_array_equal(kaplan_meier(time[order], failed[order]).survival, curve.survival)
 
 

@@ -208,7 +208,7 @@ def test_failures_at_zero_and_only_zero() -> None:
 
 
 def test_voltage_law_of_a_configuration() -> None:
-    rng = np.random.default_rng(8)
+    rng = np.random.default_rng(seed=8)
     rows = [
         row(f"{v}-{i}", 100 * (v / 7) ** -10 * float(rng.weibull(2.0)), voltage_kv=v)
         for v in (6.0, 7.0, 8.0)

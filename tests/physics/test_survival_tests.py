@@ -92,7 +92,7 @@ def test_scores_are_observed_less_expected() -> None:
 
 
 def test_simulated_permutation_agrees_with_the_exact_one() -> None:
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(seed=4)
     a = (rng.exponential(1.0, 22), np.ones(22, dtype=bool))
     b = (rng.exponential(1.6, 22), np.ones(22, dtype=bool))
     exact = permutation_test(a, b)
@@ -125,7 +125,7 @@ def test_nobody_failed_is_no_test() -> None:
 
 
 def test_log_rank_against_scipy() -> None:
-    rng = np.random.default_rng(6)
+    rng = np.random.default_rng(seed=6)
     worst = 0.0
     for _ in range(1000):
         a, b = random_sample(rng), random_sample(rng)
@@ -144,7 +144,7 @@ def test_against_lifelines() -> None:
     from lifelines import CoxPHFitter
     from lifelines.statistics import logrank_test, multivariate_logrank_test
 
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed=7)
     names = {LOG_RANK: None, GEHAN: "wilcoxon", TARONE_WARE: "tarone-ware", PETO: "peto"}
     for _ in range(100):
         a, b, c = (random_sample(rng) for _ in range(3))
@@ -187,7 +187,7 @@ def test_hazard_ratio() -> None:
 
 
 def test_hazard_ratio_interval_holds_its_level() -> None:
-    rng = np.random.default_rng(8)
+    rng = np.random.default_rng(seed=8)
     held = 0
     for _ in range(400):
         a, b = rng.exponential(1.0, 15), rng.exponential(1 / 2.5, 15)

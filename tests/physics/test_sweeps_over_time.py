@@ -25,6 +25,9 @@ from tests.helpers.truth_rig import Effect
 from tests.helpers.truth_rig import Session as TrueSession
 from tests.helpers.truth_rig import make_session as true_session
 
+SESSION, SESSION_OF_SWEEPS_AND_CYCLES = 613, 101
+"""Seeds of sessions: specimen, pauses and noise follow from them."""
+
 SWEEPS: tuple[dict[str, Any], ...] = tuple({"protocol": "chirp", "strain_pp": s} for s in (0.006, 0.05))
 CYCLES: tuple[dict[str, Any], ...] = ({"protocol": "cyclic", "strain_pp": 0.08, "frequency_hz": 1.0, "cycles": 10},)
 BENDING: Mapping[str, Mapping[str, float]] = {
@@ -67,7 +70,7 @@ def film_of(truth: TrueSession) -> RelaxationModel:
 
 def test_the_force_over_time_is_that_of_a_time_domain_rig() -> None:
     """Through a resonance that has no time to build up: the truth integrates its equations of motion, and shares no code."""
-    truth = true_session(613, SWEEPS[1:], ())
+    truth = true_session(SESSION, SWEEPS[1:], ())
     session = make_session([reduce(r) for r in truth.recordings])
     simulation = Simulation(session)
     found = fit_plain(session, simulation)
@@ -95,7 +98,7 @@ def test_the_force_over_time_is_that_of_a_time_domain_rig() -> None:
 
 def test_a_sweep_over_time_is_whole_where_it_begins() -> None:
     """The largest strain is at the lowest frequencies, a few oscillations that hold much below their own: where slack begins."""
-    truth = true_session(613, SWEEPS[1:], ())
+    truth = true_session(SESSION, SWEEPS[1:], ())
     session = make_session([reduce(r) for r in truth.recordings])
     (family,) = (f for f in Simulation(session)._families if isinstance(f, SweepFamily))
     for sweep in family._sweeps:
@@ -114,7 +117,7 @@ def test_slack_begins_as_in_time(overload: float) -> None:
     """
     softness, residual = 0.15, 0.03
     effects = (Effect("slack", overload, {"residual": residual, "softness": softness}),)
-    truth, slack = (true_session(613, SWEEPS[1:], hidden) for hidden in ((), effects))
+    truth, slack = (true_session(SESSION, SWEEPS[1:], hidden) for hidden in ((), effects))
     session = make_session([reduce(r) for r in truth.recordings])
     simulation = Simulation(session)
     found = fit_plain(session, simulation)
@@ -137,7 +140,7 @@ def test_slack_begins_as_in_time(overload: float) -> None:
 
 @pytest.fixture(scope="module")
 def mixed() -> tuple[TrueSession, Session]:
-    truth = true_session(101, (*SWEEPS, *CYCLES), ())
+    truth = true_session(SESSION_OF_SWEEPS_AND_CYCLES, (*SWEEPS, *CYCLES), ())
     return truth, make_session([reduce(r) for r in truth.recordings])
 
 
@@ -164,7 +167,7 @@ def test_parts_of_a_session_are_simulated_as_within_the_whole(mixed: tuple[TrueS
 
 def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
     """Below the highest order a relaxation has to be told from one arm more."""
-    truth = true_session(101, (*SWEEPS, *CYCLES), ())
+    truth = true_session(SESSION_OF_SWEEPS_AND_CYCLES, (*SWEEPS, *CYCLES), ())
     session = make_session([reduce(r) for r in truth.recordings])
     simulation = Simulation(session)
     lengths = []
@@ -187,7 +190,7 @@ MANY_SWEEPS = {"protocol": "chirp", "strain_pp": 0.03, "repeats": 7}
 
 def test_of_many_sweeps_each_is_read_with_those_just_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read with all the others, seven cost five times as much as need be and twenty fifteen times: the square of their number."""
-    truth = true_session(613, (MANY_SWEEPS,), ())
+    truth = true_session(SESSION, (MANY_SWEEPS,), ())
     seen: list[int] = []
 
     class Counted(blocks.Functionals):

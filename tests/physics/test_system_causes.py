@@ -171,7 +171,7 @@ def test_steps_from_rest() -> None:
 
     times = np.arange(1800) * INTERVAL_S
     found = solve_ivp(rate, (0, times[-1]), [0, 0], t_eval=times, rtol=1e-6, atol=1e-8, max_step=INTERVAL_S)
-    y = found.y[0] + 0.002 * np.random.default_rng(5).standard_normal(times.size)
+    y = found.y[0] + 0.002 * np.random.default_rng(seed=5).standard_normal(times.size)
     record = SystemRecord("steps", np.array([at(t) for t in times]), y, INTERVAL_S, from_rest=True)
     best = _compare(ask_system([record])).ranked[0]
     assert best.model.mechanism == "strain_stiffening"

@@ -27,7 +27,7 @@ def lives_of(
 
 
 def test_against_a_general_optimiser() -> None:
-    time, failed, v = lives_of(np.random.default_rng(1), (6.0, 7.0, 8.0), 12, end=240.0)
+    time, failed, v = lives_of(np.random.default_rng(seed=1), (6.0, 7.0, 8.0), 12, end=240.0)
     found = fit_inverse_power_law(Lives.right_censored(time, failed), v)
 
     def minus(x: np.ndarray) -> float:
@@ -44,7 +44,7 @@ def test_against_a_general_optimiser() -> None:
 
 
 def test_intervals_and_lack_of_fit_hold_their_level() -> None:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed=2)
     held, rejected, runs = np.zeros(3), 0, 40
     for _ in range(runs):
         time, failed, v = lives_of(rng, (6.0, 7.0, 8.0), 8, end=300.0)
@@ -58,7 +58,7 @@ def test_intervals_and_lack_of_fit_hold_their_level() -> None:
 
 
 def test_a_voltage_off_the_law_is_located() -> None:
-    time, failed, v = lives_of(np.random.default_rng(3), (6.0, 7.0, 8.0, 9.0), 15)
+    time, failed, v = lives_of(np.random.default_rng(seed=3), (6.0, 7.0, 8.0, 9.0), 15)
     time = np.where(v == 6.0, 30 * time, time)
     law = fit_inverse_power_law(Lives.right_censored(time, failed), v)
     assert law.holds is False
@@ -68,7 +68,7 @@ def test_a_voltage_off_the_law_is_located() -> None:
 
 
 def test_extrapolation_is_warned_of() -> None:
-    time, failed, v = lives_of(np.random.default_rng(4), (6.0, 7.0, 8.0), 15)
+    time, failed, v = lives_of(np.random.default_rng(seed=4), (6.0, 7.0, 8.0), 15)
     law = fit_inverse_power_law(Lives.right_censored(time, failed), v)
     inside, quiet = law.scale(7.0)
     assert quiet == law.warnings
@@ -78,7 +78,7 @@ def test_extrapolation_is_warned_of() -> None:
 
 
 def test_voltage_without_failures_takes_part() -> None:
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed=5)
     time, failed, v = lives_of(rng, (5.0, 7.0, 8.0), 10, end=240.0, power=-14)
     assert not failed[v == 5.0].any()
     law = fit_inverse_power_law(Lives.right_censored(time, failed), v)
@@ -89,7 +89,7 @@ def test_voltage_without_failures_takes_part() -> None:
 
 
 def test_two_voltages_cannot_test_the_law() -> None:
-    time, failed, v = lives_of(np.random.default_rng(6), (6.0, 8.0), 10)
+    time, failed, v = lives_of(np.random.default_rng(seed=6), (6.0, 8.0), 10)
     law = fit_inverse_power_law(Lives.right_censored(time, failed), v)
     assert [t.against for t in law.tests] == ["free shapes"]
     assert law.holds is None

@@ -116,7 +116,7 @@ def test_three_points_have_no_limits_and_the_points_own_uncertainty_counts(datab
 
 
 def test_an_operator_who_is_always_high_is_named_in_the_eighth_specimen(database: Any) -> None:
-    random = np.random.default_rng(3)
+    random = np.random.default_rng(seed=3)
     for i in range(30):
         operator = "B" if i >= 22 else "A"
         shift = 0.012 if operator == "B" else 0.0

@@ -35,7 +35,7 @@ def test_more_of_the_same_is_surer(if_form: float, if_rival: float, ahead: float
 )
 def test_it_is_the_share_of_recordings_that_leave_both(pair: _Apart) -> None:
     """Against the causes themselves: one of them is drawn as likely as it is, then what χ² says with the noise it has."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed=7)
     form_is_true = rng.random(200_000) < 1 / (1 + np.exp(-pair.ahead / 2))
     says = np.where(form_is_true, pair.if_form, pair.if_rival)
     ahead = np.where(form_is_true, 1, -1) * (pair.ahead + pair.simpler)

@@ -82,7 +82,7 @@ def test_a_rigid_cell_shows_the_whole_actuation_force() -> None:
 
 
 def test_band_against_random_draws() -> None:
-    random = np.random.default_rng(4)
+    random = np.random.default_rng(seed=4)
     base = np.log([1.0, 1.5, 2.0, 0.03, 0.004])
     names = ["log k0", "log k1", "log k2", "log tau1", "log tau2"]
     root = random.normal(scale=0.004, size=(5, 5))

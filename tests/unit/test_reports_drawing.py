@@ -91,7 +91,7 @@ def test_nice(value: float, expected: float) -> None:
 
 
 def test_many_marks_become_one_image_of_bounded_size() -> None:
-    random = np.random.default_rng(1)
+    random = np.random.default_rng(seed=1)
     sizes = []
     for count in (DENSE - 1, 50_000, 400_000):
         drawing = Drawing(480, 300)
@@ -171,7 +171,7 @@ def test_response_with_all_orders_is_xml_and_names_them() -> None:
 
 def test_residual_is_in_sd_of_one_component() -> None:
     data = lines(40)
-    random = np.random.default_rng(3)
+    random = np.random.default_rng(seed=3)
     n = 4000
     f = np.geomspace(1, 100, n)
     truth = 1 + 1j * f / 50
@@ -205,7 +205,7 @@ def test_numbers_at_risk() -> None:
 
 def test_film_is_put_together_from_points_in_any_order() -> None:
     x, y = np.meshgrid([0.0, 1.0, 2.0], [0.0, 1.0])
-    order = np.random.default_rng(2).permutation(6)
+    order = np.random.default_rng(seed=2).permutation(6)
     found = film.grid(x.ravel()[order], y.ravel()[order], (x + 10 * y).ravel()[order], (x > 0).ravel()[order])
     np.testing.assert_array_equal(found.relative, [[0, 1, 2], [10, 11, 12]])
     image = film.thickness_map(found, (0.7, 1.0), {"left": 1}, "film", alt="x")

@@ -244,7 +244,7 @@ def test_half_an_entry_is_no_entry(tmp_path: Path, share: float) -> None:
 
 
 def test_carried_results_come_back_to_the_bit() -> None:
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed=1)
     response = FrequencyResponse(
         frequency_hz=np.array([1.0, 2.0]),
         value=rng.normal(size=2) + 1j * rng.normal(size=2),
