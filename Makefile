@@ -1,11 +1,12 @@
 # make demo    sets up, simulates a measuring campaign, runs the nightly over it, says what to try next
-# make test    sets up and runs the tests
+# make test    sets up and runs the tests, all of them: what continuous integration runs
+# make quick   sets up and runs the short tests: unit, readers, and the physics that takes moments
 # make bench   benchmarks against other libraries, side by side; writes tests/benchmarks/results.md
-# make study   the long statistical studies that the README quotes; writes tests/studies/results.md
+# make study   the long statistical studies that the READMEs quote; writes tests/studies/results.md
 # make fuzz    the property tests with cases drawn anew, mutated input files for every reader and a search guided by
 #              coverage; writes tests/bad_files/results.md
 # make faults  kills, full disks, readers and rivals of the nightly, many times; writes tests/faults/results.md
-# make docs    renews the generated parts of the README and its pictures (those with Chromium, from the demonstration)
+# make docs    renews the generated parts of the READMEs and the pictures (those with Chromium, from the demonstration)
 # make lint    formatting, lint, types, the import rule
 # make audit   asks the advisories of PyPI about every pinned release (needs a network)
 # make pins    writes the hashes of the pinned requirements anew, for every supported Python (needs uv)
@@ -30,7 +31,7 @@ SUPPORTED := 3.11 3.12 3.13 3.14
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements/$(1)-$(VERSION).txt,-r $(2))
 
-.PHONY: demo test bench study fuzz faults docs lint audit pins clean
+.PHONY: demo test quick bench study fuzz faults docs lint audit pins clean
 .DEFAULT_GOAL := demo
 
 demo: $(RUNTIME)
@@ -49,6 +50,9 @@ demo: $(RUNTIME)
 
 test: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+quick: $(DEVELOPMENT)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m quick tests/unit tests/readers tests/physics
 
 bench: $(PEERS)/.ready
 	$(PEERS)/bin/python -m tests.benchmarks

@@ -22,6 +22,19 @@ settings.register_profile("new", deadline=None, derandomize=False, print_blob=Tr
 settings.load_profile(os.environ.get("DEALAB_HYPOTHESIS", "same"))
 
 
+_QUICK = {"unit", "readers", "physics"}
+"""Folders whose tests are quick unless they are marked `slow`."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Every test has the name of its folder as a marker, and `quick` where it is quick; see `pyproject.toml`."""
+    for item in items:
+        folder = item.path.relative_to(ROOT / "tests").parts[0]
+        item.add_marker(folder)
+        if folder in _QUICK and item.get_closest_marker("slow") is None:
+            item.add_marker("quick")
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """Folder of public measured data; the test is skipped where it is absent."""
