@@ -1,31 +1,41 @@
-"""The generated parts of the README: examples of SQL, what studies and benchmarks found, the table reference, and
-the pictures.
+"""The generated parts of the READMEs, each made from the one place that knows: tables, keys, protocols, the results of studies
+and benchmarks, the docstrings of the map, and what the first five minutes show; and the pictures.
 
 python -m tests.tools.docs                  renews the text
-python -m tests.tools.docs --check          exits 1 when it is out of date
+python -m tests.tools.docs --check          exits 1 when it is out of date, and names the files
 python -m tests.tools.docs --pictures [LAB] renews text and pictures, from a lab's report or from the demonstration made anew
 """
 
 from __future__ import annotations
 
+import functools
 import re
 import sys
 import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from schemas.protocols import PROTOCOLS
-from schemas.quantities import QUANTITIES
-from schemas.tables import reference
 from schemas.views import EXAMPLES, view_reference
 from tests.studies.__main__ import HERE, RESULTS, about, parts
-from tests.tools.measured import measured
+from tests.tools import measured
+from tests.tools.first_file import shown
+from tests.tools.house import house_map
+from tests.tools.keys import channels, formats, mapping_keys, metadata_keys, rig_keys
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "README.md"
 
 
 def examples() -> str:
     """The questions of `dealab sql --examples` as one SQL block."""
     return "```sql\n" + "\n\n".join(f"-- {question}\n{sql};" for question, sql in EXAMPLES) + "\n```"
+
+
+def tables() -> str:
+    """The tables and views with the meaning of each column."""
+    from schemas.tables import reference
+
+    return f"{reference()}\n{view_reference()}".strip()
 
 
 def study(name: str, *left_out: str) -> str:
@@ -39,41 +49,44 @@ def study(name: str, *left_out: str) -> str:
     return text + "".join(f"\n\n**Missed**: {names}" for names in missed if names != "nothing.")
 
 
-def channels() -> str:
-    """Which channels each protocol needs, and what the channels are."""
-    rows = ["| `protocol` | `loading` | channels | may have | what it is |", "| --- | --- | --- | --- | --- |"]
-    for p in PROTOCOLS.values():
-        needed = " or ".join(", ".join(f"`{name}`" for name in names) for names in p.required)
-        more = ", ".join(f"`{name}`" for name in p.optional) or "–"
-        rows.append(f"| `{p.name}` | {p.loading} | {needed} | {more} | {p.meaning} |")
-    rows += ["", "| channel | in SQL | what it is |", "| --- | --- | --- |"]
-    return "\n".join(rows + [f"| `{q.name}` | {q.unit} | {q.meaning} |" for q in QUANTITIES.values()])
+PARTS: Mapping[str, Mapping[str, Callable[[], str]]] = {
+    "README.md": {
+        "first file": functools.partial(shown, README),
+        "map": functools.partial(house_map, ROOT),
+    },
+    "ingest/README.md": {
+        "formats": formats,
+        "channels": channels,
+        "mapping keys": mapping_keys,
+        "metadata": metadata_keys,
+        "rig keys": rig_keys,
+    },
+    "schemas/README.md": {"examples": examples, "tables": tables},
+    "pipeline/README.md": {"fit study": functools.partial(study, "fit", "- order test, ", "- likelihood ratio", "- …")},
+    "pipeline/nightly/README.md": {"costs": measured.costs},
+    "pipeline/diagnose/README.md": {"diagnosis study": functools.partial(study, "diagnosis")},
+    "tests/README.md": {
+        "benchmarks": measured.ratios,
+        "faults": measured.faults,
+        "bad files": measured.bad_files,
+    },
+}
+"""File → its generated parts by name, and what makes them."""
 
 
-def generated() -> tuple[tuple[str, str], ...]:
-    """The generated parts by name."""
-    return (
-        ("channels", channels()),
-        ("examples", examples()),
-        ("fit study", study("fit", "- order test, ", "- likelihood ratio", "- …")),
-        ("diagnosis study", study("diagnosis")),
-        ("measured", measured()),
-        ("tables", f"{reference()}\n{view_reference()}".strip()),
-    )
-
-
-def renewed(text: str) -> str:
-    """The README's text with its generated parts made again."""
-    for name, made in generated():
-        begin, end = f"<!-- {name}: written by make docs -->", f"<!-- end of {name} -->"
+def renew(name: str, text: str) -> str:
+    """The text of a file with its generated parts made again. Raises `SystemExit` where a part has no place in it."""
+    for part, make in PARTS[name].items():
+        begin, end = f"<!-- {part}: written by make docs -->", f"<!-- end of {part} -->"
         pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
         if not pattern.search(text):
-            raise SystemExit(f"README.md has no part {begin}")
-        text = pattern.sub(lambda _, b=begin, m=made, e=end: f"{b}\n\n{m}\n\n{e}", text)
+            raise SystemExit(f"{name} has no part {begin}")
+        made = f"{begin}\n\n{make()}\n\n{end}"
+        text = pattern.sub(lambda _, made=made: made, text)
     return text
 
 
-PICTURES = README.parent / "reports" / "pictures"
+PICTURES = ROOT / "reports" / "pictures"
 SHOTS = {
     "finding": ("index.html", "ol.findings > li:first-child", 1010),
     "index": ("index.html", "main", 760),
@@ -84,7 +97,7 @@ SHOTS = {
 """Picture → page of the demonstration's report, what of it, and its height at most in px."""
 
 
-def pictures(lab: Path) -> None:
+def take_pictures(lab: Path) -> None:
     """Takes all pictures of a report with Chromium, in few colours so that they stay small."""
     from io import BytesIO
 
@@ -103,7 +116,7 @@ def pictures(lab: Path) -> None:
             image.convert("RGB").quantize(160, dither=Image.Dither.NONE).save(PICTURES / f"{name}.png", optimize=True)
 
 
-def demonstration(folder: Path) -> Path:
+def make_demonstration(folder: Path) -> Path:
     """The lab that `make demo` makes, in that folder."""
     from pipeline.cli import main as dealab
 
@@ -113,15 +126,19 @@ def demonstration(folder: Path) -> Path:
 
 
 def main() -> int:
-    text = README.read_text(encoding="utf-8")
-    new = renewed(text)
+    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in PARTS}
+    made = {name: renew(name, text) for name, text in texts.items()}
+    old = [name for name, text in texts.items() if made[name] != text]
     if "--check" in sys.argv[1:]:
-        return int(text != new)
-    README.write_text(new, encoding="utf-8")
+        for name in old:
+            print(f"{name} is out of date: make docs", file=sys.stderr)
+        return int(bool(old))
+    for name in old:
+        (ROOT / name).write_text(made[name], encoding="utf-8")
     if "--pictures" in sys.argv[1:]:
         given = [Path(word) for word in sys.argv[1:] if not word.startswith("-")]
         with tempfile.TemporaryDirectory() as folder:
-            pictures(given[0] if given else demonstration(Path(folder)))
+            take_pictures(given[0] if given else make_demonstration(Path(folder)))
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What the README says in numbers: benchmarks, faults and bad files, from the results that their commands wrote."""
+"""What the READMEs say in numbers: costs, benchmarks, faults and bad files, from the results that their commands wrote."""
 
 from __future__ import annotations
 
@@ -20,20 +20,18 @@ _MEMORY_MB = 16_000
 """Memory of the machine that the night runs on."""
 
 
-def measured() -> str:
-    """All parts that have results."""
-    parts = [costs(known().get("nightly", {})), ratios(known()), faults(), bad_files()]
-    return "\n\n".join(part for part in parts if part) or "Nothing has been measured yet: `make bench`."
+NOT_YET = "Nothing has been measured yet: `make bench`, `make faults`, `make fuzz`."
 
 
-def costs(nightly: Mapping[str, Any]) -> str:
+def costs() -> str:
     """Bytes, hours and money up to a million recordings, from the largest first night and the demonstration; memory from
     nights with nothing new, which have the pages to look through."""
+    nightly = known().get("nightly", {})
     rows: list[Mapping[str, Any]] = [row["measured"] for row in nightly.get("rows", ()) if "measured" in row]
     small = [row for row in rows if "overhead_s" in row]
     real = [row for row in rows if "raw_bytes" in row and "overhead_s" not in row]
     if not small or not real:
-        return ""
+        return NOT_YET
     largest, demo = max(small, key=lambda row: row["recordings"]), real[-1]
     nights = [row for row in rows if row.keys() == {"recordings", "seconds", "peak_mb"}]
     quiet, smallest = (pick(nights, key=lambda row: row["recordings"]) for pick in (max, min))
@@ -69,10 +67,10 @@ def costs(nightly: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def ratios(results: Mapping[str, Mapping[str, Any]]) -> str:
+def ratios() -> str:
     """The rows with a ratio, one list; what is "the same" as the row before is named after that."""
     lines = []
-    for _, one in sorted(results.items()):
+    for _, one in sorted(known().items()):
         title = one["title"]
         for before, row in itertools.pairwise([{"name": ""}, *one["rows"]]):
             if row.get("ratio") is None:
@@ -80,29 +78,18 @@ def ratios(results: Mapping[str, Mapping[str, Any]]) -> str:
             name = row["name"].replace("the same", before["name"].removesuffix(", 1 worker"))
             lines.append(f"| {title} | {name} | {row['ratio']:.3g} | {row.get('note') or ''} |")
             title = ""
-    head = [
-        "Side by side in one run (`tests/benchmarks/results.md`):",
-        "",
-        "| benchmark | what | ratio | |",
-        "|---|---|---:|---|",
-    ]
-    return "\n".join(head + lines) if lines else ""
+    head = ["| benchmark | what | ratio | |", "|---|---|---:|---|"]
+    return "\n".join(head + lines) if lines else NOT_YET
 
 
 def faults() -> str:
     """The fault harness's table."""
-    lines = _table(TESTS / "faults" / "results.md")
-    return (
-        "\n".join(["What was done to the nightly, and what was lost (`tests/faults/results.md`):", "", *lines])
-        if lines
-        else ""
-    )
+    return "\n".join(_table(TESTS / "faults" / "results.md")) or NOT_YET
 
 
 def bad_files() -> str:
     """The fuzzing run's table."""
-    lines = _table(TESTS / "bad_files" / "results.md")
-    return "\n".join(["Mutated files (`tests/bad_files/results.md`):", "", *lines]) if lines else ""
+    return "\n".join(_table(TESTS / "bad_files" / "results.md")) or NOT_YET
 
 
 def _table(path: Path) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from datetime import UTC, datetime
 from typing import Any
 
@@ -158,3 +159,12 @@ def test_a_mass_on_the_clamp_adds_to_its_own_and_lowers_its_frequency() -> None:
     assert rig.loaded(None) is rig.loaded(0.0) is rig
     unknown = RigConstants(load_cell_stiffness_n_per_mm=20.0)
     assert unknown.loaded(0.3) is unknown
+
+
+@pytest.mark.parametrize("cls", [RecordingMetadata, RigConstants])
+def test_every_key_says_what_it_means(cls: type) -> None:
+    """Standard deviations are told with the key that they belong to; a table's keys are those of a recording."""
+    keys = {f.name: f.metadata["meaning"] for f in fields(cls) if "parser" in f.metadata}
+    unsaid = {name for name, meaning in keys.items() if not meaning}
+    assert unsaid <= {f"{name}_sd" for name in keys}
+    assert {f.name for f in fields(TableMetadata)} <= {f.name for f in fields(RecordingMetadata)}

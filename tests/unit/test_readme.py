@@ -1,12 +1,15 @@
-"""The README's code runs and its generated parts are those of today."""
+"""The READMEs: their code runs, their commands are commands, their links lead somewhere, their generated parts are today's."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,56 +18,170 @@ import numpy as np
 import pytest
 
 from ingest.canonical import canonical
-from ingest.mapping import find_mapping
+from ingest.inspect import FITS, inspect
+from ingest.mapping import FileMapping, find_mapping
+from ingest.mapping_keys import IGNORE, RECORDING
 from ingest.read import read_raw
 from pipeline.cli import main
 from pipeline.simulate.plan import load_campaign
+from schemas.metadata import RecordingMetadata, RigConstants
 from tests.helpers import synthetic_lab
-from tests.tools.docs import PICTURES, README, SHOTS, renewed
+from tests.tools.docs import PARTS, PICTURES, README, ROOT, SHOTS, renew
 
-TEXT = README.read_text(encoding="utf-8")
+LINES = 300
+"""A README that is longer is not read."""
+DOCUMENTS = tuple(sorted({*PARTS, ".github/CONTRIBUTING.md", ".github/CHANGELOG.md"}))
+TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in DOCUMENTS}
+OURS = ("schemas", "ingest", "pipeline", "reports", "tests")
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", TEXT, re.DOTALL)
+def blocks(language: str, *names: str) -> list[str]:
+    found = re.compile(rf"```{language}\n(.*?)```", re.DOTALL)
+    return [block for name in names or DOCUMENTS for block in found.findall(TEXTS[name])]
 
 
-def test_generated_parts_are_up_to_date() -> None:
-    assert renewed(TEXT) == TEXT, "run make docs"
+def commands(first: str, *names: str) -> Iterator[list[str]]:
+    """Commands of the documents that begin with a word, as a shell takes them apart, up to where they go on to another."""
+    for block in blocks("sh", *names):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words[:1] == [first]:
+                ends = [i for i, word in enumerate(words) if word in ("|", "||", ">")]
+                yield words[: min(ends, default=len(words))]
+
+
+def test_the_readme_is_short() -> None:
+    assert len(TEXTS["README.md"].splitlines()) <= LINES
+
+
+@pytest.mark.parametrize("name", [name for name in PARTS if name != "README.md"])
+def test_generated_parts_are_up_to_date(name: str) -> None:
+    assert renew(name, TEXTS[name]) == TEXTS[name], "run make docs"
+
+
+@pytest.mark.slow
+def test_the_first_five_minutes_show_what_the_readme_says() -> None:
+    """The commands and the mapping are taken from the text, as are the answers that it promises."""
+    assert renew("README.md", TEXTS["README.md"]) == TEXTS["README.md"], "run make docs"
+
+
+def anchors(text: str) -> set[str]:
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_links_lead_somewhere(name: str) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", TEXTS[name]):
+        if "://" in target:
+            continue
+        file, _, anchor = target.partition("#")
+        path = (ROOT / name).parent / file if file else ROOT / name
+        assert path.exists(), target
+        assert not anchor or anchor in anchors(path.read_text(encoding="utf-8")), target
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_files_that_are_named_exist(name: str) -> None:
+    """Paths below our packages, from the top of the repository or from the document's own folder."""
+    own = (ROOT / name).parent
+    for path in re.findall(r"`((?:\w+/)+[\w.]*)`", TEXTS[name]):
+        if path.split("/")[0] in OURS:
+            assert any(place.exists() or place.with_suffix(".py").exists() for place in (ROOT / path, own / path)), path
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_modules_that_are_run_exist_and_targets_are_in_the_makefile(name: str) -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for words in commands("make", name):
+        for target in (word for word in words[1:] if "=" not in word):
+            assert re.search(rf"^{target}:", makefile, re.MULTILINE), words
+    for target in re.findall(r"`make ([a-z]+)`", TEXTS[name]):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+    for module in re.findall(r"python -m ([\w.]+)", TEXTS[name]):
+        assert importlib.util.find_spec(module) is not None, module
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    assert set(re.findall(r'"\.\[(\w+)\]"', TEXTS[name])) <= set(extras)
+
+
+def test_every_command_of_the_documents_is_one(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = list(commands("dealab"))
+    assert len(lines) > 20
+    for words in lines:
+        with pytest.raises(SystemExit) as ended:
+            main([words[1], "--help"])
+        assert ended.value.code == 0
+        shown = capsys.readouterr().out
+        for word in words:
+            assert not word.startswith("--") or word in shown, words
 
 
 def test_the_writer_example_makes_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     start = 1_772_370_300_000_000_000
 
-    def some_blocks():
+    def some_blocks() -> Iterator[tuple[int, Any, Any]]:
         for i in range(4):
             t = (i * 1000 + np.arange(1000)) / 2000
             yield start + i * 500_000_000, np.sin(60 * t), 800 * np.sin(60 * t)
 
-    exec(blocks("python")[0], {"blocks": some_blocks})
+    exec(next(block for block in blocks("python") if "RecordingWriter" in block), {"blocks": some_blocks})
     raw = read_raw(tmp_path / "P-07_chirp-1.mcap", None)
     recording = canonical(raw, where="example", rig_file=None, source=None)
     assert recording.status == "ok"
     assert recording.channels["force"].values.max() == pytest.approx(0.8, rel=1e-2)  # mN became N
 
 
-def test_the_mapping_example_makes_a_recording(tmp_path: Path) -> None:
-    toml = next(block for block in blocks("toml") if "Kraft" in block)
-    rows = [f"{i / 1000:.4f};{np.sin(i / 20):.5f};{2 + np.sin(i / 20):.5f}".replace(".", ",") for i in range(4000)]
-    text = "Prüfstand 3\nPrüfer: Ö\n\nt;Weg;Kraft\ns;mm;N\n" + "\n".join(rows) + "\n"
-    (tmp_path / "run7.csv").write_bytes(text.encode("cp1252"))
-    (tmp_path / "run7.csv.toml").write_text(toml, encoding="utf-8")
-    path = tmp_path / "run7.csv"
-    raw = read_raw(path, find_mapping(path))
-    recording = canonical(raw, where="example", rig_file=None, source=None)
-    assert recording.metadata.recording_id == "run7"
-    assert recording.channels["displacement"].values.size == 4000
+def examples() -> list[tuple[str, str]]:
+    """The files that `ingest/README.md` shows with their mappings: content and mapping."""
+    return re.findall(r"```csv\n(.*?)```\s*```toml\n(.*?)```", TEXTS["ingest/README.md"], re.DOTALL)
+
+
+@pytest.mark.parametrize(("content", "mapping"), examples(), ids=lambda text: text.splitlines()[0][:20])
+def test_a_file_with_its_mapping_is_what_the_example_says(content: str, mapping: str, tmp_path: Path) -> None:
+    name = mapping.splitlines()[0].removeprefix("# ")
+    (tmp_path / name).write_text(mapping, encoding="utf-8")
+    path = tmp_path / name.removesuffix(".toml")
+    path.write_text(content, encoding="utf-8")
+    found = find_mapping(path)
+    assert found is not None
+    read = read_raw(path, found)
+    assert read.problems == ()
+    assert inspect(path).verdict == FITS
+    if found.kind == RECORDING:
+        rows = content.strip().splitlines()[
+            found.options.get("skip_rows", 0) + 1 + found.options.get("unit_row", False) :
+        ]
+        recording = canonical(read, where=name, rig_file=None, source=None)
+        assert {channel.values.size for channel in recording.channels.values()} == {len(rows)}
+
+
+def test_each_kind_of_file_has_an_example() -> None:
+    kinds = {tomllib.loads(mapping).get("kind", RECORDING) for _, mapping in examples()}
+    assert kinds == {RECORDING, "lifetimes", "frequency_response", "relaxation"}
+    assert any(IGNORE in block for block in blocks("toml", "ingest/README.md"))
+
+
+@pytest.mark.parametrize("block", blocks("toml"), ids=lambda block: block.splitlines()[0].removeprefix("# "))
+def test_every_toml_is_understood(block: str) -> None:
+    name, content = Path(block.splitlines()[0].removeprefix("# ")), tomllib.loads(block)
+    if name.parent.name == "rigs":
+        assert RigConstants.parse(content).extra == {}
+        return
+    for entry in content.get("files", [content]):
+        mapping = FileMapping.parse(entry, stem="x", suffix=Path(name.stem).suffix)
+        if mapping.kind == RECORDING:
+            assert RecordingMetadata.parse(mapping.recording).extra == {}
+
+
+def test_every_python_is_python() -> None:
+    for block in blocks("python"):
+        compile(block, "example", "exec")
 
 
 @pytest.fixture
 def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with a lab in it, as the README's reader has one."""
+    """A working folder with a lab in it, as the reader has one."""
     synthetic_lab.whole_story().write(tmp_path / "lab")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -75,7 +192,7 @@ def as_in_the_test(code: str) -> str:
     return code.replace("PA-1-sphs-7kV", "P-05_chirp-1").replace("PA-1", "P-07").replace("PA-3", "P-07")
 
 
-def samples(lab: Path, recording: str) -> None:
+def write_samples(lab: Path, recording: str) -> None:
     """A few samples for a recording of that lab."""
     import duckdb
     import pyarrow as pa
@@ -90,9 +207,11 @@ def samples(lab: Path, recording: str) -> None:
 
 def test_the_notebook_examples_run(there: Path) -> None:
     mpl.use("Agg")
-    samples(there / "lab", "P-05_chirp-1")
+    write_samples(there / "lab", "P-05_chirp-1")
     found: dict[str, Any] = {}
-    notebook = [block for block in blocks("python") if "Lab(" in block or "fit.campaign" in block]
+    (short,) = (block for block in blocks("python", "README.md") if "Lab(" in block)
+    exec(as_in_the_test(short), found)
+    notebook = [block for block in blocks("python", "schemas/README.md") if "Lab(" in block or "fit.campaign" in block]
     assert len(notebook) == 2
     exec(as_in_the_test(notebook[0]), found)
     assert list(found["models"].columns) == ["specimen_id", "model_order", "modulus_mpa"]
@@ -114,29 +233,16 @@ def test_the_database_opens_in_duckdbs_own_command_line(there: Path) -> None:
     program = shutil.which("duckdb") or shutil.which("duckdb", path=str(Path(sys.executable).parent))
     if program is None:
         pytest.skip("the command line of DuckDB is not here")
-    lines = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("duckdb ")]
+    lines = list(commands("duckdb"))
     assert len(lines) == 2
-    for line in lines:
-        words = shlex.split(line)
-        done = subprocess.run([program, *words[1:]], capture_output=True, text=True, timeout=60)
+    for words in lines:
+        done = subprocess.run([program, *words[1:]], capture_output=True, text=True, timeout=60, check=False)
         assert (done.returncode, done.stderr) == (0, "")
         assert "k0_n_per_mm" in done.stdout or "alarm" in done.stdout
 
 
-def test_every_command_of_the_readme_is_one(capsys: pytest.CaptureFixture[str]) -> None:
-    lines = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("dealab ")]
-    assert len(lines) > 8
-    for line in lines:
-        with pytest.raises(SystemExit) as ended:
-            main([shlex.split(line)[1], "--help"])
-        assert ended.value.code == 0
-        shown = capsys.readouterr().out
-        for word in shlex.split(line.partition(" #")[0]):
-            assert not word.startswith("--") or word in shown, (line, word)
-
-
 def test_pictures_are_there_small_and_said_in_words() -> None:
-    shown = re.findall(r"!\[([^\]]*)\]\(reports/pictures/([a-z]+)\.png\)", TEXT)
+    shown = re.findall(r"!\[([^\]]*)\]\(reports/pictures/([a-z]+)\.png\)", README.read_text(encoding="utf-8"))
     assert {name for _, name in shown} == set(SHOTS)
     assert all(len(alt) > 60 for alt, _ in shown)
     for name in SHOTS:

@@ -1,0 +1,71 @@
+"""The first five minutes of the README, done as it says: its commands, its mapping, and what they show."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+HEADING = "## Your first file in five minutes"
+_SHOWN = 3
+"""The last commands, whose output the README shows."""
+_BLOCK = re.compile(r"```(sh|toml)\n(.*?)```", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Done:
+    """A command with what it said on both outputs."""
+
+    command: str
+    said: str
+
+
+def follow(readme: Path, folder: Path) -> list[Done]:
+    """Does what the section says in an empty folder: files are saved under the name in their first line, commands are run.
+
+    Raises `SystemExit` with all that was said when a command fails.
+    """
+    section = readme.read_text(encoding="utf-8").partition(HEADING)[2].partition("\n## ")[0]
+    done: list[Done] = []
+    for language, content in _BLOCK.findall(section):
+        if language == "toml":
+            (folder / content.splitlines()[0].removeprefix("# ")).write_text(content, encoding="utf-8")
+            continue
+        done += [_run(line, readme.parent, folder) for line in content.splitlines()]
+    return done
+
+
+def _run(line: str, root: Path, folder: Path) -> Done:
+    command = line.partition("  #")[0].rstrip()
+    environment = os.environ | {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": str(root),
+        "COLUMNS": "120",
+    }
+    ended = subprocess.run(
+        ["bash", "-euc", command],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    if ended.returncode:
+        raise SystemExit(f"{command}: status {ended.returncode}\n{ended.stdout}")
+    return Done(command, ended.stdout.replace(f"{folder}/", "").replace(f"{folder.resolve()}/", ""))
+
+
+def shown(readme: Path) -> str:
+    """What the last commands of the section say, without the time that a night took."""
+    with tempfile.TemporaryDirectory() as folder:
+        done = follow(readme, Path(folder))
+    blocks = [
+        f"$ {one.command}\n{re.sub(r'[0-9.]+ s[.]$', '… s.', one.said, flags=re.M).rstrip()}" for one in done[-_SHOWN:]
+    ]
+    return "```text\n" + "\n".join(blocks) + "\n```"
