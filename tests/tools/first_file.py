@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 HEADING = "## Your first file in five minutes"
+_DONE, _ATTENTION = 0, 3
+"""Statuses of a command that did what it was asked; 3 also says that a file needs attention."""
 _SHOWN = 3
 """The last commands, whose output the README shows."""
 _BLOCK = re.compile(r"```(sh|toml)\n(.*?)```", re.DOTALL)
@@ -56,7 +58,7 @@ def _run(line: str, root: Path, folder: Path) -> Done:
         timeout=600,
         check=False,
     )
-    if ended.returncode:
+    if ended.returncode not in (_DONE, _ATTENTION):
         raise SystemExit(f"{command}: status {ended.returncode}\n{ended.stdout}")
     return Done(command, ended.stdout.replace(f"{folder}/", "").replace(f"{folder.resolve()}/", ""))
 

@@ -116,6 +116,13 @@ def test_every_command_of_the_documents_is_one(capsys: pytest.CaptureFixture[str
             assert not word.startswith("--") or word in shown, words
 
 
+def test_the_citation_is_of_this_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    assert f"version: {project['version']}" in citation
+    assert f"license: {project['license']}" in citation
+
+
 def test_the_writer_example_makes_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     start = 1_772_370_300_000_000_000
