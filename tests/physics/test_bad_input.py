@@ -175,6 +175,7 @@ def test_too_few_cycles_and_a_saturated_cycle() -> None:
     assert rows(specimen, "model_fits") == []
 
 
+@pytest.mark.slow
 def test_missing_clamp_constants_are_said_of_each_recording_and_of_the_model() -> None:
     """A light clamp on a soft cell leaves no resonance in the band, and a fit of film and cell together that looks perfect."""
     soft = Truth(load_cell=5.34, clamp_alone_hz=2000.0)

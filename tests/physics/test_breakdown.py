@@ -419,6 +419,7 @@ def test_slow_logger_is_not_all_gaps() -> None:
     assert any("not resolved" in text for text in found.warnings)
 
 
+@pytest.mark.study
 def test_study() -> None:
     commanded, alone = study(records=150, seed=11)
     assert (commanded.missed, commanded.false) == ([], [])
@@ -437,6 +438,7 @@ def test_a_million_samples() -> None:
     assert time.perf_counter() - begin < 5
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @example([0.0, 7.2, 7.5, 9.5, 0.0], [1, 1, 600, 200, 600], False, 7.5, None, None)
 @given(

@@ -47,6 +47,7 @@ def tapped(force: np.ndarray, seed: int = 0, sd: float = 1e-3, **more):
     return recording({"force": 0.2 + noisy}, RATE, protocol="tap", loading="calibration", **more)
 
 
+@pytest.mark.slow
 def test_frequency_and_damping_with_their_errors(ringing) -> None:
     scores = []
     for seed in range(12):
@@ -149,6 +150,7 @@ def test_gain_and_offset_however_the_masses_were_hung(levels) -> None:
     assert low < 1.02 < high
 
 
+@pytest.mark.study
 def test_intervals_of_the_gain_cover() -> None:
     inside = 0
     for seed in range(40):

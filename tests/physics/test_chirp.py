@@ -35,6 +35,7 @@ def noisy(values: np.ndarray, sd: float, seed: int) -> np.ndarray:
     return values + np.random.default_rng(seed).normal(0.0, sd, values.size)
 
 
+@pytest.mark.slow
 def test_matches_the_integrated_equations_of_motion(integrated) -> None:
     truth, x, force = integrated
     errors, ratios = [], []
@@ -191,6 +192,7 @@ def repeated(
     return truth, {"displacement": x[::4], "force": force[::4]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [{"period_s": 8.0, "repeats": 4}, {"repeats": 4}, {}])
 def test_repeats_are_averaged_in_synchrony(told) -> None:
     truth, clean = repeated()

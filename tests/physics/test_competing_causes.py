@@ -51,6 +51,7 @@ def test_one_minus_kaplan_meier_would_overstate() -> None:
     assert naive > rod.probability[-2] + 0.2
 
 
+@pytest.mark.study
 def test_bands_hold_their_level() -> None:
     """Two constant hazards 0.7 and 0.3 with censoring: F_rod(t) = 0.7 (1 − e^{−t})."""
     rng = np.random.default_rng(seed=1)

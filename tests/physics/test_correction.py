@@ -145,6 +145,7 @@ def test_amplification_table(load_cell, table) -> None:
     assert all("resonance" in why for why, a in zip(corrected.unusable_because, table, strict=True) if a > 5.01)
 
 
+@pytest.mark.study
 def test_variance_of_the_noise_against_draws() -> None:
     truth, f, rng = Truth(load_cell=20.0), np.array([5, 30, 45, 60, 90.0]), np.random.default_rng(seed=3)
     clean = truth.measured(f)

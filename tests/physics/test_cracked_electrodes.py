@@ -25,6 +25,7 @@ DESIGNS = (
 )
 
 
+@pytest.mark.slow
 def test_cracks_open_with_the_strain_of_the_film() -> None:
     """Against the same in time: sample by sample what is lost of the capacitance, and its harmonics over those of the displacement."""
     session = make_session([reduce(r) for r in true_session(SESSION, DESIGNS, ()).recordings])
@@ -59,6 +60,7 @@ def test_cracks_open_with_the_strain_of_the_film() -> None:
     assert np.count_nonzero(change) == 4 * seen
 
 
+@pytest.mark.slow
 def test_dying_electrodes_leave_the_film_as_it_is() -> None:
     """What cracks take of the capacitance has a phase; put down to the load cell, it moved the film by ten standard deviations."""
     found = judge(Case(SESSION, effects=(("electrode_degradation", 3.0),)))

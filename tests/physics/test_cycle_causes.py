@@ -57,6 +57,7 @@ def two_branches() -> tuple[Diagnosis, Comparison]:
     return diagnosed(cycle(((30.0, 4.0), (60.0, 0.3))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_cycle_that_one_branch_explains_has_nothing_wrong(seed: int) -> None:
     """Whatever follows the noise a little better is not named; the discrepancies are noise."""
@@ -68,6 +69,7 @@ def test_a_cycle_that_one_branch_explains_has_nothing_wrong(seed: int) -> None:
     assert all(d.p_value > 1e-4 for d in found.discrepancies)
 
 
+@pytest.mark.slow
 def test_a_second_branch_is_possible_and_predicts_the_unloading() -> None:
     found, comparison = two_branches()
     assert found.verdict in ("named", "ambiguous")
@@ -79,6 +81,7 @@ def test_a_second_branch_is_possible_and_predicts_the_unloading() -> None:
     assert found.p_value < 1e-6
 
 
+@pytest.mark.slow
 def test_a_law_that_stiffens_is_told_from_a_relaxation() -> None:
     """What follows the stretch, not the rate, does the same on the way back."""
 
@@ -93,6 +96,7 @@ def test_a_law_that_stiffens_is_told_from_a_relaxation() -> None:
     assert all(p.after > 3 * comparison.ranked[0].after for p in relaxing)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_told_apart_gets_a_recording_that_would() -> None:
     found, _ = diagnosed(cycle(((30.0, 4.0), (25.0, 1.0))))
     if found.verdict == "ambiguous":
@@ -101,6 +105,7 @@ def test_what_cannot_be_told_apart_gets_a_recording_that_would() -> None:
     assert set(found.smallest_detectable) >= {"missing_relaxation", "strain_stiffening", "gain_error"}
 
 
+@pytest.mark.slow
 def test_damage_that_does_not_show_while_loading_gains_nothing_there() -> None:
     _, comparison = two_branches()
     damage = next(p for p in comparison.ranked if p.model.mechanism == "cyclic_softening")

@@ -47,6 +47,7 @@ def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIG
     return fit_free_quantities(plain_model(seed, *effects, designs=designs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SESSIONS)
 def test_nothing_departs_where_nothing_is_hidden(seed: int) -> None:
     fit = plain_model(seed)
@@ -59,6 +60,7 @@ def test_nothing_departs_where_nothing_is_hidden(seed: int) -> None:
     assert max(d.degrees_of_freedom for d in found) <= 2 * np.count_nonzero(np.geomspace(5.0, 160.0, 26) < 110)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "words"),
     [
@@ -77,6 +79,7 @@ def test_what_is_in_no_list_departs_where_it_acts(effect: Effect, words: str) ->
     assert found[0].excess == pytest.approx(found[0].statistic - found[0].degrees_of_freedom)
 
 
+@pytest.mark.slow
 def test_at_its_best_values_a_quantity_changes_the_features_by_what_it_explains() -> None:
     fit = plain_model(303, Effect("humidity", 0.02))
     of = fit.of
@@ -88,6 +91,7 @@ def test_at_its_best_values_a_quantity_changes_the_features_by_what_it_explains(
         assert (gram.item(), along.item()) == pytest.approx((d.statistic, d.statistic), rel=1e-3), d.text
 
 
+@pytest.mark.slow
 def test_what_differs_from_recording_to_recording_says_nothing_of_a_further_one() -> None:
     fit = plain_model(303, Effect("humidity", 0.02))
     proposal = Proposal(

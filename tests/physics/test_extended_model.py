@@ -44,6 +44,7 @@ def softened() -> ExtendedFit:
     return of.refined(of.fit(of.entries(plain.theta, ({"drop": 0.02},)), most=3))
 
 
+@pytest.mark.slow
 def test_what_a_recording_says_of_a_cause_makes_it_dearer(softened: ExtendedFit) -> None:
     """The same recordings once more: less is left of the volume that its parameters have, never more."""
     of = softened.of

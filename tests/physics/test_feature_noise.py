@@ -106,6 +106,7 @@ def test_coefficients_of_mains_are_squares_of_amplitudes() -> None:
         mains_components({60.0: 0.004})
 
 
+@pytest.mark.slow
 def test_named_mains_leave_nothing_but_noise() -> None:
     """Until the hum is named its blocks are far above the noise; with its coefficients they are noise, and clean ones stay."""
     designs = (

@@ -84,6 +84,7 @@ def test_given_law_is_not_fitted() -> None:
     assert fits.selected.tau[0] == pytest.approx(5.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_ramp_gives_no_negative_moduli_and_says_what_it_cannot_tell() -> None:
     """Loading alone: equilibrium and slow branches look alike, and what comes after is anybody's guess."""
     rng = np.random.default_rng(seed=1)
@@ -132,6 +133,7 @@ def cycle_recording(**keys: float) -> Recording:
     return Recording(about, RigConstants(), channels)
 
 
+@pytest.mark.slow
 def test_a_law_that_the_recording_gives_stands_beside_the_fitted_one() -> None:
     law = {"crosslink_modulus_kpa": 8.0, "entanglement_modulus_kpa": 18.0, "largest_stretch": 4.8}
     given, fitted = cycle_fits(cycle_recording(**law)).fits

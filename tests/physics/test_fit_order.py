@@ -40,6 +40,8 @@ def test_arc_length_does_not_depend_on_the_noise_level() -> None:
     assert 1 < lengths[0] < 6
 
 
+@pytest.mark.slow
+@pytest.mark.study
 def test_level_under_the_null() -> None:
     """100 draws of a first-order film: p below 20 % in about 20 %, below 1 % hardly ever."""
     p = []

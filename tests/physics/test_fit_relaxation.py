@@ -53,6 +53,7 @@ def test_noise_free_response_returns_the_parameters() -> None:
     assert np.allclose(fit.model.c, [0.05, 0.02, 0.02], rtol=1e-3)
 
 
+@pytest.mark.study
 def test_intervals_cover() -> None:
     inside = total = 0
     for seed in range(40):

@@ -186,6 +186,7 @@ def campaign(
     return found
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("scatter", [{"absolute": 0.008}, {"relative": 0.04}, {"painted": 0.04, "relative": 0.002}])
 def test_constancy_keeps_its_level_and_the_interval_its_coverage(scatter: dict[str, float]) -> None:
     rng = np.random.default_rng(seed=1)

@@ -115,6 +115,7 @@ def test_failures_at_zero_enter_as_failures_before_the_shortest_life() -> None:
     assert np.isfinite(fit_distribution(lives, WEIBULL).parameters["shape"].value)
 
 
+@pytest.mark.study
 def test_goodness_rejects_the_wrong_distribution_and_keeps_its_level() -> None:
     rng = np.random.default_rng(seed=12)
     wear = Lives.right_censored(200 * rng.weibull(8.0, 30), np.ones(30))

@@ -21,6 +21,7 @@ FAR_CLAMP, FAR_CLAMP_TOO = 895_730_046, 895_730_069
 """Seeds of sessions whose clamps are put far from their files."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "mass_error"), [(FAR_CLAMP, -0.39), (FAR_CLAMP_TOO, 0.4)])
 def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, mass_error: float) -> None:
     """Twenty standard deviations away, and from the wrong side of the resonance."""
@@ -33,6 +34,7 @@ def test_the_search_ends_at_the_film_with_a_clamp_far_from_its_file(seed: int, m
     assert error.max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_third_arm_is_found_where_two_leave_nearly_everything() -> None:
     """A search of three arms that stops short looks as if two would do, and the third like a hidden cause."""
     session = make_session([reduce(r) for r in made(Case(HARD_THIRD_ARM), ()).recordings])
@@ -41,6 +43,7 @@ def test_a_third_arm_is_found_where_two_leave_nearly_everything() -> None:
     assert found.chi2 < 1.2 * session.size
 
 
+@pytest.mark.slow
 def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None:
     """Their frequencies are √(kL/M) and √(kL/(M + m)) of one clamp: alone, neither says what M is."""
     truth = true_session(FAR_CLAMP, compact_designs()[:4], (Effect("rig_constants", 0.08, {}),))

@@ -53,6 +53,7 @@ def effect(id: str, variant: str) -> Effect:
     return make_effect(id, values, variant)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("id", "variant"), FORMS)
 def test_several_at_once_are_as_one_by_one(id: str, variant: str) -> None:
     of = fitted()
@@ -65,6 +66,7 @@ def test_several_at_once_are_as_one_by_one(id: str, variant: str) -> None:
     assert np.abs(of.session.whiten((at_once - one_by_one).T)).max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("id", "variant"), [("", ""), *FORMS])
 def test_few_nodes_do_about_the_film_that_they_are_for(id: str, variant: str) -> None:
     of = fitted()
@@ -77,6 +79,7 @@ def test_few_nodes_do_about_the_film_that_they_are_for(id: str, variant: str) ->
     assert np.linalg.norm(missed) < SHARE * np.linalg.norm(changed) + NOISE * np.sqrt(missed.size)
 
 
+@pytest.mark.slow
 def test_a_resonance_that_few_nodes_do_not_carry_is_simulated_with_all() -> None:
     """A clamp a fifth lighter with a tenth of the damping, asked of nodes for the fitted one: not a digit is lost."""
     of = fitted()

@@ -18,6 +18,8 @@ from tests.helpers import sensing_truth
 from tests.studies.study_sensing import Tally, actuator, coats, electrode, film
 
 
+@pytest.mark.slow
+@pytest.mark.study
 def test_intervals_hold_over_pinned_draws() -> None:
     """24 actuators and coatings give about 190 intervals; fewer than 88 % or all of them would be chance of 1 in 1000."""
     intervals = Tally()
@@ -29,6 +31,8 @@ def test_intervals_hold_over_pinned_draws() -> None:
     assert 0.88 < intervals.share(*intervals.tries) < 1.0
 
 
+@pytest.mark.slow
+@pytest.mark.study
 def test_wrinkling_is_found_where_it_is_and_nowhere_else() -> None:
     found, intervals = Tally(), Tally()
     for seed in range(20):
@@ -41,6 +45,8 @@ def test_wrinkling_is_found_where_it_is_and_nowhere_else() -> None:
     assert intervals.share("wrinkling onset") >= 0.8
 
 
+@pytest.mark.slow
+@pytest.mark.study
 def test_onset_of_migration_is_near_and_only_where_there_is_one() -> None:
     found, intervals = Tally(), Tally()
     for seed in range(6):

@@ -67,6 +67,7 @@ def driven_by_sine(system_input: str, model: RelaxationModel, seconds: float, hz
     return time, kl * solved.y[-2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [THIRD, DASHPOT], ids=["three arms", "pure dashpot"])
 @pytest.mark.parametrize("system_input", ["displacement", "force"])
 def test_motion_equals_an_adaptive_integration(model: RelaxationModel, system_input: str) -> None:

@@ -29,6 +29,7 @@ def made(recording_id: str) -> Recording:
     return simulate_one(THESIS, planned).recording
 
 
+@pytest.mark.slow
 def test_one_region_for_both_rises_with_the_voltage_and_drifts_when_held() -> None:
     steps = measure_steps(made("SC-1-levels")).steps
     assert all((s.capacitance_step_pf or 0) > 0 for s in steps)

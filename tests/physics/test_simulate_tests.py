@@ -172,6 +172,7 @@ def test_hum_is_at_the_mains_with_a_phase_of_its_own_in_each_recording() -> None
     assert abs(np.angle(phasors[0][0] / phasors[1][0])) > 0.01
 
 
+@pytest.mark.slow
 def test_baseline_falls_with_the_logarithm_of_time() -> None:
     hold = {"test": "step_electrical", "specimens": ["A"], "id": "s", "levels_kv": [1.0], "on_s": 1.0, "off_s": 98.0}
     plain, drifting = (

@@ -25,6 +25,7 @@ DESIGNS = (
 STRIP = {"compliance_share": 0.2, "time_constant_s": 0.05, "relaxing": 1.5}
 
 
+@pytest.mark.slow
 def test_the_capacitance_follows_the_active_film_alone() -> None:
     """Three springs in a row, written out: film, strip, and the load cell with its clamp."""
     session = make_session([reduce(r) for r in true_session(SESSION, DESIGNS, ()).recordings])

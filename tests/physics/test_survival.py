@@ -162,6 +162,8 @@ def test_bad_input_is_named(time: list[float], failed: list[int], message: str) 
         kaplan_meier(time, failed)
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("design", [DESIGNS[1], DESIGNS[3]], ids=str)
 def test_intervals_hold_their_level(design: Design) -> None:
     """95 % intervals contain the truth of simulated groups about as often as they say (study_survival runs them all)."""

@@ -97,6 +97,8 @@ def test_comparisons_come_with_exact_p(results: SurvivalResults) -> None:
     assert len({(a, b) for a, b, _ in pairs}) == 3
 
 
+@pytest.mark.slow
+@pytest.mark.study
 def test_intervals_contain_the_truth_of_the_campaign() -> None:
     """Over many campaigns, so that a lucky seed proves nothing."""
 

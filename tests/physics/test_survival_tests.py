@@ -91,6 +91,7 @@ def test_scores_are_observed_less_expected() -> None:
     assert scores[:21].sum() == pytest.approx(result.observed[0] - result.expected[0], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_simulated_permutation_agrees_with_the_exact_one() -> None:
     rng = np.random.default_rng(seed=4)
     a = (rng.exponential(1.0, 22), np.ones(22, dtype=bool))
@@ -186,6 +187,7 @@ def test_hazard_ratio() -> None:
         hazard_ratio(ALIVE, ALIVE)
 
 
+@pytest.mark.study
 def test_hazard_ratio_interval_holds_its_level() -> None:
     rng = np.random.default_rng(seed=8)
     held = 0

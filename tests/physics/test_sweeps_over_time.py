@@ -36,6 +36,7 @@ BENDING: Mapping[str, Mapping[str, float]] = {
 }
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 10_000),
     rest=st.integers(20, 400),
@@ -109,6 +110,7 @@ def test_a_sweep_over_time_is_whole_where_it_begins() -> None:
         assert np.abs(apart).max() < 0.02 * np.abs(moved).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overload", [0.05, 0.1, 0.3])
 def test_slack_begins_as_in_time(overload: float) -> None:
     """From a few peaks of a passing resonance on: where the film rings, the tension is not |k| times the strain.
@@ -144,6 +146,7 @@ def mixed() -> tuple[TrueSession, Session]:
     return truth, make_session([reduce(r) for r in truth.recordings])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("id", BENDING)
 def test_parts_of_a_session_are_simulated_as_within_the_whole(mixed: tuple[TrueSession, Session], id: str) -> None:
     """Sweeps and groups of cycles are left out as wholes: what stays of a recording must not change."""
@@ -165,6 +168,7 @@ def test_parts_of_a_session_are_simulated_as_within_the_whole(mixed: tuple[TrueS
         )
 
 
+@pytest.mark.slow
 def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
     """Below the highest order a relaxation has to be told from one arm more."""
     truth = true_session(SESSION_OF_SWEEPS_AND_CYCLES, (*SWEEPS, *CYCLES), ())
@@ -188,6 +192,7 @@ def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
 MANY_SWEEPS = {"protocol": "chirp", "strain_pp": 0.03, "repeats": 7}
 
 
+@pytest.mark.slow
 def test_of_many_sweeps_each_is_read_with_those_just_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read with all the others, seven cost five times as much as need be and twenty fifteen times: the square of their number."""
     truth = true_session(SESSION, (MANY_SWEEPS,), ())

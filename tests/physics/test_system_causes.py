@@ -81,6 +81,7 @@ def _compare(q: SystemQuestion) -> Comparison:
     return compare_predictions(q.plain, q.models, q.measured, q.left_out, q.sd)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", [name for name in TRUTHS if name != "none"])
 def test_the_cause_is_named(truth: str) -> None:
     question, found = _question(truth)
@@ -93,12 +94,14 @@ def test_the_cause_is_named(truth: str) -> None:
     assert best.after < 1.3
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_there_is_nothing() -> None:
     question, found = _question("none")
     assert found.verdict == NONE or not found.possible
     assert np.std(question.plain.whole - question.measured) == pytest.approx(NOISE, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("truth", "key", "expected"),
     [
@@ -118,6 +121,7 @@ def test_its_size_is_within_its_uncertainty(truth: str, key: str, expected: Call
     assert size.sd < 0.05 * abs(size.value)
 
 
+@pytest.mark.slow
 def test_a_saturated_reading_is_named() -> None:
     record = _record(TRUTHS["none"])
     limit = 1.2 * float(np.abs(record.output).max())
@@ -137,6 +141,7 @@ def test_nonlinear_damping_is_that_of_the_fastest_motion() -> None:
     assert abs(size.value - 0.25 * fastest / 2 / OMEGA) < 3 * size.sd
 
 
+@pytest.mark.slow
 def test_places_of_the_discrepancy_grow_with_the_output() -> None:
     question, _ = _question("strain_stiffening")
     found = {d.statement.partition(" (")[0]: d for d in list_system_discrepancies(question)}
@@ -145,6 +150,7 @@ def test_places_of_the_discrepancy_grow_with_the_output() -> None:
     assert not list_system_discrepancies(_question("none")[0])
 
 
+@pytest.mark.slow
 def test_a_steady_period_and_a_louder_record() -> None:
     """A period is predicted from a louder record and the reverse, and the names say which."""
     period = replace(_record(TRUTHS["strain_stiffening"], 0.05, growing=False, periodic=True, seed=3), name="period")
@@ -158,6 +164,7 @@ def test_a_steady_period_and_a_louder_record() -> None:
     assert all(np.std(errors[part.values]) < 2 * NOISE for part in question.parts)
 
 
+@pytest.mark.slow
 def test_steps_from_rest() -> None:
     """Levels that are held one after the other; the mean is compared here, and so is the beginning."""
     edges = np.arange(10) * 0.2

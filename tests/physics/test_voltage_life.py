@@ -43,6 +43,8 @@ def test_against_a_general_optimiser() -> None:
     assert found.sigma.value == pytest.approx(np.exp(best.x[2]), rel=1e-5)
 
 
+@pytest.mark.slow
+@pytest.mark.study
 def test_intervals_and_lack_of_fit_hold_their_level() -> None:
     rng = np.random.default_rng(seed=2)
     held, rejected, runs = np.zeros(3), 0, 40

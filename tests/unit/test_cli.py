@@ -190,6 +190,7 @@ def test_inspect_says_what_is_wrong(lab: Lab, capsys: pytest.CaptureFixture[str]
     assert "refused" in said(capsys)[0]
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_is_no_error(lab: Lab) -> None:
     command = [*DEALAB, "sql", "SELECT repeat('x', 1000) FROM range(100000)", "--lab", str(lab.folder)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)

@@ -80,6 +80,7 @@ def limits(values: np.ndarray, sds: np.ndarray, i: int) -> tuple[float, float]:
     return others.mean() - half, others.mean() + half
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(19.0, 21.0), min_size=FEWEST, max_size=14), st.floats(0.001, 0.5))
 def test_limits_are_the_prediction_from_the_other_points(stiffness: list[float], sd: float) -> None:

@@ -115,6 +115,7 @@ def same(a: Any, b: Any, name: str = "") -> None:
         assert a == b
 
 
+@pytest.mark.slow
 @given(features())
 def test_features_come_back(given_features: RecordingFeatures) -> None:
     text = pack(given_features)
