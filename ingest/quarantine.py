@@ -60,10 +60,7 @@ def quarantine(
     """
     folder = lab / FOLDER / entry_name(place or path)
     reason: dict[str, Any] = {
-        "problem": error.problem,
-        "where": error.where,
-        "expected": error.expected,
-        "remedy": error.remedy,
+        **error.as_dict(),
         "source_path": _printable(place or os.fspath(path)),
         "sha256": sha256,
         "when": None if when is None else when.isoformat(),

@@ -29,6 +29,10 @@ class DealabError(Exception):
         """What is wrong and what is needed, where the text around it names the place."""
         return f"{self.problem}; needed: {self.expected}" if self.expected else self.problem
 
+    def as_dict(self) -> dict[str, str]:
+        """The error as plain texts; `DealabError(**texts)` is it again."""
+        return {"problem": self.problem, "where": self.where, "expected": self.expected, "remedy": self.remedy}
+
     def __reduce__(self) -> tuple[object, ...]:
         return _rebuild, (type(self), self.problem, self.where, self.expected, self.remedy)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+from ingest.samples import preview
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
@@ -9,6 +12,7 @@ from pipeline.analyse.cycle import cycle_fits
 from pipeline.analyse.rows.calibrations import calibration_table
 from pipeline.analyse.rows.cycles import cycle_tables
 from pipeline.analyse.rows.lifetimes import lifetime_table
+from pipeline.analyse.rows.recordings import joined, preview_table, recording_row, table_row
 from pipeline.analyse.rows.responses import distortion_table, response_table
 from pipeline.analyse.rows.self_sensing import loop_table, migration_tables, slow_table
 from pipeline.analyse.session_features import SessionFeatures
@@ -27,6 +31,28 @@ from pipeline.transform.step import measure_steps
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import CALIBRATION, ELECTRICAL, OTHER
 from schemas.recording import Recording
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def analyse_content(
+    content: Recording | LifetimeTable | ResponseTable | RelaxationTable, kind: str
+) -> tuple[dict[str, Any], Analysis]:
+    """The row of `recordings` that a content gets, and everything that is computed from it alone.
+
+    `kind` is the kind of table that stands instead of a recording. An analysis that fails is a problem of the row.
+    """
+    if isinstance(content, Recording):
+        row, analysis = recording_row(content), analyse_recording(content)
+        analysis.add({"previews": _draw_previews(content)})
+    else:
+        row = table_row(content.metadata, kind, content.problems, content.notes)
+        analysis = analyse_table(content)
+    notes = joined([row["notes"], *analysis.notes] if row["notes"] else analysis.notes)
+    failed = [failure.splitlines()[0] for failure in analysis.failures]
+    problem = joined([p for p in (row["problem"], *(f"analysis failed: {f}" for f in failed)) if p])
+    return {**row, "notes": notes, "problem": problem}, analysis
 
 
 def analyse_recording(recording: Recording) -> Analysis:
@@ -76,6 +102,16 @@ def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Ana
         analysis.carry(response)
         analysis.add({"frequency_responses": response_table([response])})
     return analysis
+
+
+def _draw_previews(recording: Recording) -> pa.Table:
+    """The envelopes of all channels over the time since the recording's first sample."""
+    envelopes = {}
+    for quantity, channel in recording.channels.items():
+        time_s, low, high = preview(channel)
+        if time_s.size:
+            envelopes[quantity] = (time_s + (channel.time_ns[0] - recording.start_ns) * 1e-9, low, high)
+    return preview_table(recording.metadata.recording_id, envelopes)
 
 
 def _calibration(analysis: Analysis, recording: Recording) -> None:

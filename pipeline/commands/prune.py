@@ -20,7 +20,7 @@ from pipeline.lab.lab import Lab
 from pipeline.lab.lock import exclusive
 from pipeline.lab.reader import Reader
 from pipeline.lab.snapshot import Changes, Deletion, publish
-from pipeline.nightly.stages import RECORDING, item_id
+from pipeline.nightly.stages import RECORDING, make_item_id
 from schemas.tables import TABLES
 
 
@@ -116,7 +116,7 @@ def _deletions(found: Plan) -> Iterator[Deletion]:
     for table in TABLES.values():
         if "recording_id" in table.names and table.name not in ("recordings", "annotations"):
             yield Deletion(table.name, {"recording_id": names})
-    yield Deletion("items", {"item_id": [item_id(RECORDING, row["source_sha256"]) for row in found.forgotten]})
+    yield Deletion("items", {"item_id": [make_item_id(RECORDING, row["source_sha256"]) for row in found.forgotten]})
     yield Deletion("files", {"path": [row["source_path"] for row in found.forgotten]})
     rows = [*found.forgotten, *found.bare]
     places = {key: [row[key] for row in rows] for key in ("source_path", "source_sha256")}

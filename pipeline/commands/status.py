@@ -17,8 +17,7 @@ from pipeline.lab.manifest import KnownRecording, Manifest, SeenFile
 from pipeline.lab.manifest import load as load_manifest
 from pipeline.lab.reader import Reader
 from pipeline.lab.settings import load as load_settings
-from pipeline.nightly.freshness import code_version, digest
-from pipeline.nightly.stages import MODULES
+from pipeline.nightly.stages import STAGES
 
 _ATTENTION = ("quarantined", "damaged", "pending")
 
@@ -109,10 +108,8 @@ def _stale(lab: Lab, manifest: Manifest) -> Iterator[str]:
     settings = load_settings(lab)
     found: Counter[tuple[str, str]] = Counter()
     for item in manifest.items.values():
-        if item.stage in MODULES:
-            now = Freshness(
-                item.freshness.input_hash, code_version(MODULES[item.stage]), digest(settings.of_stage(item.stage))
-            )
+        if item.stage in STAGES:
+            now = Freshness(item.freshness.input_hash, *STAGES[item.stage].version(settings))
             found.update((item.stage, what) for what in item.freshness.differences(now))
     for (stage, what), number in sorted(found.items()):
         yield f"{number} {stage} result{'' if number == 1 else 's'}: made with other {what}"

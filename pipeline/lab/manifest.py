@@ -5,7 +5,6 @@ Read from the published snapshot. An older release's database may lack tables an
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,9 +13,6 @@ from typing import Any
 from pipeline.lab.journal import Freshness
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import Reader
-
-MEMORY = "64MB"
-"""What DuckDB may use to read for a night."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +99,3 @@ def known_recordings(lab: Lab) -> frozenset[str]:
     lab.require_database()
     with Reader(lab.database) as reader:
         return frozenset(row["recording_id"] for row in reader.rows("recordings", ("recording_id",)))
-
-
-def published(lab: Lab) -> contextlib.AbstractContextManager[Reader | None]:
-    """A reader of the snapshot for a `with` block of a night; None where nothing has been published."""
-    return Reader(lab.database, memory=MEMORY) if lab.database.exists() else contextlib.nullcontext()

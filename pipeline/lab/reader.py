@@ -5,6 +5,7 @@ Light on purpose, since stages depend on it: the lab's paths and queries do not 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,14 @@ import pyarrow as pa
 from schemas.errors import LabError
 from schemas.tables import TABLES, Column
 
+NIGHT_MEMORY = "64MB"
+"""What DuckDB may use to read for a night."""
 _AT_ONCE = 500
+
+
+def open_published(database: Path) -> contextlib.AbstractContextManager[Reader | None]:
+    """A reader of a snapshot for a `with` block of a night; None where nothing has been published."""
+    return Reader(database, memory=NIGHT_MEMORY) if database.exists() else contextlib.nullcontext()
 
 
 class Reader:

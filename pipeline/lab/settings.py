@@ -1,11 +1,12 @@
 """Settings of a lab, from `settings.toml` in it: how the nightly works and what it fits.
 
-Only the settings that a stage uses count for the freshness of its results.
+Only the settings that a stage uses (`pipeline.nightly.stages`) count for the freshness of its results.
 """
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -28,9 +29,9 @@ class Settings:
     memory_mb: int = 0
     orders: tuple[int, ...] = (1, 2, 3)
 
-    def of_stage(self, stage: str) -> dict[str, Any]:
-        """The settings that the results of a stage depend on."""
-        return {"orders": list(self.orders)} if stage == "specimen" else {}
+    def choose(self, names: Sequence[str]) -> dict[str, Any]:
+        """The settings of these names."""
+        return {name: getattr(self, name) for name in names}
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)

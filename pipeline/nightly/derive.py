@@ -1,4 +1,8 @@
-"""The night's second half: specimens and groups, made again where their recordings changed."""
+"""The night's third step: specimens, diagnoses and groups, made again in workers where their recordings changed.
+
+Does not belong here: what is computed (`pipeline.analyse`), how results of recordings are fetched
+(`pipeline.lab.inputs`).
+"""
 
 from __future__ import annotations
 
@@ -6,18 +10,21 @@ import contextlib
 import functools
 import itertools
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from pipeline.lab.inputs import Included, fetch, kinds_of, write_members
-from pipeline.lab.journal import Freshness
-from pipeline.lab.manifest import published
-from pipeline.lab.reader import Reader
-from pipeline.nightly.context import Context
-from pipeline.nightly.freshness import digest_of_lists
+from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.inputs import RecordingInput
+from pipeline.lab.inputs import Included, fetch, fetch_results, kinds_of, read_members, write_members
+from pipeline.lab.journal import FAILED, OK, Freshness, Outcome, write_entry
+from pipeline.lab.reader import Reader, open_published
+from pipeline.nightly.freshness import digest_lists, leave_out_fresh
+from pipeline.nightly.ledger import book_outcomes
 from pipeline.nightly.stages import (
     CALIBRATION_KINDS,
     DIAGNOSIS,
@@ -26,11 +33,11 @@ from pipeline.nightly.stages import (
     GROUPS,
     SPECIMEN,
     SPECIMEN_KINDS,
-    DerivedTask,
-    derived_casualty,
-    item_id,
+    STAGES,
+    Night,
+    make_item_id,
 )
-from pipeline.nightly.workers import Casualty
+from schemas.errors import DealabError, LabError
 
 _Calibrations = Callable[[frozenset[str]], tuple[Included, ...]]
 _RIGS_AT_ONCE = 32
@@ -38,6 +45,108 @@ _RIGS_AT_ONCE = 32
 _INCLUDED = "SELECT * FROM included WHERE"
 _FIRST = {DIAGNOSIS: 0, GROUP: 1, SPECIMEN: 2}
 """None needs another's result. The longest come first, so that no worker is left alone with one at the end."""
+
+
+@dataclass(frozen=True)
+class DerivedTask:
+    """An item to be made from the results of recordings.
+
+    Parameters
+    ----------
+    item_id, stage : which item; its name after the colon is what it is about
+    freshness : what it is made from
+    recordings : its recordings' results
+    journal : folder that gets the results
+    calibrations : results of the calibrations of their rigs
+    settings : settings of the stage
+    snapshot, members : of a group, the published database, None where nothing of it is needed, and a file that says
+        where the results of its recordings are (`pipeline.lab.inputs`): there may be many thousand, so the worker
+        fetches them, not the night
+    """
+
+    item_id: str
+    stage: str
+    freshness: Freshness
+    recordings: tuple[RecordingInput, ...]
+    journal: Path
+    calibrations: tuple[RecordingInput, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    snapshot: Path | None = None
+    members: Path | None = None
+
+    @property
+    def name(self) -> str:
+        return self.item_id.partition(":")[2]
+
+    def perform(self) -> Outcome:
+        """Makes the item and keeps its results. Whatever goes wrong ends as an outcome with its reason.
+
+        Raises
+        ------
+        LabError : the lab cannot be read or written
+        MemoryError : memory ends
+        """
+        started = time.monotonic()
+        try:
+            analysis = _ANALYSES[self.stage](self)
+        except (LabError, MemoryError):
+            raise
+        except DealabError as error:
+            analysis = Analysis(failures=[str(error)])
+        except Exception as error:
+            analysis = Analysis(failures=[f"{type(error).__name__}: {error}\n{traceback.format_exc()}"])
+        outcome = Outcome(
+            self.item_id,
+            self.stage,
+            self.freshness,
+            FAILED if analysis.failures else OK,
+            round(time.monotonic() - started, 3),
+            "\n".join(analysis.failures) or None,
+            {"notes": analysis.notes},
+        )
+        write_entry(self.journal, outcome, analysis.joined())
+        return outcome
+
+    def give_up(self, reason: str, limits_hash: str) -> Outcome:
+        """Keeps that the item's worker did not come back: failed, until input, code or limits are others."""
+        made_from = replace(self.freshness, settings_hash=limits_hash)
+        outcome = Outcome(self.item_id, self.stage, made_from, FAILED, 0.0, f"failed twice: {reason}")
+        write_entry(self.journal, outcome, {})
+        return outcome
+
+
+def _analyse_specimen(task: DerivedTask) -> Analysis:
+    from pipeline.analyse.inputs import measured
+    from pipeline.analyse.specimen import analyse_specimen
+
+    recordings, calibrations = (tuple(map(measured, given)) for given in (task.recordings, task.calibrations))
+    return analyse_specimen(task.name, recordings, calibrations, orders=tuple(task.settings["orders"]))
+
+
+def _analyse_diagnosis(task: DerivedTask) -> Analysis:
+    from pipeline.analyse.diagnosis import analyse_diagnosis
+    from pipeline.analyse.inputs import measured
+
+    recordings, calibrations = (tuple(map(measured, given)) for given in (task.recordings, task.calibrations))
+    return analyse_diagnosis(task.name, recordings, calibrations)
+
+
+def _analyse_group(task: DerivedTask) -> Analysis:
+    from pipeline.analyse.groups import ANALYSES
+
+    group = GROUPS[task.name]
+    members = () if task.members is None else read_members(task.members, task.journal)
+    with contextlib.nullcontext() if task.snapshot is None else Reader(task.snapshot) as reader:
+        given = fetch_results(members, reader, group.kinds, mention=group.mention)
+    return ANALYSES[task.name](given)
+
+
+_ANALYSES: Mapping[str, Callable[[DerivedTask], Analysis]] = {
+    SPECIMEN: _analyse_specimen,
+    DIAGNOSIS: _analyse_diagnosis,
+    GROUP: _analyse_group,
+}
+"""What the results of each stage say is up to the modules that are imported here (`Stage.modules`)."""
 
 
 @dataclass(frozen=True)
@@ -51,52 +160,56 @@ class _Item:
 
     @property
     def input_hash(self) -> str:
-        return digest_of_lists(map(_identity, part) for part in (self.recordings, self.calibrations))
+        return digest_lists(map(_identify, part) for part in (self.recordings, self.calibrations))
 
 
-def derive(context: Context) -> None:
-    """Makes what is not fresh of the recordings that are included; books all items that there have to be as `derived`."""
-    ledger = context.ledger
-    ledger.add("derived", _items(context))
+def derive_results(night: Night) -> None:
+    """Makes what is not fresh of all that follows from the included recordings, which is booked as `derived`."""
+    ledger = night.ledger
+    ledger.add("derived", _list_all_items(night))
     ledger.run("INSERT INTO expected SELECT item_id, stage, input_hash FROM derived")
     for stage in _FIRST:
-        context.leave_out_fresh(stage)
-    _make(context)
+        code_version, settings_hash = night.version(stage)
+        leave_out_fresh(ledger, stage, code_version, (settings_hash, night.limits_hash))
+    _make_stale(night)
 
 
-def items_of(specimen_id: str, recordings: Iterable[Included], calibrations: _Calibrations) -> Iterator[_Item]:
-    """The items of a specimen. A diagnosis is one of them where it was measured in a way that a model describes, also where
-    none of it can be asked."""
+def list_items(specimen_id: str, recordings: Iterable[Included], calibrations: _Calibrations) -> Iterator[_Item]:
+    """The items of a specimen.
+
+    A diagnosis is one of them where the specimen was measured in a way that a model describes, also where the diagnosis
+    will have nothing to say.
+    """
     recordings = tuple(recordings)
     fitted = tuple(one for one in recordings if one.kinds & SPECIMEN_KINDS)
     if fitted:
-        yield _Item(item_id(SPECIMEN, specimen_id), SPECIMEN, fitted, calibrations(_rigs(fitted)))
+        yield _Item(make_item_id(SPECIMEN, specimen_id), SPECIMEN, fitted, calibrations(_name_rigs(fitted)))
     asked = tuple(one for one in recordings if one.kinds & (SPECIMEN_KINDS | {DIAGNOSIS_KIND}))
     if any(not one.kinds & CALIBRATION_KINDS for one in asked):
-        yield _Item(item_id(DIAGNOSIS, specimen_id), DIAGNOSIS, asked, calibrations(_rigs(asked)))
+        yield _Item(make_item_id(DIAGNOSIS, specimen_id), DIAGNOSIS, asked, calibrations(_name_rigs(asked)))
 
 
-def _rigs(recordings: Iterable[Included]) -> frozenset[str]:
+def _name_rigs(recordings: Iterable[Included]) -> frozenset[str]:
     return frozenset(one.rig_id for one in recordings if one.rig_id is not None)
 
 
-def _items(context: Context) -> Iterator[tuple[Any, ...]]:
+def _list_all_items(night: Night) -> Iterator[tuple[Any, ...]]:
     """All items, each with its stage, what it is made from and how many recordings that is."""
-    of_rigs = _of_rigs(context)
-    with_specimen = _included(context, f"{_INCLUDED} specimen_id IS NOT NULL ORDER BY specimen_id, recording_id")
+    of_rigs = _find_calibrations(night)
+    with_specimen = _list_included(night, f"{_INCLUDED} specimen_id IS NOT NULL ORDER BY specimen_id, recording_id")
     for specimen_id, members in itertools.groupby(with_specimen, attrgetter("specimen_id")):
-        for item in items_of(specimen_id, members, of_rigs):
+        for item in list_items(specimen_id, members, of_rigs):
             yield item.item_id, item.stage, item.input_hash, len(item.recordings)
     for name in GROUPS:
         count = itertools.count()
-        identities = (_identity(one) for one, _ in zip(_members(context, name), count, strict=False))
-        input_hash = digest_of_lists((identities, ()))
+        identities = (_identify(one) for one, _ in zip(_list_members(night, name), count, strict=False))
+        input_hash = digest_lists((identities, ()))
         if number := next(count):
-            yield item_id(GROUP, name), GROUP, input_hash, number
+            yield make_item_id(GROUP, name), GROUP, input_hash, number
 
 
-def _make(context: Context) -> None:
-    ledger = context.ledger
+def _make_stale(night: Night) -> None:
+    ledger = night.ledger
     count = ledger.number("SELECT count(*) FROM expected JOIN derived USING (item_id)")
     if not count:
         return
@@ -105,66 +218,63 @@ def _make(context: Context) -> None:
         "SELECT count(*) FROM expected JOIN derived d USING (item_id) WHERE d.stage <> ?", [GROUP]
     )
     with (
-        contextlib.nullcontext() if alone else published(context.lab) as reader,
-        tempfile.TemporaryDirectory(prefix="members-", dir=context.lab.work) as folder,
+        contextlib.nullcontext() if alone else open_published(night.lab.database) as reader,
+        tempfile.TemporaryDirectory(prefix="members-", dir=night.lab.work) as folder,
     ):
-        for task, result in context.run(_tasks(context, reader, Path(folder)), count, "analyses"):
-            if isinstance(result, Casualty):
-                limits = replace(task.freshness, settings_hash=context.limits_hash)
-                result = derived_casualty(replace(task, freshness=limits), result.reason)
-            context.keep([result], done=True)
+        for _, outcome in night.perform(_make_tasks(night, reader, Path(folder)), count, "analyses"):
+            book_outcomes(ledger, [outcome], done=True)
 
 
-def _tasks(context: Context, reader: Reader | None, folder: Path) -> Iterator[DerivedTask]:
+def _make_tasks(night: Night, reader: Reader | None, folder: Path) -> Iterator[DerivedTask]:
     """The tasks of what has to be made, with what they are made from: fetched here, or where to fetch it."""
-    of_rigs = _of_rigs(context)
+    of_rigs = _find_calibrations(night)
     place = " ".join(f"WHEN '{stage}' THEN {number}" for stage, number in _FIRST.items())
-    stale = context.ledger.each(
+    stale = night.ledger.each(
         "SELECT item_id, d.stage, d.input_hash FROM expected JOIN derived d USING (item_id)"
         f" ORDER BY CASE d.stage {place} END, CASE d.stage WHEN '{DIAGNOSIS}' THEN -members END, item_id"
     )
     for item, stage, input_hash in stale:
-        task = DerivedTask(item, stage, Freshness(input_hash, *context.version(stage)), (), context.lab.journal)
+        task = DerivedTask(item, stage, Freshness(input_hash, *night.version(stage)), (), night.lab.journal)
         if stage == GROUP:
             file = folder / task.name
-            some_published = write_members(file, _members(context, task.name))
-            yield replace(task, snapshot=context.lab.database if some_published else None, members=file)
+            some_published = write_members(file, _list_members(night, task.name))
+            yield replace(task, snapshot=night.lab.database if some_published else None, members=file)
             continue
-        members = _included(context, f"{_INCLUDED} specimen_id = ? ORDER BY recording_id", [task.name])
-        (made_from,) = (one for one in items_of(task.name, members, of_rigs) if one.stage == stage)
+        members = _list_included(night, f"{_INCLUDED} specimen_id = ? ORDER BY recording_id", [task.name])
+        (made_from,) = (one for one in list_items(task.name, members, of_rigs) if one.stage == stage)
         only, but = (DIAGNOSIS_KIND, "") if stage == DIAGNOSIS else ("", DIAGNOSIS_KIND)
         yield replace(
             task,
             recordings=fetch(made_from.recordings, reader, only=only, but=but),
             calibrations=fetch(made_from.calibrations, reader, only=only, but=but),
-            settings=context.settings.of_stage(stage),
+            settings=night.settings.choose(STAGES[stage].settings),
         )
 
 
-def _members(context: Context, group: str) -> Iterator[Included]:
+def _list_members(night: Night, group: str) -> Iterator[Included]:
     """The recordings of a group."""
     kinds = GROUPS[group].kinds
-    return (one for one in _included(context, f"{_INCLUDED} kinds <> '' ORDER BY recording_id") if one.kinds & kinds)
+    return (one for one in _list_included(night, f"{_INCLUDED} kinds <> '' ORDER BY recording_id") if one.kinds & kinds)
 
 
-def _of_rigs(context: Context) -> _Calibrations:
+def _find_calibrations(night: Night) -> _Calibrations:
     """Gives the calibrations of some rigs, by recording."""
 
     @functools.lru_cache(maxsize=_RIGS_AT_ONCE)
     def of_rigs(rigs: frozenset[str]) -> tuple[Included, ...]:
         query = f"{_INCLUDED} rig_id = ? AND calibrates"
-        found = (one for rig in rigs for one in _included(context, query, [rig]))
+        found = (one for rig in rigs for one in _list_included(night, query, [rig]))
         return tuple(sorted(found, key=attrgetter("recording_id")))
 
     return of_rigs
 
 
-def _included(context: Context, query: str, values: tuple[Any, ...] | list[Any] = ()) -> Iterator[Included]:
-    for name, specimen_id, rig_id, kinds, _, *made_from, entry in context.ledger.each(query, values):
-        journal_entry = None if entry is None else context.lab.journal / entry
+def _list_included(night: Night, query: str, values: tuple[Any, ...] | list[Any] = ()) -> Iterator[Included]:
+    for name, specimen_id, rig_id, kinds, _, *made_from, entry in night.ledger.each(query, values):
+        journal_entry = None if entry is None else night.lab.journal / entry
         yield Included(name, specimen_id, rig_id, kinds_of(kinds), Freshness(*made_from), journal_entry)
 
 
-def _identity(one: Included) -> list[str]:
+def _identify(one: Included) -> list[str]:
     made_from = one.made_from
     return [one.recording_id, made_from.input_hash, made_from.code_version, made_from.settings_hash]

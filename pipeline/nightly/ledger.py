@@ -1,22 +1,24 @@
 """The night's ledger: what is known of each raw file, content and result while a night is at work, in a private file.
 
 So the memory of a night does not grow with the number of recordings. The file lies in the lab's work folder, belongs to
-one process and one night, and is removed with it: what outlives a killed night is the journal. Does not belong here: what
-is decided from the tables (`pipeline.nightly.ownership`), and by whom (`pipeline.nightly.planning`, `pipeline.nightly.derive`, `pipeline.nightly.publish`).
+one process and one night, and is removed with it: what outlives a killed night is the journal. Does not belong here:
+what is decided from the tables (`pipeline.nightly.ownership`).
 """
 
 from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.analyse.rows.recordings import joined
+from pipeline.lab.journal import Outcome, entry_name
 from pipeline.lab.lab import Lab
-from pipeline.lab.manifest import MEMORY
-from pipeline.lab.reader import Reader
+from pipeline.lab.reader import open_published
 from schemas.errors import LabError
 
 _AT_ONCE = 500
@@ -56,13 +58,15 @@ TABLES: Mapping[str, str] = {
     ),
     "files": "path TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, inode INTEGER, sha256 TEXT",
     "carried": "recording_id TEXT, kind TEXT, PRIMARY KEY (recording_id, kind)",
-    # What is made (kinds of results in one text, a comma between two): outcomes in the journal, `done` where they are tonight's or still good.
+    # What is made: outcomes in the journal, `done` where they are tonight's or still good. Kinds of results stand in
+    # one text, a comma between two.
     "outcomes": (
         "item_id TEXT PRIMARY KEY, stage TEXT, input_hash TEXT, code_version TEXT, settings_hash TEXT, outcome TEXT,"
         " seconds REAL, error TEXT, recording_id TEXT, specimen_id TEXT, rig_id TEXT, status TEXT, problem TEXT,"
         " samples_path TEXT, refusal TEXT, carried TEXT, notes TEXT, entry TEXT UNIQUE, done INTEGER"
     ),
-    # Tonight's files. `size` to `inode` as the file was when it was looked at; `settled` where they are to be remembered.
+    # Tonight's files. `size` to `inode` as the file was when it was looked at; `settled` where they are to be
+    # remembered.
     "reached": "place TEXT PRIMARY KEY",
     "looks": (
         "id INTEGER PRIMARY KEY, path TEXT, place BLOB, root BLOB, found_size INTEGER, found_mtime_ns INTEGER,"
@@ -72,8 +76,9 @@ TABLES: Mapping[str, str] = {
     ),
     # Items and what making them now would make them from, until it is found which of them are fresh.
     "expected": "item_id TEXT, stage TEXT, input_hash TEXT",
-    # The plan. `look` is tonight's look to read a content from, NULL for one that was not looked at; `at_home` where that
-    # look is at the place which counts. Contents come in the order of `length` and `first`, those not looked at before all.
+    # Who owns what. `look` is tonight's look to read a content from, NULL for one that was not looked at; `at_home`
+    # where that look is at the place which counts. Contents come in the order of `length` and `first`, those not looked
+    # at before all others.
     "contents": "sha256 TEXT PRIMARY KEY, path TEXT, look INTEGER, at_home INTEGER, length INTEGER, first TEXT",
     "stale": "sha256 TEXT PRIMARY KEY",
     "readings": "sha256 TEXT PRIMARY KEY, recording_id TEXT, status TEXT, problem TEXT, refusal TEXT, accepted INTEGER",
@@ -153,7 +158,7 @@ class Ledger:
 
     def add(self, table: str, rows: Iterable[Sequence[Any]]) -> None:
         """Puts rows into a table, whole ones in the order of its columns; of the same key the later one stays."""
-        for some in batches(rows):
+        for some in split(rows):
             marks = ", ".join("?" * len(some[0]))
             try:
                 self._connection.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", some)
@@ -195,22 +200,48 @@ class Ledger:
         )
 
 
-def batches(rows: Iterable[Any], size: int = _AT_ONCE) -> Iterator[list[Any]]:
-    """The same in lists of a size that fits in memory."""
+def split(rows: Iterable[Any], size: int = _AT_ONCE) -> Iterator[list[Any]]:
+    """The rows in lists of a size that fits in memory."""
     waiting = iter(rows)
     while some := list(itertools.islice(waiting, size)):
         yield some
 
 
-def learn(lab: Lab, ledger: Ledger) -> int:
+def learn_lab(lab: Lab, ledger: Ledger) -> int:
     """Books what a lab knows; returns the number of its last run, 0 where nothing has been published.
 
     Raises `LabError` for an unreadable database.
     """
-    if not lab.database.exists():
-        return 0
-    with Reader(lab.database, memory=MEMORY) as reader:
+    with open_published(lab.database) as reader:
+        if reader is None:
+            return 0
         for name, columns in _LEARNT.items():
             ledger.add(_BOOKED.get(name, name), reader.values(name, columns))
         runs = [int(row["run_id"]) for row in reader.each("runs", ("run_id",)) if str(row["run_id"]).isdigit()]
     return max(runs, default=0)
+
+
+def book_outcomes(ledger: Ledger, outcomes: Iterable[Outcome], *, done: bool) -> None:
+    """Books outcomes whose entries lie in the journal; `done` where they are tonight's."""
+    ledger.add("outcomes", (_make_row(outcome, done) for outcome in outcomes))
+
+
+def _make_row(outcome: Outcome, done: bool) -> tuple[Any, ...]:
+    facts = outcome.facts
+    refusal = facts.get("refusal")
+    return (
+        outcome.item_id,
+        outcome.stage,
+        outcome.freshness.input_hash,
+        outcome.freshness.code_version,
+        outcome.freshness.settings_hash,
+        outcome.outcome,
+        outcome.seconds,
+        outcome.error,
+        *(facts.get(name) for name in ("recording_id", "specimen_id", "rig_id", "status", "problem", "samples_path")),
+        None if refusal is None else json.dumps(refusal),
+        ",".join(sorted(facts.get("carried", ()))),
+        joined(facts.get("notes", ())),
+        entry_name(outcome.item_id),
+        done,
+    )

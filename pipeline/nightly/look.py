@@ -1,4 +1,8 @@
-"""Looking at the raw files of a night: which there are, which content each has, which are being written just now."""
+"""The night's first step: which raw files there are, which content each has, which are being written just now.
+
+A content is what is in a raw file, known by its SHA-256; several files may have the same. Does not belong here: what a
+content holds (`pipeline.nightly.read`), how folders are walked (`ingest.discover`).
+"""
 
 from __future__ import annotations
 
@@ -14,14 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from ingest.discover import UNMAPPED, SourceFile, check_unchanged, discover, file_sha256, growing, lacks_end
+from ingest.paths import spell_root, spell_source
 from ingest.remote import RemoteFile, fetch, is_staged, is_url, mirror
 from pipeline.lab.lab import Lab
-from pipeline.lab.paths import root_text, source_text
-from pipeline.nightly.ledger import Ledger, batches
-from pipeline.nightly.stages import as_facts, mapping_hash
+from pipeline.nightly.freshness import hash_mapping
+from pipeline.nightly.ledger import Ledger, split
 from schemas.errors import DealabError, LabError, PendingError, RefusedError
 
 SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, version, whole"
+"""Columns of `looks` that say which file it was."""
 _YOUNG_NS = 60_000_000_000
 _AT_ONCE = 500
 """Files that wait to be hashed."""
@@ -34,7 +39,15 @@ mark changes with its content, however soon."""
 
 @dataclass(frozen=True)
 class Found:
-    """The folders that tonight's looks come from, whether a file among them is new or changed, and what was passed over."""
+    """What a look at the raw files found.
+
+    Parameters
+    ----------
+    roots : the files, folders and addresses that were looked through
+    some_new : a file among them is new or changed
+    unmapped : data files without a mapping, which are no recordings
+    notes : what was passed over, and why
+    """
 
     roots: tuple[str, ...]
     some_new: bool
@@ -42,9 +55,11 @@ class Found:
     notes: tuple[str, ...]
 
 
-def likely_new(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
-    """Whether some folder has got other files since the lab was published: a guess within milliseconds, from the folders
-    alone, so that workers can start while the night looks closely. A file that was written to in place escapes it.
+def has_newer_folder(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
+    """Whether some folder has got other files since the lab was published.
+
+    A guess within milliseconds, from the folders alone, so that workers can start while the night looks closely. A file
+    that was written to in place escapes it.
     """
     try:
         published = lab.database.stat().st_mtime_ns
@@ -63,9 +78,10 @@ def likely_new(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
     return False
 
 
-def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger) -> Found:
-    """Finds the recordings among files, folders and URLs and books a look at each. A file that is as it was last time is
-    not read again.
+def look_at_files(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger) -> Found:
+    """Finds the raw files that may be recordings and books a look at each, with its content.
+
+    `raw` are files, folders and URLs. A file that is as it was last time is not read for its content again.
 
     Raises `LabError` when there is not a single recording: nothing to do is a failure, not a success.
     """
@@ -77,14 +93,14 @@ def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger) -> Fou
     def first_time(place: str) -> bool:
         return ledger.run("INSERT OR IGNORE INTO reached VALUES (?)", [place]) == 1
 
-    def looked() -> Iterator[tuple[Any, ...]]:
+    def look() -> Iterator[tuple[Any, ...]]:
         for source in discover(paths_given, notes.append, skip=[lab.folder], mirrors=mirrors, first_time=first_time):
             if source.state == UNMAPPED:
-                unmapped.append(source_text(source))
+                unmapped.append(spell_source(source))
             else:
-                yield _booked(source, ledger)
+                yield _make_row(source, ledger)
 
-    ledger.add("looks", looked())
+    ledger.add("looks", look())
     if not ledger.number("SELECT EXISTS (SELECT 1 FROM looks)"):
         also = f"; {len(unmapped)} data files have no mapping" if unmapped else ""
         raise LabError(
@@ -93,16 +109,16 @@ def look(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger) -> Fou
             expected="*.mcap files, or data files with a mapping TOML",
             remedy="`dealab inspect FILE` says what a file holds and drafts a mapping",
         )
-    _hash_new(ledger, _Room(lab.remote))
-    roots = (*(root_text(given) for given in paths_given), *(found.url for found in mirrors))
+    _hash_new(ledger, _Staging(lab.remote))
+    roots = (*(spell_root(given) for given in paths_given), *(found.url for found in mirrors))
     some_new = bool(ledger.number("SELECT EXISTS (SELECT 1 FROM looks WHERE settled)"))
     return Found(roots, some_new, tuple(unmapped), tuple(notes))
 
 
-def source_of(
+def make_source(
     place: bytes, root: bytes, size: int, mtime_ns: int, file_format: str, state: str, *remote: Any
 ) -> SourceFile:
-    """A file that was looked at, from its columns `SOURCE`; without its mapping, which `ingest.discover.with_mapping` finds."""
+    """A file that was looked at, from its columns `SOURCE`; without its mapping, for `ingest.discover.with_mapping`."""
     url, name, version, whole = remote
     return SourceFile(
         Path(os.fsdecode(place)),
@@ -115,10 +131,10 @@ def source_of(
     )
 
 
-def _booked(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
+def _make_row(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
     """The look at a file, with its content where it is as it was last time."""
-    path, remote = source_text(source), source.remote
-    identity = _identity(source)
+    path, remote = spell_source(source), source.remote
+    identity = _identify(source)
     known = ledger.row("SELECT size, mtime_ns, inode, sha256 FROM files WHERE path = ?", [path])
     return (
         None,
@@ -130,7 +146,7 @@ def _booked(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
         source.format,
         source.state,
         *((None,) * 4 if remote is None else (remote.url, remote.name, remote.version, remote.whole)),
-        mapping_hash(source),
+        hash_mapping(source),
         *(identity or (None,) * 3),
         known[3] if known is not None and known[:3] == identity else None,
         None,
@@ -140,7 +156,7 @@ def _booked(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
     )
 
 
-def _hash_new(ledger: Ledger, room: _Room) -> None:
+def _hash_new(ledger: Ledger, staging: _Staging) -> None:
     """Reads the content of what is new or changed, some files at a time."""
     last = 0
     query = (
@@ -149,36 +165,36 @@ def _hash_new(ledger: Ledger, room: _Room) -> None:
     with ThreadPoolExecutor(max_workers=min(8, 2 * (os.cpu_count() or 1))) as pool:
         while some := list(ledger.each(query, [last])):
             last = some[-1][0]
-            sources = [source_of(*row[2:]) for row in some]
+            sources = [make_source(*row[2:]) for row in some]
             still_growing = {id(one) for one in growing(one for one in sources if one.remote is None)}
-            for part in batches(zip(some, sources, strict=True), _AT_ONCE):
+            for part in split(zip(some, sources, strict=True), _AT_ONCE):
                 to_hash = [source for _, source in part if id(source) not in still_growing]
-                hashes = dict(zip(map(id, to_hash), pool.map(room.hashed, to_hash), strict=True))
+                hashes = dict(zip(map(id, to_hash), pool.map(staging.hash_content, to_hash), strict=True))
                 hashed_at = time.time_ns()
                 for (look, mtime_ns, *_), source in part:
                     content = hashes.get(id(source)) or PendingError(
                         "the file is being written", where=source.path.name
                     )
-                    _book_content(ledger, look, content, _settled(source, mtime_ns, hashed_at))
+                    _book_content(ledger, look, content, _is_settled(source, mtime_ns, hashed_at))
 
 
 def _book_content(ledger: Ledger, look: int, content: str | DealabError, settled: bool) -> None:
     if isinstance(content, DealabError):
         ledger.run(
             "UPDATE looks SET problem = ?, refusal = ?, pending = ? WHERE id = ?",
-            [str(content), json.dumps(as_facts(content)), content.transient, look],
+            [str(content), json.dumps(content.as_dict()), content.transient, look],
         )
     else:
         ledger.run("UPDATE looks SET sha256 = ?, settled = ? WHERE id = ?", [content, settled, look])
 
 
-def _settled(source: SourceFile, mtime_ns: int | None, hashed_at: int) -> bool:
+def _is_settled(source: SourceFile, mtime_ns: int | None, hashed_at: int) -> bool:
     """Whether a file that is found as it was when it was hashed has the content that it had."""
     marked = source.remote is not None and source.remote.whole
     return mtime_ns is not None and (marked or hashed_at - mtime_ns > _SETTLED_NS)
 
 
-def _identity(source: SourceFile) -> tuple[int, int, int] | None:
+def _identify(source: SourceFile) -> tuple[int, int, int] | None:
     """Size, time of change and inode, or what the store has in its place: another content has another of them."""
     if source.remote is not None:
         return source.remote.size, source.remote.mtime_ns, source.remote.version
@@ -189,23 +205,23 @@ def _identity(source: SourceFile) -> tuple[int, int, int] | None:
     return info.st_size, info.st_mtime_ns, info.st_ino
 
 
-class _Room:
-    """Place for fetched files between their hashing and their reading: what finds none is fetched again to be read."""
+class _Staging:
+    """Where fetched files stay until they are read, as far as the disk has room; others are fetched once more then."""
 
     def __init__(self, folder: Path) -> None:
         self._left = shutil.disk_usage(folder).free // 2 if folder.is_dir() else 0
         self._lock = threading.Lock()
 
-    def hashed(self, source: SourceFile) -> str | DealabError:
+    def hash_content(self, source: SourceFile) -> str | DealabError:
         """SHA-256 of a file's content, or why it cannot be had."""
         if source.remote is None:
-            return _hashed(source)
+            return _hash_file(source)
         try:
             if not is_staged(source.path, source.remote):
                 fetch(source.remote, source.path)
         except DealabError as error:
             return error
-        content = _hashed(source)
+        content = _hash_file(source)
         young = time.time_ns() - source.mtime_ns < _YOUNG_NS
         if young and not source.remote.whole and lacks_end(source.path, source.format):
             content = PendingError("the file is being written", where=source.path.name)
@@ -217,7 +233,7 @@ class _Room:
         return content
 
 
-def _hashed(source: SourceFile) -> str | DealabError:
+def _hash_file(source: SourceFile) -> str | DealabError:
     """SHA-256 of a file's content, or why it cannot be had."""
     try:
         content = file_sha256(source.path)

@@ -1,8 +1,7 @@
-"""The nightly: what is new, what has to be made again, made, checked, published, reported.
+"""A night from its first look to its pages, step by step: `nightly` reads as the picture in the package's docstring.
 
-The order of work: look at the raw files, read new contents in workers, decide who owns which recording id, analyse the
-specimens and groups whose recordings changed, publish samples and database, write the reports. Whatever is finished
-lies in the journal until it is published, so that a night that was killed is taken up where it ended.
+Whatever is finished lies in the journal until it is published, so that a night that was killed is taken up where it
+ended.
 """
 
 from __future__ import annotations
@@ -13,8 +12,7 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,17 +21,23 @@ from types import FrameType
 from pipeline.lab.annotations import excluded, read_annotations
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import exclusive
-from pipeline.lab.settings import Settings
 from pipeline.lab.settings import load as load_settings
-from pipeline.nightly.context import Context, Track
-from pipeline.nightly.derive import derive
-from pipeline.nightly.ledger import Ledger, learn
-from pipeline.nightly.look import likely_new, look
-from pipeline.nightly.planning import write_rows
-from pipeline.nightly.publish import Counts, Night, attention, count, discard_work, made_again, missing, publish_night
-from pipeline.nightly.read import adopt_journal, include, read
-from pipeline.nightly.stages import MODULES
-from pipeline.nightly.workers import KeptPool, LocalPool, SerialExecutor, load, prepared
+from pipeline.nightly.derive import derive_results
+from pipeline.nightly.ledger import Ledger, learn_lab
+from pipeline.nightly.look import Found, has_newer_folder, look_at_files
+from pipeline.nightly.ownership import write_rows
+from pipeline.nightly.publish import (
+    Counts,
+    count_files,
+    count_missing,
+    count_results,
+    discard_work,
+    list_attention,
+    publish_night,
+)
+from pipeline.nightly.read import adopt_journal, include_recordings, read_contents
+from pipeline.nightly.stages import STAGES, Night
+from pipeline.nightly.workers import Track, Workers, load_module
 from schemas.errors import DealabError
 
 
@@ -65,7 +69,8 @@ class Summary:
         """The night in a few sentences."""
         c = self.counts
         parts = [
-            f"Run {self.run_id}: {_files(c.found)} found, {c.ingested} taken in, {c.reused} unchanged since an earlier run",
+            f"Run {self.run_id}: {_spell_files(c.found)} found, {c.ingested} taken in, "
+            f"{c.reused} unchanged since an earlier run",
             f"{c.quarantined} refused, {c.damaged} damaged, {c.failed} analyses failed",
         ]
         also = [
@@ -84,7 +89,10 @@ class Summary:
         return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {self.seconds:.1f} s."
 
 
-_PRELOAD, _REPORTS = tuple(MODULES.values()), "reports.build"
+_REPORTS = "reports.build"
+_TASKS = ("pipeline.nightly.read", "pipeline.nightly.derive")
+_PRELOAD = (*_TASKS, *(module for stage in STAGES.values() for module in stage.modules))
+"""Modules that workers are started with: the tasks, and all that they compute with."""
 
 
 def nightly(
@@ -96,7 +104,7 @@ def nightly(
     cluster: str | None = None,
     track: Track = lambda items, _count, _what: items,
 ) -> Summary:
-    """The whole job over raw files and folders; see the module's docstring.
+    """The whole job over raw files and folders.
 
     Parameters
     ----------
@@ -113,56 +121,66 @@ def nightly(
     UsageError : a path that does not exist
     """
     lab.create()
-    with exclusive(lab), _terminable():
-        started, clock = datetime.now(UTC), time.monotonic()
-        settings = load_settings(lab)
-        open_executor, workers = _executors(settings, jobs, cluster)
-        local = jobs > 0 and cluster is None
-        if local and likely_new(raw, lab):
-            prepared(_PRELOAD)  # what workers need loads while the night finds out what there is to do
-        kept = contextlib.closing(KeptPool(open_executor, jobs if local else 0))
-        with Ledger(lab.ledger) as ledger, kept as lend:
-            context = Context(lab, settings, ledger, rigs, workers, lend, track)
-            last_run = learn(lab, ledger)
-            annotations = read_annotations(lab)
-            found = look(raw, lab, ledger)
-            if found.some_new and local:
-                prepared(_PRELOAD)
-            reports = _imported(_REPORTS)
-            adopt_journal(context)
-            out = excluded(annotations)
-            read(context, found)
-            include(context, out)
-            derive(context)
-            lend.load(_REPORTS)
-            write_rows(ledger, found.roots, out)
-            night = Night(f"{last_run + 1:06d}", started, found, annotations)
-            publish_night(context, night)
+    with exclusive(lab), _end_when_told():
+        clock = time.monotonic()
+        with _prepare(raw, lab, jobs, rigs, cluster, track) as night:
+            found = look_at_files(raw, lab, night.ledger)
+            if found.some_new:
+                night.workers.prepare()
+            reports = _load_beside(_REPORTS)
+            adopt_journal(night)
+            out = excluded(night.annotations)
+            read_contents(night, found)
+            include_recordings(night, out)
+            derive_results(night)
+            night.workers.load(_REPORTS)
+            write_rows(night.ledger, found.roots, out)
+            publish_night(night, found)
             reports.join()
-            problem = _report(lab, None if cluster else lend, workers)
-            discard_work(context)
-            return _summary(context, night, time.monotonic() - clock, problem)
+            problem = _write_report(night)
+            discard_work(night)
+            return _summarise(night, found, time.monotonic() - clock, problem)
 
 
-def _summary(context: Context, night: Night, seconds: float, problem: str | None) -> Summary:
+@contextlib.contextmanager
+def _prepare(
+    raw: Sequence[str | os.PathLike[str]],
+    lab: Lab,
+    jobs: int,
+    rigs: Path | None,
+    cluster: str | None,
+    track: Track,
+) -> Iterator[Night]:
+    """What the steps of a night share: the lab with what it knows, and workers, which begin to load what they need."""
+    started, settings = datetime.now(UTC), load_settings(lab)
+    workers = Workers(settings, jobs, cluster, _PRELOAD, track)
+    if has_newer_folder(raw, lab):
+        workers.prepare()
+    with Ledger(lab.ledger) as ledger, contextlib.closing(workers):
+        number = learn_lab(lab, ledger) + 1
+        yield Night(lab, settings, ledger, workers, rigs, f"{number:06d}", started, read_annotations(lab))
+
+
+def _summarise(night: Night, found: Found, seconds: float, problem: str | None) -> Summary:
     return Summary(
         night.run_id,
         seconds,
-        count(context, night),
-        made_again(context),
-        missing(context),
-        attention(context),
-        (*night.found.notes, *(f"{path}: no mapping, passed over" for path in night.found.unmapped)),
+        count_files(night, found),
+        count_results(night),
+        count_missing(night),
+        list_attention(night),
+        (*found.notes, *(f"{path}: no mapping, passed over" for path in found.unmapped)),
         problem,
     )
 
 
-def _report(lab: Lab, open_executor: Callable[[int], Executor] | None, jobs: int) -> str | None:
+def _write_report(night: Night) -> str | None:
     """Writes the pages; a page that fails is told, but the database is published all the same."""
     from reports.build import build_reports
 
+    workers = night.workers
     try:
-        build_reports(lab.folder, workers=open_executor and (lambda: open_executor(jobs)), jobs=jobs)
+        build_reports(night.lab.folder, workers=workers.lend if workers.local else None, jobs=workers.jobs)
     except DealabError as error:
         return str(error)
     except Exception as error:
@@ -171,30 +189,15 @@ def _report(lab: Lab, open_executor: Callable[[int], Executor] | None, jobs: int
     return None
 
 
-def _imported(module: str) -> threading.Thread:
+def _load_beside(module: str) -> threading.Thread:
     """Imports a module beside what is done now: the night waits for workers and the database more than it computes."""
-    thread = threading.Thread(target=load, args=(module,), daemon=True)
+    thread = threading.Thread(target=load_module, args=(module,), daemon=True)
     thread.start()
     return thread
 
 
-def _executors(settings: Settings, jobs: int, cluster: str | None) -> tuple[Callable[[int], Executor], int]:
-    """How to get an executor, and how many workers there are."""
-    if cluster is not None:
-        from pipeline.nightly.cluster import executors
-
-        return executors(cluster)
-
-    def local(count: int) -> Executor:
-        if count == 0 or jobs == 0:
-            return SerialExecutor()
-        return LocalPool(count, deadline_s=settings.deadline_s, memory_mb=settings.memory_mb, preload=_PRELOAD)
-
-    return local, jobs
-
-
 @contextlib.contextmanager
-def _terminable() -> Iterator[None]:
+def _end_when_told() -> Iterator[None]:
     """Being told to end (SIGTERM) is an interrupt: workers are stopped and the lock is given back."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
@@ -211,5 +214,5 @@ def _terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _files(number: int) -> str:
+def _spell_files(number: int) -> str:
     return "1 file" if number == 1 else f"{number} files"

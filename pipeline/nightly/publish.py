@@ -1,4 +1,8 @@
-"""From a night's decisions to what changes in the lab: samples, quarantine, and the rows of the next snapshot."""
+"""The night's fourth step: what it decided and made is put in its place, and the next database is published.
+
+Samples and refused files go first, so that the database never speaks of what is not there. Does not belong here: how a
+database is built, checked and put in place (`pipeline.lab.snapshot`).
+"""
 
 from __future__ import annotations
 
@@ -13,30 +17,27 @@ from typing import Any
 
 from ingest.atomic import flush
 from ingest.discover import SourceFile
+from ingest.paths import is_below, spell_source
 from ingest.quarantine import quarantine, release
 from ingest.remote import forget, staged
 from pipeline.analyse.rows.recordings import as_json, recordings_rows
-from pipeline.lab.annotations import Annotation
 from pipeline.lab.journal import DAMAGED, FAILED, PENDING, QUARANTINED, entry_path, read_tables, unwritable
-from pipeline.lab.manifest import published as snapshot
-from pipeline.lab.paths import below, source_text
-from pipeline.lab.reader import Reader
+from pipeline.lab.reader import Reader, open_published
 from pipeline.lab.snapshot import Changes, Deletion, Rows, Streamed, publish
-from pipeline.nightly.context import Context
-from pipeline.nightly.ledger import batches
-from pipeline.nightly.look import SOURCE, Found, source_of
-from pipeline.nightly.ownership import DUPLICATE
-from pipeline.nightly.planning import ANALYSED_SQL, ITEM
+from pipeline.nightly.ledger import split
+from pipeline.nightly.look import SOURCE, Found, make_source
+from pipeline.nightly.ownership import ANALYSED_SQL, DUPLICATE, ITEM
 from pipeline.nightly.stages import (
     DIAGNOSIS,
     DIAGNOSIS_TABLES,
     GROUP,
     GROUPS,
-    RECORDING,
     RECORDING_TABLES,
     SPECIMEN,
     SPECIMEN_TABLES,
-    item_id,
+    STAGES,
+    Night,
+    make_item_id,
 )
 from schemas.errors import DealabError, RefusedError
 from schemas.version import software_version
@@ -62,16 +63,6 @@ _ITEMS_GONE = (
 
 
 @dataclass(frozen=True)
-class Night:
-    """A night whose plan is in the ledger."""
-
-    run_id: str
-    started_at: datetime
-    found: Found
-    annotations: Sequence[Annotation]
-
-
-@dataclass(frozen=True)
 class Counts:
     """Numbers of a run, named as the columns of `runs`."""
 
@@ -86,9 +77,9 @@ class Counts:
     unmapped: int
 
 
-def count(context: Context, night: Night) -> Counts:
+def count_files(night: Night, found: Found) -> Counts:
     """The numbers of a night."""
-    ledger = context.ledger
+    ledger = night.ledger
     tonight = "FROM rows WHERE look IS NOT NULL"
     statuses = dict(ledger.each(f"SELECT status, count(*) {tonight} GROUP BY status"))
     contents = f"SELECT count(DISTINCT source_sha256) {tonight} AND source_sha256 IS NOT NULL AND"
@@ -97,17 +88,17 @@ def count(context: Context, night: Night) -> Counts:
         ingested=ledger.number(f"{contents} {_AGAIN} AND {_RESULTS}"),
         reused=ledger.number(f"{contents} NOT {_AGAIN}"),
         quarantined=statuses.get(QUARANTINED, 0),
-        failed=len(failures(context)),
+        failed=len(list_failures(night)),
         damaged=statuses.get(DAMAGED, 0),
         duplicates=statuses.get(DUPLICATE, 0),
         pending=statuses.get(PENDING, 0),
-        unmapped=len(night.found.unmapped),
+        unmapped=len(found.unmapped),
     )
 
 
-def failures(context: Context) -> dict[str, str]:
+def list_failures(night: Night) -> dict[str, str]:
     """Items that stand in the lab as failed, with the first line of their reason."""
-    errors = context.ledger.each(
+    errors = night.ledger.each(
         "SELECT s.item_id, CASE WHEN o.item_id IS NULL THEN i.error ELSE o.error END FROM standing s"
         " LEFT JOIN outcomes o ON o.done AND o.item_id = s.item_id LEFT JOIN items i ON i.item_id = s.item_id"
         " WHERE s.results AND CASE WHEN o.item_id IS NULL THEN i.outcome ELSE o.outcome END = ? ORDER BY s.item_id",
@@ -116,44 +107,44 @@ def failures(context: Context) -> dict[str, str]:
     return {item: error.splitlines()[0] if error else "no reason given" for item, error in errors}
 
 
-def attention(context: Context) -> tuple[str, ...]:
+def list_attention(night: Night) -> tuple[str, ...]:
     """Every file that was refused or is damaged and every analysis that failed, with its reason."""
-    rows = context.ledger.each(
+    rows = night.ledger.each(
         "SELECT r.status, r.source_path, r.problem FROM rows r JOIN looks l ON l.id = r.look"
         " WHERE r.status IN (?, ?) ORDER BY l.place",
         [QUARANTINED, DAMAGED],
     )
     files = [f"{status}: {path}: {problem}" for status, path, problem in rows]
-    return (*files, *(f"failed: {item}: {reason}" for item, reason in failures(context).items()))
+    return (*files, *(f"failed: {item}: {reason}" for item, reason in list_failures(night).items()))
 
 
-def made_again(context: Context) -> int:
+def count_results(night: Night) -> int:
     """How many results the night made, or took over from a killed one."""
-    return context.ledger.number("SELECT count(*) FROM outcomes WHERE done")
+    return night.ledger.number("SELECT count(*) FROM outcomes WHERE done")
 
 
-def missing(context: Context) -> int:
+def count_missing(night: Night) -> int:
     """How many known recordings have no file any more."""
-    return context.ledger.number("SELECT count(*) FROM rows WHERE NOT source_present")
+    return night.ledger.number("SELECT count(*) FROM rows WHERE NOT source_present")
 
 
-def publish_night(context: Context, night: Night) -> None:
-    """Puts samples and refused files in their place, publishes the database, and removes what no row speaks of any more.
+def publish_night(night: Night, found: Found) -> None:
+    """Puts samples and refused files in their place, publishes the database, removes what no row speaks of any more.
 
     Raises `LabError`; the published database is then as it was.
     """
-    _place_samples(context)
-    _place_refused(context, night)
-    publish(context.lab, Changes(Streamed(_deletions, context, night), Streamed(_insertions, context, night)))
-    _remove_old_samples(context)
+    _place_samples(night)
+    _place_refused(night)
+    publish(night.lab, Changes(Streamed(_list_deletions, night, found), Streamed(_list_insertions, night, found)))
+    _remove_old_samples(night)
 
 
-# --- what changes -------------------------------------------------------------------------------------------------------
+# --- what changes -----------------------------------------------------------------------------------------------------
 
 
-def _deletions(context: Context, night: Night) -> Iterator[Deletion]:
+def _list_deletions(night: Night, found: Found) -> Iterator[Deletion]:
     """What goes, in parts that fit in memory."""
-    ledger, each = context.ledger, context.ledger.each
+    ledger, each = night.ledger, night.ledger.each
     ledger.run("DELETE FROM going")
     ledger.run(f"INSERT INTO going SELECT DISTINCT 'recording_id', recording_id {_WITHOUT_RESULTS}")
     ledger.run(f"INSERT INTO going SELECT stage, item_id {_ITEMS_GONE}")
@@ -162,66 +153,66 @@ def _deletions(context: Context, night: Night) -> Iterator[Deletion]:
         "SELECT source_path, source_sha256 FROM known k WHERE NOT EXISTS (SELECT 1 FROM rows r"
         " WHERE r.source_path = k.source_path AND r.source_sha256 IS k.source_sha256 AND NOT r.changed)"
     )
-    yield from _parts("recordings", ("source_path", "source_sha256"), gone)
+    yield from _delete_in_parts("recordings", ("source_path", "source_sha256"), gone)
     for table, where in RECORDING_TABLES.items():
-        yield from _parts(table, ("recording_id",), each(named, ["recording_id"]), where)
+        yield from _delete_in_parts(table, ("recording_id",), each(named, ["recording_id"]), where)
     for stage, tables in ((SPECIMEN, SPECIMEN_TABLES), (DIAGNOSIS, DIAGNOSIS_TABLES)):
-        begin = len(item_id(stage, ""))
+        begin = len(make_item_id(stage, ""))
         for table, where in tables.items():
             specimens = ((item[begin:],) for (item,) in each(named, [stage]))
-            yield from _parts(table, ("specimen_id",), specimens, where)
+            yield from _delete_in_parts(table, ("specimen_id",), specimens, where)
     for name, group in GROUPS.items():
-        if ledger.row("SELECT 1 FROM going WHERE name = ?", [item_id(GROUP, name)]) is not None:
+        if ledger.row("SELECT 1 FROM going WHERE name = ?", [make_item_id(GROUP, name)]) is not None:
             yield from (Deletion(table) for table in group.tables)
-    yield from _parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
-    yield from _parts("files", ("path",), ((path,) for path in _files_gone(context, night)))
+    yield from _delete_in_parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
+    yield from _delete_in_parts("files", ("path",), ((path,) for path in _list_files_gone(night, found)))
     yield Deletion("annotations")
 
 
-def _parts(
+def _delete_in_parts(
     table: str, columns: Sequence[str], keys: Iterable[tuple[str | None, ...]], where: str = "true"
 ) -> Iterator[Deletion]:
-    for some in batches(keys, _KEYS_AT_ONCE):
+    for some in split(keys, _KEYS_AT_ONCE):
         yield Deletion(table, dict(zip(columns, zip(*some, strict=True), strict=True)), where)
 
 
-def _files_gone(context: Context, night: Night) -> Iterator[str]:
-    found = context.ledger.each(
+def _list_files_gone(night: Night, found: Found) -> Iterator[str]:
+    files = night.ledger.each(
         "SELECT path, EXISTS (SELECT 1 FROM looks l WHERE l.path = f.path),"
         " EXISTS (SELECT 1 FROM looks l WHERE l.path = f.path AND settled) FROM files f"
     )
-    for path, looked, again in found:
-        if again or (not looked and any(below(path, root) for root in night.found.roots)):
+    for path, seen, again in files:
+        if again or (not seen and any(is_below(path, root) for root in found.roots)):
             yield path
 
 
-def _insertions(context: Context, night: Night) -> Iterator[Mapping[str, Rows]]:
-    ledger = context.ledger
+def _list_insertions(night: Night, found: Found) -> Iterator[Mapping[str, Rows]]:
+    ledger = night.ledger
     changed = f"SELECT {_ROW} FROM rows WHERE changed"
     made = "FROM outcomes o JOIN standing s USING (item_id) WHERE o.done ORDER BY item_id"
     for item, has_results in ledger.each(f"SELECT item_id, s.results {made}"):
-        tables = read_tables(entry_path(context.lab.journal, item))
+        tables = read_tables(entry_path(night.lab.journal, item))
         read = tables.pop("recordings", None)
         if read is not None:
             (full,) = recordings_rows(read)
             rows = ledger.each(f"{changed} AND source_sha256 = ?", [item.partition(":")[2]])
-            yield {"recordings": [_complete(night, row, full) for row in rows]}
+            yield {"recordings": [_complete_row(night, row, full) for row in rows]}
         if has_results:
             yield tables
-    with snapshot(context.lab) as reader:
-        for some in batches(ledger.each(f"{changed} AND NOT {_AGAIN}")):
-            yield {"recordings": _as_published(night, some, reader)}
-    for some in batches(ledger.each(f"SELECT {', '.join(f'o.{name}' for name in _ITEM)} {made}")):
+    with open_published(night.lab.database) as reader:
+        for some in split(ledger.each(f"{changed} AND NOT {_AGAIN}")):
+            yield {"recordings": _complete_rows(night, some, reader)}
+    for some in split(ledger.each(f"SELECT {', '.join(f'o.{name}' for name in _ITEM)} {made}")):
         yield {"items": [{**dict(zip(_ITEM, row, strict=True)), "run_id": night.run_id} for row in some]}
-    for some in batches(ledger.each(f"SELECT {', '.join(_FILE)} FROM looks WHERE settled ORDER BY path")):
+    for some in split(ledger.each(f"SELECT {', '.join(_FILE)} FROM looks WHERE settled ORDER BY path")):
         yield {"files": [dict(zip(_FILE, row, strict=True)) for row in some]}
     yield {
         "annotations": [{**asdict(one), "at": datetime.fromisoformat(one.at)} for one in night.annotations],
-        "runs": [_run_row(context, night)],
+        "runs": [_describe_run(night, found)],
     }
 
 
-def _as_published(night: Night, changed: Sequence[tuple[Any, ...]], reader: Reader | None) -> list[dict[str, Any]]:
+def _complete_rows(night: Night, changed: Sequence[tuple[Any, ...]], reader: Reader | None) -> list[dict[str, Any]]:
     """Changed rows of `recordings` that nothing was read for tonight, completed from what is published."""
     contents = sorted({sha256 for _, sha256, *_ in changed if sha256})
     published: dict[str, dict[str, Any]] = {}
@@ -229,10 +220,10 @@ def _as_published(night: Night, changed: Sequence[tuple[Any, ...]], reader: Read
         for full in reader.rows("recordings", None, "source_sha256", contents):
             if full["status"] != DUPLICATE:
                 published[full["source_sha256"]] = full
-    return [_complete(night, row, published.get(row[1] or "", {})) for row in changed]
+    return [_complete_row(night, row, published.get(row[1] or "", {})) for row in changed]
 
 
-def _complete(night: Night, row: Sequence[Any], full: Mapping[str, Any]) -> dict[str, Any]:
+def _complete_row(night: Night, row: Sequence[Any], full: Mapping[str, Any]) -> dict[str, Any]:
     """A whole row of `recordings` from what the night says of it and what its content gave when it was read.
 
     Not as an arrow table, which would cost an import of pandas.
@@ -248,33 +239,32 @@ def _complete(night: Night, row: Sequence[Any], full: Mapping[str, Any]) -> dict
     }
 
 
-def _run_row(context: Context, night: Night) -> dict[str, Any]:
-    notes = [*night.found.notes, *(f"{path}: no mapping" for path in night.found.unmapped)]
-    stages = (RECORDING, SPECIMEN, DIAGNOSIS, GROUP)
+def _describe_run(night: Night, found: Found) -> dict[str, Any]:
+    notes = [*found.notes, *(f"{path}: no mapping" for path in found.unmapped)]
     return {
         "run_id": night.run_id,
         "started_at": night.started_at,
         "finished_at": datetime.now(UTC),
         "software_version": software_version(),
-        **asdict(count(context, night)),
+        **asdict(count_files(night, found)),
         "notes": json.dumps(notes, ensure_ascii=False),
-        "settings": as_json(context.settings.as_dict()),
-        "code_version": as_json({stage: context.version(stage)[0] for stage in stages}),
+        "settings": as_json(night.settings.as_dict()),
+        "code_version": as_json({stage: night.version(stage)[0] for stage in STAGES}),
     }
 
 
-# --- files --------------------------------------------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------------------------------
 
 
-def _place_samples(context: Context) -> None:
+def _place_samples(night: Night) -> None:
     """Moves the samples of accepted recordings from where the workers wrote them. Done twice, it does nothing twice."""
     folders = set()
-    made = context.ledger.each(
+    made = night.ledger.each(
         f"SELECT r.sha256, o.samples_path FROM outcomes o JOIN readings r ON o.item_id = {ITEM} r.sha256"
         " WHERE o.done AND r.accepted AND o.samples_path IS NOT NULL"
     )
     for sha256, relative in made:
-        waiting, place = context.lab.staged(sha256), context.lab.folder / relative
+        waiting, place = night.lab.staged(sha256), night.lab.folder / relative
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
             if waiting.exists():
@@ -286,13 +276,14 @@ def _place_samples(context: Context) -> None:
         flush(folder)
 
 
-def _place_refused(context: Context, night: Night) -> None:
+def _place_refused(night: Night) -> None:
     """Copies newly refused files into quarantine, and releases files that have become good."""
-    each = context.ledger.each
+    each = night.ledger.each
     source = ", ".join(f"l.{name.strip()}" for name in SOURCE.split(","))
     refused = each(
-        f"SELECT l.sha256, w.problem, coalesce(r.refusal, l.refusal), {source} FROM rows w JOIN looks l ON l.id = w.look"
-        " LEFT JOIN readings r ON r.sha256 = l.sha256 WHERE w.changed AND w.status = ? ORDER BY l.place",
+        f"SELECT l.sha256, w.problem, coalesce(r.refusal, l.refusal), {source}"
+        " FROM rows w JOIN looks l ON l.id = w.look LEFT JOIN readings r ON r.sha256 = l.sha256"
+        " WHERE w.changed AND w.status = ? ORDER BY l.place",
         [QUARANTINED],
     )
     good = each(
@@ -303,40 +294,45 @@ def _place_refused(context: Context, night: Night) -> None:
     try:
         for sha256, problem, refusal, *where in refused:
             error = RefusedError(problem or "refused") if refusal is None else DealabError(**json.loads(refusal))
-            _quarantine(context, night, source_of(*where), sha256, error)
-        for there in (source_of(*where) for where in good):
-            release(_place(there) or there.path, context.lab.folder)
+            _quarantine(night, make_source(*where), sha256, error)
+        for there in (make_source(*where) for where in good):
+            release(_find_address(there) or there.path, night.lab.folder)
     except OSError as error:
-        raise unwritable(context.lab.quarantine, error) from error
+        raise unwritable(night.lab.quarantine, error) from error
 
 
-def _quarantine(context: Context, night: Night, source: SourceFile, sha256: str | None, error: DealabError) -> None:
+def _quarantine(night: Night, source: SourceFile, sha256: str | None, error: DealabError) -> None:
     with staged(source.path, source.remote):
-        quarantine(source.path, context.lab.folder, error, sha256=sha256, when=night.started_at, place=_place(source))
+        quarantine(
+            source.path, night.lab.folder, error, sha256=sha256, when=night.started_at, place=_find_address(source)
+        )
 
 
-def _place(source: SourceFile) -> str | None:
+def _find_address(source: SourceFile) -> str | None:
     """The address of a file that is here only for now."""
-    return None if source.remote is None else source_text(source)
+    return None if source.remote is None else spell_source(source)
 
 
-def _remove_old_samples(context: Context) -> None:
+def _remove_old_samples(night: Night) -> None:
     """Samples of recordings that were read again under another name, or are forgotten."""
-    old = context.ledger.each(
+    old = night.ledger.each(
         f"SELECT samples_path {_WITHOUT_RESULTS} AND samples_path IS NOT NULL AND samples_path NOT IN"
         f" (SELECT o.samples_path FROM outcomes o JOIN readings r ON o.item_id = {ITEM} r.sha256"
         " WHERE o.done AND r.accepted AND o.samples_path IS NOT NULL)"
     )
-    root = context.lab.samples_folder.resolve()
+    root = night.lab.samples_folder.resolve()
     for (relative,) in old:
-        path = (context.lab.folder / relative).resolve()
+        path = (night.lab.folder / relative).resolve()
         if root in path.parents:
             path.unlink(missing_ok=True)
 
 
-def discard_work(context: Context) -> None:
-    """Removes the journal and what is half done, also by a killed night: all of it is published. The ledger removes itself."""
-    for place in (path for path in context.lab.work.iterdir() if path != context.lab.ledger):
+def discard_work(night: Night) -> None:
+    """Removes the journal and what is half done, also by a killed night: all of it is published.
+
+    The ledger removes itself.
+    """
+    for place in (path for path in night.lab.work.iterdir() if path != night.lab.ledger):
         with suppress(OSError), os.scandir(place) as found:  # one by one: to remove a folder lists all of it first
             for one in found:
                 os.unlink(one.path)
@@ -344,4 +340,4 @@ def discard_work(context: Context) -> None:
             shutil.rmtree(place, ignore_errors=True)
         else:
             place.unlink(missing_ok=True)
-    forget(context.lab.remote)
+    forget(night.lab.remote)

@@ -1,33 +1,32 @@
-"""The items of the stages: what they are called, what they are made from, which rows are theirs.
+"""What a night makes, in four stages: the code and the settings that the results of each depend on, and its rows.
 
-Light on purpose: the night plans with this module, only the workers import what the stages compute with.
+    recording    what one content holds: its row, samples, previews, responses, results that the later stages take
+    specimen     what the recordings of a specimen say together: averages, models, predictions
+    diagnosis    what the simulation of a specimen gets wrong, and why
+    group        what is said about many specimens at once: survival, force maps, weak regions
+
+An item is one piece of a stage's work, named `stage:` and what it is about: the content by its SHA-256, the specimen,
+the group. Also what the steps of a night share (`Night`). Does not belong here: how an item is made, which its task
+knows (`pipeline.nightly.read`, `pipeline.nightly.derive`).
 """
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import functools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import Any
 
-from ingest.discover import SourceFile
-from ingest.rigs import find_rig
-from pipeline.analyse.inputs import RecordingInput
-from pipeline.analyse.rows.recordings import recordings_table, refused_row
-from pipeline.lab.journal import FAILED, QUARANTINED, Freshness, Outcome, write_entry
-from pipeline.lab.paths import source_text
-from pipeline.nightly.freshness import digest
-from schemas.errors import DealabError
+from pipeline.lab.annotations import Annotation
+from pipeline.lab.journal import Outcome
+from pipeline.lab.lab import Lab
+from pipeline.lab.settings import Settings
+from pipeline.nightly.freshness import digest, hash_code
+from pipeline.nightly.ledger import Ledger
+from pipeline.nightly.workers import AnyTask, Casualty, Workers
 
 RECORDING, SPECIMEN, DIAGNOSIS, GROUP = "recording", "specimen", "diagnosis", "group"
-MODULES: Mapping[str, str] = {
-    RECORDING: "pipeline.nightly.stage_recording",
-    SPECIMEN: "pipeline.nightly.stage_specimen",
-    DIAGNOSIS: "pipeline.nightly.stage_diagnosis",
-    GROUP: "pipeline.nightly.stage_groups",
-}
-"""The module of each stage: it has `run(task)`, and its source, with all it imports, is the stage's code version."""
 
 RECORDING_TABLES: Mapping[str, str] = {
     "previews": "true",
@@ -109,136 +108,98 @@ GROUPS: Mapping[str, Group] = {
 }
 
 
-def item_id(stage: str, name: str) -> str:
+@dataclass(frozen=True)
+class Stage:
+    """One of the stages of a night.
+
+    Parameters
+    ----------
+    name : what its items are named after
+    modules : what its results depend on: the source of these modules, and of all of ours that they import, is the
+        stage's code version. Code of the night that merely moves results about is no part of it.
+    tables : the tables that it makes rows of, and which of their rows are its own
+    settings : the settings of the lab that its results depend on
+    """
+
+    name: str
+    modules: tuple[str, ...]
+    tables: Mapping[str, str]
+    settings: tuple[str, ...] = ()
+
+    def version(self, settings: Settings) -> tuple[str, str]:
+        """Hash of its code, and of the settings that it uses."""
+        return hash_code(self.modules), digest(settings.choose(self.settings))
+
+
+STAGES: Mapping[str, Stage] = {
+    stage.name: stage
+    for stage in (
+        Stage(
+            RECORDING,
+            ("ingest.intake", "ingest.samples", "pipeline.analyse.recording", "pipeline.analyse.carried"),
+            RECORDING_TABLES,
+        ),
+        Stage(
+            SPECIMEN,
+            ("pipeline.lab.inputs", "pipeline.analyse.inputs", "pipeline.analyse.specimen"),
+            SPECIMEN_TABLES,
+            ("orders",),
+        ),
+        Stage(
+            DIAGNOSIS,
+            ("pipeline.lab.inputs", "pipeline.analyse.inputs", "pipeline.analyse.diagnosis"),
+            DIAGNOSIS_TABLES,
+        ),
+        Stage(
+            GROUP,
+            ("pipeline.lab.inputs", "pipeline.analyse.groups"),
+            {table: "true" for group in GROUPS.values() for table in group.tables},
+        ),
+    )
+}
+"""The stages in the order in which their results depend on each other."""
+
+
+def make_item_id(stage: str, name: str) -> str:
     """The name of an item: its stage and the content, specimen or group that it is about."""
     return f"{stage}:{name}"
 
 
-def perform(task: RecordingTask | DerivedTask) -> Outcome:
-    """Runs a task in whatever process this is, and keeps its results in the journal."""
-    outcome: Outcome = importlib.import_module(MODULES[task.stage]).run(task)
-    return outcome
-
-
 @dataclass(frozen=True)
-class RecordingTask:
-    """One content to be read.
+class Night:
+    """What the steps of a night share.
 
     Parameters
     ----------
-    source : the file, its mapping, and its size and time when it was hashed
-    sha256 : of its content
-    rigs : folder of rig files, None to look beside the recordings
-    lab : the lab's folder
-    staged : file that gets the samples, until the recording is accepted
-    journal : folder that gets the results
-    code_version, settings_hash : of the stage, as the night began
+    lab, settings : the lab, and what it chose
+    ledger : what is known of every raw file, content and result, from earlier nights and from this one
+    workers : where contents are read and results are made
+    rigs : folder with rig files, None to look beside the recordings
+    run_id, started_at : number and time of this night
+    annotations : what people said about recordings before it began
     """
 
-    source: SourceFile
-    sha256: str
+    lab: Lab
+    settings: Settings
+    ledger: Ledger
+    workers: Workers
     rigs: Path | None
-    lab: Path
-    staged: Path
-    journal: Path
-    code_version: str
-    settings_hash: str
-    stage: str = RECORDING
+    run_id: str
+    started_at: datetime
+    annotations: Sequence[Annotation]
 
-    @property
-    def item_id(self) -> str:
-        return item_id(RECORDING, self.sha256)
+    def version(self, stage: str) -> tuple[str, str]:
+        """Hash of a stage's code, and of the settings that it uses."""
+        return STAGES[stage].version(self.settings)
 
+    @functools.cached_property
+    def limits_hash(self) -> str:
+        """Stands for the settings in what a lost item was made from: with other limits it is tried again."""
+        return digest([self.settings.deadline_s, self.settings.memory_mb])
 
-@dataclass(frozen=True)
-class DerivedTask:
-    """An item made from the results of recordings.
-
-    Parameters
-    ----------
-    item_id, stage : which item; its name after the colon is what it is about
-    freshness : what it is made from
-    recordings : its recordings' results
-    journal : folder that gets the results
-    calibrations : results of the calibrations of their rigs
-    settings : settings of the stage
-    snapshot, members : of a group, the published database, None where nothing of it is needed, and a file that says where
-        the results of its recordings are (`pipeline.lab.inputs`): there may be many thousand, so the worker fetches them,
-        not the night
-    """
-
-    item_id: str
-    stage: str
-    freshness: Freshness
-    recordings: tuple[RecordingInput, ...]
-    journal: Path
-    calibrations: tuple[RecordingInput, ...] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    snapshot: Path | None = None
-    members: Path | None = None
-
-    @property
-    def name(self) -> str:
-        return self.item_id.partition(":")[2]
-
-
-def mapping_hash(source: SourceFile) -> str:
-    """Hash of a file's mapping; of its error where it is wrong or there is none."""
-    return source.mapping.hash if source.mapping is not None else digest(str(source.error))
-
-
-def input_hash(mapping_hash: str, sha256: str, rig_hash: str) -> str:
-    """Hash of what the results of a file are made from: its content, its mapping and its rig's file."""
-    return digest([sha256, mapping_hash, rig_hash])
-
-
-def rig_hash(source: SourceFile, rig_id: str | None, rigs: Path | None) -> str:
-    """Hash of the file of a recording's rig; of its error where it is wrong, empty where there is none."""
-    try:
-        rig = find_rig(rig_id, source.path, root=source.root, rigs=rigs)
-    except DealabError as error:
-        return digest(str(error))
-    return "" if rig is None else rig.hash
-
-
-def recording_casualty(task: RecordingTask, reason: str) -> Outcome:
-    """The outcome of a file whose worker did not come back, kept like any other."""
-    problem = DealabError(
-        f"reading or analysing it failed twice: {reason}",
-        where=task.source.path.name,
-        remedy="Raise deadline_s or memory_mb in the lab's settings.toml if the file is fine",
-    )
-    row = refused_row({}, str(problem), "recording") | {
-        "source_path": source_text(task.source),
-        "source_sha256": task.sha256,
-        "source_present": True,
-    }
-    made_from = input_hash(mapping_hash(task.source), task.sha256, rig_hash(task.source, None, task.rigs))
-    outcome = Outcome(
-        task.item_id,
-        task.stage,
-        Freshness(made_from, task.code_version, task.settings_hash),
-        QUARANTINED,
-        0.0,
-        reason,
-        {"rig_id": None, "status": QUARANTINED, "problem": str(problem), "refusal": as_facts(problem)},
-    )
-    write_entry(task.journal, outcome, {"recordings": recordings_table([row])})
-    return outcome
-
-
-def derived_casualty(task: DerivedTask, reason: str) -> Outcome:
-    """The outcome of an item whose worker did not come back, kept like any other."""
-    outcome = Outcome(task.item_id, task.stage, task.freshness, FAILED, 0.0, f"failed twice: {reason}")
-    write_entry(task.journal, outcome, {})
-    return outcome
-
-
-def as_facts(problem: DealabError) -> dict[str, str]:
-    """An error as plain values; `DealabError(**facts)` is it again."""
-    return {
-        "problem": problem.problem,
-        "where": problem.where,
-        "expected": problem.expected,
-        "remedy": problem.remedy,
-    }
+    def perform(self, tasks: Iterable[AnyTask], count: int, what: str) -> Iterator[tuple[AnyTask, Outcome]]:
+        """Has tasks done by the workers; outcomes as they are ready, also of those whose workers did not come back."""
+        for task, result in self.workers.perform(tasks, count, what):
+            if isinstance(result, Casualty):
+                result = task.give_up(result.reason, self.limits_hash)
+            yield task, result

@@ -1,8 +1,13 @@
-"""Running items elsewhere: one seam, `concurrent.futures.Executor`, and what to do when a worker does not come back.
+"""Workers: tasks done in this process, in others on this machine or on a cluster, and what happens when one is lost.
 
-An item that kills its worker, exceeds its memory or its deadline is tried once more, alone; when that fails too it is
-a casualty with a reason. Everything else that can go wrong with an item is data and comes back as its result.
-Does not belong here: what the items are.
+All of them are behind one seam, `concurrent.futures.Executor`. A task that kills its worker, exceeds its memory or its
+deadline is tried once more, alone; when that fails too it is a casualty with a reason. Everything else that can go
+wrong with a task is data and comes back as its result. Does not belong here: what the tasks are.
+
+Workers of a dask.distributed cluster have to see the raw folders and the lab under the same paths, have the same dealab
+installed, and work one task at a time (`dask worker --nthreads 1`). A task whose worker dies is given to another one as
+often as the scheduler allows (`distributed.scheduler.allowed-failures`), then counts as lost. Limits of time and memory
+are those of the cluster's workers: the lab's own `deadline_s` and `memory_mb` are for local ones.
 """
 
 from __future__ import annotations
@@ -18,21 +23,183 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
+from pipeline.lab.journal import Outcome
+from pipeline.lab.settings import Settings
 from schemas.errors import LabError
 
-Task = TypeVar("Task")
+Given = TypeVar("Given")
+AnyTask = TypeVar("AnyTask", bound="Task")
 Result = TypeVar("Result")
+Track: TypeAlias = Callable[[Iterable[Any], int, str], Iterable[Any]]
+"""Shows progress: (items, how many, what they are) to the same items."""
 _RESTARTS = 20
 """How often a pool that broke as a whole is opened again before the night gives up."""
+_CONNECT_S = "20s"
+"""How long a cluster has to answer."""
+
+
+class Task(Protocol):
+    """An item to be made in a worker."""
+
+    def perform(self) -> Outcome:
+        """Makes the item and keeps its results in the journal."""
+        ...
+
+    def give_up(self, reason: str, limits_hash: str) -> Outcome:
+        """Keeps in the journal that the item could not be made, with the limits that it was tried with."""
+        ...
+
+
+def perform(task: Task) -> Outcome:
+    """Does a task in whatever process this is."""
+    return task.perform()
 
 
 @dataclass(frozen=True)
 class Casualty:
-    """An item whose worker did not come back, twice; `reason` says what happened to it."""
+    """What is left of a task whose worker did not come back, twice; `reason` says what happened to it."""
 
     reason: str
+
+
+class Workers:
+    """The workers of a night, from its first task to its pages; `local` where they are processes of this machine.
+
+    Parameters
+    ----------
+    settings : the lab's, for their limits of time and memory
+    jobs : number of worker processes; 0 does everything in this process
+    cluster : address of a dask scheduler whose workers are used instead
+    preload : modules that local workers are started with
+    track : shows progress
+
+    Raises
+    ------
+    LabError : the cluster does not answer
+    """
+
+    def __init__(
+        self, settings: Settings, jobs: int, cluster: str | None, preload: Sequence[str], track: Track
+    ) -> None:
+        self.local = jobs > 0 and cluster is None
+        self._preload, self._track = preload, track
+
+        def open_local(count: int) -> Executor:
+            if count == 0 or jobs == 0:
+                return SerialExecutor()
+            return LocalPool(count, deadline_s=settings.deadline_s, memory_mb=settings.memory_mb, preload=preload)
+
+        self._open, self.jobs = (open_local, jobs) if cluster is None else connect_cluster(cluster)
+        self._pool = KeptPool(self._open, jobs if self.local else 0)
+
+    def prepare(self) -> None:
+        """Begins to load what local workers need, while whoever called goes on."""
+        if self.local:
+            prepare_workers(self._preload)
+
+    def perform(self, tasks: Iterable[AnyTask], count: int, what: str) -> Iterator[tuple[AnyTask, Outcome | Casualty]]:
+        """Tasks and their outcomes, or `Casualty`, as they are ready. Raises `LabError` as `run_all` does."""
+        results: Iterable[Any] = run_all(tasks, perform, self._pool, jobs=self.jobs)
+        yield from self._track(results, count, what)
+
+    def load(self, module: str) -> None:
+        """Lets the workers load a module, while whoever called goes on."""
+        self._pool.load(module)
+
+    def lend(self) -> Executor:
+        """Local workers as an executor, for other work than tasks."""
+        return self._pool(self.jobs)
+
+    def close(self) -> None:
+        """Ends the workers."""
+        self._pool.close()
+
+
+def run_all(
+    tasks: Iterable[Given],
+    function: Callable[[Given], Result],
+    open_executor: Callable[[int], Executor],
+    *,
+    jobs: int,
+) -> Iterator[tuple[Given, Result | Casualty]]:
+    """Results as they are ready, in any order. Few tasks are held at a time, so `tasks` may be long and lazy.
+
+    Raises `LabError` that a task raises (a full disk is not the task's fault) or when no worker can be kept alive.
+    """
+    unlucky: list[Given] = []
+    for task, result in _run_once(tasks, function, open_executor, jobs):
+        if isinstance(result, Casualty):
+            unlucky.append(task)
+        else:
+            yield task, result
+    for task in unlucky:
+        yield from _run_once([task], function, open_executor, 1)
+
+
+def _run_once(
+    tasks: Iterable[Given], function: Callable[[Given], Result], open_executor: Callable[[int], Executor], jobs: int
+) -> Iterator[tuple[Given, Result | Casualty]]:
+    waiting = iter(tasks)
+    first = next(waiting, None)
+    if first is None:
+        return
+    restarts = 0
+    executor = open_executor(jobs)
+    running: dict[Future[Any], Given] = {}
+    ready: list[Given] = [first]
+    finished = False
+    try:
+        while True:
+            while len(running) < 2 * max(jobs, 1):
+                if not ready:
+                    following = next(waiting, None)
+                    if following is None:
+                        break
+                    ready.append(following)
+                try:
+                    running[executor.submit(function, ready[-1])] = ready[-1]
+                except BrokenExecutor as error:
+                    restarts += 1
+                    if restarts > _RESTARTS:
+                        raise LabError(
+                            f"worker processes die as soon as they start: {error}",
+                            remedy="Look at the memory and process limits of this account",
+                        ) from None
+                    executor.shutdown(cancel_futures=True)
+                    executor = open_executor(jobs)
+                    continue
+                ready.pop()
+            if not running:
+                break
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield running.pop(future), _take_result(future)
+        finished = True
+    finally:
+        executor.shutdown(wait=finished, cancel_futures=not finished)
+
+
+def _take_result(future: Future[Any]) -> Any:
+    error = future.exception()
+    if error is None:
+        return future.result()
+    if isinstance(error, LabError):
+        raise error
+    return Casualty(_explain_loss(error))
+
+
+def _explain_loss(error: BaseException) -> str:
+    if isinstance(error, TimeoutError):
+        return "it took longer than deadline_s allows"
+    if isinstance(error, MemoryError):
+        return "it needs more memory than a worker may have"
+    code = getattr(error, "exitcode", None)
+    if isinstance(code, int) and code < 0:
+        with contextlib.suppress(ValueError):
+            return f"its worker was killed ({signal.Signals(-code).name})"
+    return f"its worker did not come back ({type(error).__name__}: {error})"
 
 
 class SerialExecutor(Executor):
@@ -47,9 +214,12 @@ class SerialExecutor(Executor):
         return future
 
 
-def prepared(preload: Sequence[str]) -> Any:
-    """The context that workers start from. Where workers are forked from a server of their own, it begins to import the modules of
-    `preload`, while whoever called goes on."""
+def prepare_workers(preload: Sequence[str]) -> Any:
+    """The context that worker processes start from.
+
+    Where they are forked from a server of their own, it begins to import the modules of `preload`, while whoever called
+    goes on.
+    """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     if "forkserver" not in multiprocessing.get_all_start_methods():
@@ -63,12 +233,12 @@ def prepared(preload: Sequence[str]) -> Any:
 
 
 class LocalPool(Executor):
-    """Worker processes of this machine. One that dies or is overdue costs its item only and is replaced.
+    """Worker processes of this machine. One that dies or is overdue costs its task only and is replaced.
 
     Parameters
     ----------
     jobs : number of processes
-    deadline_s : longest time an item may take; then its worker is killed
+    deadline_s : longest time a task may take; then its worker is killed
     memory_mb : most memory of one worker, 0 for no limit
     preload : modules that workers are started with, so that each starts in milliseconds
     """
@@ -76,7 +246,7 @@ class LocalPool(Executor):
     def __init__(self, jobs: int, *, deadline_s: float, memory_mb: int = 0, preload: Sequence[str] = ()) -> None:
         from pebble import ProcessPool
 
-        context = prepared(preload)
+        context = prepare_workers(preload)
         self._deadline_s = deadline_s
         self._pool = ProcessPool(max_workers=jobs, initializer=_start_worker, initargs=(memory_mb,), context=context)
 
@@ -95,10 +265,46 @@ class LocalPool(Executor):
         self._pool.join()
 
 
-class KeptPool:
-    """Lends one pool of `jobs` workers again and again, so that what they have loaded stays loaded; others are opened anew.
+def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
+    """A function that gives executors on the cluster at `address` (its argument is ignored), and the cluster's size.
 
-    A borrower shuts down what it was lent as if it were its own. A pool that broke, or was left with items undone, is not lent again.
+    Raises `LabError` when the cluster cannot be reached or the extra is not installed.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise LabError(
+            "dask.distributed is not installed", remedy='Install the extra: pip install "dealab[cluster]"'
+        ) from None
+    try:
+        client: Any = Client(address, timeout=_CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise LabError(
+            f"the cluster does not answer: {error}", where=address, expected="the address of a dask scheduler"
+        ) from None
+    return lambda _jobs: _ClusterExecutor(client), max(1, sum(client.ncores().values()))
+
+
+class _ClusterExecutor(Executor):
+    """dask's own executor with the whole interface of the standard library's."""
+
+    def __init__(self, client: Any) -> None:
+        self._executor = client.get_executor(pure=False, retries=0)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = self._executor.submit(fn, *args, **kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Without waiting, dask cancels what is outstanding."""
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+
+class KeptPool:
+    """Lends one pool of `jobs` workers again and again, so that what they have loaded stays loaded.
+
+    Pools of another size are opened anew. A borrower shuts down what it was lent as if it were its own. A pool that
+    broke, or was left with tasks undone, is not lent again.
     """
 
     def __init__(self, open_pool: Callable[[int], Executor], jobs: int) -> None:
@@ -113,12 +319,15 @@ class KeptPool:
         return _Lent(pool, self._take_back)
 
     def load(self, module: str) -> None:
-        """Lets the workers that are kept load a module, while whoever called goes on. A pool that broke meanwhile is given up."""
+        """Lets the workers that are kept load a module, while whoever called goes on.
+
+        A pool that broke meanwhile is given up.
+        """
         if self._kept is None:
             return
         try:
             for _ in range(self._jobs):
-                self._kept.submit(load, module)
+                self._kept.submit(load_module, module)
         except BrokenExecutor:
             self._kept.shutdown(cancel_futures=True)
             self._kept = None
@@ -154,95 +363,10 @@ class _Lent(Executor):
             self._back(self._pool)
 
 
-def load(module: str) -> None:
+def load_module(module: str) -> None:
     """Imports a module beforehand."""
     with contextlib.suppress(Exception):  # told when it is needed
         importlib.import_module(module)
-
-
-def run_all(
-    tasks: Iterable[Task],
-    function: Callable[[Task], Result],
-    open_executor: Callable[[int], Executor],
-    *,
-    jobs: int,
-) -> Iterator[tuple[Task, Result | Casualty]]:
-    """Results as they are ready, in any order. Few tasks are held at a time, so `tasks` may be long and lazy.
-
-    Raises `LabError` that a task raises (a full disk is not the item's fault) or when no worker can be kept alive.
-    """
-    unlucky: list[Task] = []
-    for task, result in _round(tasks, function, open_executor, jobs):
-        if isinstance(result, Casualty):
-            unlucky.append(task)
-        else:
-            yield task, result
-    for task in unlucky:
-        yield from _round([task], function, open_executor, 1)
-
-
-def _round(
-    tasks: Iterable[Task], function: Callable[[Task], Result], open_executor: Callable[[int], Executor], jobs: int
-) -> Iterator[tuple[Task, Result | Casualty]]:
-    waiting = iter(tasks)
-    first = next(waiting, None)
-    if first is None:
-        return
-    restarts = 0
-    executor = open_executor(jobs)
-    running: dict[Future[Any], Task] = {}
-    ready: list[Task] = [first]
-    finished = False
-    try:
-        while True:
-            while len(running) < 2 * max(jobs, 1):
-                if not ready:
-                    following = next(waiting, None)
-                    if following is None:
-                        break
-                    ready.append(following)
-                try:
-                    running[executor.submit(function, ready[-1])] = ready[-1]
-                except BrokenExecutor as error:
-                    restarts += 1
-                    if restarts > _RESTARTS:
-                        raise LabError(
-                            f"worker processes die as soon as they start: {error}",
-                            remedy="Look at the memory and process limits of this account",
-                        ) from None
-                    executor.shutdown(cancel_futures=True)
-                    executor = open_executor(jobs)
-                    continue
-                ready.pop()
-            if not running:
-                break
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield running.pop(future), _result(future)
-        finished = True
-    finally:
-        executor.shutdown(wait=finished, cancel_futures=not finished)
-
-
-def _result(future: Future[Any]) -> Any:
-    error = future.exception()
-    if error is None:
-        return future.result()
-    if isinstance(error, LabError):
-        raise error
-    return Casualty(_reason(error))
-
-
-def _reason(error: BaseException) -> str:
-    if isinstance(error, TimeoutError):
-        return "it took longer than deadline_s allows"
-    if isinstance(error, MemoryError):
-        return "it needs more memory than a worker may have"
-    code = getattr(error, "exitcode", None)
-    if isinstance(code, int) and code < 0:
-        with contextlib.suppress(ValueError):
-            return f"its worker was killed ({signal.Signals(-code).name})"
-    return f"its worker did not come back ({type(error).__name__}: {error})"
 
 
 def _start_worker(memory_mb: int) -> None:

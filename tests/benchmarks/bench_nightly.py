@@ -36,7 +36,7 @@ import pipeline.nightly.night
 from pipeline import Lab
 from tests.helpers.machine import peak_mb
 if sys.argv[4] == "no pages":
-    pipeline.nightly.night._report = lambda *_: None
+    pipeline.nightly.night._write_report = lambda *_: None
 begin, used = time.monotonic(), time.process_time()
 summary = pipeline.nightly.night.nightly([sys.argv[1]], Lab(sys.argv[2]), jobs=int(sys.argv[3]))
 print(json.dumps({

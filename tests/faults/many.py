@@ -15,12 +15,15 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import pipeline.nightly.context
 import pipeline.nightly.night
+import pipeline.nightly.workers
 from pipeline import Lab
 from pipeline.analyse.rows.recordings import recordings_table
 from pipeline.lab.journal import OK, Freshness, Outcome, write_entry
-from pipeline.nightly.stages import DerivedTask, RecordingTask, input_hash, mapping_hash, rig_hash
+from pipeline.nightly.derive import DerivedTask
+from pipeline.nightly.freshness import hash_input, hash_mapping
+from pipeline.nightly.read import RecordingTask
+from pipeline.nightly.stages import RECORDING
 from schemas.tables import TABLES
 from tests.helpers.machine import peak_mb
 
@@ -28,17 +31,17 @@ _START = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
 
 
 def perform(task: RecordingTask | DerivedTask) -> Outcome:
-    """Stands in for `pipeline.nightly.stages.perform`: a life for each recording, nothing for what is made from them."""
+    """Stands in for `pipeline.nightly.workers.perform`: a life for each recording, nothing for what is made from them."""
     if isinstance(task, DerivedTask):
         outcome = Outcome(task.item_id, task.stage, task.freshness, OK, 0.001, None, {"notes": []})
         write_entry(task.journal, outcome, {})
         return outcome
     name = task.source.path.stem
-    made_from = input_hash(mapping_hash(task.source), task.sha256, rig_hash(task.source, None, task.rigs))
+    made_from = hash_input(hash_mapping(task.source), task.sha256, "")
     about = {"recording_id": name, "specimen_id": f"S-{name}", "protocol": "lifetime", "status": "ok", "problem": None}
     facts = {**about, "rig_id": None, "samples_path": None, "refusal": None, "carried": ["Lifetime", "SessionFeatures"]}
     freshness = Freshness(made_from, task.code_version, task.settings_hash)
-    outcome = Outcome(task.item_id, task.stage, freshness, OK, 0.001, None, facts)
+    outcome = Outcome(task.item_id, RECORDING, freshness, OK, 0.001, None, facts)
     row = about | {
         "configuration": "A",
         "started_at": _START + timedelta(minutes=int(name)),
@@ -68,8 +71,8 @@ def file(raw: Path, number: int) -> None:
 
 def main(raw: Path, lab: Lab, number: int) -> dict[str, float]:
     """Memory in MB: the most that the first night had, and what Python's objects took in each of the other two."""
-    pipeline.nightly.context.perform = perform  # type: ignore[assignment]
-    pipeline.nightly.night._report = lambda *_: None  # type: ignore[assignment]
+    pipeline.nightly.workers.perform = perform  # type: ignore[assignment]
+    pipeline.nightly.night._write_report = lambda *_: None  # type: ignore[assignment]
     for one in range(number):
         file(raw, one)
     told = {}

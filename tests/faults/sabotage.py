@@ -1,4 +1,4 @@
-"""Stands in for `pipeline.nightly.stages.perform` in workers: what it does to them is in the name of the raw file.
+"""Stands in for `pipeline.nightly.workers.perform` in workers: what it does to them is in the name of the raw file.
 
 `kill`, `memory` and `stuck` do it every time; `…once` the first time only, which a file beside the recording remembers.
 """
@@ -10,8 +10,8 @@ import signal
 import time
 from typing import Any
 
-from pipeline.nightly.stages import RecordingTask
-from pipeline.nightly.stages import perform as perform_well
+from pipeline.nightly.read import RecordingTask
+from pipeline.nightly.workers import perform as perform_well
 
 
 def perform(task: Any) -> Any:

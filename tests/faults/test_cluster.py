@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-import pipeline.nightly.context
 import pipeline.nightly.night
+import pipeline.nightly.workers
 from pipeline import Lab
 from pipeline.nightly.night import nightly
 from schemas.errors import LabError
@@ -73,14 +73,14 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def test_a_cluster_gives_the_same_and_outlives_its_workers(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
     raw = small_campaign(tmp_path / "raw", lives=2)
     life(raw / "killonce-1.mcap", 5)
     (raw / "killonce-1.seen").touch()
     local, lab = Lab(tmp_path / "local"), Lab(tmp_path / "lab")
     assert nightly([raw], local, jobs=0).exit_status == 0
     (raw / "killonce-1.seen").unlink()
-    monkeypatch.setattr(pipeline.nightly.context, "perform", sabotage.perform)
+    monkeypatch.setattr(pipeline.nightly.workers, "perform", sabotage.perform)
     summary = nightly([raw], lab, jobs=2, cluster=address)
     assert (raw / "killonce-1.seen").exists(), "a worker was killed at work"
     assert summary.attention == ()
@@ -96,7 +96,7 @@ def test_a_cluster_gives_the_same_and_outlives_its_workers(
 
 
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.nightly.cluster._CONNECT_S", "1s")
+    monkeypatch.setattr("pipeline.nightly.workers._CONNECT_S", "1s")
     raw = small_campaign(tmp_path / "raw", lives=0)
     with pytest.raises(LabError, match="cluster does not answer"):
         nightly([raw], Lab(tmp_path / "lab"), jobs=1, cluster="tcp://127.0.0.1:9")

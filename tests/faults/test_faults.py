@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-import pipeline.nightly.context
 import pipeline.nightly.night
+import pipeline.nightly.workers
 from pipeline import Lab
 from pipeline.nightly.night import nightly
 from tests.conftest import ROOT
@@ -39,7 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Lab]:
 
 @pytest.fixture
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
 
 
 def statuses(lab: Lab) -> dict[str, tuple[str, str]]:
@@ -52,7 +52,7 @@ def test_a_lost_worker_costs_its_recording_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
 ) -> None:
     """Killed, out of memory, stuck: each tried once more, alone, and refused with the reason. Lost once: read after all."""
-    monkeypatch.setattr(pipeline.nightly.context, "perform", sabotage.perform)
+    monkeypatch.setattr(pipeline.nightly.workers, "perform", sabotage.perform)
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
     raw.mkdir()
     for number, name in enumerate(("kill-1", "memory-1", "stuck-1", "killonce-1", "good-1", "good-2")):
@@ -81,7 +81,7 @@ def test_a_lost_worker_costs_its_recording_only(
     again = nightly([raw], lab, jobs=2)
     assert again.analysed == 0, "what failed twice is not tried every night"
     monkeypatch.undo()
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
     lab.settings.write_text("deadline_s = 60\nmemory_mb = 0\n")
     assert nightly([raw], lab, jobs=2).exit_status == 0, "with other limits it is tried again"
     assert list(lab.quarantine.iterdir()) == []

@@ -27,7 +27,7 @@ LABS = ROOT / "tests" / "faults" / "labs"
 
 @pytest.fixture(autouse=True)
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
 
 
 @pytest.fixture

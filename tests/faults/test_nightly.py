@@ -20,16 +20,16 @@ import duckdb
 import pytest
 from filelock import FileLock
 
+import ingest.intake
 import pipeline.analyse.recording as analyse
-import pipeline.nightly.context
 import pipeline.nightly.look
 import pipeline.nightly.night
-import pipeline.nightly.stage_recording as stage
+import pipeline.nightly.stages
 from pipeline import Lab
 from pipeline.commands.status import status
 from pipeline.lab.annotations import annotate
 from pipeline.lab.lock import exclusive
-from pipeline.nightly.look import likely_new
+from pipeline.nightly.look import has_newer_folder
 from pipeline.nightly.night import Summary, nightly
 from schemas.errors import LabError, UsageError
 from schemas.tables import TABLES
@@ -59,7 +59,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.fixture
 def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """The pages have tests of their own."""
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
 
 
 @pytest.fixture
@@ -158,13 +158,13 @@ def test_folders_tell_that_something_is_new(made: tuple[Path, Path], tmp_path: P
     raw, lab = shutil.copytree(made[0], tmp_path / "raw"), Lab(tmp_path / "lab")
     deep = raw / "a" / "b"
     deep.mkdir(parents=True)
-    assert likely_new([raw], lab), "nothing is published yet"
+    assert has_newer_folder([raw], lab), "nothing is published yet"
     shutil.copytree(made[1], lab.folder)
     lab.database.touch()
     time.sleep(0.05)
-    assert not likely_new([raw, raw / "L-1.mcap", "s3://bucket/raw", tmp_path / "gone"], lab)
+    assert not has_newer_folder([raw, raw / "L-1.mcap", "s3://bucket/raw", tmp_path / "gone"], lab)
     life(deep / "L-9.mcap", 9)
-    assert likely_new([raw], lab)
+    assert has_newer_folder([raw], lab)
 
 
 def test_one_new_recording_redoes_what_it_touches(night: Any) -> None:
@@ -202,11 +202,11 @@ def test_changed_settings_redo_the_fits_only(night: Any) -> None:
 
 
 def test_changed_code_redoes_what_it_made(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    original = pipeline.nightly.context.code_version
+    original = pipeline.nightly.stages.hash_code
     monkeypatch.setattr(
-        pipeline.nightly.context,
-        "code_version",
-        lambda module: "other" if module.endswith("groups") else original(module),
+        pipeline.nightly.stages,
+        "hash_code",
+        lambda modules: "other" if "pipeline.analyse.groups" in modules else original(modules),
     )
     night()
     assert redone(night.lab) == LIVES
@@ -306,14 +306,14 @@ def test_a_growing_file_waits(night: Any, monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_a_file_that_changes_while_it_is_read_waits(night: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     path = life(night.raw / "L-8.mcap", 8)
-    original = stage.read_raw
+    original = ingest.intake.read_raw
 
     def touched(file: Path, mapping: Any) -> Any:
         if file == path:
             os.utime(path, ns=(1, 1))
         return original(file, mapping)
 
-    monkeypatch.setattr(stage, "read_raw", touched)
+    monkeypatch.setattr(ingest.intake, "read_raw", touched)
     assert night().counts.pending == 1
     monkeypatch.undo()
     assert night().counts.ingested == 1

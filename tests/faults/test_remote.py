@@ -49,7 +49,7 @@ def bucket(server: str, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixture
         ("AWS_ENDPOINT_URL", server),
     ):
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
     name = f"raw-{abs(hash(request.node.name))}"
     made = boto3.resource("s3").create_bucket(Bucket=name)
     yield made

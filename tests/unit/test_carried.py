@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pipeline.analyse.carried import KINDS
-from pipeline.nightly.stage_groups import ANALYSES
+from pipeline.analyse.groups import ANALYSES
 from pipeline.nightly.stages import (
     CALIBRATION_KINDS,
     DIAGNOSIS_KIND,
     DIAGNOSIS_TABLES,
     GROUPS,
-    MODULES,
     RECORDING_TABLES,
     SPECIMEN_KINDS,
     SPECIMEN_TABLES,
@@ -38,7 +37,3 @@ def test_owned_rows_can_be_found_again() -> None:
         assert "specimen_id" in TABLES[table].names
     for group in GROUPS.values():
         assert set(group.tables) <= TABLES.keys()
-
-
-def test_stages_have_modules() -> None:
-    assert set(MODULES) == {"recording", "specimen", "diagnosis", "group"}

@@ -29,7 +29,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     (raw / "bad.mcap").write_bytes(b"no recording")
     (raw / "table.csv").write_text("a,b\n1,2\n")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+        patch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
         assert main(["nightly", str(raw), "--lab", str(folder / "lab"), "--jobs", "0"]) == 3
         yield Lab(folder / "lab")
 
@@ -43,7 +43,7 @@ def said(capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:
 def test_what_was_refused_is_named_on_stderr_and_the_rest_on_stdout(
     lab: Lab, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: None)
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
     raw = lab.folder.parent / "raw"
     assert main(["nightly", str(raw), "--lab", str(lab.folder), "--jobs", "0"]) == 3
     out, err = said(capsys)
@@ -57,7 +57,7 @@ def test_what_was_refused_is_named_on_stderr_and_the_rest_on_stdout(
 def test_the_report_that_fails_is_told_and_the_database_is_published(
     lab: Lab, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline.nightly.night, "_report", lambda *_: "no ink")
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: "no ink")
     assert main(["nightly", str(lab.folder.parent / "raw"), "--lab", str(lab.folder), "--jobs", "0"]) == 1
     assert "the report could not be written: no ink" in said(capsys)[1]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -11,7 +12,10 @@ import grimp
 import pytest
 
 MODULE = re.compile(r"^\s*(?:from|import) (tests\.\w+\.\w+)", re.MULTILINE)
+from tests.conftest import ROOT
+
 PACKAGES = ("schemas", "ingest", "pipeline", "reports")
+ROOMS_WITHIN_THE_LENGTH = ("pipeline/nightly",)
 
 
 def find_cycles(imports: Mapping[str, set[str]]) -> list[str]:
@@ -58,3 +62,25 @@ def test_helpers_of_two_folders_are_in_the_folder_of_helpers() -> None:
             if home not in (folder, "helpers", "tools") and not module.startswith(("study_", "__main__")):
                 shared[name] = path.relative_to(tests).as_posix()
     assert shared == {}
+
+
+def test_the_night_has_few_modules() -> None:
+    """Its steps and what all of them use; see the picture in the package's docstring."""
+    modules = {path.stem for path in (ROOT / "pipeline" / "nightly").rglob("*.py")} - {"__init__"}
+    assert len(modules) <= 10
+    picture = (ROOT / "pipeline" / "nightly" / "__init__.py").read_text(encoding="utf-8")
+    assert {name for name in modules if f"{name}.py" not in picture} == set()
+
+
+def test_lines_end_before_the_declared_length() -> None:
+    """The formatter breaks code, not text; a page that scrolls sideways is not read."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        limit = tomllib.load(file)["tool"]["ruff"]["line-length"]
+    long = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for room in ROOMS_WITHIN_THE_LENGTH
+        for path in sorted((ROOT / room).rglob("*.py"))
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if len(line) > limit
+    ]
+    assert long == []

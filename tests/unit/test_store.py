@@ -22,7 +22,7 @@ from pipeline.lab.journal import Freshness, Outcome, entries, read_outcome, read
 from pipeline.lab.lab import Lab
 from pipeline.lab.manifest import load
 from pipeline.lab.snapshot import BATCH_PIECES, Changes, Deletion, batched, publish
-from pipeline.nightly.ledger import Ledger, learn
+from pipeline.nightly.ledger import Ledger, learn_lab
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from schemas.errors import LabError
 from schemas.lifetimes import LifetimeRow
@@ -195,7 +195,7 @@ def test_a_night_learns_what_is_published(lab: Lab) -> None:
     publish(lab, added(recording("a", run_id="000007"), files=files, items=items, runs=[{"run_id": "000007"}],
                        carried=TABLES["carried"].rows(carried)))  # fmt: skip
     with Ledger(lab.ledger) as ledger:
-        assert learn(lab, ledger) == 7
+        assert learn_lab(lab, ledger) == 7
         assert ledger.row("SELECT source_path, source_sha256, recording_id, status, run_id FROM known") == (
             "/raw/a", "a" * 8, "a", "ok", "000007",
         )  # fmt: skip

@@ -10,9 +10,14 @@ from pathlib import Path
 import pytest
 
 from pipeline.nightly.ledger import TABLES, Ledger
-from pipeline.nightly.ownership import Reading, Row
-from pipeline.nightly.planning import place_contents, set_aside, take_readings, write_rows
-from pipeline.nightly.stages import as_facts
+from pipeline.nightly.ownership import (
+    Reading,
+    Row,
+    collect_readings,
+    place_contents,
+    set_aside_changing,
+    write_rows,
+)
 from schemas.errors import DealabError, PendingError, RefusedError
 
 
@@ -82,7 +87,7 @@ def decide(
     for table in TABLES:
         LEDGER.run(f"DELETE FROM {table}")
     for one in looks:
-        told = {} if one.error is None else {"problem": str(one.error), "refusal": json.dumps(as_facts(one.error))}
+        told = {} if one.error is None else {"problem": str(one.error), "refusal": json.dumps(one.error.as_dict())}
         pending = one.error is not None and one.error.transient
         add("looks", path=one.path, place=one.path.encode(), sha256=one.sha256, pending=pending, **told)
     for row in before or []:
@@ -100,8 +105,8 @@ def decide(
         about = {"recording_id": reading.recording_id, "status": reading.status, "problem": reading.problem}
         add("outcomes", item_id=f"recording:{sha256}", entry=sha256, done=True, **about)
     place_contents(LEDGER, lambda _path: not gone)
-    set_aside(LEDGER, changing)
-    take_readings(LEDGER)
+    set_aside_changing(LEDGER, changing)
+    collect_readings(LEDGER)
     write_rows(LEDGER, ["/raw"], excluded)
     rows = LEDGER.each("SELECT source_path, source_sha256, status, problem, recording_id, source_present FROM rows")
     found = [Row(*row[:5], bool(row[5])) for row in rows]
