@@ -1,35 +1,42 @@
-"""Completion for shells: scripts made from the commands as they are, so that none is forgotten.
+"""`dealab completion`: scripts for shells, made from the commands as they are, so that none is forgotten.
 
-    dealab completion bash > ~/.local/share/bash-completion/completions/dealab
-    dealab completion zsh  > ~/.zfunc/_dealab                 (a folder of $fpath)
-    dealab completion fish > ~/.config/fish/completions/dealab.fish
-
-Does not belong here: which commands there are.
+dealab completion bash > ~/.local/share/bash-completion/completions/dealab
+dealab completion zsh  > ~/.zfunc/_dealab                 (a folder of $fpath)
+dealab completion fish > ~/.config/fish/completions/dealab.fish
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias
 
-Commands = Mapping[str, tuple[str, argparse.ArgumentParser]]
+from pipeline.commands.command import DONE, Command, argument
+
+Commands: TypeAlias = Mapping[str, tuple[str, argparse.ArgumentParser]]
 """By name: what the command does, and its parser."""
 
 
-def script(shell: str, commands: Commands) -> str:
-    """The completion script of a shell: bash, zsh or fish."""
-    return SHELLS[shell](commands)
+def run(arguments: argparse.Namespace) -> int:
+    commands = {}
+    for name, command in arguments.commands.items():
+        parser = argparse.ArgumentParser(prog=f"dealab {name}")
+        for add in command.arguments:
+            add(parser)
+        commands[name] = command.what, parser
+    print(SHELLS[arguments.shell](commands), end="")
+    return DONE
 
 
-def _options(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+def _list_options(parser: argparse.ArgumentParser) -> list[argparse.Action]:
     return [a for a in parser._actions if a.option_strings]
 
 
-def _words(parser: argparse.ArgumentParser) -> list[str]:
-    return [name for a in _options(parser) for name in a.option_strings if name.startswith("--")]
+def _list_words(parser: argparse.ArgumentParser) -> list[str]:
+    return [name for a in _list_options(parser) for name in a.option_strings if name.startswith("--")]
 
 
-def _choices(parser: argparse.ArgumentParser) -> list[tuple[str, Sequence[str]]]:
+def _list_choices(parser: argparse.ArgumentParser) -> list[tuple[str, Sequence[str]]]:
     """Options and positional arguments (empty name) that take one of a few words."""
     return [
         (a.option_strings[-1] if a.option_strings else "", [str(c) for c in a.choices])
@@ -38,17 +45,17 @@ def _choices(parser: argparse.ArgumentParser) -> list[tuple[str, Sequence[str]]]
     ]
 
 
-def _bash(commands: Commands) -> str:
+def _write_bash(commands: Commands) -> str:
     cases = []
     for name, (_, parser) in commands.items():
         previous = "".join(
             f"\n        {option}) COMPREPLY=($(compgen -W '{' '.join(words)}' -- \"$current\")); return ;;"
-            for option, words in _choices(parser)
+            for option, words in _list_choices(parser)
             if option
         )
         chosen = f"\n      case $previous in{previous}\n      esac" if previous else ""
-        fixed = " ".join(word for option, words in _choices(parser) if not option for word in words)
-        words = " ".join([*_words(parser), *fixed.split()])
+        fixed = " ".join(word for option, words in _list_choices(parser) if not option for word in words)
+        words = " ".join([*_list_words(parser), *fixed.split()])
         cases.append(f"    {name}){chosen}\n      words='{words}' ;;")
     return f"""# Completion of dealab for bash; made by `dealab completion bash`.
 _dealab() {{
@@ -70,13 +77,15 @@ complete -o filenames -F _dealab dealab
 """
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return "'" + text.replace("'", "'\\''") + "'"
 
 
-def _zsh(commands: Commands) -> str:
-    described = "\n".join(f"    {_quoted(f'{name}:{what}')}" for name, (what, _) in commands.items())
-    cases = "\n".join(f"    {name}) _arguments {_zsh_arguments(parser)} ;;" for name, (_, parser) in commands.items())
+def _write_zsh(commands: Commands) -> str:
+    described = "\n".join(f"    {_quote(f'{name}:{what}')}" for name, (what, _) in commands.items())
+    cases = "\n".join(
+        f"    {name}) _arguments {_describe_for_zsh(parser)} ;;" for name, (_, parser) in commands.items()
+    )
     return f"""#compdef dealab
 # Completion of dealab for zsh; made by `dealab completion zsh`.
 _dealab() {{
@@ -99,38 +108,47 @@ _dealab "$@"
 """
 
 
-def _zsh_arguments(parser: argparse.ArgumentParser) -> str:
+def _describe_for_zsh(parser: argparse.ArgumentParser) -> str:
     parts = []
     for a in parser._actions:
-        text = _zsh_text(a.help)
+        text = _escape_for_zsh(a.help)
         action = f"({' '.join(str(c) for c in a.choices)})" if a.choices is not None else "_files"
         if not a.option_strings:
-            parts.append(_quoted(f"{'*' if a.nargs in ('*', '+') else ''}:{_zsh_text(a.dest)}:{action}"))
+            parts.append(_quote(f"{'*' if a.nargs in ('*', '+') else ''}:{_escape_for_zsh(a.dest)}:{action}"))
             continue
         for name in a.option_strings:
-            value = "" if a.nargs == 0 else f":{_zsh_text(a.dest)}:{action}"
-            parts.append(_quoted(f"{name}[{text}]{value}"))
+            value = "" if a.nargs == 0 else f":{_escape_for_zsh(a.dest)}:{action}"
+            parts.append(_quote(f"{name}[{text}]{value}"))
     return " ".join(parts)
 
 
-def _zsh_text(text: str | None) -> str:
+def _escape_for_zsh(text: str | None) -> str:
     return "".join(f"\\{c}" if c in "[]:\\" else c for c in text or "")
 
 
-def _fish(commands: Commands) -> str:
+def _write_fish(commands: Commands) -> str:
     lines = ["# Completion of dealab for fish; made by `dealab completion fish`."]
     for name, (what, parser) in commands.items():
-        lines.append(f"complete -c dealab -n __fish_use_subcommand -f -a {name} -d {_quoted(what)}")
+        lines.append(f"complete -c dealab -n __fish_use_subcommand -f -a {name} -d {_quote(what)}")
         here = f"complete -c dealab -n '__fish_seen_subcommand_from {name}'"
         for a in parser._actions:
-            words = f" -f -a {_quoted(' '.join(str(c) for c in a.choices))}" if a.choices is not None else ""
+            words = f" -f -a {_quote(' '.join(str(c) for c in a.choices))}" if a.choices is not None else ""
             if not a.option_strings:
                 lines += [here + words] if words else []
                 continue
             takes = "" if a.nargs == 0 else " -r"
             names = "".join(f" -l {n[2:]}" if n.startswith("--") else f" -s {n[1:]}" for n in a.option_strings)
-            lines.append(f"{here}{names}{takes}{words} -d {_quoted(a.help or '')}")
+            lines.append(f"{here}{names}{takes}{words} -d {_quote(a.help or '')}")
     return "\n".join(lines) + "\n"
 
 
-SHELLS: Mapping[str, Callable[[Commands], str]] = {"bash": _bash, "zsh": _zsh, "fish": _fish}
+SHELLS: Mapping[str, Callable[[Commands], str]] = {"bash": _write_bash, "zsh": _write_zsh, "fish": _write_fish}
+"""What writes the script of each shell."""
+
+COMMAND = Command(
+    "completion",
+    "completion of commands and options for a shell",
+    ("bash > ~/.local/share/bash-completion/completions/dealab", "zsh > ~/.zfunc/_dealab", "fish | source"),
+    (argument("shell", choices=tuple(SHELLS), help="the shell"),),
+    run,
+)

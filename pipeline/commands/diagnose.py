@@ -1,228 +1,28 @@
-"""The published diagnoses, for reading and for programs."""
+"""`dealab diagnose`: the published diagnoses, in words or for a program."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from argparse import Namespace
 
-from pipeline.commands.show import safe
+from pipeline.commands.command import DONE, LAB, Command, argument
 from pipeline.lab.lab import Lab
-from pipeline.lab.reader import Reader
-from schemas.errors import UsageError
-from schemas.mechanisms import UNLISTED, amount, candidate, cause, main, nested, parameter_words, plain_name, severity
-from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, significant
-
-_JSON_COLUMNS = ("severity", "smallest_detectable", "held_out_parts", "next_design")
-_DETAILS = {
-    "candidates": "diagnosis_candidates",
-    "discrepancies": "discrepancies",
-    "parameters": "diagnosis_parameters",
-}
-_SHOWN = 6
-"""Discrepancies and causes that are printed, the strongest first."""
-_CLEAR = 0.01
-"""p below which a discrepancy is printed."""
-_MOVED = 2.0
-_SIGNS = {"named": "●", "ambiguous": "◐", "unknown": "◇", "none": "○"}
-
-Row = Mapping[str, Any]
 
 
-def diagnoses(lab: Lab, specimens: Sequence[str], *, as_json: bool) -> str:
-    """The diagnoses of the given specimens, or of all, from the published database.
+def run(arguments: Namespace) -> int:
+    from pipeline.commands.show.diagnoses import describe_diagnoses
 
-    Raises `LabError` without a database, `UsageError` for a specimen that the lab does not know.
-    """
-    lab.require_database()
-    with Reader(lab.database) as reader:
-        found = reader.rows("diagnoses")
-        known = {row["specimen_id"] for row in reader.rows("recordings", ("specimen_id",))}
-        for name in specimens:
-            if name not in known:
-                raise UsageError(
-                    f'there is no specimen "{name[:80]}" in this lab', remedy='`dealab sql "FROM specimens"` lists them'
-                )
-        names = [row["specimen_id"] for row in found if not specimens or row["specimen_id"] in specimens]
-        details = {key: reader.rows(table, None, "specimen_id", names) for key, table in _DETAILS.items()}
-    chosen = [
-        {**row, **{key: _of(rows, row["specimen_id"]) for key, rows in details.items()}}
-        for row in found
-        if row["specimen_id"] in names
-    ]
-    if as_json:
-        return json.dumps([_with_objects(row) for row in chosen], ensure_ascii=False, indent=1, default=str)
-    missing = [name for name in specimens if name not in names]
-    parts = ["\n".join(_in_words(row)) for row in chosen]
-    if missing or not chosen:
-        parts.append("No diagnoses are published for " + (", ".join(missing) if missing else "this lab") + ".")
-    return safe("\n\n".join(parts).replace(NBSP, " ").replace(THIN, " "))
+    print(describe_diagnoses(Lab(arguments.lab), arguments.specimen, as_json=arguments.format == "json"))
+    return DONE
 
 
-def _of(rows: Sequence[Row], specimen_id: str) -> list[dict[str, Any]]:
-    return [{k: v for k, v in row.items() if k != "specimen_id"} for row in rows if row["specimen_id"] == specimen_id]
-
-
-def _with_objects(row: Row) -> dict[str, Any]:
-    return {
-        key: json.loads(value) if key in _JSON_COLUMNS and value is not None else value for key, value in row.items()
-    }
-
-
-def _in_words(row: Row) -> Iterator[str]:
-    """The finding first, then what carries it, then what to do, then what would have been seen."""
-    yield f"{_SIGNS.get(row['verdict'], '–')} {row['specimen_id']}: {_sentence(row)}"
-    yield from _gain(row)
-    yield from _wrong(row)
-    yield from _causes(row)
-    yield from _film(row)
-    if row["unexplained"]:
-        yield from _listed("What no cause explains", row["unexplained"])
-    if row["next_recording"]:
-        yield from _listed("Next recording to make", [capital(row["next_recording"])])
-    yield from _visible(row)
-    if row["verdict"] is not None and row["could_not_ask"]:
-        yield from _listed("What could not be asked", row["could_not_ask"])
-
-
-def _sentence(row: Row) -> str:
-    verdict = row["verdict"]
-    if verdict is None:
-        reasons = "; ".join(row["could_not_ask"] or ("no reason given",))
-        return f"could not be asked. {capital(reasons)}."
-    text = cause(row)
-    if verdict == "named":
-        return f"{text} (named)."
-    if verdict == "ambiguous":
-        return f"{text}; these recordings cannot tell which (ambiguous)."
-    if verdict == "unknown":
-        return f"the simulation is wrong, {p_equals(row['p_value'])}, and no listed cause explains it (unknown)."
-    return f"the simulation is right within the noise, {p_equals(row['p_value'])} (none)."
-
-
-def _gain(row: Row) -> Iterator[str]:
-    before, after = row["held_out_error_before"], row["held_out_error_after"]
-    if row["gain"] is None or before is None or after is None:
-        return
-    limits = ""
-    if row["gain_lower"] is not None and row["gain_upper"] is not None:
-        limits = f" (95 % interval {percent(row['gain_lower'])} to {percent(row['gain_upper'])})"
-    yield (
-        f"  Mending it removes {percent(row['gain'])}{limits} of the removable error on data that the fit has not seen:"
-    )
-    yield f"  {significant(before)} → {significant(after)} times the noise."
-    parts = sorted(json.loads(row["held_out_parts"] or "{}").items(), key=lambda part: -part[1]["before"])
-    if len(parts) > 1:
-        shown = [f"{name} {significant(p['before'], 2)} → {significant(p['after'], 2)}" for name, p in parts[:_SHOWN]]
-        more = [f"{len(parts) - _SHOWN} more"] if len(parts) > _SHOWN else []
-        yield "  Left out and predicted: " + ", ".join(shown + more)
-
-
-def _wrong(row: Row) -> Iterator[str]:
-    clear = [d for d in row["discrepancies"] if d["p_value"] is not None and d["p_value"] < _CLEAR]
-    if row["verdict"] in (None, "none") or not clear:
-        return
-    clear.sort(key=lambda d: (d["p_value"], -(d["chi2"] or 0.0) / (d["degrees_of_freedom"] or 1.0)))
-    more = f"; {len(clear) - _SHOWN} more in the table discrepancies" if len(clear) > _SHOWN else ""
-    yield from _listed(
-        f"What the simulation gets wrong ({digits(row['recordings'] or 0, 'recording')}{more})",
-        [f"{d['recording_id'] or 'all recordings'}: {d['statement']}" for d in clear[:_SHOWN]],
-    )
-
-
-def _causes(row: Row) -> Iterator[str]:
-    if row["verdict"] in (None, "none") or not row["candidates"]:
-        return
-    alone = all(c["likelihood_ratio"] is None for c in row["candidates"])
-    cells = _by_what_they_predict(row) if alone else _by_what_they_explain(row)
-    widths = [max(len(line[i]) for line in cells) for i in range(4)]
-    yield "  Causes, each alone in the model, refitted together with the rest of it"
-    for name, *numbers, size in cells:
-        columns = "  ".join(text.rjust(width) for text, width in zip(numbers, widths[1:], strict=True))
-        yield f"    {name.ljust(widths[0])}  {columns}  {size}"
-    for mechanism, parameters in nested(row["severity"]).items():
-        yield f"  {plain_name(mechanism)} ({mechanism}): {severity(mechanism, parameters)}"
-    if row["also_possible"]:
-        yield f"  Cannot be told from it: {', '.join(plain_name(m) if m == UNLISTED else m for m in row['also_possible'])}"
-    if row["supported_by"]:
-        yield f"  Shown by: {', '.join(row['supported_by'])}"
-
-
-_Cells = list[tuple[str, str, str, str, str]]
-
-
-def _by_what_they_explain(row: Row) -> _Cells:
-    """The causes of a session, likeliest first."""
-    ranked = sorted(row["candidates"], key=lambda c: (-(c["probability"] or 0.0), -(c["likelihood_ratio"] or 0.0)))
-    return [
-        ("", "2Δ ln L", "probability", "explains", "severity"),
-        *(
-            (
-                f"{_mark(row, c)} {c['mechanism']}", significant(c["likelihood_ratio"]), percent(c["probability"]),
-                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"]),
-            )
-            for c in ranked[:_SHOWN]
-        ),
-    ]  # fmt: skip
-
-
-def _by_what_they_predict(row: Row) -> _Cells:
-    """The causes of a record that was asked alone, by their error on the part left out."""
-    ranked = sorted(row["candidates"], key=lambda c: c["held_out_error"])
-    return [
-        ("", "gain", "95 % interval", "explains", "severity"),
-        *(
-            (
-                f"{_mark(row, c)} {c['mechanism']}" + (f", {c['form']}" if c["form"] else ""), percent(c["gain"]),
-                f"{percent(c['gain_lower'])} to {percent(c['gain_upper'])}",
-                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"]),
-            )
-            for c in ranked
-        ),
-    ]  # fmt: skip
-
-
-def _mark(row: Row, cause: Row) -> str:
-    return "●" if cause["mechanism"] in (row["mechanisms"] or ()) else " "
-
-
-def _film(row: Row) -> Iterator[str]:
-    moved = [p for p in row["parameters"] if p["moved_sd"] is not None]
-    if not moved:
-        return
-    most = max(p["moved_sd"] for p in moved)
-    if most < _MOVED:
-        yield f"  The film's parameters stay where they were, within {significant(most, 2)} SD."
-        return
-    yield from _listed(
-        "What ignoring it did to the film: plain → extended model",
-        [
-            f"{p['parameter']}: {pm(p['plain'], p['plain_sd'])} → {pm(p['extended'], p['extended_sd'], p['unit'])}, "
-            f"moved by {significant(p['moved_sd'], 2)} SD"
-            for p in moved
-            if p["extended_sd"] < abs(p["extended"])
-        ],
-    )
-
-
-def _visible(row: Row) -> Iterator[str]:
-    smallest = nested(row["smallest_detectable"])
-    if smallest:
-        yield from _listed(
-            "Smallest that these recordings would have shown, with 80 % probability",
-            [
-                f"{mechanism}: "
-                + ", ".join(
-                    f"{amount(mechanism, k, v)} {parameter_words(mechanism, k)}"
-                    for k, v in main(mechanism, own).items()
-                )
-                for mechanism, own in smallest.items()
-                if own
-            ],
-        )
-    if row["invisible"]:
-        yield from _listed("Cannot be seen in these recordings", [", ".join(row["invisible"])])
-
-
-def _listed(title: str, lines: Sequence[str]) -> list[str]:
-    return [f"  {title}", *(f"    {line or ABSENT}" for line in lines)]
+COMMAND = Command(
+    "diagnose",
+    "what the simulation gets wrong, the cause, and what mending it gains",
+    ("", "VHB-03 VHB-04 --format json"),
+    (
+        argument("specimen", nargs="*", metavar="SPECIMEN", help="specimens (default: all)"),
+        argument("--format", choices=("text", "json"), default="text"),
+        LAB,
+    ),
+    run,
+)

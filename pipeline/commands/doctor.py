@@ -1,170 +1,26 @@
-"""Checks of the installation and of a lab: each a line that says it is well, or what is wrong and what to do."""
+"""`dealab doctor`: is this the software it should be, and is the lab whole?"""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
-from importlib import metadata
-from pathlib import Path
-from typing import Any
+from argparse import Namespace
 
-from ingest.quarantine import entries as quarantine_entries
-from ingest.quarantine import entry_name
-from pipeline.lab.annotations import read_annotations
-from pipeline.lab.checks import violations
-from pipeline.lab.lab import Lab
-from pipeline.lab.lock import busy
-from pipeline.lab.settings import load as load_settings
-from schemas.errors import DealabError
-from schemas.views import fingerprint
-
-PACKAGES = ("schemas", "ingest", "pipeline", "reports")
-_LISTED = 5
+from pipeline.commands.command import DONE, FAILED, LAB, Command
+from pipeline.lab.lab import DEFAULT_LAB, Lab
 
 
-@dataclass(frozen=True)
-class Finding:
-    """The result of one check; `problem` is None where all is well."""
+def run(arguments: Namespace) -> int:
+    from pathlib import Path
 
-    check: str
-    problem: str | None = None
+    from pipeline.commands.show.rows import safe
+    from pipeline.lab.health import check_installation, check_lab
 
-    def __str__(self) -> str:
-        return f"ok       {self.check}" if self.problem is None else f"PROBLEM  {self.check}: {self.problem}"
-
-
-def installation() -> Iterator[Finding]:
-    """Is this the software it should be?"""
-    root = Path(__file__).resolve().parents[2]
-    for name in PACKAGES:
-        spec = importlib.util.find_spec(name)
-        origin = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
-        foreign = origin is None or origin.parent.parent != root
-        yield Finding(
-            f"package {name} is ours",
-            f"Python finds {origin} under that name; use an environment of its own for dealab" if foreign else None,
-        )
-    required = f"{sys.version_info.major}.{sys.version_info.minor}"
-    yield Finding(f"Python {required}", None if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed")
-    yield _listed("required libraries are installed", _missing_libraries(), "run `make` or pip install again")
+    lab = Lab(arguments.lab)
+    findings = list(check_installation())
+    if lab.folder.is_dir() or arguments.lab != Path(DEFAULT_LAB):
+        findings += check_lab(lab)
+    for finding in findings:
+        print(safe(str(finding)))
+    return FAILED if any(finding.problem for finding in findings) else DONE
 
 
-def lab_checks(lab: Lab) -> Iterator[Finding]:
-    """Is the lab whole? Reads every samples file's footer, no samples."""
-    yield from _readable(lab)
-    journal = lab.database.with_name(lab.database.name + ".wal")
-    yield Finding(
-        "nobody writes to the published database",
-        f"{journal} exists; close the program that opened it for writing" if journal.exists() else None,
-    )
-    if not lab.database.is_file():
-        yield Finding("a database is published", "there is none; run `dealab nightly RAW`")
-        return
-    yield from _database(lab)
-    yield _leftovers(lab)
-
-
-def _readable(lab: Lab) -> Iterator[Finding]:
-    for what, check in (("settings", load_settings), ("annotations", read_annotations)):
-        try:
-            check(lab)
-        except DealabError as error:
-            yield Finding(f"{what} can be read", str(error))
-        else:
-            yield Finding(f"{what} can be read")
-
-
-def _database(lab: Lab) -> Iterator[Finding]:
-    import duckdb
-
-    try:
-        with duckdb.connect(str(lab.database), read_only=True) as connection:
-            found = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
-            current = found is not None and found[0] == fingerprint()
-            yield Finding(
-                "the database has today's tables",
-                None if current else "it is another release's; the next nightly brings it up to date",
-            )
-            if current:
-                yield _listed("what must hold in the database holds", list(violations(connection)), "report this")
-            rows = connection.execute(
-                "SELECT recording_id, samples_path, source_sha256, source_path, status FROM recordings"
-            ).fetchall()
-    except duckdb.Error as error:
-        yield Finding(
-            "the database can be read",
-            f"{str(error).splitlines()[0]}; move it away, the next nightly over all raw folders builds it anew",
-        )
-        return
-    yield from _samples(lab, rows)
-    named = {entry_name(row[3]) for row in rows if row[4] == "quarantined"}
-    stray = [entry.folder.name for entry in quarantine_entries(lab.folder) if entry.folder.name not in named]
-    yield _listed(
-        "quarantine holds what the database says", stray, "no row speaks of them; remove them when not needed"
-    )
-
-
-def _samples(lab: Lab, rows: list[tuple[Any, ...]]) -> Iterator[Finding]:
-    named = {row[1]: (row[0], row[2]) for row in rows if row[1] is not None}
-    wrong = [f"{path} ({reason})" for path, known in sorted(named.items()) if (reason := _wrong(lab, path, *known))]
-    yield _listed(
-        "samples of all recordings are there", wrong, "remove them and run the nightly over the raw files again"
-    )
-    found = {path.relative_to(lab.folder).as_posix() for path in lab.samples_folder.rglob("*.parquet")}
-    yield _listed("no samples without a recording", sorted(found - named.keys()), "remove them when not needed")
-
-
-def _wrong(lab: Lab, relative: str, recording_id: str, sha256: str) -> str | None:
-    """What is wrong with a samples file, None when nothing is."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        with (lab.folder / relative).open("rb") as file:
-            about = pq.ParquetFile(file).schema_arrow.metadata or {}
-    except FileNotFoundError:
-        return "missing"
-    except (OSError, pa.ArrowException) as error:
-        return f"unreadable: {str(error).splitlines()[0]}"
-    if about.get(b"dealab.recording_id", b"").decode() != recording_id:
-        return "of another recording"
-    if about.get(b"dealab.source_sha256", b"").decode() != sha256:
-        return "made from another file"
-    return None
-
-
-def _leftovers(lab: Lab) -> Finding:
-    if busy(lab):
-        return Finding("no temporary files are left (a nightly is at work)")
-    left = [path for pattern in ("*.tmp", ".partial-*") for path in lab.folder.rglob(pattern)]
-    if lab.work.exists():
-        left.append(lab.work)
-    return _listed(
-        "no temporary files are left",
-        [path.relative_to(lab.folder).as_posix() for path in left],
-        "the next nightly takes up or removes what a killed one left",
-    )
-
-
-def _missing_libraries() -> list[str]:
-    missing = []
-    for requirement in metadata.requires("dealab") or []:
-        name = requirement.split(";")[0].strip()
-        for separator in (">", "=", "<", "!", "~", "[", " "):
-            name = name.split(separator)[0]
-        if ";" in requirement:
-            continue
-        try:
-            metadata.version(name)
-        except metadata.PackageNotFoundError:
-            missing.append(name)
-    return missing
-
-
-def _listed(check: str, wrong: list[str], remedy: str) -> Finding:
-    if not wrong:
-        return Finding(check)
-    shown = ", ".join(wrong[:_LISTED]) + (f" and {len(wrong) - _LISTED} more" if len(wrong) > _LISTED else "")
-    return Finding(check, f"{shown}; {remedy}")
+COMMAND = Command("doctor", "check the installation and the lab", ("", "--lab /data/lab"), (LAB,), run)

@@ -1,149 +1,40 @@
-"""Retention: what a lab can do without, what that is in bytes, and its removal.
-
-Results stay: samples, copies of refused files and recordings whose raw file has gone are what can go. Samples come back
-when their recording is read again. Does not belong here: backups (copies of the folder, see the README).
-"""
+"""`dealab prune`: what a lab can do without, removed by rules."""
 
 from __future__ import annotations
 
-import contextlib
-import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
-from pathlib import Path
-from typing import Any
+import argparse
 
-from ingest.quarantine import entries as quarantine_entries
-from pipeline.lab.checks import ANALYSED
+from pipeline.commands.command import DONE, LAB, Command, argument
 from pipeline.lab.lab import Lab
-from pipeline.lab.lock import exclusive
-from pipeline.lab.reader import Reader
-from pipeline.lab.snapshot import Changes, Deletion, publish
-from pipeline.nightly.stages import RECORDING, make_item_id
-from schemas.tables import TABLES
 
 
-@dataclass(frozen=True)
-class Rule:
-    """What may go.
+def run(arguments: argparse.Namespace) -> int:
+    from pipeline.lab.retention import Rule, plan_removal, prune
 
-    Parameters
-    ----------
-    samples_days : samples of recordings that were measured more than so many days ago; None keeps them
-    quarantine_days : copies of files that were refused more than so many days ago; None keeps them
-    gone : recordings whose raw file has gone, with all their results
-    """
-
-    samples_days: float | None = None
-    quarantine_days: float | None = None
-    gone: bool = False
+    rule = Rule(arguments.samples_days, arguments.quarantine_days, arguments.gone)
+    found = (plan_removal if arguments.dry_run else prune)(Lab(arguments.lab), rule)
+    for part in found.parts:
+        print(f"{part.what}: {part.number} files, {part.size / 1e6:.1f} MB")
+    print("Nothing was removed." if arguments.dry_run else "Removed; the next nightly makes again what depends on it.")
+    return DONE
 
 
-@dataclass(frozen=True)
-class Part:
-    """One kind of what goes: how many, and what that is in bytes."""
-
-    what: str
-    number: int
-    size: int
+def _parse_days(text: str) -> float:
+    if not text.isdecimal() or int(text) > 36_500:
+        raise argparse.ArgumentTypeError(f'"{text}" is not a number of days')
+    return int(text)
 
 
-@dataclass
-class Plan:
-    """What a rule takes out of a lab: rows of `recordings` that are forgotten or lose their samples, files and folders."""
-
-    forgotten: list[dict[str, Any]] = field(default_factory=list)
-    bare: list[dict[str, Any]] = field(default_factory=list)
-    parts: list[Part] = field(default_factory=list)
-    paths: list[Path] = field(default_factory=list)
-
-    def add(self, what: str, paths: list[Path]) -> None:
-        self.parts.append(Part(what, len(paths), sum(_size(path) for path in paths)))
-        self.paths += paths
-
-
-def plan(lab: Lab, rule: Rule, now: datetime | None = None) -> Plan:
-    """What would go; changes nothing. Raises `LabError` where nothing has been published."""
-    now = now or datetime.now(UTC)
-    lab.require_database()
-    with Reader(lab.database) as reader:
-        rows = reader.rows("recordings")
-    found = Plan()
-    if rule.gone:
-        found.forgotten = [row for row in rows if row["status"] in ANALYSED and row["source_present"] is False]
-        found.add("recordings whose raw file has gone: samples", list(_samples(lab, found.forgotten)))
-    if rule.samples_days is not None:
-        limit = now - timedelta(days=rule.samples_days)
-        kept = {row["recording_id"] for row in found.forgotten}
-        found.bare = [
-            row for row in rows if row["samples_path"] and row["started_at"] < limit and row["recording_id"] not in kept
-        ]
-        found.add("samples", list(_samples(lab, found.bare)))
-    if rule.quarantine_days is not None:
-        limit = now - timedelta(days=rule.quarantine_days)
-        found.add("copies of refused files", list(_copies(lab, limit)))
-    known = {row["samples_path"] for row in rows}
-    stray = [
-        path for path in lab.samples_folder.rglob("*.parquet") if path.relative_to(lab.folder).as_posix() not in known
-    ]
-    found.add("samples that no recording speaks of", stray)
-    return found
-
-
-def prune(lab: Lab, rule: Rule, now: datetime | None = None) -> Plan:
-    """Removes what the rule says; the database is published first, so that it never speaks of what is not there.
-
-    Specimens and groups that lose a recording are made again by the next nightly. Raises `LabError` as a nightly does.
-    """
-    lab.require_database()
-    with exclusive(lab):
-        found = plan(lab, rule, now)
-        if found.forgotten or found.bare:
-            publish(lab, Changes(list(_deletions(found)), [{"recordings": _without_samples(found.bare)}]))
-            with contextlib.suppress(OSError):  # what a killed night left there is the next night's
-                lab.work.rmdir()
-        for path in found.paths:
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink(missing_ok=True)
-    return found
-
-
-def _deletions(found: Plan) -> Iterator[Deletion]:
-    names: list[str | None] = [row["recording_id"] for row in found.forgotten]
-    for table in TABLES.values():
-        if "recording_id" in table.names and table.name not in ("recordings", "annotations"):
-            yield Deletion(table.name, {"recording_id": names})
-    yield Deletion("items", {"item_id": [make_item_id(RECORDING, row["source_sha256"]) for row in found.forgotten]})
-    yield Deletion("files", {"path": [row["source_path"] for row in found.forgotten]})
-    rows = [*found.forgotten, *found.bare]
-    places = {key: [row[key] for row in rows] for key in ("source_path", "source_sha256")}
-    yield Deletion("recordings", places)
-
-
-def _without_samples(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{**row, "samples_path": None} for row in rows]
-
-
-def _samples(lab: Lab, rows: list[dict[str, Any]]) -> Iterator[Path]:
-    root = lab.samples_folder.resolve()
-    for row in rows:
-        path = (lab.folder / (row["samples_path"] or "")).resolve()
-        if root in path.parents and path.is_file():
-            yield path
-
-
-def _copies(lab: Lab, limit: datetime) -> Iterator[Path]:
-    """Copied files in quarantine; the reason beside them stays."""
-    for entry in quarantine_entries(lab.folder):
-        name, when = entry.reason.get("file"), entry.reason.get("when")
-        if isinstance(name, str) and isinstance(when, str) and datetime.fromisoformat(when) < limit:
-            path = entry.folder / Path(name).name
-            if path.is_file():
-                yield path
-
-
-def _size(path: Path) -> int:
-    return path.stat().st_size
+COMMAND = Command(
+    "prune",
+    "remove what the lab can do without: old samples, copies of refused files, recordings that have gone",
+    ("--samples-days 365 --dry-run", "--gone --quarantine-days 90"),
+    (
+        argument("--samples-days", type=_parse_days, metavar="DAYS", help="samples of recordings measured earlier"),
+        argument("--quarantine-days", type=_parse_days, metavar="DAYS", help="copies of files refused earlier"),
+        argument("--gone", action="store_true", help="recordings whose raw file has gone, with their results"),
+        argument("--dry-run", action="store_true", help="say what would go, remove nothing"),
+        LAB,
+    ),
+    run,
+)

@@ -1,33 +1,36 @@
-"""The nightly every night: unit and timer for systemd, or a line for cron, with this installation's own paths.
+"""`dealab schedule`: unit and timer for systemd, or a line for cron, with this installation's own paths.
 
 Does not belong here: installing them, which is the administrator's.
 """
 
 from __future__ import annotations
 
-import shlex
-import shutil
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from ingest.remote import is_url
+from pipeline.commands.command import CLUSTER, DONE, LAB, RAW, RIGS, Command, argument, parse_jobs, parse_path
 from schemas.errors import UsageError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 NAME = "dealab-nightly"
 
 
-def executable() -> Path:
+def find_executable() -> Path:
     """The `dealab` beside the Python that runs this."""
+    import shutil
+    from pathlib import Path
+
     beside = Path(sys.executable).with_name("dealab")
     found = beside if beside.exists() else shutil.which("dealab")
     return Path(found or "dealab").absolute()
 
 
-@dataclass(frozen=True)
-class Job:
-    """What is to run every night: raw files, folders and URLs, the lab, and those options of the nightly that were given."""
+class Job(NamedTuple):
+    """What is to run every night: raw files, folders and URLs, the lab, and the options that the nightly is given."""
 
     raw: Sequence[str]
     lab: Path
@@ -38,6 +41,10 @@ class Job:
     @property
     def words(self) -> list[str]:
         """The command, every path absolute: neither cron nor systemd starts in the folder that was meant."""
+        from pathlib import Path
+
+        from ingest.remote import is_url
+
         raw = [given if is_url(given) else str(Path(given).absolute()) for given in self.raw]
         options = {
             "--lab": str(self.lab.absolute()),
@@ -46,10 +53,10 @@ class Job:
             "--cluster": self.cluster,
         }
         given = [word for name, value in options.items() if value is not None for word in (name, value)]
-        return [str(executable()), "nightly", *raw, *given]
+        return [str(find_executable()), "nightly", *raw, *given]
 
 
-def clock(text: str) -> tuple[int, int]:
+def parse_clock(text: str) -> tuple[int, int]:
     """Hour and minute of `02:30`. Raises `UsageError`."""
     hour, _, minute = text.partition(":")
     if not (hour.isdecimal() and minute.isdecimal() and int(hour) < 24 and int(minute) < 60):
@@ -57,11 +64,11 @@ def clock(text: str) -> tuple[int, int]:
     return int(hour), int(minute)
 
 
-def units(job: Job, at: str) -> dict[str, str]:
+def write_units(job: Job, at: str) -> dict[str, str]:
     """The unit and its timer by file name."""
-    hour, minute = clock(at)
-    start = " ".join(_systemd_word(word) for word in job.words)
-    service = f"""# Status 3 is a night that is done, but in which recordings were refused or are damaged: no failure of the unit.
+    hour, minute = parse_clock(at)
+    start = " ".join(_quote_for_systemd(word) for word in job.words)
+    service = f"""# Status 3 is a night that is done, but recordings were refused or are damaged: the unit did not fail.
 [Unit]
 Description=dealab: the night over the laboratory's recordings
 
@@ -87,7 +94,7 @@ WantedBy=timers.target
     return {f"{NAME}.service": service, f"{NAME}.timer": timer}
 
 
-def _systemd_word(word: str) -> str:
+def _quote_for_systemd(word: str) -> str:
     """A word of ExecStart: specifiers and variables doubled, quoted where it has more than plain characters."""
     doubled = word.replace("%", "%%").replace("$", "$$")
     if all(c.isalnum() or c in "/._-+=@%$" for c in doubled):
@@ -96,12 +103,14 @@ def _systemd_word(word: str) -> str:
     return f'"{escaped}"'
 
 
-def crontab(job: Job, at: str) -> str:
+def write_crontab(job: Job, at: str) -> str:
     """Lines for `crontab -e`: the summary goes out as mail, progress and complaints to a file in the lab.
 
     The shell opens that file before the nightly runs, which makes the lab.
     """
-    hour, minute = clock(at)
+    import shlex
+
+    hour, minute = parse_clock(at)
     lab = job.lab.absolute()
     log = shlex.quote(str(lab / "nightly.log"))
     line = f"mkdir -p {shlex.quote(str(lab))} && {shlex.join(job.words)} 2>> {log}".replace("%", "\\%")
@@ -109,3 +118,39 @@ def crontab(job: Job, at: str) -> str:
         f"# What the night printed, a paragraph, cron mails to you; refused and damaged recordings are named in {log}\n"
         f"{minute} {hour} * * * {line}\n"
     )
+
+
+def run(arguments: Namespace) -> int:
+    job = Job(arguments.raw, arguments.lab, arguments.rigs, arguments.jobs, arguments.cluster)
+    if arguments.cron:
+        print(write_crontab(job, arguments.at), end="")
+        return DONE
+    for name, text in write_units(job, arguments.at).items():
+        if arguments.out is None:
+            print(f"# {name}\n{text}")
+        else:
+            arguments.out.mkdir(parents=True, exist_ok=True)
+            (arguments.out / name).write_text(text, encoding="utf-8")
+            print(arguments.out / name)
+    return DONE
+
+
+COMMAND = Command(
+    "schedule",
+    "systemd units, or a line for cron, that run the nightly every night",
+    (
+        "/data/raw --lab /data/lab --at 02:30 --out ~/.config/systemd/user",
+        "/data/raw --lab /data/lab --cron",
+    ),
+    (
+        RAW,
+        argument("--at", default="02:00", metavar="HH:MM", help="when, local time (default 02:00)"),
+        argument("--cron", action="store_true", help="a line for crontab instead of units for systemd"),
+        argument("--out", type=parse_path, metavar="FOLDER", help="write the units there instead of showing them"),
+        argument("--jobs", type=parse_jobs, help="worker processes of the nightly (default: one per processor)"),
+        RIGS,
+        CLUSTER,
+        LAB,
+    ),
+    run,
+)

@@ -35,7 +35,9 @@ class Annotation:
 def annotate(lab: Lab, recording_id: str, action: str, why: str) -> Annotation:
     """Appends an annotation, on disk when this returns. Raises `UsageError` for one that says nothing."""
     check_annotation(recording_id, why)
-    annotation = Annotation(recording_id, action, why, _author(), datetime.now(UTC).isoformat(timespec="milliseconds"))
+    annotation = Annotation(
+        recording_id, action, why, _name_author(), datetime.now(UTC).isoformat(timespec="milliseconds")
+    )
     line = json.dumps(asdict(annotation), ensure_ascii=True) + "\n"
     handle = os.open(lab.annotations, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
@@ -77,13 +79,13 @@ def read_annotations(lab: Lab) -> tuple[Annotation, ...]:
     return tuple(found)
 
 
-def excluded(found: Sequence[Annotation]) -> frozenset[str]:
+def list_excluded(found: Sequence[Annotation]) -> frozenset[str]:
     """The recordings whose last annotation takes them out."""
     last = {annotation.recording_id: annotation.action for annotation in found}
     return frozenset(name for name, action in last.items() if action == EXCLUDE)
 
 
-def _author() -> str:
+def _name_author() -> str:
     try:
         return getpass.getuser()
     except (KeyError, OSError):

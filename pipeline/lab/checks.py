@@ -71,7 +71,7 @@ CHECKS: Mapping[str, str] = {
 """What must hold, and the query whose rows break it."""
 
 
-def violations(connection: Any, rows: Mapping[str, int] | None = None) -> Iterator[str]:
+def find_violations(connection: Any, rows: Mapping[str, int] | None = None) -> Iterator[str]:
     """What does not hold, in words. `rows` are the numbers of rows that the tables must have."""
     present = {name for (name,) in connection.execute("SELECT table_name FROM duckdb_tables()").fetchall()}
     missing = [name for name in TABLES if name not in present]

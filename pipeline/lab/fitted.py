@@ -63,7 +63,10 @@ class FittedModel:
         return self.model.relaxation(time_s)
 
     def frame(self, frequency_hz: ArrayLike) -> pd.DataFrame:
-        """The model at n frequencies: complex value, magnitude and phase with their standard deviations, units in `attrs`."""
+        """The model at n frequencies: complex value, magnitude and phase with their standard deviations.
+
+        `attrs["units"]` has the units of the columns.
+        """
         import pandas as pd
 
         f = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
@@ -80,7 +83,7 @@ class FittedModel:
         return frame
 
     def plot(self, axes: Any = None) -> Any:
-        """Measured |k| with its standard error and the model with its 95 % band, on matplotlib axes, which are returned."""
+        """Draws measured |k| with its standard error and the model with its 95 % band; returns the matplotlib axes."""
         import matplotlib.pyplot as plt
 
         axes = plt.figure(figsize=(5, 3.6), layout="constrained").gca() if axes is None else axes
@@ -155,7 +158,7 @@ class FittedModel:
         return checked_geometry(found, f"specimen {self.specimen_id}")
 
     def _permittivity(self, geometry: Mapping[str, Any]) -> float | None:
-        """The one with which the film's electrodes give the fitted force; the stated one where no voltage was on them."""
+        """The one with which the electrodes give the fitted force; the stated one where no voltage was on them."""
         stated = geometry.get("relative_permittivity")
         if self.force_per_voltage_squared is None or "active_length_mm" not in geometry:
             return None if stated is None else float(stated)

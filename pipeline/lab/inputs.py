@@ -1,7 +1,7 @@
 """Recordings' results for the later stages, from the journal where they are new and from the snapshot where not.
 
-`fetch` is for the inputs of a specimen, which the night sends along with the task; `fetch_results` for those of a group,
-which may be all recordings there are: its worker fetches them itself.
+`fetch_inputs` is for the inputs of a specimen, which the night sends along with the task; `fetch_results` for those of
+a group, which may be all recordings there are: its worker fetches them itself.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Included:
     entry: Path | None = None
 
 
-def kinds_of(text: str | None) -> frozenset[str]:
+def split_kinds(text: str | None) -> frozenset[str]:
     """Kinds of results from a text with a comma between two; none where it is empty."""
     return frozenset(text.split(",")) if text else frozenset()
 
@@ -59,7 +59,7 @@ def read_members(file: Path, journal: Path) -> tuple[Stored, ...]:
     return tuple((name, None if entry is None else journal / entry) for name, entry in found)
 
 
-def fetch(
+def fetch_inputs(
     recordings: Sequence[Included], reader: Reader | None, *, only: str = "", but: str = ""
 ) -> tuple[RecordingInput, ...]:
     """The inputs of recordings, in the order given. `reader` may be None where nothing has been published.
@@ -85,7 +85,7 @@ def fetch(
         else:
             tables = read_tables(recording.entry, ("recordings", "carried"))
             (row,) = tables["recordings"].select(["kind", "metadata", "status", "problem"]).to_pylist()
-            results = _rows(tables.get("carried"), only, but)
+            results = _choose_rows(tables.get("carried"), only, but)
         damage = (row["problem"] or "damaged") if row["status"] == "damaged" else ""
         inputs.append(RecordingInput(name, row["kind"], row["metadata"], tuple(results), damage))
     return tuple(inputs)
@@ -100,7 +100,9 @@ def fetch_results(
     are, with their metadata.
     """
     about = (
-        _mentioning(recordings, reader, mention) if mention is not None else {name: ("", "") for name, _ in recordings}
+        _find_mentions(recordings, reader, mention)
+        if mention is not None
+        else {name: ("", "") for name, _ in recordings}
     )
     results: dict[str, list[dict[str, Any]]] = {}
     published = [name for name, entry in recordings if entry is None and name in about]
@@ -110,13 +112,13 @@ def fetch_results(
             results.setdefault(row["recording_id"], []).append(row)
     for name, entry in recordings:
         if entry is not None and name in about:
-            results[name] = _wanted(read_tables(entry, ("carried",)).get("carried"), kinds.__contains__)
+            results[name] = _pick_rows(read_tables(entry, ("carried",)).get("carried"), kinds.__contains__)
     return tuple(
         RecordingInput(name, *about[name], tuple(results[name])) for name, _ in recordings if results.get(name)
     )
 
 
-def _mentioning(recordings: Sequence[Stored], reader: Reader | None, mention: str) -> dict[str, tuple[str, str]]:
+def _find_mentions(recordings: Sequence[Stored], reader: Reader | None, mention: str) -> dict[str, tuple[str, str]]:
     """Kind and metadata of the recordings whose metadata have a key of that name, by id."""
     key = f'"{mention}":'
     found: dict[str, tuple[str, str]] = {}
@@ -135,11 +137,11 @@ def _mentioning(recordings: Sequence[Stored], reader: Reader | None, mention: st
     return found
 
 
-def _rows(carried: pa.Table | None, only: str, but: str) -> list[dict[str, Any]]:
-    return _wanted(carried, lambda kind: kind == only if only else kind != but)
+def _choose_rows(carried: pa.Table | None, only: str, but: str) -> list[dict[str, Any]]:
+    return _pick_rows(carried, lambda kind: kind == only if only else kind != but)
 
 
-def _wanted(carried: pa.Table | None, is_wanted: Callable[[str], bool]) -> list[dict[str, Any]]:
+def _pick_rows(carried: pa.Table | None, is_wanted: Callable[[str], bool]) -> list[dict[str, Any]]:
     """The rows of some kinds, picked one by one: arrow's own filter would take an array, and with it pandas."""
     if carried is None:
         return []

@@ -1,7 +1,8 @@
 """Results that are finished and not yet published, one file per item, so that a killed night loses none of them.
 
-A file holds a header (what was done and how it ended, and the size of each table; JSON) and the item's rows of each table (Arrow
-streams). It is written under a temporary name and renamed; its checksum tells a file that the machine lost half of.
+A file holds a header (what was done and how it ended, and the size of each table; JSON) and the item's rows of each
+table (Arrow streams). It is written under a temporary name and renamed; its checksum tells a file that the machine lost
+half of.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ import pyarrow as pa
 from ingest.atomic import written_whole
 from schemas.errors import LabError
 
+RECORDING, SPECIMEN, DIAGNOSIS, GROUP = "recording", "specimen", "diagnosis", "group"
+"""Stages that items belong to."""
 OK, DAMAGED, QUARANTINED, PENDING, FAILED = "ok", "damaged", "quarantined", "pending", "failed"
 USABLE = (OK, DAMAGED)
 _MAGIC = b"dealab-journal-2\n"
@@ -67,6 +70,11 @@ class Outcome:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
+def make_item_id(stage: str, name: str) -> str:
+    """The name of an item: its stage and the content, specimen or group that it is about."""
+    return f"{stage}:{name}"
+
+
 def entry_name(item_id: str) -> str:
     """The name of an item's file: a hash, since item ids hold whatever people called their specimens."""
     return f"{hashlib.sha256(item_id.encode()).hexdigest()[:40]}{_ENDING}"
@@ -79,7 +87,7 @@ def entry_path(folder: Path, item_id: str) -> Path:
 
 def write_entry(folder: Path, outcome: Outcome, tables: Mapping[str, pa.Table]) -> Path:
     """Keeps an item's outcome and rows; a complete file when this returns. Raises `LabError` for an unwritable lab."""
-    streams = {name: _stream(table) for name, table in sorted(tables.items()) if table.num_rows}
+    streams = {name: _make_stream(table) for name, table in sorted(tables.items()) if table.num_rows}
     about = asdict(outcome) | {"tables": {name: stream.size for name, stream in streams.items()}}
     header = json.dumps(about, ensure_ascii=True).encode("ascii")
     content = b"".join([len(header).to_bytes(8, "little"), header, *streams.values()])
@@ -90,11 +98,11 @@ def write_entry(folder: Path, outcome: Outcome, tables: Mapping[str, pa.Table]) 
             file.write(zlib.crc32(content).to_bytes(4, "little"))
             file.write(content)
     except OSError as error:
-        raise unwritable(folder, error) from error
+        raise explain_unwritable(folder, error) from error
     return path
 
 
-def unwritable(folder: Path, error: OSError) -> LabError:
+def explain_unwritable(folder: Path, error: OSError) -> LabError:
     """The error of a lab that cannot be written: it stops the night, since no item is to blame."""
     return LabError(
         f"the lab cannot be written: {error.strerror or error}",
@@ -105,16 +113,16 @@ def unwritable(folder: Path, error: OSError) -> LabError:
 
 def read_outcome(path: Path) -> Outcome | None:
     """The outcome in an entry; None for a file that is not whole."""
-    content = _content(path)
-    return None if content is None else _outcome(content)
+    content = _read_content(path)
+    return None if content is None else _parse_outcome(content)
 
 
 def read_tables(path: Path, only: Container[str] | None = None) -> dict[str, pa.Table]:
     """The rows in an entry that `read_outcome` found whole: of all tables, or of those named."""
-    content = _content(path)
+    content = _read_content(path)
     if content is None:
         raise ValueError(f"{path.name} is not a whole journal entry")
-    header, at = _header(content)
+    header, at = _read_header(content)
     body = pa.py_buffer(content)
     tables = {}
     for name, size in header["tables"].items():
@@ -124,7 +132,7 @@ def read_tables(path: Path, only: Container[str] | None = None) -> dict[str, pa.
     return tables
 
 
-def entries(folder: Path) -> Iterator[tuple[Path, Outcome]]:
+def list_entries(folder: Path) -> Iterator[tuple[Path, Outcome]]:
     """All whole entries of a journal, in no order."""
     if folder.is_dir():
         with os.scandir(folder) as found:
@@ -134,7 +142,7 @@ def entries(folder: Path) -> Iterator[tuple[Path, Outcome]]:
                     yield Path(one.path), outcome
 
 
-def _content(path: Path) -> bytes | None:
+def _read_content(path: Path) -> bytes | None:
     try:
         data = path.read_bytes()
     except OSError:
@@ -145,20 +153,20 @@ def _content(path: Path) -> bytes | None:
     return data[start:]
 
 
-def _header(content: bytes) -> tuple[dict[str, Any], int]:
+def _read_header(content: bytes) -> tuple[dict[str, Any], int]:
     """The header of an entry, and where its tables begin."""
     end = 8 + int.from_bytes(content[:8], "little")
     header: dict[str, Any] = json.loads(content[8:end])
     return header, end
 
 
-def _outcome(content: bytes) -> Outcome:
-    values, _ = _header(content)
+def _parse_outcome(content: bytes) -> Outcome:
+    values, _ = _read_header(content)
     del values["tables"]
     return Outcome(**{**values, "freshness": Freshness(**values["freshness"])})
 
 
-def _stream(table: pa.Table) -> pa.Buffer:
+def _make_stream(table: pa.Table) -> pa.Buffer:
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema.remove_metadata()) as stream:
         stream.write_table(table)

@@ -18,26 +18,26 @@ _NOBODY = "another process"
 _LOOKS, _BETWEEN_S = 10, 0.05
 
 
-def holder(lab: Lab) -> str:
+def describe_holder(lab: Lab) -> str:
     """Who holds the lock, in words, as far as the note beside it says."""
     try:
-        note = json.loads(_note(lab).read_text(encoding="utf-8"))
+        note = json.loads(_find_note(lab).read_text(encoding="utf-8"))
         return f"process {note['pid']} on {note['host']}, since {note['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return _NOBODY
 
 
-def _soon(lab: Lab) -> str:
+def _await_holder(lab: Lab) -> str:
     """The same a moment later where nothing is said yet: the note is written once the lock is held."""
     for _ in range(_LOOKS):
-        if (found := holder(lab)) != _NOBODY:
+        if (found := describe_holder(lab)) != _NOBODY:
             return found
         time.sleep(_BETWEEN_S)
     return _NOBODY
 
 
 @contextlib.contextmanager
-def exclusive(lab: Lab) -> Iterator[None]:
+def hold_lab(lab: Lab) -> Iterator[None]:
     """Holds the lab for this process; `LabError` at once, naming the holder, when it is held already."""
     from filelock import FileLock, Timeout
 
@@ -46,7 +46,7 @@ def exclusive(lab: Lab) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise LabError(
-            f"a nightly is at work here: {_soon(lab)}",
+            f"a nightly is at work here: {_await_holder(lab)}",
             where=str(lab.folder),
             remedy="Wait until it has ended",
         ) from None
@@ -62,14 +62,14 @@ def exclusive(lab: Lab) -> Iterator[None]:
             "host": socket.gethostname(),
             "since": datetime.now(UTC).isoformat(timespec="seconds"),
         }
-        _note(lab).write_text(json.dumps(note), encoding="utf-8")
+        _find_note(lab).write_text(json.dumps(note), encoding="utf-8")
         yield
     finally:
-        _note(lab).unlink(missing_ok=True)
+        _find_note(lab).unlink(missing_ok=True)
         lock.release()
 
 
-def busy(lab: Lab) -> bool:
+def is_busy(lab: Lab) -> bool:
     """Whether a nightly is at work in the lab now."""
     from filelock import FileLock, Timeout
 
@@ -84,5 +84,5 @@ def busy(lab: Lab) -> bool:
         return False
 
 
-def _note(lab: Lab) -> Path:
+def _find_note(lab: Lab) -> Path:
     return lab.folder / ".lock-holder.json"

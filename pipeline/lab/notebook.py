@@ -88,7 +88,7 @@ class Lab(pipeline.lab.lab.Lab):
         return frame
 
     def responses(self, item: str, *, stage: str | None = None) -> pd.DataFrame:
-        """Frequency responses of a specimen or of a recording, of one stage (`measured`, `corrected`, `averaged`) or all.
+        """Frequency responses of a specimen or a recording, of one stage (`measured`, `corrected`, `averaged`) or all.
 
         The complex value stands in the column `value`. Raises `UsageError` where there is none.
         """
@@ -128,7 +128,7 @@ class Lab(pipeline.lab.lab.Lab):
             kind = "extended model" if extended else "fitted model"
             raise UsageError(
                 f'no {kind} of specimen "{specimen_id}"',
-                remedy='`dealab sql "SELECT specimen_id, loading, extension FROM model_fits WHERE selected"` lists them',
+                remedy='`dealab sql "SELECT specimen_id, extension FROM model_fits WHERE selected"` lists them',
             )
         about = self._rows(
             f"SELECT metadata, loading FROM recordings WHERE specimen_id = {_literal(specimen_id)} "

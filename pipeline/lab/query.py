@@ -87,13 +87,13 @@ class Query:
         kind = statements[0].type.name
         inner = query
         if kind == "EXPLAIN":
-            inner = self._explained(query)
+            inner = self._find_explained(query)
         elif kind != "SELECT":
             remedy = "Name the columns of a PIVOT: PIVOT … ON column IN (…)" if kind == "MULTI" else ""
             raise UsageError(f"a {kind.replace('_', ' ')} statement", expected="a SELECT statement", remedy=remedy)
         self._refuse_writing_nodes(inner)
 
-    def _explained(self, query: str) -> str:
+    def _find_explained(self, query: str) -> str:
         """The statement that an EXPLAIN explains, which has to be one of ours as well."""
         import duckdb
 
@@ -114,7 +114,7 @@ class Query:
         tree = json.loads(text)
         if tree.get("error"):
             raise UsageError(str(tree.get("error_message")), expected="a SELECT statement")
-        writing = sorted(_node_kinds(tree) - _READING_NODES)
+        writing = sorted(_list_node_kinds(tree) - _READING_NODES)
         if writing:
             kinds = ", ".join(kind.removesuffix("_NODE").removesuffix("_QUERY") for kind in writing)
             raise UsageError(f"a statement with {kinds} inside", expected="only SELECT, WITH included")
@@ -130,7 +130,7 @@ class Query:
         ).fetchall()
         names = {"": ""}
         for recording_id, samples_path in known:
-            path = self._inside(samples_path)
+            path = self._find_samples(samples_path)
             if path is not None:
                 names[recording_id] = f"samples of {recording_id}"
                 self._connection.register(names[recording_id], pyarrow.dataset.dataset(path, format="parquet"))
@@ -138,23 +138,23 @@ class Query:
         self._connection.execute(
             "CREATE OR REPLACE TEMP MACRO samples(recording_id) AS TABLE SELECT * FROM query_table(coalesce("
             f"MAP {{{offered}}}[recording_id], "
-            "error('no samples of recording \"' || recording_id || '\"; SELECT recording_id FROM recordings lists them, "
-            "and the name has to stand in the query as it is')))"
+            "error('no samples of recording \"' || recording_id || '\"; "
+            "SELECT recording_id FROM recordings lists them, and the name has to stand in the query as it is')))"
         )
 
-    def _inside(self, samples_path: str) -> Path | None:
+    def _find_samples(self, samples_path: str) -> Path | None:
         """The samples' file, if it exists and lies in the lab's samples folder."""
         root = self._lab.samples_folder.resolve()
         path = (self._lab.folder / samples_path).resolve()
         return path if root in path.parents and path.is_file() else None
 
 
-def _node_kinds(tree: Any) -> set[str]:
+def _list_node_kinds(tree: Any) -> set[str]:
     if isinstance(tree, list):
-        return set().union(*(_node_kinds(member) for member in tree)) if tree else set()
+        return set().union(*(_list_node_kinds(member) for member in tree)) if tree else set()
     if not isinstance(tree, dict):
         return set()
-    kinds = set().union(*(_node_kinds(member) for member in tree.values()))
+    kinds = set().union(*(_list_node_kinds(member) for member in tree.values()))
     kind = tree.get("type")
     if isinstance(kind, str) and kind.endswith("_NODE"):
         kinds.add(kind)

@@ -1,6 +1,7 @@
 """Rows of a database file of the pipeline's under today's column names, whichever version wrote it.
 
-Light on purpose, since stages depend on it: the lab's paths and queries do not belong here.
+An older release's database may lack tables and columns; they read as empty. Light on purpose, since stages depend on
+it: the lab's paths and queries do not belong here.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class Reader:
         self, name: str, columns: Sequence[str] | None = None, key: str | None = None, among: Iterable[str] = ()
     ) -> pa.Table:
         """Rows of a table, all or those whose `key` is `among` the given; an absent column is NULL."""
-        schema = pa.schema([TABLES[name].arrow_schema.field(c.name) for c in self._wanted(name, columns)])
-        query = self._query(name, columns, key, among)
+        schema = pa.schema([TABLES[name].arrow_schema.field(c.name) for c in self._choose_columns(name, columns)])
+        query = self._make_query(name, columns, key, among)
         if query is None:
             return schema.empty_table()
         found: pa.Table = self._connection.sql(query[0], params=query[1]).to_arrow_table()
@@ -79,33 +80,33 @@ class Reader:
         where: str = "true",
     ) -> list[dict[str, Any]]:
         """The same as dictionaries; `where` is a condition of ours on the columns."""
-        return list(self._each(name, columns, self._query(name, columns, key, among, where)))
+        return list(self._iterate(name, columns, self._make_query(name, columns, key, among, where)))
 
     def each(self, name: str, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
         """All rows one by one, for what has many; nothing else may be asked meanwhile."""
-        return self._each(name, columns, self._query(name, columns, None, ()))
+        return self._iterate(name, columns, self._make_query(name, columns, None, ()))
 
     def values(self, name: str, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
         """The same without names and in no order; the columns are given in that of the table."""
-        return self._values(self._query(name, columns, None, (), ordered=False))
+        return self._iterate_values(self._make_query(name, columns, None, (), ordered=False))
 
-    def _each(
+    def _iterate(
         self, name: str, columns: Sequence[str] | None, query: tuple[str, list[list[str]]] | None
     ) -> Iterator[dict[str, Any]]:
-        names = [column.name for column in self._wanted(name, columns)]
-        return (dict(zip(names, row, strict=True)) for row in self._values(query))
+        names = [column.name for column in self._choose_columns(name, columns)]
+        return (dict(zip(names, row, strict=True)) for row in self._iterate_values(query))
 
-    def _values(self, query: tuple[str, list[list[str]]] | None) -> Iterator[tuple[Any, ...]]:
+    def _iterate_values(self, query: tuple[str, list[list[str]]] | None) -> Iterator[tuple[Any, ...]]:
         if query is None:
             return
         found = self._connection.execute(*query)
         while some := found.fetchmany(_AT_ONCE):
             yield from some
 
-    def _wanted(self, name: str, columns: Sequence[str] | None) -> list[Column]:
+    def _choose_columns(self, name: str, columns: Sequence[str] | None) -> list[Column]:
         return [c for c in TABLES[name].columns if columns is None or c.name in columns]
 
-    def _query(
+    def _make_query(
         self,
         name: str,
         columns: Sequence[str] | None,
@@ -121,7 +122,7 @@ class Reader:
             return None
         selected = ", ".join(
             f'"{c.name}"' if c.name in present else f'CAST(NULL AS {c.type}) AS "{c.name}"'
-            for c in self._wanted(name, columns)
+            for c in self._choose_columns(name, columns)
         )
         order = ", ".join(f'"{c}"' for c in TABLES[name].order if ordered and c in present)
         condition = f"WHERE {where}" if key is None else f'WHERE "{key}" IN (SELECT unnest(?::VARCHAR[])) AND {where}'

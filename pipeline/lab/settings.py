@@ -37,40 +37,40 @@ class Settings:
         return asdict(self)
 
 
-def load(lab: Lab) -> Settings:
+def load_settings(lab: Lab) -> Settings:
     """The lab's settings, or the usual ones. Raises `LabError` for a file that is wrong."""
     try:
         content = tomllib.loads(lab.settings.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return Settings()
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise _wrong(lab, f"cannot be read: {error}", "a TOML file") from None
+        raise _refuse(lab, f"cannot be read: {error}", "a TOML file") from None
     known = {f.name for f in fields(Settings)}
     for key in content:
         if key not in known:
-            raise _wrong(lab, f'key "{key[:80]}" is unknown', "one of " + ", ".join(sorted(known)))
+            raise _refuse(lab, f'key "{key[:80]}" is unknown', "one of " + ", ".join(sorted(known)))
     usual = Settings()
     return Settings(
-        deadline_s=float(_number(lab, content, "deadline_s", usual.deadline_s, low=1)),
-        memory_mb=int(_number(lab, content, "memory_mb", usual.memory_mb, low=0)),
-        orders=_orders(lab, content.get("orders", list(usual.orders))),
+        deadline_s=float(_read_number(lab, content, "deadline_s", usual.deadline_s, low=1)),
+        memory_mb=int(_read_number(lab, content, "memory_mb", usual.memory_mb, low=0)),
+        orders=_read_orders(lab, content.get("orders", list(usual.orders))),
     )
 
 
-def _number(lab: Lab, content: dict[str, Any], key: str, usual: float, *, low: float) -> float:
+def _read_number(lab: Lab, content: dict[str, Any], key: str, usual: float, *, low: float) -> float:
     value = content.get(key, usual)
     if isinstance(value, bool) or not isinstance(value, int | float) or not value >= low:
-        raise _wrong(lab, f"{key} is {str(value)[:80]!r}", f"a number of at least {low:g}")
+        raise _refuse(lab, f"{key} is {str(value)[:80]!r}", f"a number of at least {low:g}")
     return value
 
 
-def _orders(lab: Lab, value: Any) -> tuple[int, ...]:
+def _read_orders(lab: Lab, value: Any) -> tuple[int, ...]:
     from schemas.tables import ARMS
 
     if not isinstance(value, list) or not value or any(type(v) is not int or not 1 <= v <= ARMS for v in value):
-        raise _wrong(lab, f"orders is {str(value)[:80]!r}", f"a list of whole numbers from 1 to {ARMS}")
+        raise _refuse(lab, f"orders is {str(value)[:80]!r}", f"a list of whole numbers from 1 to {ARMS}")
     return tuple(sorted(set(value)))
 
 
-def _wrong(lab: Lab, problem: str, expected: str) -> LabError:
+def _refuse(lab: Lab, problem: str, expected: str) -> LabError:
     return LabError(problem, where=str(lab.settings), expected=expected, remedy="Correct the file or remove it")

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import pyarrow as pa
 
 from ingest.atomic import flush
-from pipeline.lab.checks import violations
+from pipeline.lab.checks import find_violations
 from pipeline.lab.lab import Lab
 from schemas.control import REMEMBER
 from schemas.errors import LabError
@@ -26,18 +26,18 @@ from schemas.views import VIEWS, fingerprint
 
 _BATCH_BYTES = 8 << 20
 BATCH_PIECES = 500
-"""What is inserted at once. A small arrow table, or a row as a dictionary, holds ten times the bytes of its values, so their number
-counts as well."""
+"""What is inserted at once. A small arrow table, or a row as a dictionary, holds ten times the bytes of its values, so
+their number counts as well."""
 _THREADS, _MEMORY = 1, ("32MB", "128MB", "512MB", "2GB")
-"""What DuckDB may use while it edits the copy, however many rows there are and whatever machine it is on; the rest goes to its file.
-The first is enough but for very long texts, of which it holds a row group at a time."""
+"""What DuckDB may use while it edits the copy, however many rows there are and whatever machine it is on; the rest goes
+to its file. The first is enough but for very long texts, of which it holds a row group at a time."""
 _OUT_OF_MEMORY = ("failed to allocate", "could not allocate", "failed to pin")
 _ROW_GROUP = 4096
-"""Rows that DuckDB compresses together, which it does in memory: of the usual 122880 those with much text are too many."""
+"""Rows that DuckDB compresses together, which it does in memory: with much text, the usual 122880 are too many."""
 READABLE_FROM = {"storage_compatibility_version": "v1.2.0"}
 """The file opens with any DuckDB from 1.2 on: people's command lines and other programs are seldom the newest."""
 _TODAY = {"schema": fingerprint(), "row_group": str(_ROW_GROUP)}
-"""What a database of today says of itself. One of other row groups is made anew: DuckDB would join small ones to large."""
+"""What a database of today says of itself. One of other row groups is made anew: DuckDB would join small to large."""
 
 Rows: TypeAlias = "pa.Table | Sequence[Mapping[str, Any]]"
 """Many rows as an arrow table, or a few as dictionaries (without arrow's import of pandas, which takes a while)."""
@@ -64,7 +64,7 @@ class Streamed:
 
 @dataclass(frozen=True)
 class Changes:
-    """What a night changes: deletions, then insertions. Both may be many and are streamed, each time that they are asked for."""
+    """What a night changes: deletions, then insertions. Both may be many; they are streamed, each time anew."""
 
     deletions: Iterable[Deletion] = ()
     insertions: Iterable[Mapping[str, Rows]] = field(default_factory=tuple)
@@ -82,7 +82,7 @@ def publish(lab: Lab, changes: Changes) -> None:
     lab.work.mkdir(parents=True, exist_ok=True)
     building = lab.work / "building.duckdb"
     try:
-        _build(lab.database, building, changes)
+        _build_database(lab.database, building, changes)
         flush(building)
         _refuse_open_writer(lab.database)
         building.replace(lab.database)
@@ -97,41 +97,41 @@ def publish(lab: Lab, changes: Changes) -> None:
         discard(building)
 
 
-def _build(published: Path, building: Path, changes: Changes) -> None:
+def _build_database(published: Path, building: Path, changes: Changes) -> None:
     """Builds and checks the next database, in as little memory as will do."""
     import duckdb
 
     for memory in _MEMORY:
         discard(building)
         try:
-            connection = _base(published, building, memory)
+            connection = _open_base(published, building, memory)
             try:
-                _apply(connection, changes)
+                _apply_changes(connection, changes)
                 rows = _finish(connection)
             finally:
                 connection.close()
-            _check(building, rows, memory)
+            _check_database(building, rows, memory)
             return
         except duckdb.Error as error:
-            if memory == _MEMORY[-1] or not _short_of_memory(error):
+            if memory == _MEMORY[-1] or not _is_short_of_memory(error):
                 raise
 
 
-def _short_of_memory(error: BaseException | None) -> bool:
-    """Whether DuckDB wanted more than it may use. What comes of that later, such as an aborted transaction, hides it."""
+def _is_short_of_memory(error: BaseException | None) -> bool:
+    """Whether DuckDB wanted more than it may use, also behind what came of it, such as an aborted transaction."""
     import duckdb
 
     if error is None:
         return False
     told = isinstance(error, duckdb.OutOfMemoryException) or any(text in str(error) for text in _OUT_OF_MEMORY)
-    return told or _short_of_memory(error.__context__)
+    return told or _is_short_of_memory(error.__context__)
 
 
 def discard(database: Path) -> None:
     """Removes a database file that is not published, with what DuckDB may have left beside it."""
     for path in (database, database.with_name(database.name + ".wal")):
         path.unlink(missing_ok=True)
-    shutil.rmtree(_spilled(database), ignore_errors=True)
+    shutil.rmtree(_name_spill_folder(database), ignore_errors=True)
 
 
 def _refuse_open_writer(database: Path) -> None:
@@ -144,63 +144,63 @@ def _refuse_open_writer(database: Path) -> None:
         )
 
 
-def _base(published: Path, building: Path, memory: str) -> Any:
+def _open_base(published: Path, building: Path, memory: str) -> Any:
     """A writable connection to a file that holds what is published, under today's schema."""
     import duckdb
 
     if not published.exists():
-        return _defined(building, memory)
-    _copy(published, building)
+        return _make_empty(building, memory)
+    _copy_file(published, building)
     try:
-        connection = _opened(building, memory)
+        connection = _open(building, memory)
     except duckdb.Error as error:
         raise LabError(
             f"the published database cannot be read: {str(error).splitlines()[0]}",
             where=str(published),
             remedy="Move it away; the next nightly over all raw folders builds it anew",
         ) from None
-    if _about(connection) == _TODAY:
+    if _read_about(connection) == _TODAY:
         return connection
     connection.close()
     discard(building)
-    connection = _defined(building, memory)
+    connection = _make_empty(building, memory)
     _migrate(connection, published)
     return connection
 
 
-def _opened(database: Path, memory: str) -> Any:
+def _open(database: Path, memory: str) -> Any:
     """A writable connection to the file."""
     import duckdb
 
-    connection = _bounded(duckdb.connect(), database, memory)
+    connection = _bound(duckdb.connect(), database, memory)
     new = f", STORAGE_VERSION '{READABLE_FROM['storage_compatibility_version']}'"
     options = f"ROW_GROUP_SIZE {_ROW_GROUP}{'' if database.exists() else new}"
-    connection.execute(f"ATTACH '{_quoted(str(database))}' AS building ({options})")
+    connection.execute(f"ATTACH '{_quote(str(database))}' AS building ({options})")
     connection.execute("USE building")
     return connection
 
 
-def _defined(database: Path, memory: str) -> Any:
+def _make_empty(database: Path, memory: str) -> Any:
     """A writable connection to a new database with empty tables."""
-    connection = _opened(database, memory)
-    _define(connection)
+    connection = _open(database, memory)
+    _create_tables(connection)
     return connection
 
 
-def _bounded(connection: Any, database: Path, memory: str) -> Any:
+def _bound(connection: Any, database: Path, memory: str) -> Any:
     """The connection, kept to what DuckDB may use."""
     connection.execute(f"SET threads = {_THREADS}")
     connection.execute(f"SET memory_limit = '{memory}'")
-    connection.execute(f"SET temp_directory = '{_quoted(_spilled(database))}'")
+    connection.execute(f"SET temp_directory = '{_quote(_name_spill_folder(database))}'")
     return connection
 
 
-def _spilled(database: Path) -> str:
+def _name_spill_folder(database: Path) -> str:
     """The folder of what DuckDB has no memory for."""
     return f"{database}.tmp"
 
 
-def _about(connection: Any) -> dict[str, str]:
+def _read_about(connection: Any) -> dict[str, str]:
     """What a database says of itself."""
     import duckdb
 
@@ -210,7 +210,7 @@ def _about(connection: Any) -> dict[str, str]:
         return {}
 
 
-def _copy(source: Path, target: Path) -> None:
+def _copy_file(source: Path, target: Path) -> None:
     """Copies a file; on file systems that can, the two share their blocks until one changes."""
     with source.open("rb") as read, target.open("wb") as written:
         left = os.fstat(read.fileno()).st_size
@@ -227,7 +227,7 @@ def _copy(source: Path, target: Path) -> None:
             shutil.copyfileobj(read, written, 16 << 20)
 
 
-def _define(connection: Any) -> None:
+def _create_tables(connection: Any) -> None:
     connection.execute("BEGIN")  # each definition for itself would be written to the disk for itself
     for table in TABLES.values():
         connection.execute(table.ddl())
@@ -240,7 +240,7 @@ def _define(connection: Any) -> None:
 
 def _migrate(connection: Any, published: Path) -> None:
     """Rows of a database of another schema: columns of the same name, cast where the type has changed."""
-    connection.execute(f"ATTACH '{_quoted(str(published))}' AS old (READ_ONLY)")
+    connection.execute(f"ATTACH '{_quote(str(published))}' AS old (READ_ONLY)")
     columns = connection.execute(
         "SELECT table_name, column_name FROM duckdb_columns() WHERE database_name = 'old' AND NOT internal"
     ).fetchall()
@@ -255,7 +255,7 @@ def _migrate(connection: Any, published: Path) -> None:
     connection.execute("DETACH old")
 
 
-def _apply(connection: Any, changes: Changes) -> None:
+def _apply_changes(connection: Any, changes: Changes) -> None:
     connection.execute("BEGIN")
     for deletion in changes.deletions:
         if deletion.keys is None:
@@ -269,7 +269,7 @@ def _apply(connection: Any, changes: Changes) -> None:
                 f"DELETE FROM {deletion.table} USING (SELECT {given}) AS given WHERE {match} AND ({deletion.where})",
                 [list(values) for values in deletion.keys.values()],
             )
-    for tables in batched(changes.insertions):
+    for tables in gather(changes.insertions):
         for name, rows in tables.items():
             _insert(connection, TABLES[name], rows)
         connection.execute("COMMIT")  # nobody sees the copy yet; a transaction's rows stay in memory until then
@@ -277,7 +277,7 @@ def _apply(connection: Any, changes: Changes) -> None:
     connection.execute("COMMIT")
 
 
-def batched(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows]]]:
+def gather(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows]]]:
     """The same rows in fewer, larger pieces: DuckDB takes few large tables faster than many small ones."""
     waiting: dict[str, list[Rows]] = {}
     size = pieces = 0
@@ -319,11 +319,11 @@ def _finish(connection: Any) -> dict[str, int]:
     return rows
 
 
-def _check(database: Path, rows: Mapping[str, int], memory: str) -> None:
+def _check_database(database: Path, rows: Mapping[str, int], memory: str) -> None:
     import duckdb
 
     with duckdb.connect(str(database), read_only=True) as connection:
-        broken = list(violations(_bounded(connection, database, memory), rows))
+        broken = list(find_violations(_bound(connection, database, memory), rows))
     if broken:
         raise LabError(
             "the new database does not pass its checks: " + "; ".join(broken),
@@ -331,5 +331,5 @@ def _check(database: Path, rows: Mapping[str, int], memory: str) -> None:
         )
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return text.replace("'", "''")

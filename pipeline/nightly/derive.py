@@ -20,22 +20,28 @@ from typing import Any
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import RecordingInput
-from pipeline.lab.inputs import Included, fetch, fetch_results, kinds_of, read_members, write_members
-from pipeline.lab.journal import FAILED, OK, Freshness, Outcome, write_entry
+from pipeline.lab.inputs import Included, fetch_inputs, fetch_results, read_members, split_kinds, write_members
+from pipeline.lab.journal import (
+    DIAGNOSIS,
+    FAILED,
+    GROUP,
+    OK,
+    SPECIMEN,
+    Freshness,
+    Outcome,
+    make_item_id,
+    write_entry,
+)
 from pipeline.lab.reader import Reader, open_published
 from pipeline.nightly.freshness import digest_lists, leave_out_fresh
 from pipeline.nightly.ledger import book_outcomes
 from pipeline.nightly.stages import (
     CALIBRATION_KINDS,
-    DIAGNOSIS,
     DIAGNOSIS_KIND,
-    GROUP,
     GROUPS,
-    SPECIMEN,
     SPECIMEN_KINDS,
     STAGES,
     Night,
-    make_item_id,
 )
 from schemas.errors import DealabError, LabError
 
@@ -245,8 +251,8 @@ def _make_tasks(night: Night, reader: Reader | None, folder: Path) -> Iterator[D
         only, but = (DIAGNOSIS_KIND, "") if stage == DIAGNOSIS else ("", DIAGNOSIS_KIND)
         yield replace(
             task,
-            recordings=fetch(made_from.recordings, reader, only=only, but=but),
-            calibrations=fetch(made_from.calibrations, reader, only=only, but=but),
+            recordings=fetch_inputs(made_from.recordings, reader, only=only, but=but),
+            calibrations=fetch_inputs(made_from.calibrations, reader, only=only, but=but),
             settings=night.settings.choose(STAGES[stage].settings),
         )
 
@@ -272,7 +278,7 @@ def _find_calibrations(night: Night) -> _Calibrations:
 def _list_included(night: Night, query: str, values: tuple[Any, ...] | list[Any] = ()) -> Iterator[Included]:
     for name, specimen_id, rig_id, kinds, _, *made_from, entry in night.ledger.each(query, values):
         journal_entry = None if entry is None else night.lab.journal / entry
-        yield Included(name, specimen_id, rig_id, kinds_of(kinds), Freshness(*made_from), journal_entry)
+        yield Included(name, specimen_id, rig_id, split_kinds(kinds), Freshness(*made_from), journal_entry)
 
 
 def _identify(one: Included) -> list[str]:

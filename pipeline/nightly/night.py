@@ -18,10 +18,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 
-from pipeline.lab.annotations import excluded, read_annotations
+from pipeline.lab.annotations import list_excluded, read_annotations
 from pipeline.lab.lab import Lab
-from pipeline.lab.lock import exclusive
-from pipeline.lab.settings import load as load_settings
+from pipeline.lab.lock import hold_lab
+from pipeline.lab.settings import load_settings
 from pipeline.nightly.derive import derive_results
 from pipeline.nightly.ledger import Ledger, learn_lab
 from pipeline.nightly.look import Found, has_newer_folder, look_at_files
@@ -121,7 +121,7 @@ def nightly(
     UsageError : a path that does not exist
     """
     lab.create()
-    with exclusive(lab), _end_when_told():
+    with hold_lab(lab), _end_when_told():
         clock = time.monotonic()
         with _prepare(raw, lab, jobs, rigs, cluster, track) as night:
             found = look_at_files(raw, lab, night.ledger)
@@ -129,7 +129,7 @@ def nightly(
                 night.workers.prepare()
             reports = _load_beside(_REPORTS)
             adopt_journal(night)
-            out = excluded(night.annotations)
+            out = list_excluded(night.annotations)
             read_contents(night, found)
             include_recordings(night, out)
             derive_results(night)

@@ -19,9 +19,8 @@ from typing import Any
 
 from ingest.paths import is_below
 from pipeline.lab.checks import ANALYSED
-from pipeline.lab.journal import DAMAGED, OK, PENDING, QUARANTINED, USABLE
+from pipeline.lab.journal import DAMAGED, OK, PENDING, QUARANTINED, RECORDING, USABLE, make_item_id
 from pipeline.nightly.ledger import Ledger
-from pipeline.nightly.stages import RECORDING, make_item_id
 from schemas.errors import PendingError, RefusedError
 
 DUPLICATE, EXCLUDED = "duplicate", "excluded"

@@ -21,23 +21,31 @@ from ingest.paths import is_below, spell_source
 from ingest.quarantine import quarantine, release
 from ingest.remote import forget, staged
 from pipeline.analyse.rows.recordings import as_json, recordings_rows
-from pipeline.lab.journal import DAMAGED, FAILED, PENDING, QUARANTINED, entry_path, read_tables, unwritable
+from pipeline.lab.journal import (
+    DAMAGED,
+    DIAGNOSIS,
+    FAILED,
+    GROUP,
+    PENDING,
+    QUARANTINED,
+    SPECIMEN,
+    entry_path,
+    explain_unwritable,
+    make_item_id,
+    read_tables,
+)
 from pipeline.lab.reader import Reader, open_published
 from pipeline.lab.snapshot import Changes, Deletion, Rows, Streamed, publish
 from pipeline.nightly.ledger import split
 from pipeline.nightly.look import SOURCE, Found, make_source
 from pipeline.nightly.ownership import ANALYSED_SQL, DUPLICATE, ITEM
 from pipeline.nightly.stages import (
-    DIAGNOSIS,
     DIAGNOSIS_TABLES,
-    GROUP,
     GROUPS,
     RECORDING_TABLES,
-    SPECIMEN,
     SPECIMEN_TABLES,
     STAGES,
     Night,
-    make_item_id,
 )
 from schemas.errors import DealabError, RefusedError
 from schemas.version import software_version
@@ -271,7 +279,7 @@ def _place_samples(night: Night) -> None:
                 waiting.replace(place)
                 folders.add(place.parent)
         except OSError as error:
-            raise unwritable(place.parent, error) from error
+            raise explain_unwritable(place.parent, error) from error
     for folder in folders:
         flush(folder)
 
@@ -298,7 +306,7 @@ def _place_refused(night: Night) -> None:
         for there in (make_source(*where) for where in good):
             release(_find_address(there) or there.path, night.lab.folder)
     except OSError as error:
-        raise unwritable(night.lab.quarantine, error) from error
+        raise explain_unwritable(night.lab.quarantine, error) from error
 
 
 def _quarantine(night: Night, source: SourceFile, sha256: str | None, error: DealabError) -> None:

@@ -21,18 +21,20 @@ from ingest.paths import is_there, spell_source
 from ingest.remote import staged
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.rows.recordings import recordings_table, refused_row
-from pipeline.lab.inputs import kinds_of
+from pipeline.lab.inputs import split_kinds
 from pipeline.lab.journal import (
     DAMAGED,
     FAILED,
     OK,
     PENDING,
     QUARANTINED,
+    RECORDING,
     Freshness,
     Outcome,
-    entries,
     entry_name,
-    unwritable,
+    explain_unwritable,
+    list_entries,
+    make_item_id,
     write_entry,
 )
 from pipeline.nightly.freshness import hash_input, hash_mapping, hash_rig, leave_out_fresh
@@ -46,7 +48,7 @@ from pipeline.nightly.ownership import (
     place_contents,
     set_aside_changing,
 )
-from pipeline.nightly.stages import CALIBRATION_KINDS, RECORDING, Night, make_item_id
+from pipeline.nightly.stages import CALIBRATION_KINDS, Night
 from schemas.errors import DealabError, LabError, PendingError
 from schemas.recording import RawRecording
 
@@ -143,7 +145,7 @@ class RecordingTask:
         try:
             return write()
         except OSError as error:
-            raise unwritable(self.staged.parent, error) from error
+            raise explain_unwritable(self.staged.parent, error) from error
 
     def give_up(self, reason: str, limits_hash: str) -> Outcome:
         """Keeps that the file's worker did not come back: refused, until content, code or limits are others."""
@@ -215,7 +217,7 @@ def adopt_journal(night: Night) -> None:
     """Takes over the whole entries that a killed night left, and removes what it left half done."""
     journal, staging, ledger = night.lab.journal, night.lab.staging, night.ledger
     journal.mkdir(parents=True, exist_ok=True)
-    whole = (outcome for path, outcome in entries(journal) if path.name == entry_name(outcome.item_id))
+    whole = (outcome for path, outcome in list_entries(journal) if path.name == entry_name(outcome.item_id))
     book_outcomes(ledger, whole, done=False)
     for path in _list_folder(journal):
         if ledger.row("SELECT 1 FROM outcomes WHERE entry = ?", [path.name]) is None:
@@ -276,7 +278,7 @@ def include_recordings(night: Night, excluded: frozenset[str]) -> None:
         for name, item, *rest in found:
             specimen_id, rig_id, kinds, *made_from = rest[:7] if item is not None else rest[7:]
             if name not in excluded:
-                calibrates = not CALIBRATION_KINDS.isdisjoint(kinds_of(kinds))
+                calibrates = not CALIBRATION_KINDS.isdisjoint(split_kinds(kinds))
                 yield name, specimen_id, rig_id, kinds, calibrates, *made_from
 
     ledger.add("included", include())

@@ -19,14 +19,12 @@ from datetime import datetime
 from pathlib import Path
 
 from pipeline.lab.annotations import Annotation
-from pipeline.lab.journal import Outcome
+from pipeline.lab.journal import DIAGNOSIS, GROUP, RECORDING, SPECIMEN, Outcome
 from pipeline.lab.lab import Lab
 from pipeline.lab.settings import Settings
 from pipeline.nightly.freshness import digest, hash_code
 from pipeline.nightly.ledger import Ledger
 from pipeline.nightly.workers import AnyTask, Casualty, Workers
-
-RECORDING, SPECIMEN, DIAGNOSIS, GROUP = "recording", "specimen", "diagnosis", "group"
 
 RECORDING_TABLES: Mapping[str, str] = {
     "previews": "true",
@@ -158,11 +156,6 @@ STAGES: Mapping[str, Stage] = {
     )
 }
 """The stages in the order in which their results depend on each other."""
-
-
-def make_item_id(stage: str, name: str) -> str:
-    """The name of an item: its stage and the content, specimen or group that it is about."""
-    return f"{stage}:{name}"
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import duckdb
 
 from pipeline import Lab
-from pipeline.commands.doctor import lab_checks
+from pipeline.lab.health import check_lab
 from schemas.tables import TABLES
 
 VOLATILE = {"items": {"seconds", "run_id", "input_hash", "code_version"}, "recordings": {"run_id"}}
@@ -51,4 +51,4 @@ def left_over(lab: Lab) -> list[str]:
 
 def healthy(lab: Lab) -> list[str]:
     """What `dealab doctor` finds wrong with a lab."""
-    return [str(finding) for finding in lab_checks(lab) if finding.problem]
+    return [str(finding) for finding in check_lab(lab) if finding.problem]

@@ -1,5 +1,5 @@
 """A night over many recordings without their numerical work: `python -m tests.faults.many RAW LAB NUMBER` makes them and runs
-a first night, one with nothing new and one with one new, and tells their memory.
+a first night, one with nothing new and one with one new, asks for the status, and tells their memory.
 
 What a worker gives for a recording is made up in this process, so that the rest of the night shows.
 """
@@ -19,6 +19,7 @@ import pipeline.nightly.night
 import pipeline.nightly.workers
 from pipeline import Lab
 from pipeline.analyse.rows.recordings import recordings_table
+from pipeline.commands.show.status import describe_lab
 from pipeline.lab.journal import OK, Freshness, Outcome, write_entry
 from pipeline.nightly.derive import DerivedTask
 from pipeline.nightly.freshness import hash_input, hash_mapping
@@ -70,7 +71,7 @@ def file(raw: Path, number: int) -> None:
 
 
 def main(raw: Path, lab: Lab, number: int) -> dict[str, float]:
-    """Memory in MB: the most that the first night had, and what Python's objects took in each of the other two."""
+    """Memory in MB: the most that the first night had, and what Python's objects took in each of the others."""
     pipeline.nightly.workers.perform = perform  # type: ignore[assignment]
     pipeline.nightly.night._write_report = lambda *_: None  # type: ignore[assignment]
     for one in range(number):
@@ -85,6 +86,10 @@ def main(raw: Path, lab: Lab, number: int) -> dict[str, float]:
         assert pipeline.nightly.night.nightly([raw], lab, jobs=0).counts.ingested == new
         told[what] = tracemalloc.get_traced_memory()[1] / (1 << 20)
         tracemalloc.stop()
+    tracemalloc.start()
+    assert f"{number + 1} ok" in describe_lab(lab)
+    told["status"] = tracemalloc.get_traced_memory()[1] / (1 << 20)
+    tracemalloc.stop()
     return told
 
 

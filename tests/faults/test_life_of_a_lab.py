@@ -14,7 +14,7 @@ import pytest
 import pipeline.nightly.night
 from pipeline import Lab
 from pipeline.cli import main
-from pipeline.commands.prune import Rule, plan, prune
+from pipeline.lab.retention import Rule, plan_removal, prune
 from pipeline.nightly.night import nightly
 from schemas.tables import TABLES
 from tests.conftest import ROOT
@@ -95,7 +95,7 @@ def test_recordings_that_have_gone_are_forgotten(night: tuple[Path, Lab]) -> Non
 
 def test_copies_of_refused_files_go_and_their_reasons_stay(night: tuple[Path, Lab]) -> None:
     raw, lab = night
-    assert plan(lab, Rule(quarantine_days=1)).paths == []
+    assert plan_removal(lab, Rule(quarantine_days=1)).paths == []
     later = datetime.now(UTC) + timedelta(days=2)
     (copy,) = prune(lab, Rule(quarantine_days=1), later).paths
     assert not copy.exists()

@@ -26,9 +26,9 @@ import pipeline.nightly.look
 import pipeline.nightly.night
 import pipeline.nightly.stages
 from pipeline import Lab
-from pipeline.commands.status import status
+from pipeline.commands.show.status import describe_lab
 from pipeline.lab.annotations import annotate
-from pipeline.lab.lock import exclusive
+from pipeline.lab.lock import hold_lab
 from pipeline.nightly.look import has_newer_folder
 from pipeline.nightly.night import Summary, nightly
 from schemas.errors import LabError, UsageError
@@ -192,7 +192,7 @@ def test_a_changed_rig_file_redoes_what_depends_on_it_and_a_remark_does_not(nigh
 
 def test_changed_settings_redo_the_fits_only(night: Any) -> None:
     night.lab.settings.write_text("orders = [1, 2]\n")
-    assert "1 specimen result: made with other settings" in status(night.lab)
+    assert "1 specimen result: made with other settings" in describe_lab(night.lab)
     night()
     assert redone(night.lab) == {"specimen:P-1"}
     assert select(night.lab, "SELECT max(model_order) FROM model_fits") == [(2,)]
@@ -267,14 +267,14 @@ def test_a_file_that_has_gone_leaves_its_results(night: Any) -> None:
     assert summary.missing == 1
     assert summary.exit_status == 0
     assert select(night.lab, "SELECT count(*) FROM lifetimes") == [(4,)]
-    assert "L-0" in status(night.lab).partition("The file has gone")[2]
+    assert "L-0" in describe_lab(night.lab).partition("The file has gone")[2]
 
 
 def test_an_excluded_recording_leaves_the_analysis_and_comes_back(night: Any) -> None:
     before = content(night.lab)
     annotate(night.lab, "L-1", "exclude", "'; DROP TABLE lifetimes; --")
-    assert "L-1" in status(night.lab).partition("Out of the analysis")[2]
-    assert "1 excluded" in status(night.lab)
+    assert "L-1" in describe_lab(night.lab).partition("Out of the analysis")[2]
+    assert "1 excluded" in describe_lab(night.lab)
     assert night().exit_status == 0
     assert redone(night.lab) == LIVES
     assert statuses(night.lab)["L-1.mcap"] == "excluded"
@@ -331,7 +331,7 @@ def test_an_analysis_that_fails_is_told_and_stops_nothing(night: Any, monkeypatc
     assert "ZeroDivisionError: a defect" in "\n".join(summary.attention)
     assert statuses(night.lab)["L-8.mcap"] == "ok", "the recording itself is fine"
     assert "Traceback" in select(night.lab, "SELECT error FROM items WHERE outcome = 'failed'")[0][0]
-    assert "a defect" in status(night.lab)
+    assert "a defect" in describe_lab(night.lab)
 
 
 def test_the_garbage_collector_is_left_as_it_was(night: Any, tmp_path: Path) -> None:
@@ -389,18 +389,18 @@ def test_hostile_metadata_does_no_harm(night: Any, tmp_path: Path, monkeypatch: 
     assert found == set(HOSTILE)
     pages = "".join(p.read_text() for p in night.lab.reports.rglob("*.html"))
     assert "<script>alert" not in pages
-    assert "\x1b" not in status(night.lab)
+    assert "\x1b" not in describe_lab(night.lab)
     assert healthy(night.lab) == []
 
 
 def test_the_second_nightly_ends_at_once_and_names_the_first(night: Any) -> None:
-    with exclusive(night.lab):
+    with hold_lab(night.lab):
         started = time.monotonic()
         with pytest.raises(LabError, match=f"process {os.getpid()} on ") as caught:
             night()
         assert time.monotonic() - started < 1
         assert "a nightly is at work" in str(caught.value)
-        assert "A nightly is at work" in status(night.lab)
+        assert "A nightly is at work" in describe_lab(night.lab)
     assert night().exit_status == 0
     night.lab.folder.joinpath(".lock-holder.json").write_text('{"pid": 1, "host": "x", "since": "never"}')
     assert night().exit_status == 0, "a note of a dead process holds nothing"
@@ -500,6 +500,6 @@ def test_the_second_names_the_first_though_it_asks_before_that_has_said_who_it_i
     write = threading.Timer(0.15, lambda: (lab.folder / ".lock-holder.json").write_text(json.dumps(note)))
     with FileLock(lab.lock):
         write.start()
-        with pytest.raises(LabError, match="process 4711 on elsewhere"), exclusive(lab):
+        with pytest.raises(LabError, match="process 4711 on elsewhere"), hold_lab(lab):
             pass
     write.join()

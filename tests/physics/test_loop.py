@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.analyse.recording import analyse_recording
-from pipeline.commands.controller import ControllerStudy
+from pipeline.commands.show.controller import ControllerStudy
 from pipeline.fit.sensing.gains import propose_gains
 from pipeline.fit.sensing.self_sensing import fit_sensing
 from pipeline.simulate.campaign import load_campaign, simulate_one

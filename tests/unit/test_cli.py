@@ -12,7 +12,7 @@ import pytest
 
 import pipeline.nightly.night
 from pipeline import Lab
-from pipeline.cli import _COMMANDS, main
+from pipeline.cli import COMMANDS, main
 from tests.conftest import ROOT
 from tests.helpers.small_lab import life
 
@@ -113,14 +113,14 @@ def test_wrong_usage_is_status_2(arguments: list[str], capsys: pytest.CaptureFix
     assert "usage: dealab" in said(capsys)[1]
 
 
-@pytest.mark.parametrize("command", [*_COMMANDS, None])
+@pytest.mark.parametrize("command", [*COMMANDS, None])
 def test_help_has_examples_that_parse(command: str | None, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["--help"] if command is None else [command, "--help"])
     assert caught.value.code == 0
     out, _ = said(capsys)
     assert "examples:\n  dealab" in out
-    for name in _COMMANDS if command is None else ():
+    for name in COMMANDS if command is None else ():
         assert name in out
 
 
@@ -214,6 +214,7 @@ def test_help_imports_nothing_heavy() -> None:
         "pint",
         "dataclasses",
         "json",
+        "pathlib",
         "importlib.metadata",
     )
     program = (

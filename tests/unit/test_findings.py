@@ -12,7 +12,7 @@ import pytest
 
 from pipeline import Lab
 from pipeline.analyse.rows.diagnoses import diagnosis_tables, undiagnosed_tables
-from pipeline.commands.diagnose import diagnoses
+from pipeline.commands.show.diagnoses import describe_diagnoses
 from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import UsageError
 from schemas.mechanisms import severity
@@ -48,7 +48,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
 
 def told(lab: Lab, name: str) -> str:
-    return diagnoses(lab, [name], as_json=False)
+    return describe_diagnoses(lab, [name], as_json=False)
 
 
 def test_a_named_cause_is_told_with_size_gain_interval_and_what_moved(lab: Lab) -> None:
@@ -92,12 +92,12 @@ def test_what_could_not_be_asked_is_told_with_the_reason_and_without_control_cha
 
 
 def test_all_specimens_without_names(lab: Lab) -> None:
-    text = diagnoses(lab, [], as_json=False)
+    text = describe_diagnoses(lab, [], as_json=False)
     assert [line[0] for line in text.splitlines() if not line.startswith(" ") and line] == ["●", "◐", "○", "–"]
 
 
 def test_programs_get_everything_as_objects(lab: Lab) -> None:
-    first, *others = json.loads(diagnoses(lab, [], as_json=True))
+    first, *others = json.loads(describe_diagnoses(lab, [], as_json=True))
     assert first["severity"]["gain_error"]["gain"] == {"value": 0.1, "sd": 0.01, "lower": 0.08, "upper": 0.12}
     assert first["candidates"][0]["mechanism"] == "gain_error"
     assert first["discrepancies"][0]["recording_id"] == "r-1"
@@ -110,8 +110,8 @@ def test_a_lab_of_an_earlier_release_without_diagnoses(tmp_path: Path) -> None:
     made = Lab(tmp_path)
     made.create()
     publish(made, Changes())
-    assert diagnoses(made, [], as_json=False) == "No diagnoses are published for this lab."
-    assert json.loads(diagnoses(made, [], as_json=True)) == []
+    assert describe_diagnoses(made, [], as_json=False) == "No diagnoses are published for this lab."
+    assert json.loads(describe_diagnoses(made, [], as_json=True)) == []
 
 
 def test_a_shape_that_is_hardly_known_is_told_by_its_interval() -> None:

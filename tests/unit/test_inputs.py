@@ -9,7 +9,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from pipeline.lab.inputs import _rows, fetch_results
+from pipeline.lab.inputs import _choose_rows, fetch_results
 from pipeline.lab.journal import Freshness, Outcome, entry_path, write_entry
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import Reader
@@ -28,8 +28,8 @@ from schemas.tables import TABLES
 )
 def test_results_by_kind_even_where_none_is_left(kinds: list[str], only: str, but: str, expected: list[str]) -> None:
     carried = TABLES["carried"].rows([{"recording_id": "r", "kind": kind, "position": i, "payload": "{}"} for i, kind in enumerate(kinds)])  # fmt: skip
-    assert [row["kind"] for row in _rows(carried, only, but)] == expected
-    assert _rows(None, only, but) == []
+    assert [row["kind"] for row in _choose_rows(carried, only, but)] == expected
+    assert _choose_rows(None, only, but) == []
 
 
 def _kept(folder: Path, name: str, kinds: Sequence[str], **metadata: str) -> dict[str, pa.Table]:

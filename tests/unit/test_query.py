@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline import Lab
-from pipeline.commands.show import FORMATS, as_csv, as_json, as_table
+from pipeline.commands.show.rows import FORMATS, as_csv, as_json, as_table
 from pipeline.lab.query import Query
 from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import DealabError, LabError, UsageError

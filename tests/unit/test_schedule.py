@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli import _COMMANDS, main
-from pipeline.commands.schedule import Job, crontab, units
+from pipeline.cli import COMMANDS, main
+from pipeline.commands.schedule import Job, write_crontab, write_units
 from schemas.errors import UsageError
 
 AWKWARD = '/data/rig a/50 % "damp" $HOME\'s'
@@ -20,7 +20,7 @@ def test_units_pass_systemds_own_check(tmp_path: Path) -> None:
     program = shutil.which("systemd-analyze")
     if program is None:
         pytest.skip("systemd-analyze is not here")
-    for name, text in units(Job([AWKWARD, "/data/b"], tmp_path / "lab"), "02:30").items():
+    for name, text in write_units(Job([AWKWARD, "/data/b"], tmp_path / "lab"), "02:30").items():
         (tmp_path / name).write_text(text)
     done = subprocess.run(
         [program, "verify", "--man=no", str(tmp_path / "dealab-nightly.timer"), str(tmp_path / "dealab-nightly.service")],
@@ -30,7 +30,7 @@ def test_units_pass_systemds_own_check(tmp_path: Path) -> None:
 
 
 def test_units_start_the_nightly_with_absolute_paths_and_status_3_is_no_failure() -> None:
-    made = units(Job(["raw"], Path("lab")), "2:5")
+    made = write_units(Job(["raw"], Path("lab")), "2:5")
     service, timer = made["dealab-nightly.service"], made["dealab-nightly.timer"]
     start = next(line for line in service.splitlines() if line.startswith("ExecStart="))
     words = shlex.split(start.removeprefix("ExecStart="))
@@ -42,7 +42,7 @@ def test_units_start_the_nightly_with_absolute_paths_and_status_3_is_no_failure(
 
 def test_awkward_paths_survive_cron_and_its_shell() -> None:
     job = Job([AWKWARD], Path("/lab of mine"))
-    line = crontab(job, "02:30").splitlines()[-1]
+    line = write_crontab(job, "02:30").splitlines()[-1]
     schedule, rest = line.split(" * * * ")
     assert schedule == "30 2"
     assert "%" not in rest.replace("\\%", "")
@@ -54,7 +54,7 @@ def test_awkward_paths_survive_cron_and_its_shell() -> None:
 def test_the_line_for_cron_runs_where_there_is_no_lab_yet(tmp_path: Path) -> None:
     """The shell opens the log before the nightly could make its folder."""
     lab = tmp_path / "new" / "lab"
-    rest = crontab(Job([str(tmp_path)], lab), "02:30").splitlines()[-1].split(" * * * ")[1]
+    rest = write_crontab(Job([str(tmp_path)], lab), "02:30").splitlines()[-1].split(" * * * ")[1]
     subprocess.run(["sh", "-c", rest], capture_output=True, timeout=120, check=False)
     assert (lab / "nightly.log").exists()
 
@@ -68,7 +68,7 @@ def test_urls_and_options_of_the_nightly_are_kept() -> None:
 @pytest.mark.parametrize("text", ["25:00", "2", "02:60", "a:b", "-1:00"])
 def test_no_time_of_day_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="no time of day"):
-        units(Job(["raw"], Path("lab")), text)
+        write_units(Job(["raw"], Path("lab")), text)
 
 
 def test_units_are_written_where_they_are_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -84,7 +84,7 @@ def test_completion_is_the_shells_own_language_and_names_every_command(
 ) -> None:
     assert main(["completion", shell]) == 0
     text = capsys.readouterr().out
-    assert all(name in text for name in _COMMANDS)
+    assert all(name in text for name in COMMANDS)
     program = shutil.which(shell)
     if program is None:
         pytest.skip(f"{shell} is not here")

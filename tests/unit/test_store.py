@@ -17,11 +17,11 @@ from pipeline.analyse.carried import carried_table, results_of
 from pipeline.analyse.carry import Codec
 from pipeline.analyse.rows.recordings import recordings_rows
 from pipeline.lab import snapshot as publishing
-from pipeline.lab.checks import violations
-from pipeline.lab.journal import Freshness, Outcome, entries, read_outcome, read_tables, write_entry
+from pipeline.lab.checks import find_violations
+from pipeline.lab.journal import Freshness, Outcome, list_entries, read_outcome, read_tables, write_entry
 from pipeline.lab.lab import Lab
-from pipeline.lab.manifest import load
-from pipeline.lab.snapshot import BATCH_PIECES, Changes, Deletion, batched, publish
+from pipeline.lab.reader import Reader
+from pipeline.lab.snapshot import BATCH_PIECES, Changes, Deletion, gather, publish
 from pipeline.nightly.ledger import Ledger, learn_lab
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from schemas.errors import LabError
@@ -64,7 +64,7 @@ def test_every_table_and_column_has_a_comment_and_every_view_answers(lab: Lab) -
         for view in VIEWS:
             call = f"{view.name}({', '.join('60' for _ in view.parameters)})" if view.parameters else view.name
             connection.execute(f"SELECT * FROM {call}").fetchall()
-        assert list(violations(connection)) == []
+        assert list(find_violations(connection)) == []
 
 
 def test_changes_delete_then_insert_and_keep_the_rest(lab: Lab) -> None:
@@ -142,7 +142,9 @@ def test_an_older_schema_is_brought_up_to_date(lab: Lab) -> None:
         connection.execute("ALTER TABLE recordings ALTER duration_s TYPE VARCHAR")
         connection.execute("DROP TABLE carried")
         connection.execute("UPDATE lab SET value = 'older'")
-    assert load(lab).recordings[0].recording_id == "a"
+    with Reader(lab.database) as reader:
+        assert [(row["recording_id"], row["notes"]) for row in reader.each("recordings")] == [("a", None)]
+        assert reader.rows("carried") == []
     publish(lab, added(recording("b")))
     assert select(lab, "SELECT recording_id, duration_s, notes FROM recordings ORDER BY 1") == [
         ("a", 2.5, None),
@@ -153,8 +155,8 @@ def test_an_older_schema_is_brought_up_to_date(lab: Lab) -> None:
 
 def test_a_file_that_is_no_database_is_named_and_left(lab: Lab) -> None:
     lab.database.write_bytes(b"not a database at all" * 1000)
-    with pytest.raises(LabError, match="cannot be read"):
-        load(lab)
+    with pytest.raises(LabError, match="cannot be read"), Reader(lab.database):
+        pass
     with pytest.raises(LabError, match="cannot be read"):
         publish(lab, added(recording("a")))
     assert lab.database.read_bytes().startswith(b"not a database")
@@ -172,19 +174,7 @@ def test_journal_keeps_outcome_and_rows(tmp_path: Path) -> None:
     assert path.parent == tmp_path
     assert read_outcome(path) == OUTCOME
     assert read_tables(path) == {"lifetimes": tables["lifetimes"]}
-    assert list(entries(tmp_path)) == [(path, OUTCOME)]
-
-
-def test_the_manifest_holds_what_recordings_have_in_common_once(lab: Lab) -> None:
-    rows = [recording(name, protocol="chirp", rig_id="rig-a") for name in "abc"]
-    files = [{"path": f"/raw/{name}", "size": 1, "mtime_ns": 2, "inode": 3, "sha256": name * 8} for name in "abc"]
-    carried = [{"recording_id": name, "kind": kind} for name in "ab" for kind in ("x", "y")]
-    publish(lab, added(*rows, files=files, carried=TABLES["carried"].rows(carried)))
-    known = load(lab)
-    first, second, _ = known.recordings
-    assert (first.protocol, first.rig_id) == ("chirp", "rig-a")
-    assert first.protocol is second.protocol
-    assert first.source_sha256 is known.files[first.source_path].sha256
+    assert list(list_entries(tmp_path)) == [(path, OUTCOME)]
 
 
 def test_a_night_learns_what_is_published(lab: Lab) -> None:
@@ -240,7 +230,7 @@ def test_half_an_entry_is_no_entry(tmp_path: Path, share: float) -> None:
     assert read_outcome(path) is None
     path.write_bytes(content[:-5] + bytes(5))
     assert read_outcome(path) is None
-    assert list(entries(tmp_path)) == []
+    assert list(list_entries(tmp_path)) == []
 
 
 def test_carried_results_come_back_to_the_bit() -> None:
@@ -325,7 +315,7 @@ def test_small_tables_are_inserted_in_parts_however_few_bytes_they_have() -> Non
     """Arrow holds ten times as much for a table of one row as the row has."""
     small = TABLES["runs"].rows([{"run_id": "1"}])
     parts = [{"runs": small, "recordings": [recording(str(i))]} for i in range(3 * BATCH_PIECES)]
-    batches = list(batched(parts))
+    batches = list(gather(parts))
     assert sum(len(batch.get("runs", ())) for batch in batches) == len(parts)
     assert [row for batch in batches for rows in batch.get("recordings", ()) for row in rows] == [
         row for part in parts for row in part["recordings"]

@@ -1,6 +1,7 @@
-"""A controller study in words: the closed loops of a simulated campaign, measured as a laboratory would, and their gains.
+"""A controller study in words: closed loops of a simulated campaign, measured as a laboratory would, and their gains.
 
-Not part of the virtual rig, which knows nothing of the analysis: the recordings come to it one by one as they are written.
+Not part of the virtual rig, which knows nothing of the analysis: the recordings come to it one by one as they are
+written.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class ControllerStudy:
         own.sort(key=lambda loop: (loop.proportional_gain or 0.0, loop.integral_gain or 0.0))
         lines = [
             f"Controller of {proposal.specimen_id}, a step of {proposal.demand_step_pf:.3g} pF",
-            f"{'Kp V/pF':>9} {'Ki V/pF/s':>10} {'rise s':>8} {'overshoot %':>12} {'force %':>8} {'settled s':>10} {'peak kV':>8}",
+            f"{'Kp V/pF':>9} {'Ki V/pF/s':>10} {'rise s':>8} {'overshoot %':>12}"
+            f" {'force %':>8} {'settled s':>10} {'peak kV':>8}",
         ]
         for loop in own:
             numbers = (

@@ -1,4 +1,4 @@
-"""Tables for a terminal, a spreadsheet, a program. What people wrote into their metadata cannot control the terminal."""
+"""Rows for a terminal, a spreadsheet, a program. What people wrote into their metadata cannot control the terminal."""
 
 from __future__ import annotations
 

@@ -1,0 +1,50 @@
+"""`dealab exclude` and `dealab include`: a recording taken out of the analysis, or back in, with the reason."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from pipeline.commands.command import DONE, LAB, Command, argument
+from pipeline.lab.lab import Lab
+from schemas.errors import UsageError
+
+_ARGUMENTS = (
+    argument("recording", metavar="RECORDING", help="its recording_id"),
+    argument("--why", required=True, metavar="TEXT", help="the reason, for those who come after"),
+    LAB,
+)
+
+
+def run(arguments: Namespace) -> int:
+    from pipeline.lab.annotations import EXCLUDE, annotate, check_annotation
+    from pipeline.lab.reader import Reader
+
+    lab = Lab(arguments.lab)
+    check_annotation(arguments.recording, arguments.why)
+    with Reader(lab.require_database()) as reader:
+        known = reader.rows("recordings", ("recording_id",), "recording_id", [arguments.recording])
+    if not known:
+        raise UsageError(
+            f'there is no recording "{arguments.recording}" in this lab',
+            remedy='`dealab sql "SELECT recording_id FROM recordings"` lists them',
+        )
+    annotate(lab, arguments.recording, arguments.command, arguments.why)
+    done = "taken out of" if arguments.command == EXCLUDE else "taken back into"
+    print(f"{arguments.recording} is {done} the analysis with the next nightly.")
+    return DONE
+
+
+EXCLUSION = Command(
+    "exclude",
+    "take a recording out of the analysis; who, when and why is kept",
+    ('VHB-03-chirp-1 --why "clamp was loose"',),
+    _ARGUMENTS,
+    run,
+)
+INCLUSION = Command(
+    "include",
+    "take a recording back into the analysis; who, when and why is kept",
+    ('VHB-03-chirp-1 --why "the clamp was not loose after all"',),
+    _ARGUMENTS,
+    run,
+)

@@ -1,0 +1,82 @@
+"""What a command of the command line is, the arguments that several have, and progress for whoever is watching.
+
+Imports little on purpose, as every file of a command does: `dealab --help` is to come at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+from pipeline.lab.lab import DEFAULT_LAB
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DONE, FAILED, ATTENTION = 0, 1, 3
+"""Exit statuses: all done; could not do it; done, but some recordings were refused, are damaged or failed."""
+
+Argument: TypeAlias = Callable[[argparse.ArgumentParser], object]
+"""Adds an argument to a parser."""
+
+
+class Command(NamedTuple):
+    """All about a command.
+
+    Parameters
+    ----------
+    name : the word after `dealab`
+    what : what it does, for the list of commands
+    examples : what follows the name, a line each
+    arguments : its arguments
+    run : runs it with the parsed arguments and returns the exit status
+    """
+
+    name: str
+    what: str
+    examples: tuple[str, ...]
+    arguments: tuple[Argument, ...]
+    run: Callable[[argparse.Namespace], int]
+
+
+def argument(*names: str, **options: Any) -> Argument:
+    """An argument as `argparse.ArgumentParser.add_argument` takes it."""
+    return lambda parser: parser.add_argument(*names, **options)
+
+
+def parse_path(text: str) -> Path:
+    """A path from the command line."""
+    from pathlib import Path
+
+    return Path(text)
+
+
+def parse_jobs(text: str) -> int:
+    """A number of processes from the command line."""
+    if not text.isdecimal() or int(text) > 1024:
+        raise argparse.ArgumentTypeError(f'"{text}" is not a number of processes from 0 to 1024')
+    return int(text)
+
+
+def count_processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def track(items: Iterable[Any], count: int, what: str) -> Iterable[Any]:
+    """The items, with progress on stderr where somebody is watching."""
+    if count == 0 or not sys.stderr.isatty():
+        return items
+    from tqdm import tqdm
+
+    watched: Iterable[Any] = tqdm(items, total=count, desc=what, file=sys.stderr, leave=False)
+    return watched
+
+
+LAB = argument("--lab", type=parse_path, default=DEFAULT_LAB, metavar="LAB", help="the lab (default ./lab)")
+RAW = argument("raw", nargs="+", metavar="RAW", help="files, folders or URLs (s3://…) with recordings")
+RIGS = argument("--rigs", type=parse_path, help="folder with <rig_id>.toml (default: rigs/ beside the recordings)")
+CLUSTER = argument("--cluster", metavar="ADDRESS", help="dask scheduler whose workers do the work (tcp://host:8786)")

@@ -1,0 +1,47 @@
+"""`dealab nightly`: the whole job over raw files and folders."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+
+from pipeline.commands.command import CLUSTER, LAB, RAW, RIGS, Command, argument, count_processors, parse_jobs, track
+from pipeline.lab.lab import Lab
+
+
+def run(arguments: Namespace) -> int:
+    from pipeline.commands.show.rows import safe
+    from pipeline.nightly.night import nightly
+
+    lab = Lab(arguments.lab)
+    summary = nightly(
+        arguments.raw, lab, jobs=arguments.jobs, rigs=arguments.rigs, cluster=arguments.cluster, track=track
+    )
+    for line in (*summary.notes, *summary.attention):
+        print(safe(line), file=sys.stderr)
+    if summary.report_problem is not None:
+        print(f"dealab: the report could not be written: {safe(summary.report_problem)}", file=sys.stderr)
+    print(summary.paragraph())
+    print(f"Database: {lab.database}")
+    print(f"Report:   {lab.reports / 'index.html'}")
+    return summary.exit_status
+
+
+COMMAND = Command(
+    "nightly",
+    "the whole job over raw files and folders; what has not changed is not done again",
+    ("raw/", "raw/ --lab /data/lab --jobs 8", "/mnt/rig1 /mnt/rig2 --rigs /data/rigs"),
+    (
+        RAW,
+        argument(
+            "--jobs",
+            type=parse_jobs,
+            default=count_processors(),
+            help="worker processes; 0 works in this process (default: one per processor)",
+        ),
+        RIGS,
+        CLUSTER,
+        LAB,
+    ),
+    run,
+)

@@ -1,0 +1,1 @@
+"""What commands print: rows, diagnoses, the state of a lab, a controller study, all safe for a terminal."""

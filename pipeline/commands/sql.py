@@ -1,0 +1,59 @@
+"""`dealab sql`: read-only SQL on the published database."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+
+from pipeline.commands.command import DONE, LAB, Command, argument
+from pipeline.lab.lab import Lab
+from schemas.errors import UsageError
+
+
+def run(arguments: Namespace) -> int:
+    from pipeline.commands.show.rows import FORMATS
+    from pipeline.lab.query import Query
+    from schemas.views import EXAMPLES
+
+    if arguments.examples:
+        for question, query in EXAMPLES:
+            print(f'# {question}\ndealab sql "{query}"\n')
+        return DONE
+    if arguments.query is None:
+        raise UsageError("no query", expected='dealab sql "SELECT …", or --examples')
+    if arguments.format == "parquet" and sys.stdout.isatty():
+        raise UsageError(
+            "Parquet is no text for a terminal", remedy="Send it to a file: … --format parquet > rows.parquet"
+        )
+    query = sys.stdin.read() if arguments.query == "-" else arguments.query
+    with Query(Lab(arguments.lab)) as database:
+        content = FORMATS[arguments.format](database.run(query))
+    if isinstance(content, bytes):
+        sys.stdout.buffer.write(content)
+    else:
+        print(content)
+    return DONE
+
+
+COMMAND = Command(
+    "sql",
+    "read-only SQL on the published database",
+    (
+        '"SELECT specimen_id, model_order FROM best_models"',
+        '"SELECT * FROM survival_at(60)" --format csv > survival.csv',
+        "\"SELECT time_ns, force FROM samples('RECORDING_ID')\" --format parquet > force.parquet",
+        "--examples",
+    ),
+    (
+        argument("query", nargs="?", metavar="QUERY", help='one SELECT; "-" reads it from standard input'),
+        argument(
+            "--format",
+            choices=("table", "csv", "json", "parquet"),
+            default="table",
+            help="how rows are written (default: table)",
+        ),
+        argument("--examples", action="store_true", help="questions people ask, with the queries that answer them"),
+        LAB,
+    ),
+    run,
+)
