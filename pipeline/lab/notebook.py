@@ -13,7 +13,6 @@ Frames carry the units of their columns in `frame.attrs["units"]`. Does not belo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import pipeline.lab.lab
@@ -162,9 +161,3 @@ class Lab(pipeline.lab.lab.Lab):
 
 def _literal(value: str | float) -> str:
     return "'" + value.replace("'", "''") + "'" if isinstance(value, str) else repr(float(value))
-
-
-def units(frame: pd.DataFrame) -> Mapping[str, str]:
-    """Units of a frame's columns; pandas keeps them through selections and drops them in merges."""
-    found: Mapping[str, str] = frame.attrs.get("units", {})
-    return found

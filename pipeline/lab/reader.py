@@ -11,8 +11,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-
 from schemas.errors import LabError
 from schemas.tables import TABLES, Column
 
@@ -60,17 +58,6 @@ class Reader:
     def __exit__(self, *_: object) -> None:
         self._connection.close()
 
-    def table(
-        self, name: str, columns: Sequence[str] | None = None, key: str | None = None, among: Iterable[str] = ()
-    ) -> pa.Table:
-        """Rows of a table, all or those whose `key` is `among` the given; an absent column is NULL."""
-        schema = pa.schema([TABLES[name].arrow_schema.field(c.name) for c in self._choose_columns(name, columns)])
-        query = self._make_query(name, columns, key, among)
-        if query is None:
-            return schema.empty_table()
-        found: pa.Table = self._connection.sql(query[0], params=query[1]).to_arrow_table()
-        return found.cast(schema)
-
     def rows(
         self,
         name: str,
@@ -79,7 +66,10 @@ class Reader:
         among: Iterable[str] = (),
         where: str = "true",
     ) -> list[dict[str, Any]]:
-        """The same as dictionaries; `where` is a condition of ours on the columns."""
+        """Rows of a table, all or those whose `key` is `among` the given; an absent column is NULL.
+
+        `where` is a condition of ours on the columns.
+        """
         return list(self._iterate(name, columns, self._make_query(name, columns, key, among, where)))
 
     def each(self, name: str, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
