@@ -1,4 +1,4 @@
-"""What a night makes, in four stages: the code and the settings that the results of each depend on, and its rows.
+"""What a night makes, in four stages: the code and the settings that the results of each depend on.
 
     recording    what one content holds: its row, samples, previews, responses, results that the later stages take
     specimen     what the recordings of a specimen say together: averages, models, predictions
@@ -115,13 +115,11 @@ class Stage:
     name : what its items are named after
     modules : what its results depend on: the source of these modules, and of all of ours that they import, is the
         stage's code version. Code of the night that merely moves results about is no part of it.
-    tables : the tables that it makes rows of, and which of their rows are its own
     settings : the settings of the lab that its results depend on
     """
 
     name: str
     modules: tuple[str, ...]
-    tables: Mapping[str, str]
     settings: tuple[str, ...] = ()
 
     def version(self, settings: Settings) -> tuple[str, str]:
@@ -135,23 +133,19 @@ STAGES: Mapping[str, Stage] = {
         Stage(
             RECORDING,
             ("ingest.intake", "ingest.samples", "pipeline.analyse.recording", "pipeline.analyse.carried"),
-            RECORDING_TABLES,
         ),
         Stage(
             SPECIMEN,
             ("pipeline.lab.inputs", "pipeline.analyse.inputs", "pipeline.analyse.specimen"),
-            SPECIMEN_TABLES,
             ("orders",),
         ),
         Stage(
             DIAGNOSIS,
             ("pipeline.lab.inputs", "pipeline.analyse.inputs", "pipeline.analyse.diagnosis"),
-            DIAGNOSIS_TABLES,
         ),
         Stage(
             GROUP,
             ("pipeline.lab.inputs", "pipeline.analyse.groups"),
-            {table: "true" for group in GROUPS.values() for table in group.tables},
         ),
     )
 }
