@@ -80,9 +80,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _tell(error: DealabError, status: int) -> int:
-    from pipeline.commands.show.rows import safe
+    from pipeline.commands.show.rows import make_safe
 
-    print(f"dealab: {safe(str(error))}", file=sys.stderr)
+    print(f"dealab: {make_safe(str(error))}", file=sys.stderr)
     return status
 
 

@@ -11,7 +11,7 @@ from pipeline.lab.lab import DEFAULT_LAB, Lab
 def run(arguments: Namespace) -> int:
     from pathlib import Path
 
-    from pipeline.commands.show.rows import safe
+    from pipeline.commands.show.rows import make_safe
     from pipeline.lab.health import check_installation, check_lab
 
     lab = Lab(arguments.lab)
@@ -19,7 +19,7 @@ def run(arguments: Namespace) -> int:
     if lab.folder.is_dir() or arguments.lab != Path(DEFAULT_LAB):
         findings += check_lab(lab)
     for finding in findings:
-        print(safe(str(finding)))
+        print(make_safe(str(finding)))
     return FAILED if any(finding.problem for finding in findings) else DONE
 
 

@@ -10,7 +10,7 @@ from pipeline.lab.lab import Lab
 
 
 def run(arguments: Namespace) -> int:
-    from pipeline.commands.show.rows import safe
+    from pipeline.commands.show.rows import make_safe
     from pipeline.nightly.night import nightly
 
     lab = Lab(arguments.lab)
@@ -18,9 +18,9 @@ def run(arguments: Namespace) -> int:
         arguments.raw, lab, jobs=arguments.jobs, rigs=arguments.rigs, cluster=arguments.cluster, track=track
     )
     for line in (*summary.notes, *summary.attention):
-        print(safe(line), file=sys.stderr)
+        print(make_safe(line), file=sys.stderr)
     if summary.report_problem is not None:
-        print(f"dealab: the report could not be written: {safe(summary.report_problem)}", file=sys.stderr)
+        print(f"dealab: the report could not be written: {make_safe(summary.report_problem)}", file=sys.stderr)
     print(summary.paragraph())
     print(f"Database: {lab.database}")
     print(f"Report:   {lab.reports / 'index.html'}")

@@ -87,7 +87,7 @@ class FittedModel:
         import matplotlib.pyplot as plt
 
         axes = plt.figure(figsize=(5, 3.6), layout="constrained").gca() if axes is None else axes
-        points = self._points()
+        points = self._choose_points()
         low, high = self.row["frequency_low_hz"] or 0.1, self.row["frequency_high_hz"] or 100.0
         model = self.frame(np.geomspace(low, high, 200))
         if points is not None:
@@ -105,7 +105,7 @@ class FittedModel:
         axes.spines[["top", "right"]].set_visible(False)
         return axes
 
-    def _points(self) -> pd.DataFrame | None:
+    def _choose_points(self) -> pd.DataFrame | None:
         """What the model is to be compared with: averaged, else corrected, else measured stiffness."""
         if self.measured is None:
             return None
@@ -126,38 +126,38 @@ class FittedModel:
         the extended model takes the effects along that its diagnosis found. Raises `UsageError` where geometry or rig
         are not known well enough to simulate.
         """
-        model, geometry = self.model, self._geometry()
+        model, geometry = self.model, self._choose_geometry()
         material: dict[str, Any] = {"k0_n_per_mm": model.k0}
         if model.k:
             material |= {"k_n_per_mm": list(model.k), "tau_s": list(model.tau)}
         if model.c_inf:
             material["c_inf_n_s_per_mm"] = model.c_inf
-        material["relative_permittivity"] = self._permittivity(geometry)
+        material["relative_permittivity"] = self._find_permittivity(geometry)
         tables: dict[str, Mapping[str, Any]] = {
-            f"rigs.{_RIG}": self._rig_table(),
+            f"rigs.{_RIG}": self._make_rig_table(),
             "materials.film": {k: v for k, v in material.items() if v is not None},
-            f"specimens.{_key(self.specimen_id)}": {"rig": _RIG, "material": "film"},
-            f"specimens.{_key(self.specimen_id)}.geometry": geometry,
+            f"specimens.{_write_key(self.specimen_id)}": {"rig": _RIG, "material": "film"},
+            f"specimens.{_write_key(self.specimen_id)}.geometry": geometry,
         }
         for mechanism, parameters in self.effects.items():
             values = {p: v["value"] if isinstance(v, Mapping) else v for p, v in parameters.items()}
-            tables[f"specimens.{_key(self.specimen_id)}.effects.{mechanism}"] = values
-        lines = [f"name = {_value(f'{self.specimen_id} simulated')}", f"seed = {seed}"]
+            tables[f"specimens.{_write_key(self.specimen_id)}.effects.{mechanism}"] = values
+        lines = [f"name = {_write_value(f'{self.specimen_id} simulated')}", f"seed = {seed}"]
         lines += ["started_at = 2026-01-01T00:00:00+00:00", ""]
         for name, table in tables.items():
-            lines += [f"[{name}]", *(f"{key} = {_value(value)}" for key, value in table.items()), ""]
+            lines += [f"[{name}]", *(f"{key} = {_write_value(value)}" for key, value in table.items()), ""]
         for entry in recordings:
             lines.append("[[recordings]]")
             own = {"specimens": [self.specimen_id], **entry}
-            lines += [f"{key} = {_value(value)}" for key, value in own.items()]
+            lines += [f"{key} = {_write_value(value)}" for key, value in own.items()]
             lines.append("")
         return "\n".join(lines)
 
-    def _geometry(self) -> dict[str, Any]:
-        found = {k: _plain(v) for k, v in self.geometry.items() if k in GEOMETRY and v not in (None, "")}
+    def _choose_geometry(self) -> dict[str, Any]:
+        found = {k: _parse_number(v) for k, v in self.geometry.items() if k in GEOMETRY and v not in (None, "")}
         return checked_geometry(found, f"specimen {self.specimen_id}")
 
-    def _permittivity(self, geometry: Mapping[str, Any]) -> float | None:
+    def _find_permittivity(self, geometry: Mapping[str, Any]) -> float | None:
         """The one with which the electrodes give the fitted force; the stated one where no voltage was on them."""
         stated = geometry.get("relative_permittivity")
         if self.force_per_voltage_squared is None or "active_length_mm" not in geometry:
@@ -166,12 +166,12 @@ class FittedModel:
         film = Specimen(self.specimen_id, _RIG, "film", unit, Deviations(), geometry).film(electrical=True)
         return max(1.0, self.force_per_voltage_squared / film.force_per_voltage_squared)
 
-    def _rig_table(self) -> dict[str, Any]:
+    def _make_rig_table(self) -> dict[str, Any]:
         """The fitted rig; the filed one where an effect stands for the difference."""
         keys = ("clamp_mass_kg", "load_cell_stiffness_n_per_mm", "load_cell_damping_n_s_per_mm")
         first, second = (self.rig, self.row) if "rig_constants" in self.effects else (self.row, self.rig)
-        table = {k: _plain(first.get(k) if first.get(k) is not None else second.get(k)) for k in keys}
-        table["load_cell_range_n"] = _plain(self.rig.get("load_cell_range_n"))
+        table = {k: _parse_number(first.get(k) if first.get(k) is not None else second.get(k)) for k in keys}
+        table["load_cell_range_n"] = _parse_number(self.rig.get("load_cell_range_n"))
         table = {k: v for k, v in table.items() if v is not None}
         missing = [k for k in keys[:2] if k not in table]
         if missing:
@@ -185,7 +185,7 @@ class FittedModel:
         return table
 
 
-def _plain(value: Any) -> Any:
+def _parse_number(value: Any) -> Any:
     """Numbers that the metadata hold as text."""
     if not isinstance(value, str):
         return value
@@ -196,18 +196,18 @@ def _plain(value: Any) -> Any:
     return int(number) if number.is_integer() and "." not in value else number
 
 
-def _key(name: str) -> str:
+def _write_key(name: str) -> str:
     return json.dumps(name)
 
 
-def _value(value: Any) -> str:
+def _write_value(value: Any) -> str:
     """A TOML value; strings as JSON writes them, which TOML reads."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=True)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{k} = {_value(v)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{k} = {_write_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, Sequence):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
+        return "[" + ", ".join(_write_value(v) for v in value) + "]"
     return repr(value)

@@ -100,7 +100,7 @@ def prune(lab: Lab, rule: Rule, now: datetime | None = None) -> Plan:
     with hold_lab(lab):
         found = plan_removal(lab, rule, now)
         if found.forgotten or found.bare:
-            publish(lab, Changes(list(_list_deletions(found)), [{"recordings": _without_samples(found.bare)}]))
+            publish(lab, Changes(list(_list_deletions(found)), [{"recordings": _drop_samples(found.bare)}]))
             with contextlib.suppress(OSError):  # what a killed night left there is the next night's
                 lab.work.rmdir()
         for path in found.paths:
@@ -123,7 +123,7 @@ def _list_deletions(found: Plan) -> Iterator[Deletion]:
     yield Deletion("recordings", places)
 
 
-def _without_samples(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _drop_samples(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{**row, "samples_path": None} for row in rows]
 
 

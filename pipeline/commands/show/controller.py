@@ -30,9 +30,9 @@ class ControllerStudy:
     @property
     def text(self) -> str:
         """Tables and proposals; empty where no grid of gains was tried."""
-        return "\n\n".join(self._table(proposal) for proposal in propose_gains(self.loops))
+        return "\n\n".join(self._tabulate(proposal) for proposal in propose_gains(self.loops))
 
-    def _table(self, proposal: GainProposal) -> str:
+    def _tabulate(self, proposal: GainProposal) -> str:
         own = [
             loop
             for loop in self.loops
@@ -48,9 +48,9 @@ class ControllerStudy:
         ]
         for loop in own:
             numbers = (
-                f"{loop.proportional_gain:>9g} {loop.integral_gain:>10g} {_number(loop.rise_time_s):>8}"
-                f" {_number(loop.overshoot_percent):>12} {_number(loop.force_overshoot_percent):>8}"
-                f" {_number(loop.settling_time_s):>10} {_number(loop.peak_kv):>8}"
+                f"{loop.proportional_gain:>9g} {loop.integral_gain:>10g} {_write_number(loop.rise_time_s):>8}"
+                f" {_write_number(loop.overshoot_percent):>12} {_write_number(loop.force_overshoot_percent):>8}"
+                f" {_write_number(loop.settling_time_s):>10} {_write_number(loop.peak_kv):>8}"
             )
             chosen = proposal.best is not None and loop.recording_id == proposal.best.recording_id
             lines.append(numbers + ("  <- proposed" if chosen else ""))
@@ -58,5 +58,5 @@ class ControllerStudy:
         return "\n".join([*lines, f"{statement[:1].upper()}{statement[1:]}."])
 
 
-def _number(value: float | None) -> str:
+def _write_number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"

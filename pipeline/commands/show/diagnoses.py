@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pipeline.commands.show.rows import safe
+from pipeline.commands.show.rows import make_safe
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import Reader
 from schemas.errors import UsageError
@@ -46,46 +46,46 @@ def describe_diagnoses(lab: Lab, specimens: Sequence[str], *, as_json: bool) -> 
         names = [row["specimen_id"] for row in found if not specimens or row["specimen_id"] in specimens]
         details = {key: reader.rows(table, None, "specimen_id", names) for key, table in _DETAILS.items()}
     chosen = [
-        {**row, **{key: _of(rows, row["specimen_id"]) for key, rows in details.items()}}
+        {**row, **{key: _pick_specimen(rows, row["specimen_id"]) for key, rows in details.items()}}
         for row in found
         if row["specimen_id"] in names
     ]
     if as_json:
-        return json.dumps([_with_objects(row) for row in chosen], ensure_ascii=False, indent=1, default=str)
+        return json.dumps([_parse_objects(row) for row in chosen], ensure_ascii=False, indent=1, default=str)
     missing = [name for name in specimens if name not in names]
-    parts = ["\n".join(_in_words(row)) for row in chosen]
+    parts = ["\n".join(_describe_diagnosis(row)) for row in chosen]
     if missing or not chosen:
         parts.append("No diagnoses are published for " + (", ".join(missing) if missing else "this lab") + ".")
-    return safe("\n\n".join(parts).replace(NBSP, " ").replace(THIN, " "))
+    return make_safe("\n\n".join(parts).replace(NBSP, " ").replace(THIN, " "))
 
 
-def _of(rows: Sequence[Row], specimen_id: str) -> list[dict[str, Any]]:
+def _pick_specimen(rows: Sequence[Row], specimen_id: str) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.items() if k != "specimen_id"} for row in rows if row["specimen_id"] == specimen_id]
 
 
-def _with_objects(row: Row) -> dict[str, Any]:
+def _parse_objects(row: Row) -> dict[str, Any]:
     return {
         key: json.loads(value) if key in _JSON_COLUMNS and value is not None else value for key, value in row.items()
     }
 
 
-def _in_words(row: Row) -> Iterator[str]:
+def _describe_diagnosis(row: Row) -> Iterator[str]:
     """The finding first, then what carries it, then what to do, then what would have been seen."""
-    yield f"{_SIGNS.get(row['verdict'], '–')} {row['specimen_id']}: {_sentence(row)}"
-    yield from _gain(row)
-    yield from _wrong(row)
-    yield from _causes(row)
-    yield from _film(row)
+    yield f"{_SIGNS.get(row['verdict'], '–')} {row['specimen_id']}: {_state_verdict(row)}"
+    yield from _describe_gain(row)
+    yield from _list_discrepancies(row)
+    yield from _tabulate_causes(row)
+    yield from _describe_film(row)
     if row["unexplained"]:
-        yield from _listed("What no cause explains", row["unexplained"])
+        yield from _list_under("What no cause explains", row["unexplained"])
     if row["next_recording"]:
-        yield from _listed("Next recording to make", [capital(row["next_recording"])])
-    yield from _visible(row)
+        yield from _list_under("Next recording to make", [capital(row["next_recording"])])
+    yield from _describe_visibility(row)
     if row["verdict"] is not None and row["could_not_ask"]:
-        yield from _listed("What could not be asked", row["could_not_ask"])
+        yield from _list_under("What could not be asked", row["could_not_ask"])
 
 
-def _sentence(row: Row) -> str:
+def _state_verdict(row: Row) -> str:
     verdict = row["verdict"]
     if verdict is None:
         reasons = "; ".join(row["could_not_ask"] or ("no reason given",))
@@ -100,7 +100,7 @@ def _sentence(row: Row) -> str:
     return f"the simulation is right within the noise, {p_equals(row['p_value'])} (none)."
 
 
-def _gain(row: Row) -> Iterator[str]:
+def _describe_gain(row: Row) -> Iterator[str]:
     before, after = row["held_out_error_before"], row["held_out_error_after"]
     if row["gain"] is None or before is None or after is None:
         return
@@ -118,23 +118,23 @@ def _gain(row: Row) -> Iterator[str]:
         yield "  Left out and predicted: " + ", ".join(shown + more)
 
 
-def _wrong(row: Row) -> Iterator[str]:
+def _list_discrepancies(row: Row) -> Iterator[str]:
     clear = [d for d in row["discrepancies"] if d["p_value"] is not None and d["p_value"] < _CLEAR]
     if row["verdict"] in (None, "none") or not clear:
         return
     clear.sort(key=lambda d: (d["p_value"], -(d["chi2"] or 0.0) / (d["degrees_of_freedom"] or 1.0)))
     more = f"; {len(clear) - _SHOWN} more in the table discrepancies" if len(clear) > _SHOWN else ""
-    yield from _listed(
+    yield from _list_under(
         f"What the simulation gets wrong ({digits(row['recordings'] or 0, 'recording')}{more})",
         [f"{d['recording_id'] or 'all recordings'}: {d['statement']}" for d in clear[:_SHOWN]],
     )
 
 
-def _causes(row: Row) -> Iterator[str]:
+def _tabulate_causes(row: Row) -> Iterator[str]:
     if row["verdict"] in (None, "none") or not row["candidates"]:
         return
     alone = all(c["likelihood_ratio"] is None for c in row["candidates"])
-    cells = _by_what_they_predict(row) if alone else _by_what_they_explain(row)
+    cells = _compare_predictions(row) if alone else _compare_explanations(row)
     widths = [max(len(line[i]) for line in cells) for i in range(4)]
     yield "  Causes, each alone in the model, refitted together with the rest of it"
     for name, *numbers, size in cells:
@@ -152,7 +152,7 @@ def _causes(row: Row) -> Iterator[str]:
 _Cells = list[tuple[str, str, str, str, str]]
 
 
-def _by_what_they_explain(row: Row) -> _Cells:
+def _compare_explanations(row: Row) -> _Cells:
     """The causes of a session, likeliest first."""
     ranked = sorted(row["candidates"], key=lambda c: (-(c["probability"] or 0.0), -(c["likelihood_ratio"] or 0.0)))
     return [
@@ -167,7 +167,7 @@ def _by_what_they_explain(row: Row) -> _Cells:
     ]  # fmt: skip
 
 
-def _by_what_they_predict(row: Row) -> _Cells:
+def _compare_predictions(row: Row) -> _Cells:
     """The causes of a record that was asked alone, by their error on the part left out."""
     ranked = sorted(row["candidates"], key=lambda c: c["held_out_error"])
     return [
@@ -187,7 +187,7 @@ def _mark(row: Row, cause: Row) -> str:
     return "●" if cause["mechanism"] in (row["mechanisms"] or ()) else " "
 
 
-def _film(row: Row) -> Iterator[str]:
+def _describe_film(row: Row) -> Iterator[str]:
     moved = [p for p in row["parameters"] if p["moved_sd"] is not None]
     if not moved:
         return
@@ -195,7 +195,7 @@ def _film(row: Row) -> Iterator[str]:
     if most < _MOVED:
         yield f"  The film's parameters stay where they were, within {significant(most, 2)} SD."
         return
-    yield from _listed(
+    yield from _list_under(
         "What ignoring it did to the film: plain → extended model",
         [
             f"{p['parameter']}: {pm(p['plain'], p['plain_sd'])} → {pm(p['extended'], p['extended_sd'], p['unit'])}, "
@@ -206,10 +206,10 @@ def _film(row: Row) -> Iterator[str]:
     )
 
 
-def _visible(row: Row) -> Iterator[str]:
+def _describe_visibility(row: Row) -> Iterator[str]:
     smallest = nested(row["smallest_detectable"])
     if smallest:
-        yield from _listed(
+        yield from _list_under(
             "Smallest that these recordings would have shown, with 80 % probability",
             [
                 f"{mechanism}: "
@@ -222,8 +222,8 @@ def _visible(row: Row) -> Iterator[str]:
             ],
         )
     if row["invisible"]:
-        yield from _listed("Cannot be seen in these recordings", [", ".join(row["invisible"])])
+        yield from _list_under("Cannot be seen in these recordings", [", ".join(row["invisible"])])
 
 
-def _listed(title: str, lines: Sequence[str]) -> list[str]:
+def _list_under(title: str, lines: Sequence[str]) -> list[str]:
     return [f"  {title}", *(f"    {line or ABSENT}" for line in lines)]

@@ -25,13 +25,13 @@ def as_table(rows: pa.Table) -> str:
     names = rows.column_names
     if _is_plan(names):
         return "\n".join(str(text) for text in rows.column("explain_value").to_pylist())
-    cells = [[_cell(value) for value in row.values()] for row in rows.to_pylist()]
+    cells = [[_write_cell(value) for value in row.values()] for row in rows.to_pylist()]
     limit = _WIDEST if len(names) > 1 else None
-    cells = [[_shortened(cell, limit) for cell in row] for row in cells]
+    cells = [[_shorten(cell, limit) for cell in row] for row in cells]
     widths = [max([len(name), *(len(row[i]) for row in cells)]) for i, name in enumerate(names)]
     right = [_is_number(field) for field in rows.schema]
-    lines = [_line(names, widths, right), "  ".join("─" * width for width in widths)]
-    lines += [_line(row, widths, right) for row in cells]
+    lines = [_join_cells(names, widths, right), "  ".join("─" * width for width in widths)]
+    lines += [_join_cells(row, widths, right) for row in cells]
     lines.append(f"({len(cells)} row{'' if len(cells) == 1 else 's'})")
     return "\n".join(lines)
 
@@ -42,13 +42,13 @@ def as_csv(rows: pa.Table) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(rows.column_names)
     for row in rows.to_pylist():
-        writer.writerow(["" if value is None else _plain_text(value) for value in row.values()])
+        writer.writerow(["" if value is None else _write_plainly(value) for value in row.values()])
     return text.getvalue().rstrip("\n")
 
 
 def as_json(rows: pa.Table) -> str:
     """A list of objects; NULL, NaN and infinity are null, times are ISO 8601."""
-    return json.dumps([_json(row) for row in rows.to_pylist()], ensure_ascii=False, indent=1)
+    return json.dumps([_make_plain(row) for row in rows.to_pylist()], ensure_ascii=False, indent=1)
 
 
 def as_parquet(rows: pa.Table) -> bytes:
@@ -70,32 +70,32 @@ FORMATS: Mapping[str, Callable[[pa.Table], str | bytes]] = {
 }
 
 
-def safe(text: str) -> str:
+def make_safe(text: str) -> str:
     """Text of several lines for a terminal, without anything that could control it."""
     return "\n".join(shown(line) for line in text.split("\n"))
 
 
-def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
+def _join_cells(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
     parts = zip(cells, widths, right, strict=True)
     return "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in parts).rstrip()
 
 
-def _cell(value: Any) -> str:
+def _write_cell(value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
         return f"{value:.6g}"
-    return shown(_plain_text(value))
+    return shown(_write_plainly(value))
 
 
-def _shortened(text: str, limit: int | None) -> str:
+def _shorten(text: str, limit: int | None) -> str:
     return text if limit is None or len(text) <= limit else text[: limit - 1] + "…"
 
 
-def _plain_text(value: Any) -> str:
-    plain = _json(value)
+def _write_plainly(value: Any) -> str:
+    plain = _make_plain(value)
     if isinstance(plain, str):
         return plain
     if isinstance(value, float):
@@ -103,7 +103,7 @@ def _plain_text(value: Any) -> str:
     return json.dumps(plain, ensure_ascii=False)
 
 
-def _json(value: Any) -> Any:
+def _make_plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
@@ -117,9 +117,9 @@ def _json(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.hex()
     if isinstance(value, Mapping):
-        return {str(key): _json(member) for key, member in value.items()}
+        return {str(key): _make_plain(member) for key, member in value.items()}
     if isinstance(value, list | tuple):
-        return [_json(member) for member in value]
+        return [_make_plain(member) for member in value]
     return str(value)
 
 

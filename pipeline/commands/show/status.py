@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from pipeline.commands.show.rows import safe
+from pipeline.commands.show.rows import make_safe
 from pipeline.lab.annotations import Annotation, list_excluded, read_annotations
 from pipeline.lab.journal import Freshness
 from pipeline.lab.lab import Lab
@@ -43,7 +43,7 @@ def describe_lab(lab: Lab) -> str:
             listed = list(found)
             if listed:
                 lines += ["", f"{title}:", *(f"  {line}" for line in listed)]
-    return safe("\n".join(lines))
+    return make_safe("\n".join(lines))
 
 
 def _describe_last_run(runs: Sequence[Row]) -> Iterator[str]:
