@@ -12,7 +12,7 @@ import functools
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from schemas.views import EXAMPLES, view_reference
@@ -74,9 +74,14 @@ PARTS: Mapping[str, Mapping[str, Callable[[], str]]] = {
 """File → its generated parts by name, and what makes them."""
 
 
-def renew(name: str, text: str) -> str:
-    """The text of a file with its generated parts made again. Raises `SystemExit` where a part has no place in it."""
+def renew(name: str, text: str, *, left: Collection[str] = ()) -> str:
+    """The text of a file with its generated parts made again, but for those that are `left` as they are.
+
+    Raises `SystemExit` where a part has no place in the text.
+    """
     for part, make in PARTS[name].items():
+        if part in left:
+            continue
         begin, end = f"<!-- {part}: written by make docs -->", f"<!-- end of {part} -->"
         pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
         if not pattern.search(text):

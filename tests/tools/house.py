@@ -38,7 +38,6 @@ SPECIMEN = (
     "pipeline/diagnose/search/fit_mechanisms.py",
     "pipeline/diagnose/search/several_causes.py",
     "pipeline/diagnose/search/doubt.py",
-    "pipeline/diagnose/search/decide.py",
     "pipeline/diagnose/search/held_out.py",
     "pipeline/diagnose/search/detectable.py",
     "pipeline/diagnose/proposals/next_recording.py",

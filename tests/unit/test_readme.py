@@ -54,9 +54,9 @@ def test_the_readme_is_short() -> None:
     assert len(TEXTS["README.md"].splitlines()) <= LINES
 
 
-@pytest.mark.parametrize("name", [name for name in PARTS if name != "README.md"])
+@pytest.mark.parametrize("name", PARTS)
 def test_generated_parts_are_up_to_date(name: str) -> None:
-    assert renew(name, TEXTS[name]) == TEXTS[name], "run make docs"
+    assert renew(name, TEXTS[name], left={"first file"}) == TEXTS[name], "run make docs"
 
 
 @pytest.mark.slow
