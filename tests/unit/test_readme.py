@@ -90,6 +90,18 @@ def test_files_that_are_named_exist(name: str) -> None:
             assert any(place.exists() or place.with_suffix(".py").exists() for place in (ROOT / path, own / path)), path
 
 
+@pytest.mark.parametrize("package", ["ingest", "schemas"])
+def test_every_module_has_its_place_in_the_table_of_rooms(package: str) -> None:
+    table = TEXTS[f"{package}/README.md"].partition("| modules |")[2].partition("\n\n")[0]
+    named = set(re.findall(r"`(\w+)`", table))
+    families = tuple(re.findall(r"`(\w+_)…`", table))
+    modules = {
+        path.stem for path in (ROOT / package).iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    assert {name for name in modules - named - {"__init__"} if not name.startswith(families or "/")} == set()
+    assert named - modules == set()
+
+
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_modules_that_are_run_exist_and_targets_are_in_the_makefile(name: str) -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
