@@ -17,9 +17,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.diagnose.diagnosis import choose_film, diagnose, find_main_key
+from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.kinds import REST_HUM, FeatureBlock
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.report import choose_film, find_main_key
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, HeldOut, Predicted
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit, orthonormalise
 from pipeline.diagnose.search.plain_fit import fit_plain, make_bounds

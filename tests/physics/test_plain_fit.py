@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.diagnose.diagnosis import estimate_film_sd
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.report import estimate_film_sd
 from pipeline.diagnose.search.extended_model import Extended
 from pipeline.diagnose.search.plain_fit import fit_plain
 from pipeline.diagnose.simulation.session import make_session

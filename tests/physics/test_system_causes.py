@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.results import NAMED, NONE
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import DELAY, Oscillator, SystemRecord, make_linear
@@ -86,7 +87,7 @@ def _compare(q: SystemQuestion) -> Comparison:
 def test_the_cause_is_named(truth: str) -> None:
     question, found = _question(truth)
     best = found.ranked[0]
-    assert (found.verdict, best.model.mechanism) == (NAMED, truth)
+    assert (judge_predictions(found), best.model.mechanism) == (NAMED, truth)
     assert best.gain > 0.9
     assert best.lower > 0.8
     assert best.explained > 0.9
@@ -97,7 +98,7 @@ def test_the_cause_is_named(truth: str) -> None:
 @pytest.mark.slow
 def test_nothing_is_found_where_there_is_nothing() -> None:
     question, found = _question("none")
-    assert found.verdict == NONE or not found.possible
+    assert judge_predictions(found) == NONE or not found.possible
     assert np.std(question.plain.whole - question.measured) == pytest.approx(NOISE, rel=0.1)
 
 
@@ -159,7 +160,7 @@ def test_a_steady_period_and_a_louder_record() -> None:
     found = _compare(question)
     assert [part.name for part in question.parts] == ["loud, the loudest", "period"]
     assert question.parts[1].places.size == SAMPLES
-    assert (found.verdict, found.ranked[0].model.mechanism) == (NAMED, "strain_stiffening")
+    assert (judge_predictions(found), found.ranked[0].model.mechanism) == (NAMED, "strain_stiffening")
     errors = found.ranked[0].model.unseen - question.left_out
     assert all(np.std(errors[part.values]) < 2 * NOISE for part in question.parts)
 

@@ -17,6 +17,7 @@ from pipeline.diagnose.features.functionals import Component, stacked
 from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE, FeatureBlock, NoiseSample
 from pipeline.diagnose.features.records import Record, record, rest_samples, strain_length_mm
 from pipeline.diagnose.features.sweep_kernels import WITHIN, Bands, Piece, bands_of, harmonics_of
+from pipeline.diagnose.rules import RULES
 from pipeline.fit.relaxation.rig import rig_prior
 from pipeline.transform import sweeps
 from pipeline.transform.channels import drive
@@ -27,11 +28,8 @@ from schemas.recording import Recording
 
 _SHIFT_CELLS = 40
 """Stretches of a sweep, of equal length, in which what shifts the mean force is taken as constant."""
-_FEWEST_REST = 32
 _TOP = 0.5
 """Log frequency below the highest band that says how the film goes on above the sweep."""
-_CLEAR = 0.3
-"""Least |1 − Mω²/kL| at which the film's stiffness is read off a response."""
 _REMEMBERED = 3
 """Sweeps, the last one itself, in which all is that a film answers with while one passes: with all of many, time and memory would grow
 as the square of their number."""
@@ -71,9 +69,11 @@ def chirp_blocks(
     found = record({names[0]: source.input, names[1]: source.output}, recording, highest_hz=high)
     pieces, amplitude = _sweeps(recording, found, found.values[names[0]], low)
     rest = rest_samples(found.values[names[0]], back=int(0.25 / (low * found.interval_s)))
-    if rest < _FEWEST_REST:
+    if rest < RULES.features.chirp_rest:
         raise NotIdentifiableError(
-            "no rest before the first sweep", where=where, expected=f"at least {_FEWEST_REST} samples of rest"
+            "no rest before the first sweep",
+            where=where,
+            expected=f"at least {RULES.features.chirp_rest} samples of rest",
         )
     x, y = (found.values[q] - found.values[q][:rest].mean() for q in names)
     length = strain_length_mm(recording)
@@ -162,7 +162,7 @@ def _gain(frequency: Float, response: Complex, rig: RigConstants) -> Callable[[F
         omega = 2 * np.pi * f
         return np.asarray(1 + (-mass * omega**2 + 1j * omega * damping) / stiffness)
 
-    clear = np.abs(own(frequency[order])) > _CLEAR
+    clear = np.abs(own(frequency[order])) > RULES.features.clear_response
     k = own(frequency[order]) * response / (1 - response / stiffness)
 
     top = clear & (x > x[clear][-1] - _TOP)

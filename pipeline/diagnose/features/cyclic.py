@@ -21,6 +21,7 @@ from pipeline.diagnose.features.kinds import (
     NoiseSample,
 )
 from pipeline.diagnose.features.records import bode_gain, record, rest_samples, strain_length_mm
+from pipeline.diagnose.rules import RULES
 from pipeline.transform import sweeps
 from pipeline.transform.channels import drive
 from schemas.arrays import Bool, Complex, Float
@@ -30,9 +31,6 @@ from schemas.recording import Recording
 _HARMONICS = 3
 _ROOM = 1.2
 """Highest frequency of interest over that of the last harmonic: noise above it only leaks in, with a film that stiffens."""
-_FEWEST_REST = 8
-_FEWEST_PER_CYCLE = 10
-_MOST_CYCLES = 400
 _RESOLVING_REST_HZ = 4.0
 """Slow tests are sampled ten times as fast as this, so that the rest before them is seen."""
 
@@ -69,16 +67,22 @@ def cyclic_blocks(
     given = found.values[names[0]]
     per_cycle = 1 / (frequency * found.interval_s)
     rest = rest_samples(given, cycle=per_cycle)
-    if rest < _FEWEST_REST or per_cycle < _FEWEST_PER_CYCLE:
+    if rest < RULES.features.cyclic_rest or per_cycle < RULES.features.per_cycle:
         raise NotIdentifiableError(
             f"{rest} samples of rest before the first cycle, {per_cycle:.3g} in a cycle",
             where=where,
-            expected=f"at least {_FEWEST_REST} and {_FEWEST_PER_CYCLE}",
+            expected=f"at least {RULES.features.cyclic_rest} and {RULES.features.per_cycle}",
         )
     x, y = (found.values[q] - found.values[q][:rest].mean() for q in names)
     moving = sweeps.motion(given)
     stated = recording.metadata.cycles
-    whole = int(min(np.floor((moving.stop - rest) / per_cycle + 0.3), stated or _MOST_CYCLES, _MOST_CYCLES))
+    whole = int(
+        min(
+            np.floor((moving.stop - rest) / per_cycle + 0.3),
+            stated or RULES.features.most_cycles,
+            RULES.features.most_cycles,
+        )
+    )
     groups = _groups(rest, per_cycle, whole, x.size, found.lost)
     if not groups:
         raise NotIdentifiableError("no cycle without a gap", where=where)

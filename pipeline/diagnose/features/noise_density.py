@@ -14,23 +14,19 @@ import numpy as np
 from scipy.optimize import minimize
 
 from pipeline.diagnose.features.kinds import NoiseSample
+from pipeline.diagnose.rules import RULES
 from schemas.arrays import Float, Int
 
-_FEWEST = 16
 _PER_OCTAVE = 40
 MAINS_HZ = (50.0, 100.0, 150.0)
 _MAINS_WIDTH_HZ = 1.5
 _ENOUGH = 8.0
-_RED_WORTH = 12.0
-"""Twice the gain in log likelihood that red noise must bring."""
 _MOST_DOUBT = 1.0
 """Largest variance of a logarithm that is allowed for: what the stretches leave open altogether is not noise."""
 _LEAST_POWER = 1e-12
 """Share of the middle power below which an ordinate is no noise: a channel that stands still."""
 _ALIKE = 0.3
 """Standard deviation of the logarithm of a sample's white variance between settings of one converter."""
-_CLEARLY = 3.5
-"""Standard deviations by which the periodogram of a recording must miss the common law to be one of its own."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ def noise_sample(
     The lowest bins, of which the polynomial takes a part, those above `below_hz` and those near the mains are left out.
     """
     n = residual.size
-    if n < _FEWEST:
+    if n < RULES.features.noise_samples:
         return None
     s = np.linspace(-1, 1, n)
     e = residual - np.polynomial.legendre.legval(s, np.polynomial.legendre.legfit(s, residual, degree))
@@ -128,7 +124,7 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
         if count < _ENOUGH:
             continue
         ratio = float(np.sum(ruled[own] * pool.power[own] / expected[own])) / count
-        if abs(ratio - 1) * np.sqrt(count) > _CLEARLY * max(ratio, 1.0):
+        if abs(ratio - 1) * np.sqrt(count) > RULES.features.own_noise * max(ratio, 1.0):
             separate[own] = separate.max() + 1
     if separate.max() > group.max():
         separate = np.unique(separate, return_inverse=True)[1]
@@ -193,7 +189,7 @@ class _Pool:
         """Whittle's likelihood; red noise only where it raises it clearly, for rests are too short to tell it from pink."""
         plain, cost = self._search(group, ((0.3, None), (1e-3, None)))
         coloured, better = self._search(group, ((0.1, 0.1), (1e-3, 0.1)))
-        return coloured if 2 * (cost - better) > _RED_WORTH else plain
+        return coloured if 2 * (cost - better) > RULES.features.red_noise else plain
 
     def _search(self, group: Int, starts: Sequence[tuple[float, float | None]]) -> tuple[Float, float]:
         level = self._levels(group)

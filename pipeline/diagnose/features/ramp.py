@@ -15,6 +15,7 @@ from pipeline.diagnose.features.blocks import Signals, block, log_windows, windo
 from pipeline.diagnose.features.functionals import Component, lines_spectrum
 from pipeline.diagnose.features.kinds import CYCLE_FORCE, RELAXATION_FORCE, FeatureBlock, NoiseSample
 from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_samples, strain_length_mm
+from pipeline.diagnose.rules import RULES
 from pipeline.transform.channels import drive
 from pipeline.transform.sampling import runs
 from schemas.arrays import Complex, Float
@@ -22,8 +23,6 @@ from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
 
 _PER_DECADE = 8
-_FEWEST_REST = 8
-_FEWEST_WINDOWS = 4
 _PER_BRANCH = 16
 _MOVING = 0.02
 """Share of the step by which the displacement may miss its level and still count as held."""
@@ -50,11 +49,11 @@ def relaxation_blocks(
         made = [(begin + a, begin + b) for a, b in log_windows(first, stop - begin, _PER_DECADE, 2)]
         windows += [w for w in made if not found.lost[w[0] : w[1]].any()]
         ramps += [begin] * (len(windows) - len(ramps))
-    if len(windows) < _FEWEST_WINDOWS:
+    if len(windows) < RULES.features.ramp_windows:
         raise NotIdentifiableError(
             f"{len(windows)} windows while the step is held",
             where=recording.metadata.recording_id,
-            expected=f"at least {_FEWEST_WINDOWS}",
+            expected=f"at least {RULES.features.ramp_windows}",
         )
     return _finished(recording, found, x, y, names, rest, windows, ramps, nodes, RELAXATION_FORCE, noise)
 
@@ -90,7 +89,7 @@ def cycle_blocks(
     for a, b in ((rest, top), (top, last)):
         edges = np.unique(np.rint(np.linspace(a, b, _PER_BRANCH + 1)).astype(int))
         windows += [(int(p), int(q)) for p, q in itertools.pairwise(edges) if not found.lost[p:q].any()]
-    if len(windows) < _FEWEST_WINDOWS:
+    if len(windows) < RULES.features.ramp_windows:
         raise NotIdentifiableError("no cycle above the noise", where=recording.metadata.recording_id)
     lines = _lines(x, found.interval_s, (rest, top, last))
     return _finished(
@@ -124,7 +123,7 @@ def _prepared(recording: Recording) -> tuple[Record, Float, Float, tuple[str, st
     found = record({names[0]: source.input, names[1]: source.output}, recording, highest_hz=min(_HIGHEST_HZ, rate / 10))
     given = found.values[names[0]]
     rest = rest_samples(given)
-    if rest < _FEWEST_REST:
+    if rest < RULES.features.ramp_rest:
         # A machine that starts with the record: its first sample is the rest.
         rest = 1
     x, y = (found.values[q] - found.values[q][:rest].mean() for q in names)

@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.diagnose.features.functionals import Component
 from pipeline.diagnose.features.kinds import NoiseSample
 from pipeline.diagnose.features.noise_density import noise_sample
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.mains import mains_of
 from pipeline.fit.relaxation.rig import rig_prior
 from pipeline.transform.channels import stretched_length
@@ -25,8 +26,6 @@ from schemas.recording import Channel, Recording
 _PASSED = 0.7
 """Share of half the sample rate below which thinning leaves a spectrum as it is."""
 _CLEARLY_AWAY, _FIRST_LEVEL, _LEAVING, _LEAST_OF_STEP = 6.0, 40, 0.2, 0.25
-_LONGEST_FILL = 0.02
-"""Share of a channel that may be interpolated over gaps before its features are refused."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ def record(channels: Mapping[str, Channel], recording: Recording, *, highest_hz:
     """
     sampled = sample(channels, recording.start_ns)
     lost = ~sampled.finite
-    if lost.mean() > _LONGEST_FILL * 10:
+    if lost.mean() > RULES.features.most_lost:
         raise NotIdentifiableError(
             f"{100 * lost.mean():.0f} % of the samples are lost", where=recording.metadata.recording_id
         )

@@ -15,6 +15,7 @@ from pipeline.diagnose.features.records import strain_length_mm
 from pipeline.diagnose.features.rest import calibration_block, hum_block
 from pipeline.diagnose.features.sphs import sphs_blocks
 from pipeline.diagnose.features.step import step_blocks
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.nodes import response_nodes
 from pipeline.physics.rig import TONNES_PER_KG
 from schemas.arrays import Float
@@ -26,8 +27,6 @@ from schemas.recording import Recording
 Reducer = Callable[[Recording, Float], tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]]
 
 EPSILON_0_N_PER_KV2 = 8.8541878e-6
-PERMITTIVITY_SD = 0.1
-"""Relative standard deviation of the permittivity where the metadata give none."""
 _REDUCERS: dict[tuple[str, str], Reducer] = {
     ("chirp", MECHANICAL): chirp_blocks,
     ("cyclic", MECHANICAL): cyclic_blocks,
@@ -127,4 +126,4 @@ def actuation_prior(metadata: RecordingMetadata) -> tuple[float, float] | None:
     if metadata.active_length_mm and total:
         force *= min(1.0, metadata.active_length_mm * (along if drawn else 1.0) / total)
     sd = metadata.relative_permittivity_sd
-    return force, PERMITTIVITY_SD if sd is None else sd / permittivity
+    return force, RULES.features.permittivity_sd if sd is None else sd / permittivity

@@ -12,6 +12,7 @@ from scipy.special import fdtrc, fdtri, ndtr, ndtri
 from pipeline.diagnose.features.blocks import assembled
 from pipeline.diagnose.features.kinds import REST_HUM, TAP_RING, WEIGHT_GAIN, FeatureBlock
 from pipeline.diagnose.features.records import rest_samples
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.mains import HUM_HZ
 from pipeline.transform.calibration import tap, weigh
 from pipeline.transform.channels import drive
@@ -24,7 +25,6 @@ _NEAR, _FAR = 2, 14
 _FREEDOM = 2 * 2 * (_FAR - _NEAR + 1) / 1.5
 """Degrees of freedom of the neighbourhood: Hann bins share data with their neighbours, two thirds are independent."""
 _MIDDLE = float(fdtri(2, _FREEDOM, 0.5))
-_SHORTEST_S = 0.3
 _EXACT_Z = 4.0
 """Score up to which the null distribution is exact; beyond it the score grows as the amplitude over its noise."""
 _EXACT_RATIO = float(fdtri(2, _FREEDOM, ndtr(_EXACT_Z)))
@@ -42,7 +42,7 @@ def hum_block(recording: Recording) -> FeatureBlock | None:
     )
     stop = rest_samples(given, back=int(_BEFORE_S / sampled.interval_s))
     y = sampled.values[source.output.quantity][:stop]
-    if not np.isfinite(y).all() or y.size * sampled.interval_s < _SHORTEST_S:
+    if not np.isfinite(y).all() or y.size * sampled.interval_s < RULES.features.hum_rest:
         return None
     n = np.arange(y.size) * sampled.interval_s
     largest = float(np.abs(y).max())

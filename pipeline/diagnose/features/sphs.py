@@ -24,6 +24,7 @@ from pipeline.diagnose.features.kinds import (
 )
 from pipeline.diagnose.features.noise_density import MAINS_HZ, thinned
 from pipeline.diagnose.features.records import Record, record
+from pipeline.diagnose.rules import RULES
 from pipeline.fit.relaxation.rig import rig_prior
 from pipeline.transform.channels import drive
 from pipeline.transform.periodic import excited_lines
@@ -36,10 +37,7 @@ from schemas.recording import Recording
 _DEGREE = 5
 _WAVE = 2048
 """Most samples of the stored period."""
-_LEAST_INPUT = 1e-3
-_COMMAND_LEAST = 0.1
 _MAINS_HALF_HZ = 0.6
-_FEWEST = 3
 _LEAD_IN_S = 0.03
 
 
@@ -179,7 +177,7 @@ def _periods(recording: Recording, found: Record, wave: Float, square: bool, hig
     available = (wave.size - onset) // length
     # The first period holds the start of the film, and the clamp rings on from it.
     dropped = max(1, int(np.ceil(_ringing_s(recording.rig) / (length * found.interval_s)))) if available > 2 else 0
-    dropped = max(min(dropped, available - _FEWEST), min(1, available - 2))
+    dropped = max(min(dropped, available - RULES.features.periods), min(1, available - 2))
     count = available - dropped
     first = onset + dropped * length
     if count < 2:
@@ -191,7 +189,7 @@ def _periods(recording: Recording, found: Record, wave: Float, square: bool, hig
     low = metadata.frequency_start_hz
     start = 1 if low is None else max(1, int(np.ceil(low * period_s - 0.01)))
     stop = int(np.floor(high * period_s + 0.01))
-    lines = excited_lines(amplitude, start, stop, kind=metadata.lines, least=_LEAST_INPUT)
+    lines = excited_lines(amplitude, start, stop, kind=metadata.lines, least=RULES.features.line_input)
     if lines.size < 3:
         raise NotIdentifiableError(f"the input excites {lines.size} lines", where=where, expected="at least 3")
     lines = lines[_away_from_mains(lines / period_s)]
@@ -362,7 +360,7 @@ def _voltage(spectra: _Spectra, found: Record, kv: float, common: dict[str, Floa
     span = (0, p.count)
     v, c = (spectra.lines(found.values[q], span) for q in ("voltage", "command"))
     size = np.abs(c[1 : p.lines[-1] + 1])
-    lines = 1 + np.flatnonzero(size > _COMMAND_LEAST * size.max())
+    lines = 1 + np.flatnonzero(size > RULES.features.sphs_command * size.max())
     lines = lines[_away_from_mains(p.frequency(lines))]
     if lines.size < 3:
         return None

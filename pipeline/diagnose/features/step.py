@@ -16,6 +16,7 @@ from pipeline.diagnose.features.blocks import Signals, block, cycle_groups, log_
 from pipeline.diagnose.features.functionals import Component
 from pipeline.diagnose.features.kinds import STEP_CAPACITANCE, STEP_FORCE, STEP_VOLTAGE, FeatureBlock, NoiseSample
 from pipeline.diagnose.features.records import Record, record
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.nodes import response_nodes
 from pipeline.transform.sampling import runs
 from schemas.arrays import Float
@@ -24,15 +25,11 @@ from schemas.metadata import RigConstants
 from schemas.recording import Recording
 
 _PER_DECADE = 5
-_SAME_LEVEL = 0.02
 _HIGHEST_HZ = 50.0
 _LONGEST = 40_000
-_FEWEST_REST = 16
-_MOST_GROUPS = 24
 _DISTURBED_S = 0.05
 """Time after an edge in which the converter of the capacitance is disturbed."""
 _SAME_EDGE_S = 0.25
-_COMMAND_LEAST = 0.05
 _SETTLED, _CREEP_DEGREE, _SLOW_HZ, _MOST_PLATEAUS = 0.4, 4, 20.0, 8
 """Share of a plateau after which its noise is taken, polynomial that creep follows, highest frequency, cycles that are enough."""
 
@@ -85,9 +82,11 @@ def step_blocks(
     if not cycles:
         raise NotIdentifiableError("the voltage makes no step", where=where)
     rest = cycles[0].rise - 2
-    if rest < _FEWEST_REST:
+    if rest < RULES.features.step_rest:
         raise NotIdentifiableError(
-            f"{max(rest, 0)} samples before the first step", where=where, expected=f"at least {_FEWEST_REST}"
+            f"{max(rest, 0)} samples before the first step",
+            where=where,
+            expected=f"at least {RULES.features.step_rest}",
         )
     groups = _groups(cycles)
     edge_s = float(np.median(np.diff(recording.channels["voltage"].time_ns))) * 1e-9 / np.sqrt(12)
@@ -185,12 +184,12 @@ def _groups(cycles: list[_Cycle]) -> list[_Group]:
     """Runs of cycles of one level, each cut into groups; at most 24, the rest of a long test is its last group."""
     starts = [0]
     for i in range(1, len(cycles)):
-        if abs(cycles[i].level - cycles[i - 1].level) > _SAME_LEVEL * abs(cycles[i - 1].level):
+        if abs(cycles[i].level - cycles[i - 1].level) > RULES.features.same_level * abs(cycles[i - 1].level):
             starts.append(i)
     groups = []
     for a, b in zip(starts, [*starts[1:], len(cycles)], strict=True):
         groups += [_Group(tuple(cycles[a + p : a + q]), a + p + 1, a + q) for p, q in cycle_groups(b - a)]
-    return groups[:_MOST_GROUPS]
+    return groups[: RULES.features.most_groups]
 
 
 def _spans(group: _Group, least: int) -> tuple[list[list[tuple[int, int]]], list[float], list[float]]:
@@ -284,7 +283,7 @@ def _voltage_blocks(found: Record, groups: list[_Group], rest: int, edge_s: floa
     for group in groups:
         middle = [(c.up + c.fall) // 2 for c in group.cycles]
         plateau = float(np.mean([np.mean(command[m - 1 : m + 2]) for m in middle]) - command[:rest].mean())
-        if abs(plateau) < _COMMAND_LEAST:
+        if abs(plateau) < RULES.features.step_command:
             continue
         per_volt, gain = _constant(1 / abs(plateau)), _constant(abs(group.level) / plateau**2)
         signals = Signals(

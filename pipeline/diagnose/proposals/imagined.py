@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.diagnose.features.kinds import TAP_RING, WEIGHT_GAIN
 from pipeline.diagnose.features.noise_density import NoiseLaw
 from pipeline.diagnose.proposals.designs import MOST_OFTEN, OFTEN, Proposal, imagine_features, repeat_proposal
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.simulation.session import Session, make_session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -19,8 +20,6 @@ from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 
 _CALIBRATIONS = (TAP_RING, WEIGHT_GAIN)
-_MODEL_ERROR = 0.15
-"""Share of a predicted difference that counts as noise: no cause has exactly its form."""
 
 
 def imagine_session(final: ExtendedFit, proposal: Proposal) -> tuple[Session, Simulation] | None:
@@ -92,7 +91,7 @@ class Seen:
 
         What forms may be wrong by is weighed down for the fit as well: it takes less of a change up. Calibrations have no forms.
         """
-        wrong = np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, _MODEL_ERROR) * forms
+        wrong = np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, RULES.proposal.form_error) * forms
         return np.asarray(np.diag(1 + wrong**2) + self.moves)
 
 

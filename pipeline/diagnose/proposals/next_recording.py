@@ -19,16 +19,14 @@ from pipeline.diagnose.mechanisms import Mechanism
 from pipeline.diagnose.proposals.designs import WARMER_K, Proposal, list_proposals, select_showing
 from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imagine_session
 from pipeline.diagnose.results import NextRecording
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
-from pipeline.diagnose.search.several_causes import CLOSE
 
-_ENOUGH = 2 * CLOSE
+_ENOUGH = 2 * RULES.cause.close
 """Difference of χ² from which a cause stands alone."""
-_WANTED = Wanted(*(-math.log(undecided) for undecided in (0.5, 0.1, 0.03)))
+_WANTED = Wanted(*(-math.log(undecided) for undecided in RULES.proposal.undecided))
 """Of the probability that a recording leaves two causes undecided: above the first it is not proposed, above the others longer ones
 are, if they are surer."""
-_MOST = 0.99
-"""Largest probability that is stated: forms may be others than any in the list."""
 _LITTLE = 1e-9
 """χ² that says nothing."""
 _STEPS = 10
@@ -49,7 +47,7 @@ def propose_separating(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) 
     if best is None:
         return None
     names = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
-    chance = min(1 - math.exp(-best.merit()), _MOST)
+    chance = min(1 - math.exp(-best.merit()), RULES.proposal.most_certain)
     text = f"{best.proposal.text}: tells {names} apart with a probability of {100 * chance:.0f} %"
     return NextRecording(best.proposal.designs, text, best.separation())
 
@@ -122,7 +120,7 @@ def _list_variants(fit: ExtendedFit) -> list[ExtendedFit]:
             starts = [fit.values[0], *_reverse_signs(first.mechanism, fit.values[0])]
             tried = [of.fit(of.entries(fit.theta, (own, *fit.values[1:])), most=_STEPS) for own in starts]
             other = min(tried, key=lambda f: f.chi2)
-            found += [other] if other.chi2 < fit.chi2 + 2 * CLOSE else []
+            found += [other] if other.chi2 < fit.chi2 + 2 * RULES.cause.close else []
     return found
 
 
@@ -137,7 +135,7 @@ def _reverse_signs(mechanism: Mechanism, values: Mapping[str, float]) -> list[di
 def _compute_lead(form: ExtendedFit, rival: ExtendedFit) -> float:
     """Twice the log evidence of a form over a rival's; nothing where what both leave, not the evidence, makes it a rival."""
     ahead = 2 * (form.log_evidence - rival.log_evidence)
-    return ahead if ahead < 2 * CLOSE else 0.0
+    return ahead if ahead < 2 * RULES.cause.close else 0.0
 
 
 def _compute_separation(form: Seen, rival: Seen) -> _Apart:

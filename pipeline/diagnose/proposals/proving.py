@@ -13,18 +13,11 @@ from dataclasses import dataclass, replace
 from pipeline.diagnose.proposals.designs import LITTLE_WARMER_K, Proposal, list_proposals, select_showing
 from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imagine_session
 from pipeline.diagnose.results import NextRecording
-from pipeline.diagnose.search.doubt import choose_doubt
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.doubt import choose_demand, compute_tolerance
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.free_quantities import FreeQuantity
-from pipeline.diagnose.search.several_causes import CLOSE
 
-_ENOUGH = 1.0
-"""What is tolerated of a quantity over what would be left of it, from which a recording is proposed; a longer one only where no other
-comes to that, for the more it says the more the forms differ."""
-_OF_FORM = 0.02
-"""Share of what causes add in a recording that a quantity follows of what their forms differ by."""
-_SHOWN = 1.0
-"""χ² that causes must add in a recording for them to show there."""
 _OF_WARMTH = "thermal_softening"
 _NOTHING = 1e-3
 """χ² that is nothing."""
@@ -55,7 +48,9 @@ def propose_proving(
     causes = [c.mechanism for c in final.of.chosen[:1]]
     warmer_k = LITTLE_WARMER_K if any(c.id == _OF_WARMTH for c in final.of.chosen) else None
     best = choose_best(
-        select_showing(list_proposals(final.of.session, warmer_k), causes), judge, Wanted(_ENOUGH, _ENOUGH, _ENOUGH)
+        select_showing(list_proposals(final.of.session, warmer_k), causes),
+        judge,
+        Wanted(RULES.proposal.proving, RULES.proposal.proving, RULES.proposal.proving),
     )
     if best is None:
         return None
@@ -82,16 +77,19 @@ class _Judged:
         not show: what they do there nobody has seen."""
         beside = [self._over_left(d, says) for d, says in self.beside]
         worst = min([*beside, *(self._over_ahead(d, says) for d, says in self.instead)])
-        return worst if self.add > _SHOWN else 0.0
+        return worst if self.add > RULES.proposal.shown else 0.0
 
     def _over_left(self, found: FreeQuantity, says: float) -> float:
         # The further recording has nothing of it, so that its best value goes down with what is known of it; but the form has.
         statistic = found.statistic / (1 + says / found.statistic)
-        excess, fall = max(statistic - found.degrees_of_freedom, _NOTHING) + _OF_FORM * self.add, self.fall + self.add
-        return choose_doubt(found).tolerates(found, fall) * (fall + excess) / excess
+        excess, fall = (
+            max(statistic - found.degrees_of_freedom, _NOTHING) + RULES.proposal.form_of_added * self.add,
+            self.fall + self.add,
+        )
+        return compute_tolerance(choose_demand(found), found, fall) * (fall + excess) / excess
 
     def _over_ahead(self, found: FreeQuantity, says: float) -> float:
-        return says / (2 * CLOSE + max(found.evidence - self.fall, 0.0))
+        return says / (2 * RULES.cause.close + max(found.evidence - self.fall, 0.0))
 
     def separation(self) -> float:
         """χ² that the recording would say of the doubts or, where these are of recordings made, of the causes."""

@@ -9,18 +9,13 @@ import numpy as np
 from scipy.special import ndtri
 
 from pipeline.diagnose.mechanisms import MECHANISMS, Context, Mechanism
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, ExtendedFit, compose_chosen
-from pipeline.diagnose.search.plain_fit import ORDERS
 from pipeline.diagnose.search.screen import Signatures, make_absorbed_basis, project_out, scale_severities
 from schemas.arrays import Float
 
 Shape = tuple[float, ...]
 
-POWER = 0.8
-_SHAPES = 0.8
-"""Share of the plausible shapes in which the severity has to be detectable."""
-_BEYOND = 2.0
-"""How far beyond the plausible range a severity may be to be given."""
 _STEEPEST = 6.0
 _RELAXING = frozenset({"missing_relaxation", "power_law_relaxation"})
 _SMALL = 0.01
@@ -35,7 +30,7 @@ def find_smallest(looked: Signatures, threshold: float) -> dict[str, tuple[str, 
     severity or more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can
     be seen counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
     """
-    wanted = float(np.sqrt(threshold) + ndtri(POWER))
+    wanted = float(np.sqrt(threshold) + ndtri(RULES.detectable.power))
     by_form: dict[Chosen, list[int]] = {}
     for i, c in enumerate(looked.chosen):
         by_form.setdefault(c, []).append(i)
@@ -75,8 +70,8 @@ def _cover_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> d
         return None
     main = mechanism.severities[0]
     ordered = sorted((severity, shape) for shape, severity in needed.items())
-    at, shape = ordered[int(np.ceil(_SHAPES * len(ordered))) - 1]
-    if not at <= min(_BEYOND * main.high, main.most):
+    at, shape = ordered[int(np.ceil(RULES.detectable.shapes * len(ordered))) - 1]
+    if not at <= min(RULES.detectable.beyond * main.high, main.most):
         return None
     others = {p.name: 0.0 for p in mechanism.severities[1:]}
     return {main.name: at, **others, **dict(zip((p.name for p in mechanism.shapes), shape, strict=True))}
@@ -121,7 +116,7 @@ def discount_further_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
 
     A plain model below the highest order takes another arm where the recordings ask for one, and then there is nothing to find.
     """
-    free = ORDERS[-1] - fit.of.model.arms
+    free = RULES.plain.orders[-1] - fit.of.model.arms
     points = [i for i, c in enumerate(looked.chosen) if c.id in _RELAXING and looked.weak[i]]
     if free <= 0 or not points:
         return looked

@@ -6,13 +6,12 @@ import numpy as np
 
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.results import Discrepancy
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.patterns import compute_block_p
 from pipeline.diagnose.simulation.session import Place, Session
 from schemas.arrays import Float, Int
 
-NOISE_SPREAD = 0.3
-"""Relative standard deviation of a block's noise variance: short rests do not say it better."""
 _WORDS = {
     kinds.CHIRP_RESPONSE: "the response F/x₀ of the sweep",
     kinds.CHIRP_HARMONIC: "the harmonics of the force in the sweep",
@@ -34,15 +33,6 @@ _WORDS = {
     kinds.TAP_RING: "the clamp's ring after a tap",
     kinds.WEIGHT_GAIN: "the reading of the weights",
 }
-_PARTS = 3
-"""Bands or spans of log time into which the features of a block are split."""
-_SPLIT_FROM = 12
-
-
-_LEFT, _TIMES_THE_NOISE, _STAYS = 1e-6, 3.0, 0.5
-"""What the causes leave is told where it is no noise at that level, so many times the noise, and more than that share of what the
-plain model leaves there: the rest is the form of the causes."""
-_MOST_TOLD = 3
 
 
 def list_discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
@@ -58,11 +48,11 @@ def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str,
     found = [
         now
         for before, now in zip(_test_everywhere(plain), _test_everywhere(extended), strict=True)
-        if now.p_value < _LEFT
-        and now.chi2 > _TIMES_THE_NOISE**2 * now.degrees_of_freedom
-        and now.chi2 > _STAYS * before.chi2
+        if now.p_value < RULES.detectable.stays_level
+        and now.chi2 > RULES.detectable.stays_rms**2 * now.degrees_of_freedom
+        and now.chi2 > RULES.detectable.stays_share * before.chi2
     ]
-    worst = sorted(found, key=lambda d: -d.chi2 / d.degrees_of_freedom)[:_MOST_TOLD]
+    worst = sorted(found, key=lambda d: -d.chi2 / d.degrees_of_freedom)[: RULES.detectable.most_told]
     more = (f"{len(found) - len(worst)} more places of this kind.",) if len(found) > len(worst) else ()
     return (*(f"{d.recording_id}: {d.statement[0].lower()}{d.statement[1:]}" for d in worst), *more)
 
@@ -76,7 +66,7 @@ def _test_everywhere(fit: ExtendedFit) -> list[Discrepancy]:
         for where, rows in _split_block(p):
             r = residual[p.first + rows]
             chi2 = float(r @ r)
-            probability = compute_block_p(chi2, rows.size, NOISE_SPREAD)
+            probability = compute_block_p(chi2, rows.size, RULES.detectable.noise_spread)
             statement = _write_statement(session, p, rows, simulated[p.first + rows], where, probability)
             found.append(
                 Discrepancy(
@@ -95,7 +85,7 @@ def _split_block(p: Place) -> list[tuple[str, Int]]:
     """Label and rows of the parts of a block: bands for responses, spans of time for courses."""
     rows = np.arange(p.block.size)
     f, t = p.block.frequency_hz, p.block.time_s
-    if p.block.size < _SPLIT_FROM:
+    if p.block.size < RULES.detectable.split_from:
         return [(p.block.label, rows)]
     if np.isfinite(f).all() and (f > 0).all() and np.ptp(np.log(f)) > 0:
         return [(f"{p.block.label}, {_write_range(f[own], 'Hz')}", own) for own in _split_rows(np.log(f), rows)]
@@ -106,9 +96,9 @@ def _split_block(p: Place) -> list[tuple[str, Int]]:
 
 
 def _split_rows(along: Float, rows: Int) -> list[Int]:
-    edges = np.linspace(along.min(), along.max(), _PARTS + 1)
-    number = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, _PARTS - 1)
-    return [rows[number == i] for i in range(_PARTS) if (number == i).any()]
+    edges = np.linspace(along.min(), along.max(), RULES.detectable.spans + 1)
+    number = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, RULES.detectable.spans - 1)
+    return [rows[number == i] for i in range(RULES.detectable.spans) if (number == i).any()]
 
 
 def _write_range(values: Float, unit: str) -> str:
@@ -123,7 +113,7 @@ def _write_statement(session: Session, p: Place, rows: Int, simulated: Float, wh
     difference = simulated - value
     rms = float(np.sqrt(np.mean((difference / sd) ** 2)))
     subject = f"{_WORDS[p.block.kind][0].upper()}{_WORDS[p.block.kind][1:]} ({where})"
-    if probability > 0.01:
+    if probability > RULES.detectable.within_noise:
         return f"{subject} is simulated within the noise."
     if p.block.kind == kinds.TAP_RING:
         return _write_ring(subject, difference, sd, value)

@@ -1,83 +1,68 @@
-"""Whether what explains the data might be none of the listed causes: quantities left free beside those, and in their place.
+"""Whether the cause may be one that is in no list: quantities left free beside the causes, and in their place.
 
-No form of a cause is exactly reality's, and what it leaves a free quantity follows in part. How much of that is no reason for a
-doubt was read off sessions whose truth is known and of another form.
+No mechanism has exactly reality's form, and a free quantity follows in part what a cause leaves. How much of that is no reason for
+a doubt was read off sessions whose truth is known and of another form (`RULES.doubt`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
+from pipeline.diagnose.rules import RULES, Demand
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.free_quantities import FreeQuantity, fit_free_quantities
-from pipeline.diagnose.search.several_causes import CLOSE
 
 
-@dataclass(frozen=True)
-class Demand:
-    """What a quantity left free beside the causes must be, for them to be none or in doubt.
+def choose_demand(found: FreeQuantity) -> Demand:
+    """What a quantity must be for a doubt: the more numbers it has, the less does what they follow stand for one thing."""
+    if found.degrees_of_freedom <= RULES.doubt.few:
+        return RULES.doubt.faint
+    return RULES.doubt.faint_of_some if found.degrees_of_freedom <= RULES.doubt.some else RULES.doubt.faint_of_many
 
-    level : probability below which it differs
-    share : of what it and the causes explain together, over the share that forms of right causes leave
-    of_weak : the part of it for causes that explain next to nothing; what is small follows no other course than the first order of
-        its form
+
+def compute_tolerance(demand: Demand, found: FreeQuantity, fall: float) -> float:
+    """Share of what a free quantity and the causes explain together that the form of the causes accounts for.
+
+    Parameters
+    ----------
+    demand : what is asked of the quantity
+    found : the quantity, beside the causes
+    fall : χ² that the causes explain
     """
-
-    level: float
-    share: float
-    of_weak: float
-
-    def tolerates(self, found: FreeQuantity, fall: float) -> float:
-        """Share of what a quantity and causes that explain `fall` of χ² explain together, up to which it is their form."""
-        return self.share * (self.of_weak + (1 - self.of_weak) * min(1.0, fall / _ALL_OF_FORM)) * found.tolerated
-
-    def met_by(self, found: FreeQuantity, fall: float) -> bool:
-        """Whether a quantity explains, left free, beside causes that explain `fall` of χ² a share that no form of theirs does."""
-        return found.p_value < self.level and found.excess > self.tolerates(found, fall) * (fall + found.excess)
+    weak = demand.of_weak
+    return demand.share * (weak + (1 - weak) * min(1.0, fall / RULES.doubt.all_of_form)) * found.tolerated
 
 
-@dataclass(frozen=True)
-class Doubt(Demand):
-    """The same for a doubt. `in_place` : share of what the causes explain that it must explain in their place: it stands for them then."""
-
-    in_place: float
-
-
-_ALL_OF_FORM = 1000.0
-"""χ² that causes explain from which all that forms differ by is tolerated."""
-SURE, DOUBT = Demand(1e-4, 1.0, 0.5), Doubt(0.03, 0.6, 0.25, 0.5)
-DOUBT_OF_SOME, DOUBT_OF_MANY = replace(DOUBT, level=5e-3), Doubt(2e-3, 0.6, 0.5, 1.0)
-"""For `unknown`, and for a doubt by quantities of very few numbers, of a number for each recording, say, and of many: the more numbers,
-the less does what they follow stand for one thing."""
-_FEW = 12
-"""Numbers up to which a quantity left free stands for one thing; with more it follows a little of everything."""
-_BETTER, _FEWEST = 2.0, 3
-"""χ² by which a quantity left free, alone, must explain more than one cause for a doubt, for a listed one is likelier from the start;
-and its numbers at most: more imitate, with a number for each recording, whatever comes with time. Two causes that happen to be
-there at once are less likely, by as much as parts causes, and what explains all of both has any number of numbers."""
-
-
-def choose_doubt(found: FreeQuantity) -> Doubt:
-    """What a quantity has to be for a doubt, by how many numbers it has."""
-    if found.degrees_of_freedom <= _FEWEST:
-        return DOUBT
-    return DOUBT_OF_SOME if found.degrees_of_freedom <= _FEW else DOUBT_OF_MANY
+def meets_demand(demand: Demand, found: FreeQuantity, fall: float) -> bool:
+    """Whether a free quantity explains more, beside causes that explain `fall` of χ², than any form of theirs would leave to it."""
+    return found.p_value < demand.level and found.excess > compute_tolerance(demand, found, fall) * (
+        fall + found.excess
+    )
 
 
 def find_beside_causes(
     plain: ExtendedFit, final: ExtendedFit, alone: Sequence[FreeQuantity]
 ) -> tuple[FreeQuantity, ...]:
-    """Quantities left free beside the causes that are no form of theirs, and explain much of the same without them, `alone`."""
+    """Free quantities that explain more beside the causes than their form leaves, and much of the same without the causes.
+
+    Parameters
+    ----------
+    plain, final : the plain model and the one with the causes
+    alone : all free quantities beside the plain model
+    """
     fall = plain.chi2 - final.chi2
-    stands = {d.text for d in alone if d.excess > choose_doubt(d).in_place * fall}
-    return tuple(d for d in fit_free_quantities(final, stands) if choose_doubt(d).met_by(d, fall))
+    in_place = {d.text for d in alone if d.excess > choose_demand(d).in_place * fall}
+    return tuple(d for d in fit_free_quantities(final, in_place) if meets_demand(choose_demand(d), d, fall))
 
 
 def find_instead_of_causes(
     plain: ExtendedFit, final: ExtendedFit, alone: Sequence[FreeQuantity]
 ) -> tuple[FreeQuantity, ...]:
-    """Quantities left free that explain, alone, more than the causes do."""
+    """Free quantities that explain more than the causes do, in their place.
+
+    A listed cause is likelier from the start, and so a quantity must be better by some χ² and have few numbers: with a number for each
+    recording it imitates whatever comes with time. Several causes that happen to be there at once are less likely, by what parts causes.
+    """
     others = len(final.of.chosen) - 1
-    least = plain.chi2 - final.chi2 + _BETTER - others * 2 * CLOSE
-    return tuple(d for d in alone if d.evidence > least and (others or d.degrees_of_freedom <= _FEWEST))
+    least = plain.chi2 - final.chi2 + RULES.doubt.better - others * 2 * RULES.cause.close
+    return tuple(d for d in alone if d.evidence > least and (others or d.degrees_of_freedom <= RULES.doubt.few))

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.search.screen import Score, Signatures, make_absorbed_basis, scale_severities
 from pipeline.diagnose.search.tempering import expect_noise_chi2, lower_outlier_weights
@@ -30,34 +31,15 @@ _ABSORBED = frozenset(
 """Material and rig can take the place of these: they are restarted at several fixed severities."""
 _FEW, _ROUGHLY, _THOROUGHLY = 2, 6, 25
 """Steps after which the searches from several starts are compared, of a rough fit, and of a thorough one."""
-_MOST_GOING_ON = 2
-"""Searches of one mechanism that go on after that."""
-_ASTRAY, _STRONG = 10.0, 3.0
-"""χ² over that of the base from which a severity is lost however much room the material makes, and χ² of a base over the number of
-features from which none is."""
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
-_FORMS = 2
-_MOST_STARTS = 3
-"""Starts beside the screen's own from which a mechanism is searched that the material can take the place of."""
-_LOW_STARTS = (0.1, 0.3, 1.0, 4.0)
-"""Severities in units of the lowest plausible one from which a mechanism is searched that begins at a load."""
-_CLOSE_FORM = 0.5
 _SMALL = 1e-3
-_VANISHED = 0.01
-"""Share of its stiffness below which an arm has vanished."""
-_TRIALS, _CONFIRMATIONS, _SETTLED, _SETTLED_SHARE = 20, 8, 0.1, 2e-4
+_TRIALS, _CONFIRMATIONS = 20, 8
 """Steps of a round, of which many may be too long, rounds of confirming an optimum at most, and the fall of χ², alone and as a share
 of it, below which there is no other: along a bent valley each round gains a little."""
-_CLOSE_CALL = 12.0
-"""Difference of log evidence from the best within which a search is brought to an end."""
 _SETTLING, _SAME_WEIGHT = 4, 0.05
 """Rounds of weighing the blocks anew at most, and change of the weights that is none."""
-_MOST_ROUNDS, _STILL_FALLING = 20, 0.01
+_MOST_ROUNDS = 20
 """Rounds of further steps at most, and share of what a mechanism explains that a round must add for another to follow."""
-_FAR_MORE = 10.0
-"""What a fit finds, or a search still will, is less than so many times what its screen, or its last round, promised."""
-_RIVAL, _RIVAL_LEFT = 0.3, 0.7
-"""χ² above the best cause's, as shares of what that explains and of what it leaves, from which another is no rival whatever it is."""
 
 
 def _group_by_mechanism(found: Sequence[Score]) -> dict[str, list[Score]]:
@@ -65,7 +47,9 @@ def _group_by_mechanism(found: Sequence[Score]) -> dict[str, list[Score]]:
     by_id: dict[str, list[Score]] = {}
     for score in found:
         forms = by_id.setdefault(score.chosen.id, [])
-        if len(forms) < _FORMS and (not forms or score.statistic > _CLOSE_FORM * forms[0].statistic):
+        if len(forms) < RULES.fit.variants and (
+            not forms or score.statistic > RULES.fit.close_variant * forms[0].statistic
+        ):
             forms.append(score)
     return by_id
 
@@ -84,7 +68,7 @@ def fit_each_mechanism(
 
     def fitted(forms: Sequence[Score]) -> list[ExtendedFit]:
         reach = min([goal, *(_bound_chi2(base, f) for f in kept)])
-        hopeful = [s for s in forms if s.chosen.id in _ABSORBED or base.chi2 - _FAR_MORE * s.statistic < reach]
+        hopeful = [s for s in forms if s.chosen.id in _ABSORBED or base.chi2 - RULES.fit.hopeless * s.statistic < reach]
         fits = [fit_mechanism(base, form, looked, reach) for form in hopeful]
         return [max(fits, key=lambda f: f.log_evidence)] if fits else []
 
@@ -99,7 +83,7 @@ def fit_each_mechanism(
     near = [
         f
         for f in kept
-        if _may_be_taken_for(f, best) and _may_be_taken_for(best, f) and f.chi2 < best.chi2 + _CLOSE_CALL
+        if _may_be_taken_for(f, best) and _may_be_taken_for(best, f) and f.chi2 < best.chi2 + RULES.fit.close_call
     ]
 
     def again(fit: ExtendedFit) -> ExtendedFit:
@@ -121,7 +105,7 @@ def _refit_from_film_of(best: ExtendedFit, fit: ExtendedFit, base: ExtendedFit) 
     """The fit, or a better one of its mechanism about the film and the rig of the best one."""
     again = fit.of.fit(fit.of.entries(best.theta, fit.values), most=_ROUGHLY, thorough=False)
     ends = [fit, _follow_to_end(base, again, np.inf)]
-    if min(f.chi2 for f in ends) < best.chi2 + _CLOSE_CALL:
+    if min(f.chi2 for f in ends) < best.chi2 + RULES.fit.close_call:
         # Rough ends do not say which of two valleys is the deeper one, nor which is the wider.
         return max((finish_fit(f) for f in ends), key=lambda f: f.log_evidence)
     return min(ends, key=lambda f: f.chi2)
@@ -129,7 +113,11 @@ def _refit_from_film_of(best: ExtendedFit, fit: ExtendedFit, base: ExtendedFit) 
 
 def _bound_chi2(base: ExtendedFit, best: ExtendedFit) -> float:
     """χ² up to which a fit may be as good as this one once more is known."""
-    return best.chi2 + max(_RIVAL * (base.chi2 - best.chi2), _RIVAL_LEFT * (best.chi2 - expect_noise_chi2(base)), 0.0)
+    return best.chi2 + max(
+        RULES.fit.near_of_explained * (base.chi2 - best.chi2),
+        RULES.fit.near_of_left * (best.chi2 - expect_noise_chi2(base)),
+        0.0,
+    )
 
 
 def rank_by_evidence(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
@@ -141,7 +129,10 @@ def confirm_best(fits: Sequence[ExtendedFit]) -> tuple[ExtendedFit, ...]:
     """Best evidence first, the close ones with their searches brought to an end; nothing of nothing."""
     top = max((f.log_evidence for f in fits), default=0.0)
     return rank_by_evidence(
-        [finish_fit(f) if f.log_evidence > top - _CLOSE_CALL - 0.02 * abs(top) else f for f in fits]
+        [
+            finish_fit(f) if f.log_evidence > top - RULES.fit.close_call - RULES.fit.close_call_share * abs(top) else f
+            for f in fits
+        ]
     )
 
 
@@ -172,7 +163,9 @@ def _fit_from_starts(
         scale_severities(score.chosen.mechanism, score.values, float(np.clip(score.share, _LEAST_SHARE, _MOST_SHARE)))
     ]
     if far:
-        starts += sorted(_list_levels(score, signatures), key=_make_remaining(base, of, score.chosen))[:_MOST_STARTS]
+        starts += sorted(_list_levels(score, signatures), key=_make_remaining(base, of, score.chosen))[
+            : RULES.fit.starts
+        ]
     elif score.chosen.mechanism.onset:
         starts += _start_above_onset(base, of, score, signatures)
     begins = [of.entries(_make_room(base, score.chosen, values), (*base.values, values)) for values in starts]
@@ -187,13 +180,14 @@ def _fit_from_starts(
         return [of.fit(x, most=_ROUGHLY, near=near, thorough=False) for x in begins]
     begun = sorted((of.fit(x, most=_FEW, near=near, thorough=False) for x in begins), key=lambda f: f.chi2)
     return [
-        f if f.solution.converged else of.fit(f, most=_ROUGHLY - _FEW, thorough=False) for f in begun[:_MOST_GOING_ON]
+        f if f.solution.converged else of.fit(f, most=_ROUGHLY - _FEW, thorough=False)
+        for f in begun[: RULES.fit.followed]
     ]
 
 
 def _drop_lost(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
     """Those of several severities that the data may come to; of a strong effect, all."""
-    lost = np.inf if base.chi2 > _STRONG * base.of.session.size else _ASTRAY * base.chi2
+    lost = np.inf if base.chi2 > RULES.fit.strong * base.of.session.size else RULES.fit.astray * base.chi2
     least = min(room.chi2 for room in rooms)
     return [room for room in rooms if room.chi2 <= max(lost, least)]
 
@@ -205,7 +199,10 @@ def _follow_to_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> Extende
             break
         again = fit.of.fit(fit, most=_ROUGHLY, thorough=False)
         fall, fit = fit.chi2 - again.chi2, again
-        if not fall > _STILL_FALLING * abs(base.chi2 - again.chi2) or fit.chi2 - _FAR_MORE * fall > reach:
+        if (
+            not fall > RULES.fit.still_falling * abs(base.chi2 - again.chi2)
+            or fit.chi2 - RULES.fit.hopeless * fall > reach
+        ):
             break
     return fit
 
@@ -215,7 +212,7 @@ def _revive_arms(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedF
     left by which it could come back, and a mechanism that begins too strong takes more of the arms than it needs in the end."""
     arms = fit.of.model.arms
     springs = 1 + np.arange(arms)
-    vanished = springs[fit.theta[springs] < base.theta[springs] + np.log(_VANISHED)]
+    vanished = springs[fit.theta[springs] < base.theta[springs] + np.log(RULES.fit.vanished)]
     if vanished.size == 0:
         return fit
     x = fit.x.copy()
@@ -267,10 +264,10 @@ def finish_fit(fit: ExtendedFit) -> ExtendedFit:
     for _ in range(_CONFIRMATIONS):
         again = fit.of.further(found, most=_TRIALS)
         fall = found.chi2 - again.chi2
-        if fall < _SETTLED:
+        if fall < RULES.fit.settled_chi2:
             break
         found = fit.of.refined(again)
-        if fall < _SETTLED_SHARE * found.chi2:
+        if fall < RULES.fit.settled_share * found.chi2:
             break
     return found
 
@@ -309,7 +306,7 @@ def _start_above_onset(
             ({**shape, **{name: times * least for name, least in low.items()}} for shape in shapes.values()),
             key=remaining,
         )
-        for times in _LOW_STARTS
+        for times in RULES.fit.onset_starts
     ]
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.patterns import compute_quadratic
 from pipeline.diagnose.search.screen import make_absorbed_basis, project_out
@@ -23,16 +24,7 @@ from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Complex, Float
 
 _STEP = 1e-4
-_LEAST_VISIBLE = 10.0
-"""Standard deviations of the noise that a change by the whole must make: what shows less, a stiffness beyond the highest frequency
-of the tests, say, is seen through the edges of windows alone, about which a simulation is not that exact."""
-_MOST_RECORDINGS = 12
-"""Free numbers over the recordings of a session; of a longer one neighbours share theirs."""
-_MOST_MOMENTS = 80
 _KNOTS_HZ = np.geomspace(0.01, 160.0, 15), np.geomspace(5.0, 160.0, 26)
-_TOLERATED, _TOLERATED_BY_FREQUENCY = 0.08, 0.2
-"""Shares that forms of right causes leave which are not quite the rig's own; over frequency the causes that begin at a load leave
-more, for they act where the resonance makes the load."""
 _CHARGING_S = (0.0, 0.2, 1.5, 4.0, 12.0)
 _PERIODS_S = np.geomspace(600.0, 7200.0, 16)
 _RATE_S = 0.1
@@ -87,10 +79,10 @@ def fit_free_quantities(fit: ExtendedFit, among: Collection[str] | None = None) 
         rows = _differentiate(of, fit.x, free.effects)
         seen = of.weight[:, None] * session.whiten(np.nan_to_num(rows).T)
         length = np.linalg.norm(seen, axis=0)
-        visible = (length > _LEAST_VISIBLE) & np.isfinite(rows).all(axis=1)
+        visible = (length > RULES.doubt.visible) & np.isfinite(rows).all(axis=1)
         if not visible.any():
             continue
-        scale = np.maximum(length, _LEAST_VISIBLE)
+        scale = np.maximum(length, RULES.doubt.visible)
         gram, score = project_out(fit, seen / scale, absorbed)
         at_once = free.at_once or visible.size
         forms = [i[visible[i]] for i in np.arange(visible.size).reshape(-1, at_once) if visible[i].any()]
@@ -119,7 +111,7 @@ class _Proposed:
     text: str
     effects: list[Effect]
     at_once: int = 0
-    tolerated: float = _TOLERATED
+    tolerated: float = RULES.doubt.tolerated
 
 
 def _propose_quantities(session: Session) -> Iterator[_Proposed]:
@@ -147,7 +139,7 @@ def _propose_quantities(session: Session) -> Iterator[_Proposed]:
         yield _Proposed(
             "the stiffness under mechanical tests follows the frequency in another way",
             [_change_stiffness(_weigh_frequency(knots, i, turn)) for i in range(knots.size) for turn in (1.0, 1j)],
-            tolerated=_TOLERATED_BY_FREQUENCY,
+            tolerated=RULES.doubt.tolerated_by_frequency,
         )
     if session.scale.strain > 0:
         yield _Proposed(
@@ -160,7 +152,7 @@ def _propose_quantities(session: Session) -> Iterator[_Proposed]:
 
 def _group_recordings(session: Session) -> list[tuple[float, float]]:
     """Times in the session between the starts of recordings, those of long sessions in groups."""
-    groups = np.array_split(session.start_s, min(session.start_s.size, _MOST_RECORDINGS))
+    groups = np.array_split(session.start_s, min(session.start_s.size, RULES.doubt.most_recordings))
     first = np.array([g[0] for g in groups])
     # What comes after the last recording is none of them.
     edges = np.concatenate([[-np.inf], first[1:] - 1e-3, [session.scale.duration_s + 1.0]])
@@ -171,7 +163,7 @@ def _choose_moments(session: Session) -> Float:
     """Times in the session between its states, recordings, sweeps and cycles, at which something may have happened."""
     times = np.unique(session.states.session_s)
     between = (times[:-1] + times[1:]) / 2
-    chosen = np.unique(np.linspace(0, between.size - 1, min(between.size, _MOST_MOMENTS)).astype(np.int64))
+    chosen = np.unique(np.linspace(0, between.size - 1, min(between.size, RULES.doubt.most_moments)).astype(np.int64))
     return np.asarray(between[chosen], dtype=np.float64)
 
 

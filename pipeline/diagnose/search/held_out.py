@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.diagnose.results import HeldOut, Predicted
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -20,17 +21,8 @@ from schemas.errors import NotIdentifiableError
 
 _DRAWS = 1000
 _SEED = 7
-_CARRIES = 0.1
-"""Share of a mechanism's trace that a protocol must hold to count as one that shows it."""
-_CARRIES_NOTHING = 1e-3
-_REMOVABLE = 1.5
-"""Excess of the plain model's held-out χ² over its expectation, in standard deviations, below which no share of it is stated."""
-_MOST_VARIANCE = 1.0
 _RIDGE = 1e-12
-_MOST_PARTS = 5
 _MOST = 12
-_SUPPORTS = 9.0
-"""Fall of χ² within a protocol's features that counts as support."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +66,7 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
         own = []
         for i in part.blocks:
             place = session.places[i]
-            if touched[i] < _CARRIES_NOTHING:
+            if touched[i] < RULES.gain.touched:
                 continue
             before, after = (float(np.sum(e[place.first : place.stop] ** 2)) for e in errors)
             own.append((i, before, after, place.stop - place.first))
@@ -90,7 +82,7 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
     draws = np.random.default_rng(_SEED).integers(0, len(found), (_DRAWS, len(found)))
     drawn = table[draws].sum(axis=1)
     gain = lower = upper = float("nan")
-    if pooled[0] - pooled[2] > _REMOVABLE * np.sqrt(2 * pooled[2]):
+    if pooled[0] - pooled[2] > RULES.gain.removable * np.sqrt(2 * pooled[2]):
         gain = float(_compute_gain(pooled[0], pooled[1], pooled[2]))
         lower, upper = (
             float(v) for v in np.quantile(_compute_gain(drawn[:, 0], drawn[:, 1], drawn[:, 2]), [0.025, 0.975])
@@ -123,7 +115,7 @@ def list_supporting_protocols(plain: ExtendedFit, extended: ExtendedFit) -> tupl
         name = name_protocol(session, p.recording)
         own = slice(p.first, p.stop)
         fall[name] = fall.get(name, 0.0) + float(np.sum(before[own] ** 2) - np.sum(after[own] ** 2))
-    return tuple(name for name in session.protocols if fall.get(name, 0.0) > _SUPPORTS)
+    return tuple(name for name in session.protocols if fall.get(name, 0.0) > RULES.gain.supports)
 
 
 def name_protocol(session: Session, recording: int) -> str:
@@ -146,7 +138,7 @@ def _choose_parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
     by_protocol: dict[str, list[int]] = {}
     for i, p in enumerate(session.places):
         by_protocol.setdefault(name_protocol(session, p.recording), []).append(i)
-    shows = [name for name, blocks in by_protocol.items() if touched[blocks].sum() > _CARRIES]
+    shows = [name for name, blocks in by_protocol.items() if touched[blocks].sum() > RULES.gain.shows]
     parts: list[_Part] = []
     for name in shows:
         whole = _Part(name, tuple(by_protocol[name]))
@@ -164,7 +156,7 @@ def _split_protocol(extended: ExtendedFit, part: _Part, touched: Float) -> list[
     recordings: dict[int, list[int]] = {}
     for i in part.blocks:
         recordings.setdefault(session.places[i].recording, []).append(i)
-    dealt: list[tuple[list[str], list[int]]] = [([], []) for _ in range(min(len(recordings), _MOST_PARTS))]
+    dealt: list[tuple[list[str], list[int]]] = [([], []) for _ in range(min(len(recordings), RULES.gain.most_parts))]
     for number, (recording, own) in enumerate(recordings.items()):
         names, blocks = dealt[number % len(dealt)]
         names.append(session.recordings[recording].recording_id)
@@ -202,11 +194,11 @@ def _is_predictable(extended: ExtendedFit, part: _Part, touched: Float) -> bool:
 
     keep = np.ones(jacobian.shape[0], dtype=bool)
     keep[features(part.blocks)] = False
-    counted = [i for i in part.blocks if touched[i] >= _CARRIES_NOTHING]
+    counted = [i for i in part.blocks if touched[i] >= RULES.gain.touched]
     if not counted:
         return True
     scale = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300))
     normal = (jacobian[keep] / scale).T @ (jacobian[keep] / scale)
     spread = np.linalg.pinv(normal + _RIDGE * np.eye(scale.size), hermitian=True)
     rows = jacobian[features(counted)] / scale
-    return float(np.mean(np.sum((rows @ spread) * rows, axis=1))) < _MOST_VARIANCE
+    return float(np.mean(np.sum((rows @ spread) * rows, axis=1))) < RULES.gain.most_variance

@@ -23,6 +23,7 @@ from pipeline.diagnose.features.kinds import (
     TAP_RING,
     WEIGHT_GAIN,
 )
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.parameters import BaseModel
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -31,23 +32,12 @@ from pipeline.physics.least_squares import Solution, minimise
 from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
 
-ORDERS = (1, 2, 3)
-ARM_WORTH = 16.0
-"""Fall of χ², in units of the misfit that stays, for which another arm is taken: the tail of a search over its place at 0.1 %."""
 _MECHANICAL = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, RELAXATION_FORCE, CYCLE_FORCE, TAP_RING, WEIGHT_GAIN})
 _PER_DECADE = 6
-_CLEAR = 0.3
-"""|1 + (−Mω² + jωcL)/kL| below which a response says little of the film."""
 _FAR = 60.0
 _MOST = 30
 _PLACES = 6
-_SOUND = 1.3
-"""χ² per value at which a search has found what there is: no other start can do clearly better."""
-_SAME, _SAME_CHI2, _AGREEING = 1e-4, 0.1, 3
-"""Share of χ², and χ², within which ends of searches are one; how many of the best have to be for the others not to be tried."""
-_ASTRAY = 1000.0
-"""χ² per value from which a search has gone astray, and is tried anew with other clamps."""
-_OTHER_CLAMPS, _TRIED = tuple(float(v) for v in np.exp(np.arange(-10, 11) / 10)), 3
+_OTHER_CLAMPS = tuple(float(v) for v in np.exp(np.arange(-10, 11) / 10))
 """Masses over those of the rigs' files for which the film is looked at, and how many of them are tried."""
 
 
@@ -99,19 +89,19 @@ def refit_plain(
 def _search_near_and_far(session: Session, simulation: Simulation, order: int | None) -> PlainFit:
     """The search near the rigs' files, or that farther away where only it comes near to the data."""
     found = _choose_order(session, simulation, order)
-    if found.chi2 < _ASTRAY * session.size:
+    if found.chi2 < RULES.plain.astray * session.size:
         return found
     farther = _choose_order(session, simulation, order, widened=True)
-    return farther if farther.chi2 < _ASTRAY * session.size else found
+    return farther if farther.chi2 < RULES.plain.astray * session.size else found
 
 
 def _choose_order(session: Session, simulation: Simulation, order: int | None, *, widened: bool = False) -> PlainFit:
     """Orders one after the other, each from the optimum of that below and from rough ladders."""
     found = _fit_order(session, simulation, 1, widened=widened)
-    for arms in range(2, (order or ORDERS[-1]) + 1):
+    for arms in range(2, (order or RULES.plain.orders[-1]) + 1):
         more = _fit_order(session, simulation, arms, found, widened=widened)
         dispersion = max(1.0, more.chi2 / max(session.size - more.theta.size, 1))
-        if order is None and found.chi2 - more.chi2 <= ARM_WORTH * dispersion:
+        if order is None and found.chi2 - more.chi2 <= RULES.plain.arm_worth * dispersion:
             break
         found = more
     return found
@@ -157,13 +147,16 @@ def _fit_order(
             if np.isfinite(end.chi2):
                 ends.append(end)
                 best = min(e.chi2 for e in ends)
-                same = sum(e.converged and e.chi2 < best + max(_SAME * best, _SAME_CHI2) for e in ends)
-                if end.converged and (end.chi2 < _SOUND * session.size or same >= _AGREEING):
+                same = sum(
+                    e.converged and e.chi2 < best + max(RULES.plain.same_optimum * best, RULES.plain.same_optimum_chi2)
+                    for e in ends
+                )
+                if end.converged and (end.chi2 < RULES.plain.sound * session.size or same >= RULES.plain.agreeing):
                     break
         return ends
 
     found = searched(starts)
-    if min((end.chi2 for end in found), default=np.inf) >= _ASTRAY * session.size:
+    if min((end.chi2 for end in found), default=np.inf) >= RULES.plain.astray * session.size:
         found += searched(_try_other_clamps(session, model))
     if not found:
         raise NotIdentifiableError("the plain model has no finite simulation", where=session.specimen_id)
@@ -190,7 +183,7 @@ def _try_other_clamps(session: Session, model: BaseModel) -> list[Float]:
         film, misfit = _cluster_arms(f, k, model.arms)
         tried.append((misfit, model.with_clamps(_make_theta(session, model, film), ratio)))
     tried.sort(key=lambda pair: pair[0])
-    return [start for _, start in tried[:_TRIED]]
+    return [start for _, start in tried[: RULES.plain.clamps]]
 
 
 def _bound_arm_times(f: Float) -> tuple[float, float]:
@@ -237,7 +230,7 @@ def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Com
         n = p.block.size // 2
         f, g = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]
         own, compliance = _compute_clamp(session, int(session.rig[p.recording]), f, ratio)
-        clear = np.abs(own) > _CLEAR
+        clear = np.abs(own) > RULES.features.clear_response
         frequencies.append(f[clear])
         stiffness.append((own * g / (1 - g * compliance))[clear])
     if sum(f.size for f in frequencies) == 0:

@@ -17,19 +17,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen, orthonormalise
 from schemas.arrays import Bool, Float
 
-_LEVELS = 3
-"""Severities of a grid, over the plausible range."""
-_DERIVATIVE = 0.01
-"""Part of the lowest severity at which a weak effect's signature is taken."""
-_SHAPES = ((0.1, 0.5, 0.9), (0.2, 0.8), (0.5,))
-"""Places within the ranges of the first, second and third shape parameter."""
-_LEAST_PART = 0.2
-"""Least part of a strong effect's change that a score may stand for."""
-LEAST_VISIBLE = 0.05
-"""Length of a signature, in standard deviations of the noise, below which a mechanism leaves no trace."""
 _DRAWS = 20_000
 _SEED = 20_260
 _RANK = 1e-7
@@ -154,7 +145,7 @@ def compute_signatures(found: Secants, fit: ExtendedFit) -> Signatures:
     seen = fit.of.weight[:, None] * found.change[:, open_]
     gram, along = project_out(fit, seen, make_absorbed_basis(fit))
     length = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    places = np.flatnonzero(length > np.maximum(LEAST_VISIBLE, 1e-6 * np.sqrt(np.sum(seen**2, axis=0))))
+    places = np.flatnonzero(length > np.maximum(RULES.alarm.visible, 1e-6 * np.sqrt(np.sum(seen**2, axis=0))))
     length = length[places]
     return Signatures(
         tuple(found.chosen[open_[i]] for i in places),
@@ -173,7 +164,7 @@ def find_best_scores(found: Signatures) -> tuple[Score, ...]:
     best: dict[Chosen, int] = {}
     for i, c in enumerate(found.chosen):
         # A small part of a strong effect's change is not the change of a weak one: that has a point of its own.
-        curved = not c.mechanism.onset and not found.weak[i] and share[i] < _LEAST_PART
+        curved = not c.mechanism.onset and not found.weak[i] and share[i] < RULES.alarm.least_part
         if not curved and (c not in best or along[i] > along[best[c]]):
             best[c] = i
     result = [Score(c, found.values[i], float(along[i] ** 2), float(share[i])) for c, i in best.items()]
@@ -189,7 +180,10 @@ def make_grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, 
     for id, mechanism in MECHANISMS.items():
         if id in held or not (mechanism.shows & of.session.kinds):
             continue
-        shapes = [_place_shapes(p, _SHAPES[min(i, len(_SHAPES) - 1)]) for i, p in enumerate(mechanism.shapes)]
+        shapes = [
+            _place_shapes(p, RULES.alarm.shape_places[min(i, len(RULES.alarm.shape_places) - 1)])
+            for i, p in enumerate(mechanism.shapes)
+        ]
         for variant in mechanism.variants:
             for severity, part in _list_severities(mechanism):
                 for combination in itertools.product(*shapes):
@@ -220,8 +214,8 @@ def _list_severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float
     """Levels of each severity alone, the others 0; both signs where both are possible. With the part at which each is taken."""
     found = []
     for p in mechanism.severities:
-        for number, level in enumerate(np.geomspace(p.low, p.high, _LEVELS)):
-            part = _DERIVATIVE if number == 0 and not mechanism.onset else 1.0
+        for number, level in enumerate(np.geomspace(p.low, p.high, RULES.alarm.severity_levels)):
+            part = RULES.alarm.weak_part if number == 0 and not mechanism.onset else 1.0
             for sign in (1.0, -1.0) if p.signed else (1.0,):
                 if p.least <= sign * level <= p.most or not p.signed:
                     found.append(({q.name: 0.0 for q in mechanism.severities} | {p.name: sign * float(level)}, part))

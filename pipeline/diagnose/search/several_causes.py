@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import (
     confirm_best,
@@ -21,7 +22,6 @@ from pipeline.diagnose.search.fit_mechanisms import (
 )
 from pipeline.diagnose.search.screen import Score, Secants, compute_secants, compute_signatures, find_best_scores
 from pipeline.diagnose.search.tempering import (
-    SHARE,
     estimate_form_share,
     expect_noise_chi2,
     measure_excess,
@@ -30,40 +30,7 @@ from pipeline.diagnose.search.tempering import (
 )
 from schemas.arrays import Int
 
-CLOSE = 4.6
-"""Difference of log evidence (9.2 of Λ) within which causes cannot be told apart."""
-MOST_CAUSES = 3
-_BASES = 2
-"""Best single causes on which a second one is tried."""
-_HOPELESS = 3.0
-"""χ² over that of the best beyond which a single cause is no base."""
-SECOND_SHARE, SECOND_OF_LEFT = 0.05, 0.4
-"""Least shares of the misfit explained so far, and of what it leaves, that a further cause must add in the blocks in which it adds
-anything: less is the form of those before it."""
-SECOND_OF_ALL = 0.045
-"""The same of the misfit that the causes so far explain anywhere."""
-_SECOND_OF_THE_SAME = 0.13
-"""The same again of a cause that can be taken for one of those before it where these explain something: however well a form is seen to
-fit, what it leaves there looks like such a cause."""
-_LEAVING_NOISE = 0.2
-"""Part of these shares that a cause has to add which leaves nothing but noise, if none is like it where it adds: no other cause takes
-away all that a wrong form leaves."""
-_NOTHING = 0.05
-"""Share of what a cause adds somewhere that those before it explain there, below which it is not their form."""
-_NOISE = 3.0
-"""χ² beyond its expectation, in standard deviations, up to which it is noise."""
-_WHERE = 0.9
-"""Share of what a cause adds that counts as the place where it does."""
-SECOND_LEVEL = 1e-3
-_WORTH_A_LOOK = 0.1
-"""Level that a further cause must reach with changes about another model than that in which it would be one."""
-_MUCH_BETTER = 0.5
-"""Share of the assumed error of forms below which a cause is on a scale of its own."""
-_EXACT = 0.02
-"""Share that a form is wrong by below which it is its cause's own, and what stays is another's."""
 _ROUGHLY = 6
-_OUT_OF_REACH = 24.0
-"""χ² over that of other causes which no evidence makes up for."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +65,7 @@ def _search_weaker_causes(
     alone = singles[0]
     raw = alone.of.with_weight(np.ones(untempered.of.session.size))
     share = estimate_form_share(untempered, finish_fit(raw.fit(alone.x, most=_ROUGHLY)))
-    if share > _MUCH_BETTER * SHARE:
+    if share > RULES.cause.finer_scale * RULES.temper.share:
         return None
     weight = temper_weights(untempered.of.session, untempered.misfit, share)
 
@@ -109,7 +76,7 @@ def _search_weaker_causes(
     plain, base = moved(plain), finish_fit(moved(alone))
     looked = compute_signatures(changes, base)
     found = find_best_scores(looked)
-    if not found or not looked.reaches(found[0].statistic, _WORTH_A_LOOK):
+    if not found or not looked.reaches(found[0].statistic, RULES.cause.look_level):
         return None
     best, shown = _add_causes(plain, [base], compute_secants(base), share)
     if len(best.of.chosen) > 1:
@@ -120,7 +87,7 @@ def _search_weaker_causes(
 
 
 def _add_causes(
-    plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, share: float = SHARE
+    plain: ExtendedFit, worth: Sequence[ExtendedFit], changes: Secants, share: float = RULES.temper.share
 ) -> tuple[ExtendedFit, bool]:
     """Causes added one by one: a further one where it is significant on what is left, and adds a share worth naming.
 
@@ -128,24 +95,24 @@ def _add_causes(
     where one was chosen in this way.
     """
     best, shown = worth[0], False
-    for number in range(1, MOST_CAUSES):
-        bases = worth[:_BASES] if number == 1 else [best]
-        bases = [b for b in bases if b.chi2 < _HOPELESS * worth[0].chi2]
+    for number in range(1, RULES.cause.most):
+        bases = worth[: RULES.cause.bases] if number == 1 else [best]
+        bases = [b for b in bases if b.chi2 < RULES.cause.hopeless_base * worth[0].chi2]
         further: list[ExtendedFit] = []
         for base in bases:
             looked = compute_signatures(changes, base)
             found = find_best_scores(looked)
-            if not found or not looked.reaches(found[0].statistic, SECOND_LEVEL):
-                if base is bases[0] and measure_excess(plain, base) < _NOISE:
+            if not found or not looked.reaches(found[0].statistic, RULES.cause.level):
+                if base is bases[0] and measure_excess(plain, base) < RULES.cause.noise:
                     break  # what the best leaves is noise: others with a cause more could explain nothing else
                 continue
             promising = [s for s in found if _is_promising(plain, base, s, share)]
-            goal = min([best.chi2 - CLOSE, *(f.chi2 + _OUT_OF_REACH for f in further)])
+            goal = min([best.chi2 - RULES.cause.close, *(f.chi2 + RULES.cause.out_of_reach for f in further)])
             further += fit_each_mechanism(base, promising, looked, 2, goal=goal)
         better = [f for f in further if _is_worthwhile(plain, best, f, shown, share)]
         if not better:
             break
-        sure = max(f.log_evidence for f in better) + CLOSE
+        sure = max(f.log_evidence for f in better) + RULES.cause.close
         likelier = [f for f in further if f.log_evidence > sure and _is_worthwhile(plain, best, f, True, share)]
         shown = shown or bool(likelier)
         best = confirm_best(likelier or better)[0]
@@ -154,37 +121,41 @@ def _add_causes(
 
 def _is_promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
     """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice that."""
-    least = 0.5 * _LEAVING_NOISE * SECOND_SHARE * _scale_demand(share)
-    return score.statistic > max(2 * CLOSE, least * min(plain.chi2 - base.chi2, base.chi2 - expect_noise_chi2(plain)))
+    least = RULES.cause.screen_part * RULES.cause.leaving_noise * RULES.cause.of_explained * _scale_demand(share)
+    return score.statistic > max(
+        2 * RULES.cause.close, least * min(plain.chi2 - base.chi2, base.chi2 - expect_noise_chi2(plain))
+    )
 
 
 def _scale_demand(share: float) -> float:
     """What is asked of a further cause where forms may be wrong by a share, over what is asked as long as nothing is known of that."""
-    return (share / SHARE) ** 2 if share > _EXACT else 0.0
+    return (share / RULES.temper.share) ** 2 if share > RULES.cause.exact_form else 0.0
 
 
 def _is_worthwhile(
-    plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, shown: bool = False, share: float = SHARE
+    plain: ExtendedFit, best: ExtendedFit, more: ExtendedFit, shown: bool = False, share: float = RULES.temper.share
 ) -> bool:
     """Whether a further cause is one, and not the form of those before it: it has to add much where it adds anything.
 
     shown : there is one, whatever it is like
     """
-    if more.log_evidence - best.log_evidence < CLOSE:
+    if more.log_evidence - best.log_evidence < RULES.cause.close:
         return False
     before, so_far, now = (sum_by_part(f) for f in (plain, best, more))
     added = so_far - now
     order = np.argsort(-added)
-    most = np.cumsum(np.maximum(added[order], 0.0)) <= _WHERE * np.sum(np.maximum(added, 0.0))
+    most = np.cumsum(np.maximum(added[order], 0.0)) <= RULES.cause.place * np.sum(np.maximum(added, 0.0))
     where = order[: int(most.sum()) + 1]
     noise = sum_by_part(plain, noise=True)
     adds, explained = float(added[where].sum()), float((before - so_far)[where].sum())
-    of_another = shown or explained < _NOTHING * adds or not _contains_confusable(more)
-    form = _scale_demand(share) * (_LEAVING_NOISE if measure_excess(plain, more) < _NOISE and of_another else 1.0)
+    of_another = shown or explained < RULES.cause.nothing_explained * adds or not _contains_confusable(more)
+    form = _scale_demand(share) * (
+        RULES.cause.leaving_noise if measure_excess(plain, more) < RULES.cause.noise and of_another else 1.0
+    )
     least = (
-        (form * SECOND_OF_ALL if of_another else _SECOND_OF_THE_SAME) * (plain.chi2 - best.chi2),
-        form * SECOND_SHARE * explained,
-        SECOND_OF_LEFT * float((so_far - noise)[where].sum()),
+        (form * RULES.cause.of_all if of_another else RULES.cause.of_all_if_alike) * (plain.chi2 - best.chi2),
+        form * RULES.cause.of_explained * explained,
+        RULES.cause.of_left * float((so_far - noise)[where].sum()),
     )
     return adds > max(least)
 
@@ -196,7 +167,7 @@ def _contains_confusable(fit: ExtendedFit) -> bool:
 
 
 def _drop_needless_causes(
-    plain: ExtendedFit, final: ExtendedFit, shown: bool = False, share: float = SHARE
+    plain: ExtendedFit, final: ExtendedFit, shown: bool = False, share: float = RULES.temper.share
 ) -> ExtendedFit:
     """Causes that are no longer needed are dropped; those that stay are in the order of what each explains beside the others."""
     while len(final.of.chosen) > 1:

@@ -7,21 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Float
 
-SHARE = 0.15
-"""Share of a block's misfit that a form which is not quite right may leave."""
-_OF_MEDIAN = 2.0
-"""Share that is allowed over the median of those that the blocks have."""
-_MISSED = 3.0
-"""Misfit of a block in standard deviations of its χ² that is no noise."""
-_CLEARLY, _FEWEST = 10.0, 4
-"""Misfit of a block in standard deviations of its χ² from which it has a share, and number of such blocks from which theirs counts."""
 
-
-def temper_weights(session: Session, misfit: Float, share: float = SHARE) -> Float:
+def temper_weights(session: Session, misfit: Float, share: float = RULES.temper.share) -> Float:
     """(N,) weights: the variance of every block grows by the square of `share` times its misfit, of which `misfit` is (N,)."""
     weight = np.ones(session.size)
     for p in session.places:
@@ -38,7 +30,7 @@ def lower_outlier_weights(fit: ExtendedFit, weight: Float) -> Float:
         own = slice(p.first, p.stop)
         size = p.block.size
         missed = float(np.sum((fit.misfit[own] * weight[own] / fit.of.weight[own]) ** 2))
-        if missed > size + _MISSED * np.sqrt(2 * size):
+        if missed > size + RULES.temper.outlier * np.sqrt(2 * size):
             found[own] *= np.sqrt(size / missed)
     return found
 
@@ -79,8 +71,8 @@ def estimate_form_share(plain: ExtendedFit, extended: ExtendedFit) -> float:
     """
     size = sum_by_block(plain, noise=True)
     before, after = sum_by_block(plain) - size, sum_by_block(extended) - size
-    clear = before > _CLEARLY * np.sqrt(2 * size) + 2 * _CLEARLY
-    if clear.sum() < _FEWEST:
-        return SHARE
+    clear = before > RULES.temper.clearly * np.sqrt(2 * size) + 2 * RULES.temper.clearly
+    if clear.sum() < RULES.temper.fewest_blocks:
+        return RULES.temper.share
     shares = np.sqrt(np.maximum(after[clear], 0.0) / before[clear])
-    return float(min(SHARE, _OF_MEDIAN * np.median(shares)))
+    return float(min(RULES.temper.share, RULES.temper.of_median * np.median(shares)))

@@ -11,19 +11,18 @@ from scipy.special import chdtrc
 from pipeline.diagnose.features.kinds import REST_HUM
 from pipeline.diagnose.features.noise_density import NoiseLaw
 from pipeline.diagnose.features.rest import hum_score
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.mains import HUM_HZ, mains_components
 from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Float
 
-LEVEL = 1e-4
-"""Probability of the rests' scores under no mains, below which the mains are taken for real."""
 _RANGE_N = (1e-7, 1.0)
 
 
 def with_hum(session: Session) -> Session:
     """The session with mains in its noise, as strong as the rests say; as it is where they show none."""
     frequency, score, variance = _rests(session)
-    if score.size == 0 or chdtrc(score.size, float(np.sum(np.maximum(score, 0.0) ** 2))) > LEVEL:
+    if score.size == 0 or chdtrc(score.size, float(np.sum(np.maximum(score, 0.0) ** 2))) > RULES.features.mains_level:
         return session
     amplitude = {f: _amplitude(score[frequency == f], variance[frequency == f]) for f in HUM_HZ}
     laws = dict(session.laws)

@@ -26,6 +26,7 @@ from pipeline.diagnose.features.kinds import (
     RecordingFeatures,
 )
 from pipeline.diagnose.features.noise_density import NoiseLaw, noise_law
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.effects import Scale
 from pipeline.diagnose.simulation.parameters import BaseModel, Entry, film_entries, rig_entries
 from pipeline.fit.relaxation.rig import RigPrior, rig_prior
@@ -33,8 +34,6 @@ from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 
-AMPLIFIER_SD = 0.01
-"""Relative standard deviation of the amplifier's gain where the rig file gives none."""
 _TIMES_BEYOND = 30.0
 _LEAST_VARIANCE = 1e-10
 """Share of a block's mean variance that is added to its diagonal: functionals may be nearly dependent."""
@@ -224,7 +223,7 @@ class Session:
                 p.block.kind in (SPHS_VOLTAGE, STEP_VOLTAGE) and self.rig[p.recording] == number for p in self.places
             ):
                 gain = rig.amplifier_gain_kv_per_v or 1.5
-                sd = (rig.amplifier_gain_kv_per_v_sd or AMPLIFIER_SD * gain) / gain
+                sd = (rig.amplifier_gain_kv_per_v_sd or RULES.features.amplifier_sd * gain) / gain
                 entries.append(Entry(f"log amplifier {number}", float(np.log(gain)), sd))
         if self.kinds & {SPHS_CAPACITANCE, STEP_CAPACITANCE}:
             entries.append(Entry("capacitance per force"))

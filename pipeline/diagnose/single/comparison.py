@@ -1,8 +1,8 @@
-"""Causes that compete for what one simple model leaves: judged by what they predict of a part that they were not fitted to.
+"""Models with one mechanism each, compared by what they predict of a part that they were not fitted to.
 
-For recordings that are asked alone: a large cycle, a system of another kind. There is no measured noise of other recordings to lean
-on, and what is left has a long memory, so that sums of squares over the fitted part decide nothing. Does not belong here: the models
-themselves, and how they are fitted.
+For records that are asked alone: a large cycle, a system of another kind. There is no measured noise of other recordings to lean
+on, and what is left has a long memory, so that sums of squares over the fitted part decide nothing. Does not belong here: the
+models themselves and how they are fitted, and the verdict (`pipeline.diagnose.judge`).
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN, Estimate
-from pipeline.diagnose.search.decide import EXPLAINED
+from pipeline.diagnose.results import Estimate
+from pipeline.diagnose.rules import RULES
 from schemas.arrays import Float, Int
-
-_LEVEL = 0.95
 
 
 @dataclass(frozen=True)
 class TriedModel:
-    """A model with one cause, or none, in it.
+    """A model with one mechanism, or none, in it.
 
-    mechanism, form, equation : of the cause; empty for the plain model
+    Parameters
+    ----------
+    mechanism, variant, equation : of the mechanism; empty for the plain model
     severity : key → estimate, from the fit to everything
     whole : (N,) simulation of everything, fitted to everything
     unseen : (H,) prediction of the part left out, fitted to the rest
@@ -41,8 +41,11 @@ class TriedModel:
 
 @dataclass(frozen=True)
 class RankedModel:
-    """An model's result.
+    """How well a model predicts the part left out.
 
+    Parameters
+    ----------
+    model : the model
     before, after : root mean square error on the part left out, plain model and this one, in units of the noise
     gain : share of the removable held-out error that it removes, `lower` to `upper` its 95 % interval
     explained : share of the misfit to everything that it explains, fitted to everything
@@ -61,75 +64,74 @@ class RankedModel:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All models, best first, and the verdict."""
+    """All models with a mechanism, best prediction first.
 
-    verdict: str
+    Parameters
+    ----------
+    misfit : mean square error of the plain model over everything, in units of the noise, less 1
+    ranked : the models
+    """
+
+    misfit: float
     ranked: tuple[RankedModel, ...]
 
     @property
     def possible(self) -> tuple[RankedModel, ...]:
         """Those that gain for certain and that the best does not beat."""
-        return _possible(self.ranked)
-
-
-def _possible(ranked: Sequence[RankedModel]) -> tuple[RankedModel, ...]:
-    return tuple(p for p in ranked if p.lower > 0 and not p.beaten)
+        return tuple(p for p in self.ranked if p.lower > 0 and not p.beaten)
 
 
 def compare_predictions(
     plain: TriedModel, models: Sequence[TriedModel], measured: Float, left_out: Float, sd: float
 ) -> Comparison:
-    """Places of the models, and what they let one say.
+    """Models ranked by what they predict of the part left out.
 
+    Parameters
+    ----------
+    plain, models : the plain model, and those with a mechanism
+    measured : (N,) everything
+    left_out : (H,) the part left out
+    sd : standard deviation of the noise of one value, the largest that it may be
+
+    Notes
+    -----
     The part left out is one, and is no sample of anything, and the plain model's prediction of it is the one that was made: intervals
     are of what the fits to the rest leave open about the models.
-
-    measured, left_out : (N,) everything, and (H,) the part left out; sd : of the noise of one value, the largest that it may be
     """
     size = left_out.size
 
-    def error(model: TriedModel) -> tuple[float, Float]:
-        """Mean square over the noise, and (B,) drawn."""
+    def measure_error(model: TriedModel) -> tuple[float, Float]:
+        """Mean square over the noise, and (B,) of the predictions drawn."""
         drawn = np.mean(((model.drawn - left_out) / sd) ** 2, axis=1)
         return float(np.mean(((model.unseen - left_out) / sd) ** 2)), drawn
 
-    before, _ = error(plain)
+    before, _ = measure_error(plain)
     removable = max(before - 1, 1 / size)
     misfit = float(np.mean(((plain.whole - measured) / sd) ** 2)) - 1
-    found = [(model, *error(model)) for model in models]
+    found = [(model, *measure_error(model)) for model in models]
     found.sort(key=lambda one: one[1])
-    places = []
+    ranked = []
     for model, after, drawn in found:
         lower, upper = _take_interval((before - drawn) / removable)
         left = float(np.mean(((model.whole - measured) / sd) ** 2)) - 1
         worse, _ = _take_interval(drawn - found[0][2])
-        places.append(
+        ranked.append(
             RankedModel(
-                model,
-                float(np.sqrt(before)),
-                float(np.sqrt(after)),
-                (before - after) / removable,
-                lower,
-                upper,
-                1 - left / max(misfit, 1 / size),
-                worse > 0,
+                model=model,
+                before=float(np.sqrt(before)),
+                after=float(np.sqrt(after)),
+                gain=(before - after) / removable,
+                lower=lower,
+                upper=upper,
+                explained=1 - left / max(misfit, 1 / size),
+                beaten=worse > 0,
             )
         )
-    ranked = tuple(places)
-    return Comparison(_verdict(ranked, misfit > 0), ranked)
-
-
-def _verdict(ranked: Sequence[RankedModel], misfit: bool) -> str:
-    if not misfit:
-        return NONE
-    possible = _possible(ranked)
-    if not possible or max(p.explained for p in possible) < EXPLAINED:
-        return UNKNOWN
-    return NAMED if len({p.model.mechanism for p in possible}) == 1 else AMBIGUOUS
+    return Comparison(misfit, tuple(ranked))
 
 
 def _take_interval(drawn: Float) -> tuple[float, float]:
-    outside = (1 - _LEVEL) / 2
+    outside = (1 - RULES.single.interval) / 2
     low, high = np.quantile(drawn, [outside, 1 - outside])
     return float(low), float(high)
 

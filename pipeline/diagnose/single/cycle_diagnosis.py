@@ -13,13 +13,15 @@ import numpy as np
 from scipy.stats import chi2 as chi2_law
 
 from pipeline.diagnose.features.kinds import CYCLE_FORCE
+from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS, list_invisible
 from pipeline.diagnose.results import AMBIGUOUS, NONE, Diagnosis, Discrepancy, Estimate, NextRecording, Residuals
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, TriedModel, compare_predictions
 from pipeline.diagnose.single.cycle_model import CycleMechanism, CycleModel, Fitted, LargeCycle, list_mechanisms
 from pipeline.diagnose.single.report import (
+    Details,
     Films,
-    Report,
     describe_what_stays,
     list_smallest,
     report_comparison,
@@ -32,8 +34,6 @@ from schemas.mechanisms import plain_name
 STRESS, PREDICTED = "cycle.stress", "cycle.unseen"
 """Kinds of residuals: everything fitted to everything; the unloading as the fit to the loading predicts it."""
 _DRAWS, _TRIALS, _SEED = 200, 400, 11
-_UNSURE = 3.0
-"""Over the root of the number of samples, the share by which the noise may be louder than its estimate: what it may be is no misfit."""
 _OPEN, _WIDER = 1.0, 1.3
 """Standard deviation of a parameter, most of them logarithms, that the data do not hold; and how much wider is drawn than is held."""
 _NORMAL_90 = 1.645
@@ -42,8 +42,6 @@ _PLACES = 4
 _N_PER_MM_OF_KPA = 1e-3
 """A 1 mm cube: 1 MPa = 1 N/mm."""
 _HOLD_S, _SLOWER = 600.0, 10.0
-_MODEL_ERROR = 0.15
-_DECIDES = 9.2
 _SHOWN = 400
 """Samples of each curve that are kept for figures."""
 _COMPARED, _FEW = 24, 60
@@ -88,16 +86,35 @@ class _Tried:
 
 
 def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Comparison]:
-    """The diagnosis of one cycle, and the contest behind it. Raises `NotIdentifiableError` where no model has a fit."""
+    """What one branch on the equilibrium stress gets wrong of a large cycle, and which mechanism predicts its unloading.
+
+    Parameters
+    ----------
+    cycle : with its plain fits
+
+    Returns
+    -------
+    The diagnosis, and the comparison of the mechanisms behind it
+
+    Raises
+    ------
+    NotIdentifiableError
+        where no model has a fit
+    """
     up = cycle.loading
-    sd = estimate_noise_sd(cycle.stress) * (1 + _UNSURE / np.sqrt(cycle.stress.size))
-    rng = np.random.default_rng(_SEED)
+    sd = estimate_noise_sd(cycle.stress) * (1 + RULES.single.noise_doubt / np.sqrt(cycle.stress.size))
     span, interval = float(np.ptp(cycle.time_s)), float(np.median(np.diff(cycle.time_s)))
-    plain, *others = (_try_mechanism(cycle, cause, rng) for cause in (None, *list_mechanisms(span, interval)))
-    models = [t.predict_unloading(~up, plain) for t in (plain, *others)]
-    found = compare_predictions(models[0], models[1:], cycle.stress, cycle.stress[~up], sd)
-    told = _write_report(cycle, sd, plain, others, found)
-    return report_comparison(found, cycle.stress, cycle.stress[~up], sd, plain.whole.stress(), told), found
+    # Every mechanism is fitted to the loading, and to everything.
+    rng = np.random.default_rng(_SEED)
+    plain, *others = (_try_mechanism(cycle, m, rng) for m in (None, *list_mechanisms(span, interval)))
+    # Those fitted to the loading predict the unloading.
+    plain_model, *models = (t.predict_unloading(~up, plain) for t in (plain, *others))
+    comparison = compare_predictions(plain_model, models, cycle.stress, cycle.stress[~up], sd)
+    verdict = judge_predictions(comparison)
+    proposal = _propose_recording(cycle, others, comparison, sd) if verdict == AMBIGUOUS else None
+    details = _collect_details(cycle, sd, plain, others, comparison, verdict, proposal)
+    simulated = plain.whole.stress()
+    return report_comparison(comparison, verdict, cycle.stress, cycle.stress[~up], sd, simulated, details), comparison
 
 
 def estimate_noise_sd(values: Float) -> float:
@@ -143,14 +160,22 @@ def _measure_memory(residual: Float) -> int:
     return int(np.clip(2 * first, 1, max(r.size // 4, 1)))
 
 
-def _write_report(cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[_Tried], found: Comparison) -> Report:
+def _collect_details(
+    cycle: LargeCycle,
+    sd: float,
+    plain: _Tried,
+    others: Sequence[_Tried],
+    found: Comparison,
+    verdict: str,
+    proposal: NextRecording | None,
+) -> Details:
     best = found.ranked[0]
     winner = next(t for t in others if _is_of(t, best.model))
     left = (cycle.stress - plain.whole.stress()) / sd
     plain_sd, _ = _estimate_film_sd(plain)
     extended_sd, damper_sd = _estimate_film_sd(winner)
     words = plain_name(best.model.mechanism).lower()
-    return Report(
+    return Details(
         specimen_id=cycle.fits.specimen_id,
         protocols=("cycle",),
         left_out={"the unloading": (best.before, best.after)},
@@ -162,12 +187,12 @@ def _write_report(cycle: LargeCycle, sd: float, plain: _Tried, others: Sequence[
             damper_sd,
         ),
         discrepancies=tuple(_list_discrepancies(cycle, left, sd)),
-        residuals=(_list_residuals(cycle, plain, plain if found.verdict == NONE else winner, sd),),
+        residuals=(_list_residuals(cycle, plain, plain if verdict == NONE else winner, sd),),
         smallest=list_smallest(p.model for p in found.ranked),
         invisible=tuple(m for m in list_invisible({CYCLE_FORCE}) if m in MECHANISMS),
         could_not_ask=_list_unaskable(sd),
         unexplained=(describe_what_stays(words, winner.whole.residual, sd, "kPa"),),
-        next_recording=_propose_recording(cycle, others, found, sd) if found.verdict == AMBIGUOUS else None,
+        next_recording=proposal,
     )
 
 
@@ -271,7 +296,7 @@ def _propose_recording(
         apart = min((_compute_separation(shown[i], shown[j], sd) for i, j in pairs), default=0.0)
         if best is None or apart > best[0]:
             best = apart, text, design
-    if best is None or best[0] < _DECIDES:
+    if best is None or best[0] < RULES.single.decides:
         return None
     return NextRecording((best[2],), f"{best[1]}: tells the causes that are possible apart", best[0])
 
@@ -289,7 +314,7 @@ def _predict_elsewhere(tried: _Tried, time: Float, stretch: Float) -> Float:
 def _compute_separation(true: Float, rival: Float, sd: float) -> float:
     """χ² against a rival, (1 + B, m) each, with what forms may be wrong by as noise."""
     difference = true[0] - rival[0]
-    noise = np.diag(sd**2 + (_MODEL_ERROR * difference) ** 2)
+    noise = np.diag(sd**2 + (RULES.single.form_error * difference) ** 2)
     return float(difference @ np.linalg.solve(noise + np.cov(rival[1:].T), difference))
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
+from pipeline.diagnose.rules import RULES
 from pipeline.fit.relaxation.time_domain import CycleFits, branch, fit_cycle
 from pipeline.physics.hyperelastic import LAWS
 from schemas.arrays import Bool, Float
@@ -29,8 +30,6 @@ _LADDER = 25
 _LADDER_SPAN = 1e-3, 1e3
 _FAR = 12.0
 """Largest change of a logarithm that is searched."""
-_SEEN = 1e-6
-"""Length of a parameter's column, over that of the longest, below which the fitted part does not see it."""
 
 
 @dataclass(frozen=True)
@@ -309,7 +308,7 @@ class CycleModel:
             raise NotIdentifiableError("the cycle's model has no finite fit", where=self.cycle.fits.recording_id)
         best = min(ends, key=lambda end: float(end.cost))
         length = np.linalg.norm(best.jac, axis=0)
-        unseen = cause is not None and bool((length[self._own :] < _SEEN * length.max()).all())
+        unseen = cause is not None and bool((length[self._own :] < RULES.single.unseen * length.max()).all())
         x = best.x.copy()
         if unseen and cause is not None:
             x[self._own :] = cause.neutral
@@ -333,7 +332,8 @@ def make_cycle(
     )
     found = LargeCycle(t, lam, p, fits)
     up = found.loading
-    if min(up.sum(), (~up).sum()) < 0.1 * t.size or np.ptp(lam[~up]) < 0.2 * np.ptp(lam):
+    rules = RULES.single
+    if min(up.sum(), (~up).sum()) < rules.way_back * t.size or np.ptp(lam[~up]) < rules.way_back_span * np.ptp(lam):
         raise NotIdentifiableError(
             "the cycle has no way back of a tenth of its samples", where=recording_id, expected="loading and unloading"
         )

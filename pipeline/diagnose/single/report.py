@@ -1,6 +1,6 @@
-"""What a contest between causes says, as a diagnosis: for records that are asked without a session.
+"""A comparison of models as a diagnosis: for records that are asked without a session.
 
-Does not belong here: which models compete, and what they are fitted to (`cycle_diagnosis`, `system_diagnosis`).
+Does not belong here: which models are compared, and what they are fitted to (`cycle_diagnosis`, `system_diagnosis`).
 """
 
 from __future__ import annotations
@@ -22,12 +22,10 @@ from pipeline.diagnose.results import (
     NextRecording,
     Residuals,
 )
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, RankedModel, TriedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
-
-_POWER = 2.8
-"""Standard deviations of what is found with 80 % probability at a level of 5 %."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +40,15 @@ class Films:
 
 
 @dataclass(frozen=True)
-class Report:
-    """What is known of a record beside the contest, in the words of `Diagnosis`.
+class Details:
+    """What is known of a record beside the comparison; fields that `Diagnosis` has as well mean the same.
 
-    left_out : what was left out, in words, → root mean square error of the plain and of the best model; unexplained : what the best
-    cause leaves
+    Parameters
+    ----------
+    left_out : what was left out, in words → root mean square error of the plain and of the best model
+    films : the film in both models
+    smallest : mechanism → key → smallest detectable severity
+    unexplained : what the best mechanism leaves, in words
     """
 
     specimen_id: str
@@ -63,38 +65,52 @@ class Report:
 
 
 def report_comparison(
-    comparison: Comparison, measured: Float, left_out: Float, sd: float, plain: Float, told: Report
+    comparison: Comparison,
+    verdict: str,
+    measured: Float,
+    left_out: Float,
+    sd: float,
+    plain: Float,
+    details: Details,
 ) -> Diagnosis:
-    """The diagnosis that a contest leads to; `measured`, `plain` (N,) everything and the plain model's fit to it, `left_out` (H,)."""
+    """The diagnosis that a comparison of models leads to.
+
+    Parameters
+    ----------
+    comparison, verdict : the models by what they predict, and what was concluded
+    measured, plain : (N,) everything, and the plain model's fit to it
+    left_out : (H,) the parts left out
+    sd : standard deviation of the noise of one value
+    details : what is known beside
+    """
     best = comparison.ranked[0]
     chi2 = float(np.sum(((measured - plain) / sd) ** 2))
-    nothing = comparison.verdict == NONE
+    nothing = verdict == NONE
     possible = dict.fromkeys(p.model.mechanism for p in comparison.possible)
+    others = tuple(m for m in possible if m != best.model.mechanism)
     return Diagnosis(
-        specimen_id=told.specimen_id,
-        verdict=comparison.verdict,
+        specimen_id=details.specimen_id,
+        verdict=verdict,
         mechanisms=() if nothing else (best.model.mechanism,),
-        also_possible=tuple(m for m in possible if m != best.model.mechanism)
-        if comparison.verdict == AMBIGUOUS
-        else (),
+        also_possible=others if verdict == AMBIGUOUS else (),
         p_value=float(chi2_law.sf(chi2, measured.size)),
-        supported_by=told.protocols if comparison.verdict in (NAMED, AMBIGUOUS) else (),
-        held_out=HeldOut(best.before, best.after, best.gain, best.lower, best.upper, left_out.size, told.left_out),
-        extension=None if nothing else _describe_extension(best, measured, sd, chi2, told.films),
+        supported_by=details.protocols if verdict in (NAMED, AMBIGUOUS) else (),
+        held_out=HeldOut(best.before, best.after, best.gain, best.lower, best.upper, left_out.size, details.left_out),
+        extension=None if nothing else _report_extension(best, measured, sd, chi2, details.films),
         candidates=(),
-        discrepancies=told.discrepancies,
-        next_recording=told.next_recording if comparison.verdict == AMBIGUOUS else None,
-        smallest_detectable=told.smallest,
-        invisible=told.invisible,
-        could_not_ask=told.could_not_ask,
-        unexplained=() if nothing else told.unexplained,
-        plain_film=told.films.plain,
-        residuals=told.residuals,
+        discrepancies=details.discrepancies,
+        next_recording=details.next_recording if verdict == AMBIGUOUS else None,
+        smallest_detectable=details.smallest,
+        invisible=details.invisible,
+        could_not_ask=details.could_not_ask,
+        unexplained=() if nothing else details.unexplained,
+        plain_film=details.films.plain,
+        residuals=details.residuals,
         explained=best.explained,
     )
 
 
-def _describe_extension(best: RankedModel, measured: Float, sd: float, chi2: float, films: Films) -> Extension:
+def _report_extension(best: RankedModel, measured: Float, sd: float, chi2: float, films: Films) -> Extension:
     model = best.model
     return Extension(
         severities={model.mechanism: model.severity},
@@ -116,7 +132,7 @@ def list_smallest(models: Iterable[TriedModel]) -> dict[str, dict[str, float]]:
     for model in models:
         for key, estimate in list(model.severity.items())[:1]:
             if np.isfinite(estimate.sd) and estimate.sd > 0:
-                found.setdefault(model.mechanism, {key: _POWER * estimate.sd})
+                found.setdefault(model.mechanism, {key: RULES.single.detectable * estimate.sd})
     return found
 
 

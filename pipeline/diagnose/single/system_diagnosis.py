@@ -9,11 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import NONE, Diagnosis, Residuals
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import SystemRecord
-from pipeline.diagnose.single.report import Films, Report, describe_what_stays, list_smallest, report_comparison
+from pipeline.diagnose.single.report import Details, Films, describe_what_stays, list_smallest, report_comparison
 from pipeline.diagnose.single.system_discrepancies import list_system_discrepancies
 from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
 from pipeline.physics.film import RelaxationModel
@@ -30,18 +31,30 @@ _NO_FILM = RelaxationModel(1.0, (), ())
 def diagnose_system(
     specimen_id: str, records: Sequence[SystemRecord], protocols: Sequence[str], unit: str
 ) -> tuple[Diagnosis, Comparison]:
-    """The diagnosis of one system, and the contest behind it; `unit` of the output."""
+    """What one linear resonance gets wrong of a system's records, and which mechanism predicts a part left out.
+
+    Parameters
+    ----------
+    specimen_id : name of the system
+    records : all with one sampling interval
+    protocols : of the records
+    unit : of the output
+
+    Returns
+    -------
+    The diagnosis, and the comparison of the mechanisms behind it
+    """
     question = ask_system(records)
-    found = compare_predictions(question.plain, question.models, question.measured, question.left_out, question.sd)
-    told = _write_report(specimen_id, tuple(dict.fromkeys(protocols)), question, found, unit)
-    return report_comparison(
-        found, question.measured, question.left_out, question.sd, question.plain.whole, told
-    ), found
+    measured, left_out, sd = question.measured, question.left_out, question.sd
+    comparison = compare_predictions(question.plain, question.models, measured, left_out, sd)
+    verdict = judge_predictions(comparison)
+    details = _collect_details(specimen_id, tuple(dict.fromkeys(protocols)), question, comparison, verdict, unit)
+    return report_comparison(comparison, verdict, measured, left_out, sd, question.plain.whole, details), comparison
 
 
-def _write_report(
-    specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion, found: Comparison, unit: str
-) -> Report:
+def _collect_details(
+    specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion, found: Comparison, verdict: str, unit: str
+) -> Details:
     best = found.ranked[0].model
     tried = {e.mechanism for e in question.models} | {"amplitude_softening", "strain_stiffening"}
     parts = {
@@ -52,13 +65,13 @@ def _write_report(
         for part in question.parts
     }
     words = f"{plain_name(best.mechanism).lower()} ({best.variant})"
-    return Report(
+    return Details(
         specimen_id=specimen_id,
         protocols=protocols,
         left_out=parts,
         films=Films(_NO_FILM, _NO_FILM),
         discrepancies=list_system_discrepancies(question),
-        residuals=tuple(_list_residuals(question, found)),
+        residuals=tuple(_list_residuals(question, found, verdict)),
         smallest=list_smallest(p.model for p in found.ranked),
         invisible=tuple(m for m in MECHANISMS if m not in tried),
         could_not_ask=(
@@ -73,9 +86,9 @@ def _compute_error(difference: Float, sd: float) -> float:
     return float(np.sqrt(np.mean((difference / sd) ** 2)))
 
 
-def _list_residuals(question: SystemQuestion, found: Comparison) -> list[Residuals]:
+def _list_residuals(question: SystemQuestion, found: Comparison, verdict: str) -> list[Residuals]:
     """Of every record the stretch about its largest output."""
-    winner = found.ranked[0].model.variant if found.verdict != NONE else ""
+    winner = found.ranked[0].model.variant if verdict != NONE else ""
     forms = [question.plain.variant, *(e.variant for e in question.models)]
     plain, best = question.simulations[0], question.simulations[forms.index(winner)]
     shown = []

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from pipeline.diagnose.results import Discrepancy
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.system_mechanisms import SystemQuestion
 from schemas.arrays import Float
 
@@ -36,7 +37,9 @@ def list_system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ..
         interval = float(times[1] - times[0])
         found += _test_bands(name, interval, y[compared], simulated[compared], question)
         found += _test_levels(name, y[compared], simulated[compared], question)
-    return tuple(sorted((d for d in found if d.p_value < 0.01), key=lambda d: -d.chi2 / d.degrees_of_freedom))
+    return tuple(
+        sorted((d for d in found if d.p_value < RULES.single.place_level), key=lambda d: -d.chi2 / d.degrees_of_freedom)
+    )
 
 
 def _test_bands(name: str, interval: float, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:

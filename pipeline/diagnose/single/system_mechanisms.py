@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.diagnose.results import Estimate
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import TriedModel, draw_parameters
 from pipeline.diagnose.single.oscillator import (
     ARM,
@@ -53,7 +54,6 @@ _DRAWN = 200
 _SEED = 7
 _BLOCKS = 50
 """Most blocks that a part is drawn anew from: the error grows and falls with the amplitude, which lasts."""
-_DECAYS = 5.0
 _SAFETY = 0.7
 """Damping on which run-ins are counted, over that of the linear fit, which a bent resonance broadens."""
 _KEYS = {"strain_stiffening": ("stiffening",), "amplitude_softening": ("drop",)}
@@ -244,7 +244,7 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
         if owner not in fits or fit.cost < fits[owner].cost:
             fits[owner] = fit
     decay = 2 / start[DAMPING] / oscillator.angular_frequency / records[0].interval_s
-    memory = int(max(_DECAYS * decay, measured.size / _BLOCKS, 1))
+    memory = int(max(RULES.single.memory * decay, measured.size / _BLOCKS, 1))
     known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
     found = [
         _try_model(cause, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)

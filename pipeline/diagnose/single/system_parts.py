@@ -10,19 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.oscillator import Oscillator, SystemRecord
 from pipeline.diagnose.single.oscillator_fit import join_compared
 from schemas.arrays import Bool, Float
 
 _WINDOWS = 32
-_LOUDER = 1.5
-"""Ratio of the input of the loud half over that of the quiet one from which on they are the two parts."""
-_ALIKE = 0.6
-"""Overlap of the spectra that drive two parts from which on one can be predicted from the other."""
-_ABOVE = 1.25
-"""Frequency from which on the output is taken as noise, over the highest that is excited."""
-_EXCITED = 1e-4
-"""Share of the largest power of the input from which on a frequency is excited."""
 _TINY = 1e-30
 
 
@@ -42,7 +35,7 @@ def split_in_two(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tupl
     levels = [float(np.std(u[window])) for window in windows]
     power = np.array([np.abs(np.fft.rfft(u[window[: u.size // _WINDOWS]])) ** 2 for window in windows])
     order, half, number = np.argsort(levels), _WINDOWS // 2, np.arange(_WINDOWS)
-    louder = np.median(np.take(levels, order[half:])) > _LOUDER * np.median(np.take(levels, order[:half]))
+    louder = np.median(np.take(levels, order[half:])) > RULES.single.louder * np.median(np.take(levels, order[:half]))
     ways = [
         ("the half that is driven more", "the half that is driven less", np.isin(number, order[half:])),
         ("the second half", "the first half", number >= half),
@@ -55,7 +48,7 @@ def split_in_two(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tupl
 def _are_driven_alike(power: Float, chosen: Bool) -> bool:
     """Whether two parts are driven at the same frequencies; power : (windows, frequencies) of the input."""
     inside, outside = (power[c].sum(axis=0) / max(power[c].sum(), _TINY) for c in (chosen, ~chosen))
-    return bool(np.minimum(inside, outside).sum() > _ALIKE)
+    return bool(np.minimum(inside, outside).sum() > RULES.single.driven_alike)
 
 
 def estimate_noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
@@ -67,7 +60,7 @@ def estimate_noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
         window = np.hanning(n)
         u, y = (np.abs(np.fft.rfft((x - x.mean()) * window)) ** 2 for x in (record.input, record.output))
         smooth = median_filter(u, max(n // 200, 1))
-        excited = int(np.flatnonzero(smooth > _EXCITED * smooth.max())[-1] * _ABOVE)
+        excited = int(np.flatnonzero(smooth > RULES.single.excited * smooth.max())[-1] * RULES.single.above_excited)
         free &= excited < 0.95 * u.size
         above = y[min(excited, int(0.95 * u.size)) :]
         # The median of an exponential distribution is ln 2 of its mean, its relative error 1/(ln 2 √n), under this window √1.5 of it.

@@ -1,0 +1,321 @@
+"""A session's fits in numbers and words: severities, film, candidates, residuals, and what stays unexplained.
+
+Does not belong here: what is concluded from them (`pipeline.diagnose.judge`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from pipeline.diagnose.features import kinds
+from pipeline.diagnose.mechanisms import MECHANISMS, Context, list_invisible
+from pipeline.diagnose.results import (
+    AMBIGUOUS,
+    UNKNOWN,
+    Candidate,
+    Diagnosis,
+    Estimate,
+    Extension,
+    HeldOut,
+    NextRecording,
+    Residuals,
+)
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.detectable import discount_further_arms, find_smallest, report_smallest
+from pipeline.diagnose.search.discrepancies import describe_what_stays, list_discrepancies, name_kind
+from pipeline.diagnose.search.evidence import Evidence
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.held_out import list_supporting_protocols
+from pipeline.diagnose.search.intervals import NORMAL_90, find_interval_ends, make_linear_ends
+from pipeline.diagnose.search.patterns import name_variable
+from pipeline.diagnose.search.tempering import measure_explained_share
+from pipeline.diagnose.simulation.session import Session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.film import RelaxationModel
+from schemas.arrays import Float
+from schemas.mechanisms import UNLISTED
+
+_SMALL = 1e-3
+"""Part of an interval at which the slope of a reported severity is taken."""
+
+
+def report_session(
+    simulation: Simulation,
+    evidence: Evidence,
+    verdict: str,
+    held_out: HeldOut | None,
+    extended: ExtendedFit | None,
+    proposal: NextRecording | None,
+) -> Diagnosis:
+    """The diagnosis of a session.
+
+    Parameters
+    ----------
+    simulation : of the session, with nodes for any film
+    evidence, verdict : what was found, and concluded
+    held_out : errors on parts that were left out; None where there are none
+    extended : the model with the causes, in which blocks that it does not describe count for less; None without causes
+    proposal : the recording to make next
+    """
+    final, session = evidence.final, evidence.noise_fit.of.session
+    context = make_context(simulation, evidence.noise_fit)
+    smallest = find_smallest(discount_further_arms(evidence.noise_fit, evidence.signatures), evidence.threshold)
+    others = [fit.of.chosen[0].id for fit in evidence.alternatives]
+    unlisted = [UNLISTED] if evidence.beside or evidence.instead else []
+    return Diagnosis(
+        specimen_id=session.specimen_id,
+        verdict=verdict,
+        mechanisms=() if final is None else tuple(c.id for c in final.of.chosen),
+        also_possible=(*others, *unlisted) if verdict == AMBIGUOUS else (),
+        p_value=evidence.p_value,
+        supported_by=() if final is None else list_supporting_protocols(evidence.plain, final),
+        held_out=held_out,
+        extension=None if extended is None else _report_extension(evidence, extended, context, held_out),
+        candidates=_list_candidates(evidence, context, held_out),
+        discrepancies=list_discrepancies(evidence.noise_fit),
+        next_recording=proposal,
+        smallest_detectable=report_smallest(smallest, context),
+        invisible=list_invisible(session.kinds),
+        could_not_ask=_list_unaskable(session),
+        unexplained=_describe_unexplained(evidence, verdict, extended),
+        plain_film=_take_film(evidence.noise_fit),
+        residuals=_list_residuals(evidence.noise_fit, extended),
+        smallest_parameters={id: values for id, (_, values) in smallest.items()},
+        explained=evidence.explained,
+        left_p_value=float("nan") if evidence.patterns_after is None else evidence.patterns_after.p_value,
+    )
+
+
+def make_context(simulation: Simulation, fit: ExtendedFit) -> Context:
+    """What the severities of a session are relative to, from its plain fit."""
+    session = fit.of.session
+    loads = simulation.loads(fit.of.model.physical(fit.theta))
+    rest = session.states.rest_force_n
+    return Context(session.scale, loads, float(np.nanmean(rest)) if np.isfinite(rest).any() else float("nan"))
+
+
+def estimate_film_sd(fit: ExtendedFit) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Standard deviations of the film's parameters.
+
+    Parameters
+    ----------
+    fit : of any model
+
+    Returns
+    -------
+    Of k0, k…, τ…, and of the dampers c = k τ, whose springs and times err together; in the order of the film's arms
+    """
+    model = fit.of.model
+    n, values = model.arms, np.exp(fit.theta[model.film])
+    order = np.argsort(-values[1 + n : 1 + 2 * n])
+    springs, times = 1 + order, 1 + n + order
+    covariance = fit.covariance[model.film, model.film]
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    places = np.concatenate([[0], springs, times, np.arange(1 + 2 * n, values.size)])
+    log_c = spread[springs] ** 2 + spread[times] ** 2 + 2 * covariance[springs, times]
+    dampers = values[springs] * values[times] * np.sqrt(np.maximum(log_c, 0.0))
+    return tuple(float(v) for v in (values * spread)[places]), tuple(float(v) for v in dampers)
+
+
+def find_main_key(id: str, estimates: Mapping[str, Estimate]) -> str:
+    """Key of the main severity of a mechanism among those that were reported."""
+    name = MECHANISMS[id].severities[0].name
+    return name if name in estimates else next(iter(estimates))
+
+
+def choose_film(diagnosis: Diagnosis) -> RelaxationModel:
+    """The film as it is best known: that of the extended model where there is one."""
+    return diagnosis.plain_film if diagnosis.extension is None else diagnosis.extension.film
+
+
+def _take_film(fit: ExtendedFit) -> RelaxationModel:
+    return fit.of.model.physical(fit.theta).film
+
+
+def _report_extension(
+    evidence: Evidence, extended: ExtendedFit, context: Context, held_out: HeldOut | None
+) -> Extension:
+    plain = evidence.noise_fit
+    without_parts = None if held_out is None else held_out.entries
+    interval = find_interval_ends(extended, extended.spread(without_parts))
+    raw = extended.of.data_residual(extended.x)
+    film_sd, damper_sd = estimate_film_sd(extended)
+    chosen = extended.of.chosen
+    return Extension(
+        severities={c.id: _estimate_severity(extended, i, interval, context) for i, c in enumerate(chosen)},
+        variants={c.id: c.variant for c in chosen},
+        film=_take_film(extended),
+        film_sd=film_sd,
+        damper_sd=damper_sd,
+        plain_film=_take_film(plain),
+        plain_film_sd=estimate_film_sd(plain)[0],
+        chi2=float(raw @ raw),
+        plain_chi2=float(plain.misfit @ plain.misfit),
+        size=extended.of.session.size,
+    )
+
+
+def _estimate_severity(
+    fit: ExtendedFit, number: int, interval: tuple[Float, Float], context: Context
+) -> dict[str, Estimate]:
+    """Severity of mechanism `number` of a fit, by the contract's keys.
+
+    Standard deviations are by small steps, intervals by whole ones: as lopsided as the parameters are, and what is searched in the
+    logarithm is never below 0.
+
+    Parameters
+    ----------
+    interval : steps of the mechanisms' entries down and up to the ends of their 90 % intervals, (Q,) each
+    """
+    mechanism, variant = fit.of.chosen[number].mechanism, fit.of.chosen[number].variant
+
+    def report(values: Mapping[str, float]) -> dict[str, float]:
+        found = mechanism.reported(values, variant, context)
+        return {key: float(value) for key, value in found.items() if isinstance(value, int | float)}
+
+    def change(steps: Float) -> dict[str, Float]:
+        """Changes of each key by steps of each parameter."""
+        reports = [report(values) for values in fit.moved(number, steps)]
+        return {key: np.array([other.get(key, value) - value for other in reports]) for key, value in base.items()}
+
+    base, (lower, upper) = report(fit.values[number]), interval
+    slopes, down, up = change(_SMALL * (upper - lower) / (2 * NORMAL_90)), change(lower), change(upper)
+    return {
+        key: Estimate(
+            value,
+            math.hypot(*slopes[key]) / _SMALL,
+            value - math.hypot(*np.minimum(np.minimum(down[key], up[key]), 0.0)),
+            value + math.hypot(*np.maximum(np.maximum(down[key], up[key]), 0.0)),
+        )
+        for key, value in base.items()
+    }
+
+
+def _list_candidates(evidence: Evidence, context: Context, held_out: HeldOut | None) -> tuple[Candidate, ...]:
+    """Every mechanism that was fitted alone, best evidence first."""
+    if not evidence.singles:
+        return ()
+    plain, causes = evidence.plain, () if evidence.final is None else evidence.final.of.chosen
+    log_evidence = np.array([f.log_evidence for f in evidence.singles])
+    probability = np.exp(log_evidence - log_evidence.max())
+    probability /= probability.sum()
+    size = _estimate_effective_size(plain)
+    found = []
+    for fit, share in zip(evidence.singles, probability, strict=True):
+        chosen = fit.of.chosen[0]
+        estimates = _estimate_severity(fit, 0, make_linear_ends(fit.spread()), context)
+        key = find_main_key(chosen.id, estimates)
+        ratio = plain.chi2 - fit.chi2
+        is_the_cause = [c.id for c in causes] == [chosen.id]
+        found.append(
+            Candidate(
+                mechanism=chosen.id,
+                likelihood_ratio=float(ratio),
+                bic=float(ratio - len(chosen.mechanism.parameters) * np.log(size)),
+                probability=float(share),
+                severity=estimates[key].value,
+                severity_sd=estimates[key].sd,
+                explained=measure_explained_share(plain, fit),
+                gain=held_out.gain if is_the_cause and held_out is not None else float("nan"),
+                variant=chosen.variant,
+                equation=chosen.mechanism.equation,
+            )
+        )
+    return tuple(found)
+
+
+def _estimate_effective_size(plain: ExtendedFit) -> float:
+    """Number of data less what neighbours say twice: from the lag-1 correlation of the residual."""
+    r = plain.misfit
+    rho = float(np.clip(np.sum(r[1:] * r[:-1]) / max(float(r @ r), 1e-300), 0.0, 0.99))
+    return max(r.size * (1 - rho) / (1 + rho), 10.0)
+
+
+def _list_residuals(plain_fit: ExtendedFit, extended_fit: ExtendedFit | None) -> tuple[Residuals, ...]:
+    session = plain_fit.of.session
+    plain = plain_fit.of.predict(plain_fit.x)
+    extended = plain if extended_fit is None else extended_fit.of.predict(extended_fit.x)
+    kind, frequency, time = session.kind, session.covariate("frequency_hz"), session.covariate("time_s")
+    label = np.concatenate([np.full(p.block.size, p.block.label) for p in session.places])
+    found = []
+    for number, recording in enumerate(session.recordings):
+        own = np.flatnonzero(session.recording_of == number)
+        if own.size:
+            found.append(
+                Residuals(
+                    recording.recording_id,
+                    kind[own],
+                    label[own],
+                    frequency[own],
+                    time[own],
+                    session.value[own],
+                    plain[own],
+                    extended[own],
+                    session.sd[own],
+                )
+            )
+    return tuple(found)
+
+
+def _describe_unexplained(evidence: Evidence, verdict: str, extended: ExtendedFit | None) -> tuple[str, ...]:
+    """What speaks against the causes, and where they mend next to nothing."""
+    found = []
+    if verdict == UNKNOWN:
+        found += _describe_patterns(evidence)
+    if verdict == AMBIGUOUS:
+        found += _describe_doubt(evidence)
+    if extended is not None:
+        found += describe_what_stays(evidence.noise_fit, extended)
+    return tuple(found)
+
+
+def _describe_patterns(evidence: Evidence) -> list[str]:
+    """Patterns that stay, quantities that surely differ beside the causes, and what both depend on."""
+    left = evidence.patterns_after or evidence.patterns_before
+    told = RULES.verdict.told_pattern
+    by_kind = sorted(left.kind_p.items(), key=lambda item: item[1])
+    found = [f"A pattern stays in {name_kind(kind)}." for kind, p in by_kind if p < told]
+    found += [f"Beside the causes named, {d.text}." for d in evidence.surely_beside]
+    by_variable = sorted(left.variable_p.items(), key=lambda item: item[1])
+    depends = [name_variable(name) for name, p in by_variable if p < told]
+    if depends:
+        found.append(f"What stays depends on {', '.join(depends)}.")
+    return found
+
+
+def _describe_doubt(evidence: Evidence) -> list[str]:
+    """What speaks for a cause that is in no list: the free quantity that differs most beside the causes, or explains more alone."""
+    if evidence.beside:
+        return [f"It may be a cause that is in no list: beside the one named, {evidence.beside[0].text}."]
+    best = max(evidence.instead, key=lambda d: d.evidence, default=None)
+    if best is None:
+        return []
+    return [f"It may be a cause that is in no list: that {best.text} would explain all of it as well."]
+
+
+def _list_unaskable(session: Session) -> tuple[str, ...]:
+    """Questions that these recordings cannot answer, in words."""
+    found = []
+    if len(session.recordings) == 1:
+        found.append(
+            "There is one recording: nothing can be held out but parts of it, and no change from recording to recording shows."
+        )
+    if any(prior is None for prior in session.priors):
+        found.append(
+            "The rig's constants (clamp mass, load-cell stiffness) are missing: the clamp cannot be told from the film."
+        )
+    protocols = set(session.protocols)
+    if not protocols & {"sphs", "step"}:
+        found.append("No electrical test: causes in drive and actuation leave no trace.")
+    elif not session.kinds & {kinds.SPHS_VOLTAGE, kinds.STEP_VOLTAGE}:
+        found.append("The command was not recorded: the amplifier's gain, lag and offset cannot be questioned.")
+    if protocols & {"sphs", "step"} and not protocols & {"chirp", "cyclic", "relaxation", "cycle"}:
+        found.append("No mechanical test: the film's own dynamics rest on the electrical ones.")
+    if not np.isfinite(session.states.temperature_k).any():
+        found.append(
+            "No temperature was recorded: warming is told from other slow changes by its course in time alone."
+        )
+    return tuple(found)

@@ -1,0 +1,400 @@
+"""Every number by which the diagnosis decides something, in one place: with meaning, unit and what calibrated it.
+
+`RULES.<step>.<rule>` is a number; `list_rules` gives all of them with their words, from which the table in this package's README
+is written. Numerical tolerances (steps of a derivative, rounds of an iteration, sizes of a grid that is fine enough) decide
+nothing and stand where they are used. A case that goes wrong asks for a better model, not for another number here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+NOT_CALIBRATED = "not calibrated"
+STUDY = "study of hidden effects (`tests/studies/results.md`)"
+TEMPERING = f"{STUDY}, starting from 10 to 20 % of a block's misfit"
+BAYES_100 = "theory: odds of 100 to 1 (ln 100), decisive on Jeffreys' scale"
+COST = "time of a diagnosis; no verdict of the study changed"
+
+
+def _rule(value: Any, meaning: str, calibration: str = NOT_CALIBRATED, unit: str = "1") -> Any:
+    """A field of a frozen dataclass with its words."""
+    return field(default=value, metadata={"meaning": meaning, "calibration": calibration, "unit": unit})
+
+
+@dataclass(frozen=True)
+class FeatureRules:
+    """What of a recording is used as features."""
+
+    chirp_rest: int = _rule(32, "fewest samples of rest before a chirp that give its noise", unit="samples")
+    cyclic_rest: int = _rule(8, "fewest samples of rest before cycles that give their noise", unit="samples")
+    ramp_rest: int = _rule(8, "fewest samples of rest before a ramp that give its noise", unit="samples")
+    step_rest: int = _rule(16, "fewest samples of rest before voltage steps that give their noise", unit="samples")
+    noise_samples: int = _rule(16, "fewest samples of a rest that say anything of the noise", unit="samples")
+    hum_rest: float = _rule(0.3, "shortest rest in which mains are looked for", unit="s")
+    per_cycle: int = _rule(10, "fewest samples per cycle of which harmonics are taken", unit="samples")
+    most_cycles: int = _rule(400, "most cycles of a recording that are taken one by one", COST, "cycles")
+    most_groups: int = _rule(24, "most groups of voltage steps that are taken one by one", COST, "groups")
+    ramp_windows: int = _rule(4, "fewest windows of a hold that are worth having", unit="windows")
+    periods: int = _rule(3, "fewest whole periods of an SPHS that give its response", unit="periods")
+    line_input: float = _rule(1e-3, "least input of a line over the largest for the line to count as excited")
+    sphs_command: float = _rule(
+        0.1, "least line of the command over the largest at which voltage over command is taken"
+    )
+    step_command: float = _rule(0.05, "least step of the command at which voltage over command is taken", unit="V")
+    same_level: float = _rule(0.02, "relative difference of voltages within which steps have one level")
+    most_lost: float = _rule(0.2, "share of the samples that may be lost before a recording is refused")
+    clear_response: float = _rule(0.3, "least |1 + (−Mω² + jωc)/kL| at which a response says anything of the film")
+    red_noise: float = _rule(12.0, "twice the gain in log likelihood that noise with a red part must bring", unit="χ²")
+    own_noise: float = _rule(
+        3.5, "standard deviations by which a rest must miss the session's noise to have its own", unit="SD"
+    )
+    permittivity_sd: float = _rule(0.1, "relative standard deviation of the permittivity where the metadata give none",
+                                   "metadata: 10 % if absent")  # fmt: skip
+    amplifier_sd: float = _rule(
+        0.01, "relative standard deviation of the amplifier's gain where the rig file gives none"
+    )
+    mains_level: float = _rule(1e-4, "probability of the rests under no mains below which mains are in the model")
+
+
+@dataclass(frozen=True)
+class PlainRules:
+    """The plain model: its order and its optimum."""
+
+    orders: tuple[int, ...] = _rule(
+        (1, 2, 3), "numbers of arms that are tried", "Maxwell–Wiechert models of the thesis", "arms"
+    )
+    arm_worth: float = _rule(16.0, "fall of χ², in units of the misfit that stays, for which another arm is taken",
+                             "theory: tail of a search over the arm's place at 0.1 %", "χ²")  # fmt: skip
+    sound: float = _rule(1.3, "χ² per value at which no other start can do clearly better")
+    same_optimum: float = _rule(1e-4, "share of χ² within which ends of searches are one optimum")
+    same_optimum_chi2: float = _rule(0.1, "χ² within which ends of searches are one optimum", unit="χ²")
+    agreeing: int = _rule(3, "ends of searches in one optimum after which no other start is tried", COST, "searches")
+    astray: float = _rule(1000.0, "χ² per value from which a search is begun anew with other clamps")
+    clamps: int = _rule(3, "clamps of other masses that are tried then", unit="clamps")
+    restarts: int = _rule(
+        3, "times at most that the plain model is begun anew where the search for causes found better", unit="times"
+    )
+    restart_share: float = _rule(0.9, "share of χ² below which the plain model was not at its optimum")
+    restart_chi2: float = _rule(1.0, "fall of the tempered χ² for which it is begun anew", unit="χ²")
+    restart_asked: float = _rule(
+        10.0, "Λ over its threshold up to which causes might stem from a plain model short of its optimum"
+    )
+
+
+@dataclass(frozen=True)
+class AlarmRules:
+    """Is there anything? Levels of false alarm, and the screen by signatures."""
+
+    mechanism_level: float = _rule(0.002, "false-alarm level of the search over the listed mechanisms",
+                                   f"{STUDY}: 1 of 586 clean sessions alarmed")  # fmt: skip
+    pattern_level: float = _rule(
+        1e-5, "the same for smooth patterns, whose noise is known less well", f"{STUDY}, same sessions"
+    )
+    left_level: float = _rule(1e-3, "probability of a pattern on the tempered scale below which it stays", STUDY)
+    confirmed: float = _rule(
+        0.8, "share of the threshold of Λ that a fit must reach which the screen only promised", STUDY
+    )
+    visible: float = _rule(0.05, "length of a signature below which a mechanism leaves no trace", unit="SD")
+    severity_levels: int = _rule(3, "severities of a parameter at which signatures are taken", COST, "points")
+    weak_part: float = _rule(0.01, "part of the lowest severity at which the signature of a weak effect is taken")
+    shape_places: tuple[tuple[float, ...], ...] = _rule(
+        ((0.1, 0.5, 0.9), (0.2, 0.8), (0.5,)),
+        "places in the ranges of the first, second and later shapes for signatures",
+        COST,
+    )
+    least_part: float = _rule(0.2, "least part of a strong effect's signature for which a score may stand", STUDY)
+
+
+@dataclass(frozen=True)
+class TemperRules:
+    """Model-form error: how wrong the form of a right mechanism may be."""
+
+    share: float = _rule(0.15, "share of a block's misfit that a form which is not quite right may leave", TEMPERING)
+    of_median: float = _rule(2.0, "share that is allowed, over the median of those that blocks are seen to have", STUDY)
+    clearly: float = _rule(10.0, "misfit of a block from which it is seen to have a share", unit="SD of its χ²")
+    fewest_blocks: int = _rule(4, "fewest such blocks from which their median counts", unit="blocks")
+    outlier: float = _rule(3.0, "misfit of a block from which it counts for less in the film of the extended model",
+                           unit="SD of its χ²")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FitRules:
+    """Which mechanisms are fitted, from where, and how far."""
+
+    mechanisms: int = _rule(8, "mechanisms of the screen that are fitted at least", STUDY, "mechanisms")
+    variants: int = _rule(2, "variants of a mechanism that are fitted at most", COST, "variants")
+    close_variant: float = _rule(0.5, "share of the best variant's score that the second must have", COST)
+    starts: int = _rule(
+        3, "starts, beside the screen's own, of a mechanism whose place the plain model can take", STUDY, "starts"
+    )
+    onset_starts: tuple[float, ...] = _rule((0.1, 0.3, 1.0, 4.0), "severities, over the lowest plausible one, from which a mechanism "
+                                            "with an onset is searched", STUDY)  # fmt: skip
+    followed: int = _rule(2, "searches of one mechanism that go on after a few steps", COST, "searches")
+    astray: float = _rule(10.0, "χ² over that of the base from which a start is given up", COST)
+    strong: float = _rule(3.0, "χ² per value of the base from which no start is given up", STUDY)
+    vanished: float = _rule(0.01, "share of its stiffness below which an arm has vanished and is tried again")
+    still_falling: float = _rule(
+        0.01, "share of what a mechanism explains that a round of steps must add for another round", COST
+    )
+    hopeless: float = _rule(
+        10.0, "times what the screen or the last round promised that a fit is not expected to exceed", STUDY
+    )
+    near_of_explained: float = _rule(
+        0.3, "χ² above the best mechanism's, over what that explains, from which another is given up", STUDY
+    )
+    near_of_left: float = _rule(0.7, "the same over what the best leaves beyond the noise", STUDY)
+    close_call: float = _rule(
+        12.0, "log evidence behind the best within which a search is brought to its optimum", unit="ln"
+    )
+    close_call_share: float = _rule(0.02, "the same, as a share of the best log evidence")
+    settled_chi2: float = _rule(0.1, "fall of χ² below which an optimum is confirmed", unit="χ²")
+    settled_share: float = _rule(2e-4, "the same, as a share of χ²")
+    alternative_chi2: float = _rule(
+        0.5, "share of what the causes explain within which a rough fit of an alternative must be", COST
+    )
+
+
+@dataclass(frozen=True)
+class CauseRules:
+    """When causes cannot be told apart, and when a further one is believed beside those before it."""
+
+    close: float = _rule(
+        4.6, "difference of log evidence within which causes cannot be told apart (9.2 of Λ)", BAYES_100, "ln"
+    )
+    most: int = _rule(3, "causes that are named together at most", "given: at most three", "causes")
+    bases: int = _rule(2, "best single mechanisms on which a second one is tried", COST, "mechanisms")
+    hopeless_base: float = _rule(3.0, "χ² over that of the best beyond which a single mechanism is no base", COST)
+    level: float = _rule(1e-3, "false-alarm level of a further cause", STUDY)
+    look_level: float = _rule(
+        0.1, "level at which changes about the plain model say that a further cause may be there", COST
+    )
+    of_explained: float = _rule(
+        0.05, "share of what the causes so far explain where it adds, that a further cause must add", STUDY
+    )
+    of_left: float = _rule(0.4, "share of what they leave there that it must add", STUDY)
+    of_all: float = _rule(0.045, "share of what they explain anywhere that it must add", STUDY)
+    of_all_if_alike: float = _rule(0.13, "the same of a cause that can be taken for one of those before it", STUDY)
+    leaving_noise: float = _rule(
+        0.2, "part of these shares that is asked of a cause which leaves nothing but noise", STUDY
+    )
+    nothing_explained: float = _rule(
+        0.05, "share of what a cause adds, explained there before, below which it is no form of the others", STUDY
+    )
+    place: float = _rule(0.9, "share of what a cause adds that is the place where it adds")
+    noise: float = _rule(3.0, "χ² beyond its expectation up to which it is noise", unit="SD of χ²")
+    finer_scale: float = _rule(
+        0.5, "share of the assumed form error below which a cause is on a finer scale of its own", STUDY
+    )
+    exact_form: float = _rule(
+        0.02, "form error below which the form is exact, and what stays is another cause's", STUDY
+    )
+    screen_part: float = _rule(0.5, "part of what a further cause must add that the screen must promise", COST)
+    out_of_reach: float = _rule(24.0, "χ² over that of other causes for which no evidence makes up", COST, "χ²")
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What a quantity left free beside the causes must be for the causes to be none, or in doubt.
+
+    level : probability below which it differs
+    share : of what it and the causes explain together, over the share that forms of right causes leave
+    of_weak : the part of that share for causes that explain next to nothing
+    in_place : share of what the causes explain that it must explain in their place
+    """
+
+    level: float
+    share: float
+    of_weak: float
+    in_place: float = 0.0
+
+
+@dataclass(frozen=True)
+class DoubtRules:
+    """Whether it may be a cause that is in no list: quantities left free beside the causes and in their place."""
+
+    sure: Demand = _rule(Demand(1e-4, 1.0, 0.5), "for `unknown`: level, share, of weak causes, in place", STUDY)
+    faint: Demand = _rule(Demand(0.03, 0.6, 0.25, 0.5), "for a doubt, by one to three numbers", STUDY)
+    faint_of_some: Demand = _rule(Demand(5e-3, 0.6, 0.25, 0.5), "for a doubt, by four to twelve numbers", STUDY)
+    faint_of_many: Demand = _rule(Demand(2e-3, 0.6, 0.5, 1.0), "for a doubt, by more numbers", STUDY)
+    few: int = _rule(3, "numbers up to which a quantity may stand in place of a single cause", STUDY, "numbers")
+    some: int = _rule(12, "numbers up to which a quantity stands for one thing", STUDY, "numbers")
+    better: float = _rule(2.0, "χ² by which a quantity alone must explain more than one cause", STUDY, "χ²")
+    all_of_form: float = _rule(
+        1000.0, "χ² that causes explain from which all that forms differ by is tolerated", STUDY, "χ²"
+    )
+    tolerated: float = _rule(
+        0.08, "share that right causes whose form is not quite the rig's leave to a free quantity", STUDY
+    )
+    tolerated_by_frequency: float = _rule(0.2, "the same of a stiffness that is free over frequency", STUDY)
+    visible: float = _rule(
+        10.0, "standard deviations that a change by the whole must make for a number to be free", STUDY, "SD"
+    )
+    most_recordings: int = _rule(12, "free numbers over the recordings of a session at most", COST, "numbers")
+    most_moments: int = _rule(80, "moments at which the stiffness may have changed for good at most", COST, "moments")
+
+
+@dataclass(frozen=True)
+class VerdictRules:
+    """From fits, patterns and the held-out gain to one of the four verdicts."""
+
+    explained: float = _rule(
+        0.6, "share of the misfit that causes must explain where more than noise and a pattern are left", STUDY
+    )
+    close_misfit: float = _rule(
+        1.3, "ratio of what two causes leave (root mean square) within which neither is better", STUDY
+    )
+    more_than_noise: float = _rule(3.0, "χ² beyond the noise up to which what is left may be noise", unit="SD of χ²")
+    much_left: float = _rule(
+        6.0, "χ² beyond the noise from which much is left and the ratio of misfits decides", unit="SD of χ²"
+    )
+    gain_with_pattern: float = _rule(
+        0.4, "held-out gain that causes which leave a pattern must be able to have (upper end)", STUDY
+    )
+    in_features: float = _rule(
+        0.2, "share of what causes explain that is in the features, below which no gain is asked", STUDY
+    )
+    strong: float = _rule(
+        9.0, "Λ over its threshold from which causes must predict what they were not fitted to", STUDY
+    )
+    strong_gain: float = _rule(
+        0.1, "held-out gain that they must have then, where they do not predict most parts better", STUDY
+    )
+    told_pattern: float = _rule(1e-3, "probability of a pattern below which it is told")
+
+
+@dataclass(frozen=True)
+class GainRules:
+    """Held-out gain: which parts are left out, and when a share is stated."""
+
+    shows: float = _rule(0.1, "share of the causes' trace from which a protocol counts as one that shows them")
+    touched: float = _rule(1e-3, "share of the causes' trace below which a block is not asked")
+    removable: float = _rule(
+        1.5, "excess of the plain model's held-out χ² below which no gain is stated", unit="SD of χ²"
+    )
+    most_variance: float = _rule(
+        1.0, "mean variance of a prediction over the noise up to which a part can be predicted"
+    )
+    most_parts: int = _rule(5, "parts into which one protocol is dealt at most", COST, "parts")
+    supports: float = _rule(
+        9.0, "fall of χ² within a protocol that counts as support", "theory: three standard deviations", "χ²"
+    )
+
+
+@dataclass(frozen=True)
+class DetectableRules:
+    """Smallest detectable severities, and what a page lists as wrong."""
+
+    power: float = _rule(0.8, "probability with which a smallest detectable severity would be found", "given: 80 %")
+    shapes: float = _rule(0.8, "share of the plausible shapes in which it would be")
+    beyond: float = _rule(2.0, "times the plausible range beyond which no severity is given")
+    noise_spread: float = _rule(
+        0.3, "relative standard deviation of the variance of a block's noise", "length of a usual rest"
+    )
+    spans: int = _rule(3, "bands or spans of time into which a block is split", unit="spans")
+    split_from: int = _rule(12, "values from which a block is split", unit="values")
+    within_noise: float = _rule(0.01, "probability above which a place is within the noise")
+    stays_level: float = _rule(1e-6, "probability below which what causes leave at a place is told")
+    stays_rms: float = _rule(3.0, "times the noise from which it is told", unit="SD")
+    stays_share: float = _rule(0.5, "share of the plain model's χ² there from which it is told")
+    most_told: int = _rule(3, "places that are told at most", unit="places")
+
+
+@dataclass(frozen=True)
+class ProposalRules:
+    """Which recording is proposed next."""
+
+    form_error: float = _rule(0.15, "share of a predicted difference that counts as noise", TEMPERING)
+    undecided: tuple[float, ...] = _rule((0.5, 0.1, 0.03), "probability of leaving causes undecided above which a recording is not "
+                                         "proposed; above which much longer and longer ones are tried", STUDY)  # fmt: skip
+    most_certain: float = _rule(0.99, "largest probability that is stated")
+    proving: float = _rule(
+        1.0, "what is tolerated of a doubt over what would be left of it, from which a recording is proposed", STUDY
+    )
+    form_of_added: float = _rule(
+        0.02, "share of what causes add in a recording that a free quantity follows of their form", STUDY
+    )
+    shown: float = _rule(1.0, "χ² that causes must add in a recording to show there", unit="χ²")
+
+
+@dataclass(frozen=True)
+class SingleRules:
+    """Records that are asked without a session: one large cycle, a system of another kind."""
+
+    interval: float = _rule(0.95, "probability of the interval of a gain, and of one model being better than another")
+    detectable: float = _rule(2.8, "smallest detectable severity", "theory: 80 % power at a level of 5 %", "SD")
+    noise_doubt: float = _rule(
+        3.0, "over √n: share by which the noise of a cycle may be louder than its estimate", unit="SD"
+    )
+    way_back: float = _rule(0.1, "share of the samples of a cycle that the way back must have")
+    way_back_span: float = _rule(0.2, "share of the stretch of a cycle that the way back must have")
+    unseen: float = _rule(1e-6, "length of a parameter's column over the longest below which a part does not show it")
+    form_error: float = _rule(0.15, "share of a predicted difference that counts as noise", TEMPERING)
+    decides: float = _rule(9.2, "χ² between causes from which a recording is proposed", BAYES_100, "χ²")
+    louder: float = _rule(1.5, "input of the louder half over that of the quieter from which they are two parts")
+    driven_alike: float = _rule(0.6, "overlap of spectra from which one part can be predicted from another")
+    above_excited: float = _rule(1.25, "frequency over the highest excited one from which the output is noise")
+    excited: float = _rule(1e-4, "share of the input's largest power from which a frequency is excited")
+    memory: float = _rule(5.0, "decay times over which a residual remembers", unit="decay times")
+    place_level: float = _rule(0.01, "probability below which a band or level of a system is listed as wrong")
+
+
+@dataclass(frozen=True)
+class Rules:
+    """All rules, by step."""
+
+    features: FeatureRules = FeatureRules()
+    plain: PlainRules = PlainRules()
+    alarm: AlarmRules = AlarmRules()
+    temper: TemperRules = TemperRules()
+    fit: FitRules = FitRules()
+    cause: CauseRules = CauseRules()
+    doubt: DoubtRules = DoubtRules()
+    verdict: VerdictRules = VerdictRules()
+    gain: GainRules = GainRules()
+    detectable: DetectableRules = DetectableRules()
+    proposal: ProposalRules = ProposalRules()
+    single: SingleRules = SingleRules()
+
+
+RULES = Rules()
+"""The rules in use."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One rule in words: `name` is step and rule with a dot between, `value` its number or numbers."""
+
+    name: str
+    value: str
+    unit: str
+    meaning: str
+    calibration: str
+
+
+def list_rules(rules: Rules = RULES) -> Iterator[Rule]:
+    """All rules with their words, step by step."""
+    for step in fields(rules):
+        own = getattr(rules, step.name)
+        for rule in fields(own):
+            words = rule.metadata
+            value = _write_value(getattr(own, rule.name))
+            yield Rule(f"{step.name}.{rule.name}", value, words["unit"], words["meaning"], words["calibration"])
+
+
+def _write_value(value: Any) -> str:
+    if isinstance(value, Demand):
+        return ", ".join(f"{getattr(value, f.name):g}" for f in fields(value))
+    if isinstance(value, tuple):
+        return ", ".join(f"({_write_value(v)})" if isinstance(v, tuple) else f"{v:g}" for v in value)
+    return f"{value:g}"
+
+
+def write_table() -> str:
+    """The rules as a table in Markdown, for this package's README."""
+    rows = ["| rule | value | unit | meaning | calibrated by |", "| --- | --- | --- | --- | --- |"]
+    for r in list_rules():
+        cells = (f"`{r.name}`", r.value, r.unit, r.meaning.replace("|", "\\|"), r.calibration)
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows)
