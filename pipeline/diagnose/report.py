@@ -173,7 +173,7 @@ def _estimate_severity(
     mechanism, variant = fit.of.chosen[number].mechanism, fit.of.chosen[number].variant
 
     def report(values: Mapping[str, float]) -> dict[str, float]:
-        found = mechanism.reported(values, variant, context)
+        found = mechanism.report_severity(values, variant, context)
         return {key: float(value) for key, value in found.items() if isinstance(value, int | float)}
 
     def change(steps: Float) -> dict[str, Float]:

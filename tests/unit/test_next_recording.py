@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pipeline.diagnose.proposals.designs import Proposal
 from pipeline.diagnose.proposals.imagined import Wanted, choose_best
-from pipeline.diagnose.proposals.next_recording import _ENOUGH, _Apart
+from pipeline.diagnose.proposals.next_recording import ENOUGH, Separation
 
 SAYS = st.floats(0.0, 1e4)
 AHEAD = st.floats(-9.0, 9.0)
@@ -19,37 +19,37 @@ AHEAD = st.floats(-9.0, 9.0)
 
 @given(if_form=SAYS, if_rival=SAYS, ahead=AHEAD, simpler=AHEAD)
 def test_either_may_be_the_form_believed(if_form: float, if_rival: float, ahead: float, simpler: float) -> None:
-    one, other = _Apart(if_form, if_rival, ahead, simpler), _Apart(if_rival, if_form, -ahead, -simpler)
+    one, other = Separation(if_form, if_rival, ahead, simpler), Separation(if_rival, if_form, -ahead, -simpler)
     assert one.log_undecided == pytest.approx(other.log_undecided, rel=1e-9, abs=1e-12)
     assert one.log_undecided <= 1e-12
 
 
 @given(if_form=st.floats(20.0, 1e3), if_rival=st.floats(20.0, 1e3), ahead=AHEAD, more=st.floats(1.01, 100.0))
 def test_more_of_the_same_is_surer(if_form: float, if_rival: float, ahead: float, more: float) -> None:
-    pair = _Apart(if_form, if_rival, ahead, 0.0)
+    pair = Separation(if_form, if_rival, ahead, 0.0)
     assert pair.times(more).log_undecided < pair.log_undecided
 
 
 @pytest.mark.parametrize(
-    "pair", [_Apart(14.0, 4.5, 8.3, 0.0), _Apart(20.0, 20.0, 0.0, 3.0), _Apart(6.0, 9.0, 4.0, -5.0)]
+    "pair", [Separation(14.0, 4.5, 8.3, 0.0), Separation(20.0, 20.0, 0.0, 3.0), Separation(6.0, 9.0, 4.0, -5.0)]
 )
-def test_it_is_the_share_of_recordings_that_leave_both(pair: _Apart) -> None:
+def test_it_is_the_share_of_recordings_that_leave_both(pair: Separation) -> None:
     """Against the causes themselves: one of them is drawn as likely as it is, then what χ² says with the noise it has."""
     rng = np.random.default_rng(seed=7)
     form_is_true = rng.random(200_000) < 1 / (1 + np.exp(-pair.ahead / 2))
     says = np.where(form_is_true, pair.if_form, pair.if_rival)
     ahead = np.where(form_is_true, 1, -1) * (pair.ahead + pair.simpler)
     noise = 2 * np.sqrt(says) * rng.standard_normal(says.size)
-    assert np.exp(pair.log_undecided) == pytest.approx(np.mean(says + noise + ahead < _ENOUGH), abs=5e-3)
+    assert np.exp(pair.log_undecided) == pytest.approx(np.mean(says + noise + ahead < ENOUGH), abs=5e-3)
 
 
 def test_what_says_nothing_leaves_both() -> None:
-    assert np.exp(_Apart(0.0, 0.0, 3.0, 0.0).log_undecided) == pytest.approx(1.0)
+    assert np.exp(Separation(0.0, 0.0, 3.0, 0.0).log_undecided) == pytest.approx(1.0)
 
 
 def test_a_rival_that_can_imitate_the_form_pays_for_its_parameters() -> None:
     """A delay that a lag with three parameters follows: a recording that holds these three leaves the delay alone."""
-    as_free, freer = _Apart(60.0, 6.0, 0.0, 0.0), _Apart(60.0, 6.0, 0.0, -6.0)
+    as_free, freer = Separation(60.0, 6.0, 0.0, 0.0), Separation(60.0, 6.0, 0.0, -6.0)
     assert freer.log_undecided < as_free.log_undecided - 0.5
 
 

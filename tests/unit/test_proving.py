@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnose.proposals.designs import Proposal
-from pipeline.diagnose.proposals.proving import _ENOUGH, _Judged
-from pipeline.diagnose.search.doubt import choose_doubt
+from pipeline.diagnose.proposals.proving import DoubtInTest
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.doubt import choose_demand, compute_tolerance, meets_demand
 from pipeline.diagnose.search.free_quantities import FreeQuantity
 
 TEST = Proposal({"protocol": "sphs", "loading": "electrical"}, "a test")
@@ -19,8 +20,8 @@ SPANS = FreeQuantity("the stiffness differs from recording to recording", 25.0, 
 SAYS = st.floats(0.0, 1e3)
 
 
-def judged(says: float, add: float = 5.0, found: FreeQuantity = WAY) -> _Judged:
-    return _Judged(TEST, 200.0, add, ((found, says),), ())
+def judged(says: float, add: float = 5.0, found: FreeQuantity = WAY) -> DoubtInTest:
+    return DoubtInTest(TEST, 200.0, add, ((found, says),), ())
 
 
 @given(says=SAYS, more=st.floats(1.0, 1e3), found=st.sampled_from([WAY, SPANS]))
@@ -31,12 +32,12 @@ def test_the_more_a_recording_says_of_a_doubt_the_better(says: float, more: floa
 def test_a_recording_that_says_nothing_leaves_the_doubt_where_it_is() -> None:
     """Just as much is left as is tolerated: that is the least for which a recording is proposed."""
     alone = judged(0.0, add=1.01)
-    excess = choose_doubt(WAY).tolerates(WAY, 200.0) * (200.0 + WAY.excess)
+    excess = compute_tolerance(choose_demand(WAY), WAY, 200.0) * (200.0 + WAY.excess)
     assert alone.merit() == pytest.approx(excess / WAY.excess, rel=0.02)
-    assert alone.merit() < _ENOUGH
+    assert alone.merit() < RULES.proposal.proving
     tolerated = replace(WAY, statistic=3.0)
-    assert not choose_doubt(tolerated).met_by(tolerated, 200.0)
-    assert judged(0.0, add=1.01, found=tolerated).merit() > _ENOUGH
+    assert not meets_demand(choose_demand(tolerated), tolerated, 200.0)
+    assert judged(0.0, add=1.01, found=tolerated).merit() > RULES.proposal.proving
 
 
 def test_where_the_causes_do_not_show_nothing_is_decided() -> None:
@@ -49,13 +50,13 @@ def test_the_form_of_a_cause_shows_where_the_cause_does() -> None:
 
 
 def test_the_worst_doubt_counts() -> None:
-    both = _Judged(TEST, 200.0, 5.0, ((WAY, 300.0), (SPANS, 0.0)), ())
+    both = DoubtInTest(TEST, 200.0, 5.0, ((WAY, 300.0), (SPANS, 0.0)), ())
     assert both.merit() == judged(0.0, found=SPANS).merit()
 
 
 def test_what_explains_more_in_place_of_the_causes_has_to_fall_behind_by_that() -> None:
     ahead = replace(WAY, statistic=231.0)
-    little, much = (_Judged(TEST, 200.0, 5.0, (), ((ahead, says),)) for says in (20.0, 80.0))
-    assert little.merit() < _ENOUGH < much.merit()
+    little, much = (DoubtInTest(TEST, 200.0, 5.0, (), ((ahead, says),)) for says in (20.0, 80.0))
+    assert little.merit() < RULES.proposal.proving < much.merit()
     assert little.times(4.0).merit() == replace(much, add=20.0).merit()
     assert much.separation() == 80.0

@@ -108,6 +108,9 @@ MISSING_RELAXATION = Mechanism(
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs",),
+    absorbed=True,
+    relaxes=True,
+    as_arm=lambda ratio, time_s: {"stiffness_ratio": ratio, "time_constant_s": time_s, "spread": 1.0},
     confusable={
         "power_law_relaxation": "its slope goes on over more than two decades: a decade below 0.1 Hz",
         "passive_strip": "only a strip changes H against its prediction from k",
@@ -127,6 +130,8 @@ POWER_LAW_RELAXATION = Mechanism(
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs",),
+    absorbed=True,
+    relaxes=True,
     confusable={"missing_relaxation": "one slow arm bends within two decades: a decade below 0.1 Hz"},
     effect=_power,
 )
@@ -144,6 +149,7 @@ THERMAL_SOFTENING = Mechanism(
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),
+    warms=True,
     confusable={
         "cyclic_softening": "rest recovers it, strain does not matter: repeat the first sweep in the end, or record temperature",
         "gain_error": "a gain is constant in time",
@@ -165,6 +171,7 @@ PASSIVE_STRIP = Mechanism(
     shows=MECHANICAL | ELECTRICAL,
     confusable={"missing_relaxation": "only a strip changes H against its prediction from k"},
     effect=_strip,
+    absorbed=True,
     softening=lambda values: 1 - values["compliance_share"],
     report=_ratio,
 )  # fmt: skip

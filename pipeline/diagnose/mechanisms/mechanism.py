@@ -68,7 +68,7 @@ class Context:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """A way in which the simulation can be wrong.
+    """A way in which the simulation can be wrong: one entry of the list, and all that the diagnosis needs to know of it.
 
     Parameters
     ----------
@@ -81,10 +81,17 @@ class Mechanism:
     faint : protocols of those in which it is too small to count on (the resonance is far above, the strain is tiny)
     confusable : other mechanism → what separates the two
     effect : parameters by name, variant → what it changes in the simulation
-    variants : forms of the mechanism that are tried one by one; the first is the usual one
+    variants : versions of its equation that are tried one by one; the first is the usual one
     onset : its severity is (largest load)/(onset) − 1, and its first derivative vanishes there: a score at 0 does not see it
+    absorbed : whether film and rig of the plain model can take its place, so that a screen sees next to nothing of a strong one; it is
+        searched from several severities then, with film and rig fitted to each first
+    relaxes : whether it is a relaxation of the film, of which another arm of the plain model could take a part
+    warms : whether a warmer room shows it
     softening : parameters → share of the film's static stiffness that stays; a fit starts with a film stiffer by its inverse
-    report : parameters, context → the keys of the contract; None: the parameters are those keys
+    as_arm : stiffness over k0, time constant s → parameters at which it is an arm as the plain model's; None: it never is one
+    as_filed : errors of the clamp mass and of the load-cell stiffness (true over filed, less 1) → parameters that say the same, so
+        that a fit can start with the rig as its file has it; None: it says nothing of them
+    report : parameters, variant, context → the keys of the contract; None: the parameters are those keys
     """
 
     id: str
@@ -98,27 +105,35 @@ class Mechanism:
     faint: tuple[str, ...] = ()
     variants: tuple[str, ...] = ("",)
     onset: bool = False
+    absorbed: bool = False
+    relaxes: bool = False
+    warms: bool = False
     softening: Callable[[Values], float] | None = field(default=None)
+    as_arm: Callable[[float, float], Values] | None = field(default=None)
+    as_filed: Callable[[float, float], Values] | None = field(default=None)
     report: Callable[[Values, str, Context], Mapping[str, float | str]] | None = field(default=None)
 
     @property
     def severities(self) -> tuple[Parameter, ...]:
+        """Parameters without which the effect vanishes."""
         return tuple(p for p in self.parameters if p.role == SEVERITY)
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:
+        """Parameters that have no effect by themselves."""
         return tuple(p for p in self.parameters if p.role == SHAPE)
 
     def parameter(self, name: str) -> Parameter:
+        """The parameter of that name."""
         return next(p for p in self.parameters if p.name == name)
 
-    def starting(self, **given: float) -> dict[str, float]:
-        """All parameters: those given, shapes and further severities at their start."""
-        return {p.name: given.get(p.name, p.start) for p in self.parameters}
+    def report_severity(self, values: Values, variant: str, context: Context) -> dict[str, float | str]:
+        """Severity by the keys of the contract.
 
-    def reported(self, values: Values, variant: str, context: Context) -> dict[str, float | str]:
-        """Severity as the contract names it, with the variant where there are several."""
-        found: dict[str, float | str] = (
-            dict(values) if self.report is None else dict(self.report(values, variant, context))
-        )
-        return found
+        Parameters
+        ----------
+        values : parameters by name
+        variant : of the equation
+        context : what severities are relative to
+        """
+        return dict(values) if self.report is None else dict(self.report(values, variant, context))

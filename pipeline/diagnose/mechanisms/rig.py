@@ -104,6 +104,8 @@ RIG_CONSTANTS = Mechanism(
         "load_cell_damping": "magnitude beside the resonance against phase within it",
     },
     effect=_constants,
+    absorbed=True,
+    as_filed=lambda mass_error, stiffness_error: {"mass_error": mass_error, "stiffness_error": stiffness_error},
 )  # fmt: skip
 
 LOAD_CELL_DAMPING = Mechanism(
@@ -125,6 +127,7 @@ LOAD_CELL_DAMPING = Mechanism(
     faint=("step", "cyclic", "relaxation", "cycle"),
     confusable={"rig_constants": "phase within the resonance against magnitude beside it"},
     effect=_damping,
+    absorbed=True,
     variants=("drag", "second_mode", "damper"),
 )  # fmt: skip
 MECHANISMS = (RIG_CONSTANTS, LOAD_CELL_DAMPING)

@@ -90,6 +90,7 @@ SENSOR_DELAY = Mechanism(
         "missing_relaxation": "a delayed force is no relaxation of any order; a delayed displacement shows in no electrical test",
     },
     effect=_delay,
+    absorbed=True,
     variants=("force, two_pole", "force, shift", "displacement, two_pole", "displacement, shift"),
     report=_channel_of,
 )
@@ -108,6 +109,7 @@ GAIN_ERROR = Mechanism(
         "rig_constants": "a gain has no resonance; force against displacement is never decided by one rig's data",
     },
     effect=_gain,
+    absorbed=True,
     variants=_CHANNELS,
     report=_channel_of,
 )

@@ -22,8 +22,8 @@ from pipeline.diagnose.results import NextRecording
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 
-_ENOUGH = 2 * RULES.cause.close
-"""Difference of χ² from which a cause stands alone."""
+ENOUGH = 2 * RULES.cause.close
+"""Difference of Λ from which a cause stands alone."""
 _WANTED = Wanted(*(-math.log(undecided) for undecided in RULES.proposal.undecided))
 """Of the probability that a recording leaves two causes undecided: above the first it is not proposed, above the others longer ones
 are, if they are surer."""
@@ -53,7 +53,7 @@ def propose_separating(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) 
 
 
 @dataclass(frozen=True)
-class _Apart:
+class Separation:
     """A form believed and a rival in a recording that was not made: what χ² would say against the rival were the form true, and
     against the form were the rival true; what puts the form ahead so far, and what it would gain by having fewer parameters."""
 
@@ -70,20 +70,20 @@ class _Apart:
         """
         later = self.ahead + self.simpler
         either = ((self.if_form, later), (self.if_rival, -later))
-        margins = [(says + ahead - _ENOUGH) / (2 * np.sqrt(max(says, _LITTLE))) for says, ahead in either]
+        margins = [(says + ahead - ENOUGH) / (2 * np.sqrt(max(says, _LITTLE))) for says, ahead in either]
         true = log_expit([self.ahead / 2, -self.ahead / 2])
         return float(np.logaddexp(*(true + log_ndtr(np.negative(margins)))))
 
-    def times(self, often: float) -> _Apart:
+    def times(self, often: float) -> Separation:
         return replace(self, if_form=often * self.if_form, if_rival=often * self.if_rival)
 
 
 @dataclass(frozen=True)
-class _Judged:
+class SeparationInTest:
     """A proposal, and how far apart each pair of a form believed and a rival is in it."""
 
     proposal: Proposal
-    apart: tuple[_Apart, ...]
+    apart: tuple[Separation, ...]
 
     def separation(self) -> float:
         return min(min(pair.if_form, pair.if_rival) for pair in self.apart)
@@ -92,21 +92,21 @@ class _Judged:
         """Of a pair that it decides, the least sure one: −ln of the probability that it does not."""
         return -max(pair.log_undecided for pair in self.apart)
 
-    def times(self, often: float) -> _Judged:
+    def times(self, often: float) -> SeparationInTest:
         """What so many times the data would say at most."""
         return replace(self, apart=tuple(pair.times(often) for pair in self.apart))
 
 
 def _judge_proposal(
     proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]
-) -> _Judged | None:
+) -> SeparationInTest | None:
     """What a proposal would say; None where its recording would have no features."""
     made = imagine_session(believed[0], proposal)
     if made is None:
         return None
     seen = [[Seen.of_fit(*made, fit) for fit in fits] for fits in (believed, rivals)]
     apart = [_compute_separation(one, other) for one in seen[0] for other in seen[1]]
-    return _Judged(proposal, tuple(apart))
+    return SeparationInTest(proposal, tuple(apart))
 
 
 def _list_variants(fit: ExtendedFit) -> list[ExtendedFit]:
@@ -138,8 +138,8 @@ def _compute_lead(form: ExtendedFit, rival: ExtendedFit) -> float:
     return ahead if ahead < 2 * RULES.cause.close else 0.0
 
 
-def _compute_separation(form: Seen, rival: Seen) -> _Apart:
+def _compute_separation(form: Seen, rival: Seen) -> Separation:
     ahead = _compute_lead(form.fit, rival.fit)
     apart = form.values - rival.values
     simpler = form.narrowed(apart) - rival.narrowed(apart)
-    return _Apart(rival.against(form.values), form.against(rival.values), ahead, simpler)
+    return Separation(rival.against(form.values), form.against(rival.values), ahead, simpler)

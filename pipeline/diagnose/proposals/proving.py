@@ -18,7 +18,6 @@ from pipeline.diagnose.search.doubt import choose_demand, compute_tolerance
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.free_quantities import FreeQuantity
 
-_OF_WARMTH = "thermal_softening"
 _NOTHING = 1e-3
 """χ² that is nothing."""
 
@@ -26,18 +25,21 @@ _NOTHING = 1e-3
 def propose_proving(
     plain: ExtendedFit, final: ExtendedFit, beside: Sequence[FreeQuantity], instead: Sequence[FreeQuantity]
 ) -> NextRecording | None:
-    """The test after which least of the doubts would be left, were the causes believed the right ones; None where too much would.
+    """The test after which least of a doubt would be left, were the causes the right ones; None where too much would.
 
-    beside, instead : quantities that explain something beside the final model, and more than its causes in their place
+    Parameters
+    ----------
+    plain, final : the plain model and the one with the causes
+    beside, instead : free quantities that explain something beside the causes, and more than they do in their place
     """
 
-    def judge(proposal: Proposal) -> _Judged | None:
+    def judge(proposal: Proposal) -> DoubtInTest | None:
         made = imagine_session(final, proposal)
         if made is None:
             return None
         believed, rival = (Seen.of_fit(*made, fit) for fit in (final, plain))
         whiten, cause = made[0].whiten, believed.values - rival.values
-        return _Judged(
+        return DoubtInTest(
             proposal,
             plain.chi2 - final.chi2,
             rival.shown(cause, cause),
@@ -45,12 +47,13 @@ def propose_proving(
             tuple((d, rival.against(believed.values - whiten(d.change(rival.of, plain.x)))) for d in instead),
         )
 
+    least = RULES.proposal.proving
     causes = [c.mechanism for c in final.of.chosen[:1]]
-    warmer_k = LITTLE_WARMER_K if any(c.id == _OF_WARMTH for c in final.of.chosen) else None
+    warmer_k = LITTLE_WARMER_K if any(c.mechanism.warms for c in final.of.chosen) else None
     best = choose_best(
         select_showing(list_proposals(final.of.session, warmer_k), causes),
         judge,
-        Wanted(RULES.proposal.proving, RULES.proposal.proving, RULES.proposal.proving),
+        Wanted(least, least, least),
     )
     if best is None:
         return None
@@ -62,7 +65,7 @@ def propose_proving(
 
 
 @dataclass(frozen=True)
-class _Judged:
+class DoubtInTest:
     """A proposal, with what causes explain so far, `fall`, what they would `add`, and what the recording would say of each quantity
     beside them, and against each in their place; all in χ²."""
 
@@ -95,7 +98,7 @@ class _Judged:
         """χ² that the recording would say of the doubts or, where these are of recordings made, of the causes."""
         return min([*(says or self.add for _, says in self.beside), *(says for _, says in self.instead)])
 
-    def times(self, often: float) -> _Judged:
+    def times(self, often: float) -> DoubtInTest:
         def more(found: tuple[tuple[FreeQuantity, float], ...]) -> tuple[tuple[FreeQuantity, float], ...]:
             return tuple((d, often * says) for d, says in found)
 

@@ -17,8 +17,10 @@ from schemas.arrays import Float
 Shape = tuple[float, ...]
 
 _STEEPEST = 6.0
-_RELAXING = frozenset({"missing_relaxation", "power_law_relaxation"})
 _SMALL = 0.01
+"""Part of a severity at which a weak effect is taken."""
+_GONE = 1e-9
+"""Share of its squared length below which an arm is spent."""
 _ARMS_S = np.geomspace(1e-4, 100.0, 19)
 """Relaxation times at which the model could have another arm."""
 
@@ -54,7 +56,7 @@ def report_smallest(
     for id, (variant, values) in found.items():
         mechanism = MECHANISMS[id]
         shapes = {p.name for p in mechanism.shapes}
-        report = mechanism.reported(values, variant, context)
+        report = mechanism.report_severity(values, variant, context)
         numbers = {k: float(v) for k, v in report.items() if isinstance(v, int | float) and k not in shapes}
         result[id] = {k: v for k, v in numbers.items() if np.isfinite(v) and v != 0}
     return result
@@ -112,42 +114,60 @@ def _interpolate_length(logs: Float, wanted: float) -> float:
 
 
 def discount_further_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
-    """Signatures about a plain fit, of relaxations as long as what arms leave that the model could still have.
+    """Signatures about a plain fit, those of relaxations as long as what further arms would leave of them.
 
     A plain model below the highest order takes another arm where the recordings ask for one, and then there is nothing to find.
+
+    Parameters
+    ----------
+    fit : of the plain model
+    looked : signatures about it
     """
     free = RULES.plain.orders[-1] - fit.of.model.arms
-    points = [i for i, c in enumerate(looked.chosen) if c.id in _RELAXING and looked.weak[i]]
-    if free <= 0 or not points:
+    points = [i for i, c in enumerate(looked.chosen) if c.mechanism.relaxes and looked.weak[i]]
+    arms = _list_weak_arms()
+    if free <= 0 or not points or not arms:
         return looked
     of, base = fit.of, fit.of.predict(fit.x)
-    arm = Chosen("missing_relaxation", MECHANISMS["missing_relaxation"].variants[0])
-    ratio = MECHANISMS["missing_relaxation"].severities[0].low
+    relaxations = [
+        (looked.chosen[i], scale_severities(looked.chosen[i].mechanism, looked.values[i], _SMALL)) for i in points
+    ]
     changes = [
         of.simulation.predict(of.model, fit.theta, compose_chosen((c,), (values,))) - base
-        for c, values in (
-            *((arm, {"stiffness_ratio": _SMALL * ratio, "time_constant_s": float(t), "spread": 1.0}) for t in _ARMS_S),
-            *(
-                (looked.chosen[i], scale_severities(looked.chosen[i].mechanism, looked.values[i], _SMALL))
-                for i in points
-            ),
-        )
+        for c, values in (*arms, *relaxations)
     ]
     seen = of.weight[:, None] * of.session.whiten(np.array(changes).T / _SMALL)
     gram = project_out(fit, seen, make_absorbed_basis(fit))[0]
     length = looked.length.copy()
-    for place, i in enumerate(points, start=_ARMS_S.size):
-        left = gram.copy()
-        for _ in range(free):
-            own = np.diag(left)[: _ARMS_S.size]
-            taken = np.where(
-                own > 1e-9 * np.diag(gram)[: _ARMS_S.size],
-                left[: _ARMS_S.size, place] ** 2 / np.maximum(own, 1e-300),
-                0,
-            )
-            best = int(np.argmax(taken))
-            if taken[best] > 0:
-                left = left - np.outer(left[:, best], left[best]) / left[best, best]
+    for place, i in enumerate(points, start=len(arms)):
         # As derivatives over whole severities, so that the ratio counts.
-        length[i] *= float(np.sqrt(max(left[place, place], 0.0) / gram[place, place]))
+        length[i] *= float(np.sqrt(max(_measure_left(gram, len(arms), free, place), 0.0) / gram[place, place]))
     return replace(looked, length=length)
+
+
+def _list_weak_arms() -> list[tuple[Chosen, Mapping[str, float]]]:
+    """Weak arms as the plain model's, at all times that one could have; none where no mechanism of the list is one."""
+    for id, mechanism in MECHANISMS.items():
+        if mechanism.as_arm is not None:
+            ratio = _SMALL * mechanism.severities[0].low
+            return [(Chosen(id, mechanism.variants[0]), mechanism.as_arm(ratio, float(t))) for t in _ARMS_S]
+    return []
+
+
+def _measure_left(gram: Float, arms: int, free: int, place: int) -> float:
+    """Squared length of the change at `place` that the best `free` of the first `arms` changes leave, taken one by one.
+
+    gram : (G, G) products of the changes
+    """
+    left = gram.copy()
+    for _ in range(free):
+        own = np.diag(left)[:arms]
+        taken = np.where(
+            own > _GONE * np.diag(gram)[:arms],
+            left[:arms, place] ** 2 / np.maximum(own, 1e-300),
+            0,
+        )
+        best = int(np.argmax(taken))
+        if taken[best] > 0:
+            left = left - np.outer(left[:, best], left[best]) / left[best, best]
+    return float(left[place, place])

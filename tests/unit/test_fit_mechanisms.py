@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from pipeline.diagnose.search import fit_mechanisms
 from pipeline.diagnose.search.extended_model import Chosen
-from pipeline.diagnose.search.fit_mechanisms import _drop_lost, _follow_to_end
+from pipeline.diagnose.search import fit_mechanisms
+from pipeline.diagnose.search.fit_mechanisms import drop_astray, fit_each_mechanism, follow_to_end
 from pipeline.diagnose.search.screen import Score
 
 
@@ -45,7 +45,7 @@ def test_a_search_ends(chi2: float, fall: float, least: float, reach: float, fou
     taken: list[int] = []
     base: Any = SimpleNamespace(chi2=1000.0)
     fit: Any = Falling(chi2, fall, least, taken)
-    assert _follow_to_end(base, fit, reach).chi2 == pytest.approx(found)
+    assert follow_to_end(base, fit, reach).chi2 == pytest.approx(found)
     assert len(taken) == rounds
 
 
@@ -63,46 +63,64 @@ def test_severities_that_no_material_makes_room_for_are_left(
 ) -> None:
     base: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(session=SimpleNamespace(size=size)))
     rooms: Any = [SimpleNamespace(chi2=v) for v in chi2]
-    assert [room.chi2 for room in _drop_lost(rooms, base)] == kept
+    assert [room.chi2 for room in drop_astray(rooms, base)] == kept
 
 
-def fitted_without_a_session(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Fits explain 1.2 × what the screen promised; the mechanisms that are fitted from now on."""
-    fitted: list[str] = []
+class Fitted:
+    """A fit of one mechanism that is at its optimum: it explains 1.2 × what the screen promised, whatever film it starts from."""
 
-    def fit(base: object, score: Score, *_: object) -> Any:
-        fitted.append(score.chosen.id)
-        chi2 = 1000.0 - 1.2 * score.statistic
-        return SimpleNamespace(chi2=chi2, log_evidence=-chi2 / 2, of=SimpleNamespace(chosen=(score.chosen,)))
+    def __init__(self, score: Score) -> None:
+        self.chi2 = 1000.0 - 1.2 * score.statistic
+        self.log_evidence = -self.chi2 / 2
+        self.theta, self.values, self.x = np.zeros(1), ({},), np.zeros(1)
+        self.solution = SimpleNamespace(converged=True)
+        self.of = SimpleNamespace(
+            chosen=(score.chosen,),
+            entries=lambda theta, values: theta,
+            fit=lambda *_, **__: self,
+            refined=lambda fit: fit,
+            further=lambda fit, most: fit,
+        )
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Mechanisms that are fitted from now on, in their order; without a session to fit them to."""
+    order: list[str] = []
+
+    def fit(base: object, score: Score, *_: object) -> Fitted:
+        order.append(score.chosen.id)
+        return Fitted(score)
 
     monkeypatch.setattr(fit_mechanisms, "fit_mechanism", fit)
-    monkeypatch.setattr(fit_mechanisms, "expect_noise_chi2", lambda _: 390.0)
-    return fitted
+    return order
 
 
-def test_rivals_that_cannot_come_near_are_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    fitted = fitted_without_a_session(monkeypatch)
-    ids = {"slack": 500.0, "clamp_slip": 45.0, "gain_error": 5.0, "wrinkling": 5.0}
-    found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
-    base: Any = SimpleNamespace(chi2=1000.0)
-    kept = fit_mechanisms.fit_each_mechanism(base, found, cast(Any, None), 8)
-    # Of what the material can take the place of, a screen's promise says nothing.
+BASE: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(weight=np.ones(400), model=SimpleNamespace(size=10)))
+"""A base whose noise alone would leave 390."""
+
+
+def list_scores(**promised: float) -> list[Score]:
+    return [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in promised.items()]
+
+
+def test_mechanisms_that_cannot_come_near_the_best_are_not_fitted(fitted: list[str]) -> None:
+    scores = list_scores(slack=500.0, clamp_slip=45.0, gain_error=5.0, wrinkling=5.0)
+    kept = fit_each_mechanism(BASE, scores, cast(Any, None), 8)
+    # Of what film and rig can take the place of, a screen's promise says nothing.
     assert fitted == ["slack", "clamp_slip", "gain_error"]
     assert [f.chi2 for f in kept] == pytest.approx([400.0, 946.0, 994.0])
-    fitted.clear()
-    assert [
-        f.chi2 for f in fit_mechanisms.fit_each_mechanism(base, found, cast(Any, None), 8, goal=450.0)
-    ] == pytest.approx([400.0, 994.0])
+
+
+def test_mechanisms_that_cannot_come_near_the_goal_are_not_fitted(fitted: list[str]) -> None:
+    scores = list_scores(slack=500.0, clamp_slip=45.0, gain_error=5.0, wrinkling=5.0)
+    kept = fit_each_mechanism(BASE, scores, cast(Any, None), 8, goal=450.0)
     assert fitted == ["slack", "gain_error"]
+    assert [f.chi2 for f in kept] == pytest.approx([400.0, 994.0])
 
 
-def test_what_the_best_can_be_taken_for_is_fitted_wherever_it_stands_in_the_screen(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A screen sees next to nothing of a strong cause whose place the material can take."""
-    fitted = fitted_without_a_session(monkeypatch)
-    monkeypatch.setattr(fit_mechanisms, "_refit_from_film_of", lambda best, fit, base: fit)
-    ids = {"passive_strip": 500.0, "slack": 45.0, "gain_error": 5.0, "missing_relaxation": 1.0}
-    found = [Score(Chosen(id, ""), {}, statistic, 1.0) for id, statistic in ids.items()]
-    fit_mechanisms.fit_each_mechanism(cast(Any, SimpleNamespace(chi2=1000.0)), found, cast(Any, None), 1)
+def test_what_the_best_can_be_taken_for_is_fitted_wherever_it_stands_in_the_screen(fitted: list[str]) -> None:
+    """A screen sees next to nothing of a strong mechanism whose place film and rig can take."""
+    scores = list_scores(passive_strip=500.0, slack=45.0, gain_error=5.0, missing_relaxation=1.0)
+    fit_each_mechanism(BASE, scores, cast(Any, None), 1)
     assert fitted == ["passive_strip", "missing_relaxation"]
