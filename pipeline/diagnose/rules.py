@@ -47,6 +47,9 @@ class FeatureRules:
     most_lost: float = _rule(0.2, "share of the samples that may be lost before a recording is refused")
     clear_response: float = _rule(0.3, "least |1 + (−Mω² + jωc)/kL| at which a response says anything of the film")
     red_noise: float = _rule(12.0, "twice the gain in log likelihood that noise with a red part must bring", unit="χ²")
+    own_noise_count: float = _rule(
+        8.0, "fewest independent ordinates of a rest that may have its own noise", unit="ordinates"
+    )
     own_noise: float = _rule(
         3.5, "standard deviations by which a rest must miss the session's noise to have its own", unit="SD"
     )

@@ -86,11 +86,6 @@ class FrequencyResponse:
         """√E|Δvalue|², both components together (column `standard_error`)."""
         return np.sqrt(self.variance)
 
-    @property
-    def component_sd(self) -> Float:
-        """Standard deviation of the real and of the imaginary part alone."""
-        return np.sqrt(self.variance / 2)
-
     def only_usable(self) -> Self:
         return self.select(self.usable)
 

@@ -26,6 +26,6 @@ def of_a_spring(
         stiffness=np.full((1, 1), STIFFNESS_N_PER_MM + 0j),
         static=STIFFNESS_N_PER_MM,
         interval_s=np.full((1, 1), 1 / 64),
-        scale=Scale(largest, 5.0, 100.0, 4000.0, length_mm, 0.2),
+        scale=Scale(largest, 5.0, 100.0, 4000.0, length_mm),
         cycles=cycles,
     )

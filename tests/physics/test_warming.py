@@ -19,7 +19,7 @@ def stiffness(session_s: float, temperature_k: float, first_temperature_s: float
     known = {"session_s": session_s, "temperature_k": temperature_k, "first_temperature_s": first_temperature_s}
     view = View(
         **numbers | {name: np.full((1, 1), value) for name, value in known.items()},
-        scale=Scale(0.1, 5.0, 100.0, 4000.0, 30.0, 0.2),
+        scale=Scale(0.1, 5.0, 100.0, 4000.0, 30.0),
         test="sweep",
     )
     film = Film(np.ones((1, 1), dtype=complex), np.ones((1, 1), dtype=complex))
@@ -49,7 +49,7 @@ def heated(test: str, frequency_hz: np.ndarray, strain: np.ndarray, elapsed: np.
     numbers = {f.name: np.zeros(shape) for f in fields(View) if f.name not in ("scale", "test", "k0")}
     numbers |= {"frequency_hz": np.broadcast_to(frequency_hz, shape), "strain": np.broadcast_to(strain, shape)}
     numbers |= {"elapsed": np.broadcast_to(elapsed, shape), "temperature_k": np.zeros(shape)}
-    view = View(**numbers, scale=Scale(0.1, 5.0, 100.0, 4000.0, 30.0, 0.2), test=test, k0=2.0)
+    view = View(**numbers, scale=Scale(0.1, 5.0, 100.0, 4000.0, 30.0), test=test, k0=2.0)
     film = Film(np.full(shape, 2.0 + 2.0j * loss), np.ones(shape, dtype=complex))
     (softer,) = make_effect("thermal_softening", WARM | {"per_kelvin": 0.01, "self_heating_k": 1.0}).film
     return np.asarray(-np.log(np.abs(softer(film, view).k / film.k)) / 0.01)

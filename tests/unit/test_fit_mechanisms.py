@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from pipeline.diagnose.search.extended_model import Chosen
 from pipeline.diagnose.search import fit_mechanisms
+from pipeline.diagnose.search.extended_model import Chosen
 from pipeline.diagnose.search.fit_mechanisms import drop_astray, fit_each_mechanism, follow_to_end
 from pipeline.diagnose.search.screen import Score
 

@@ -29,6 +29,7 @@ from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
 
 _HARMONICS = 3
+"""Highest harmonic of the force that is a feature."""
 _ROOM = 1.2
 """Highest frequency of interest over that of the last harmonic: noise above it only leaks in, with a film that stiffens."""
 _RESOLVING_REST_HZ = 4.0

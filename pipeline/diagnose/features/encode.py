@@ -26,13 +26,17 @@ from schemas.metadata import RigConstants
 Array = NDArray[Any]
 
 _VERSION = 4
+"""Of the format; features of another version are made again."""
 _LEVEL = 9
+"""Of the compression: 9 is the densest that is quick."""
 _MOST_BYTES = 1 << 30
+"""Size of unpacked features beyond which a file is damaged."""
 _SINGLES = "re_data", "im_data", "piece_mm"
 _COLUMNS = ("re_columns", "im_columns")
 _COVARIATES = ("value", "frequency_hz", "amplitude", "voltage_kv", "cycle", "time_s")
 _EXACT, _SINGLE, _STEPS, _CORRELATIONS = "exact", "single", "steps", "correlations"
 _UNIT = 2.0**36
+"""Steps of a covariance that is kept, over the product of the two standard deviations."""
 
 
 def pack(features: RecordingFeatures) -> str:

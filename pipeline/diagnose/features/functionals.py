@@ -28,6 +28,7 @@ _NEGLIGIBLE = 3e-7
 _SPLIT = (4.0, 24.0)
 """Turns per record between which the finer integration of the low frequencies ends."""
 _FINER = 32
+"""Frequencies of the finer integration over those of a plain transform."""
 _SLOW_BINS = 24
 """Bins of a stretch below which coloured noise is integrated over the frequencies of the whole record instead."""
 _BLENDED = 0.4, 1.0
@@ -35,6 +36,7 @@ _BLENDED = 0.4, 1.0
 _MAINS_SPREAD_HZ = 0.03
 """How far the frequency of mains is from its nominal value, as a standard deviation over a record: grids keep it that well."""
 _LINE_NODES = 5
+"""Nodes of the Gauss–Hermite rule over the frequency of the mains."""
 _UNSEEN = 1e-9
 """Share of the largest product of functional and input below which a bin is left out of an operator."""
 _DARK = 1e-16

@@ -18,9 +18,12 @@ from pipeline.diagnose.rules import RULES
 from schemas.arrays import Float, Int
 
 _PER_OCTAVE = 40
+"""Ordinates of a periodogram per octave that are kept, as means."""
 MAINS_HZ = (50.0, 100.0, 150.0)
+"""Frequencies of the mains and of their first harmonics, Hz."""
 _MAINS_WIDTH_HZ = 1.5
-_ENOUGH = 8.0
+"""Half width about the mains that is left out of the noise, Hz."""
+
 _MOST_DOUBT = 1.0
 """Largest variance of a logarithm that is allowed for: what the stretches leave open altogether is not noise."""
 _LEAST_POWER = 1e-12
@@ -121,7 +124,7 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
     for r in np.unique(pool.recording):
         own = pool.recording == r
         count = float(ruled[own].sum())
-        if count < _ENOUGH:
+        if count < RULES.features.own_noise_count:
             continue
         ratio = float(np.sum(ruled[own] * pool.power[own] / expected[own])) / count
         if abs(ratio - 1) * np.sqrt(count) > RULES.features.own_noise * max(ratio, 1.0):

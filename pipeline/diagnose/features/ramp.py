@@ -23,11 +23,15 @@ from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
 
 _PER_DECADE = 8
+"""Windows of a hold per decade of time."""
 _PER_BRANCH = 16
+"""Windows of the loading and of the unloading of a cycle."""
 _MOVING = 0.02
 """Share of the step by which the displacement may miss its level and still count as held."""
 _RINGING_TURNS = 3.0
+"""Turns of the clamp after a step in which it rings, and which are no feature."""
 _HIGHEST_HZ = 200.0
+"""Highest frequency of interest in a hold, Hz."""
 _LONGEST = 60_000
 """Samples to which a long record is thinned."""
 

@@ -6,7 +6,7 @@ Belongs here: what all protocols share before their functionals are formed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from schemas.recording import Channel, Recording
 _PASSED = 0.7
 """Share of half the sample rate below which thinning leaves a spectrum as it is."""
 _CLEARLY_AWAY, _FIRST_LEVEL, _LEAVING, _LEAST_OF_STEP = 6.0, 40, 0.2, 0.25
+"""Standard deviations from its level at which an input has clearly left its rest; share of the record, and of a
+cycle, before that in which it may have begun to; and least noise over the step of the converter."""
 
 
 @dataclass(frozen=True)
@@ -203,9 +205,3 @@ def polynomials(count: int, degree: int) -> Float:
     s = np.linspace(-1, 1, count)
     q, _ = np.linalg.qr(np.polynomial.legendre.legvander(s, degree))
     return np.ascontiguousarray(q.T)
-
-
-def trimmed(channel: Channel, start_ns: int, stop_ns: int) -> Channel:
-    """The channel's samples with start ≤ time < stop."""
-    inside = (channel.time_ns >= start_ns) & (channel.time_ns < stop_ns)
-    return replace(channel, time_ns=channel.time_ns[inside], values=channel.values[inside])

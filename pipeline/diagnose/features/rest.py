@@ -25,12 +25,17 @@ _NEAR, _FAR = 2, 14
 _FREEDOM = 2 * 2 * (_FAR - _NEAR + 1) / 1.5
 """Degrees of freedom of the neighbourhood: Hann bins share data with their neighbours, two thirds are independent."""
 _MIDDLE = float(fdtri(2, _FREEDOM, 0.5))
+"""Median of the ratio of the mains' power to its neighbourhood where there are none."""
 _EXACT_Z = 4.0
 """Score up to which the null distribution is exact; beyond it the score grows as the amplitude over its noise."""
 _EXACT_RATIO = float(fdtri(2, _FREEDOM, ndtr(_EXACT_Z)))
+"""The ratio at that score."""
 _HIGHEST_Z = 300.0
+"""Largest score: more says no more."""
 _BEFORE_S = 0.05
+"""Time before an input begins that is no rest any more, s."""
 _ROUNDING = 1e-12
+"""Share of a channel's largest value below which what varies is rounding."""
 
 
 def hum_block(recording: Recording) -> FeatureBlock | None:

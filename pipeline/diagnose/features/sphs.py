@@ -35,10 +35,13 @@ from schemas.metadata import RigConstants
 from schemas.recording import Recording
 
 _DEGREE = 5
+"""Degree of the slow drift over a record that is taken off."""
 _WAVE = 2048
 """Most samples of the stored period."""
 _MAINS_HALF_HZ = 0.6
+"""Half width about the mains in which no line is a feature, Hz."""
 _LEAD_IN_S = 0.03
+"""Time before the first period in which the amplifier may begin to move, s."""
 
 
 @dataclass(frozen=True)

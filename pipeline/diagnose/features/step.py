@@ -25,11 +25,15 @@ from schemas.metadata import RigConstants
 from schemas.recording import Recording
 
 _PER_DECADE = 5
+"""Windows after an edge per decade of time."""
 _HIGHEST_HZ = 50.0
+"""Highest frequency of interest after an edge, Hz."""
 _LONGEST = 40_000
+"""Samples to which a long record is thinned."""
 _DISTURBED_S = 0.05
 """Time after an edge in which the converter of the capacitance is disturbed."""
 _SAME_EDGE_S = 0.25
+"""Time within which an edge of the voltage belongs to one of the command, s."""
 _SETTLED, _CREEP_DEGREE, _SLOW_HZ, _MOST_PLATEAUS = 0.4, 4, 20.0, 8
 """Share of a plateau after which its noise is taken, polynomial that creep follows, highest frequency, cycles that are enough."""
 

@@ -18,14 +18,19 @@ from pipeline.diagnose.features.records import polynomials
 from schemas.arrays import Bool, Complex, Float, Int
 
 BANDS = 40
+"""Bands of frequency, evenly spaced in the logarithm, into which a sweep is cut."""
 WITHIN = 9
 """Frequencies within a window at which its harmonics are predicted, odd."""
 _FEWEST_BINS = 2
+"""Spectral bins that a band has at least."""
 _DEGREE = 3
 """Degree of the drift that the response of a band does not see."""
 _HARMONIC_RATIO = 1.45
+"""Ratio of frequencies at the ends of a window for harmonics."""
 _HARMONIC_CYCLES = 4.0
+"""Cycles in such a window at least."""
 _ENVELOPE_CYCLES = 1.0
+"""Cycles on either side over which the amplitude of a sweep is taken."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,9 @@ from pipeline.diagnose.simulation.effects import Cracks, Effect, View, Wave
 from schemas.arrays import Complex, Float
 
 _LOWEST_HZ = 1e-4
+"""Frequency below which a power law is constant, Hz."""
 _CELLS = 64
+"""Cells of a period in each of which what follows the voltage is constant."""
 _BALANCE, _PERIODS = 12, 2
 """Rounds in which the mean level is found, and periods that are followed then."""
 

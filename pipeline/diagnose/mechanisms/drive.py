@@ -12,6 +12,7 @@ from pipeline.diagnose.simulation.effects import Effect, View, Wave
 from schemas.arrays import Complex, Float
 
 _ROUNDS = 4
+"""Rounds in which the rate of a lagging voltage is found."""
 _FIELD_POWER = 4.0
 """Exponent of the part of the current that the field drives; which power hardly shows beside an ohmic part."""
 

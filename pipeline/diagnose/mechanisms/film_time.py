@@ -19,6 +19,7 @@ from pipeline.diagnose.simulation.effects import Effect, Film, View
 from schemas.arrays import Complex, Float
 
 _LOWEST_HZ = 1e-6
+"""Frequency below which a power law is constant, Hz."""
 
 
 def _arm(values: Values, variant: str) -> Effect:

@@ -20,6 +20,7 @@ from pipeline.diagnose.simulation.nodes import carried
 from schemas.arrays import Complex
 
 _ROUNDS, _FOUND, _NO_DRAG = 12, 1e-6, 1e-300
+"""Steps of Newton's method for the drag at most, change of its logarithm that is none, and what is no drag."""
 
 
 def _constants(values: Values, variant: str) -> Effect:

@@ -35,9 +35,13 @@ from schemas.recording import Channel, Recording
 Key = str | float
 
 _NS = 1_000_000_000
+"""Nanoseconds of a second."""
 _PAUSE_S = 60.0
+"""Time between two recordings of a session, s."""
 _SEED = 3
+"""Of the noise of recordings that were not made."""
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
+"""Sample rate at which each test would be recorded, Hz."""
 OFTEN = {"chirp": 10, "cyclic": 10, "sphs": 3, "step": 10}
 """How many times as many sweeps, cycles, periods or voltage steps are made where a few do not decide. More periods show what no model
 is right to."""
@@ -58,20 +62,26 @@ _KINDS = {
     "weight": {WEIGHT_GAIN},
 }
 _SWEEP_S, _REST_S = 6.0, 2.0
+"""Duration of a sweep and of the rest before the next, s."""
 _SPHS: dict[str, Key] = {
     "period_s": 2.0,
     "frequency_start_hz": 0.5,
     "lines": "odd",
 }
+"""What all SPHS of the catalogue have in common."""
 _USUAL_STRAIN = 0.02
+"""Strain of tests where a session has none."""
 _LONG_REST_S, _LONG_HOLD_S = 7200.0, 7200.0
+"""Rest in which a film recovers, and hold that shows slow relaxations, s."""
 _WARMER, _TEMPERATURE = "warmer_k", "temperature_degc"
 _TO_WARM_S, _ROOM_DEGC = 3600.0, 23.0
+"""Time in which a film takes the temperature of a room, s; and that of a usual room, °C."""
 WARMER_K, LITTLE_WARMER_K = 10.0, 3.0
 """How much warmer a room is made to tell causes apart, and to see one again: far from what is known, its form may be another."""
 _EXTRA_KG = "extra_clamp_mass_kg"
 _USUAL_CLAMP_KG, _WEIGHTS_KG = 0.1, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-_CARRIED = ("pre_strain", "actuation_n_per_kv2", "actuation_sd")
+"""Mass of a clamp where no file gives one, and masses of a usual set of weights, kg."""
+_CARRIED = ("actuation_n_per_kv2", "actuation_sd")
 """What a recording tells of the specimen, and the next one would tell again."""
 _CALIBRATION_SD = {"tap": (7e-4, 3e-3), "weight": (1e-3,)}
 """Standard deviations that calibrations have in a laboratory: of ln f and of the damping ratio; of the gain."""

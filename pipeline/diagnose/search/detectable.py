@@ -17,6 +17,7 @@ from schemas.arrays import Float
 Shape = tuple[float, ...]
 
 _STEEPEST = 6.0
+"""Largest exponent by which the trace of an onset effect is taken to grow."""
 _SMALL = 0.01
 """Part of a severity at which a weak effect is taken."""
 _GONE = 1e-9

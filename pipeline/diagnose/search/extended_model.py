@@ -25,7 +25,9 @@ from schemas.arrays import Float
 _BEYOND = np.log(20.0)
 """How far a severity is searched beyond its plausible range, which is no limit."""
 _SHAPE_BEYOND = np.log(4.0)
+"""How far a shape is searched beyond its plausible range."""
 _LEAST_DENSITY = 1e-12
+"""Least size of a severity in its prior's density."""
 _LARGEST_LOG = 600.0
 """An entry that the data do not hold may be anywhere."""
 

@@ -24,10 +24,15 @@ from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Complex, Float
 
 _STEP = 1e-4
+"""Size of the effects by which features are differentiated."""
 _KNOTS_HZ = np.geomspace(0.01, 160.0, 15), np.geomspace(5.0, 160.0, 26)
+"""Frequencies at which the stiffness is free: few over all tests, and many over sweeps, Hz."""
 _CHARGING_S = (0.0, 0.2, 1.5, 4.0, 12.0)
+"""Times in which what follows the voltage charges, s."""
 _PERIODS_S = np.geomspace(600.0, 7200.0, 16)
+"""Periods of a stiffness that comes and goes, s."""
 _RATE_S = 0.1
+"""Time by which strain rates are made strains, s."""
 
 
 @dataclass(frozen=True)

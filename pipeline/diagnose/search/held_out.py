@@ -20,9 +20,13 @@ from schemas.arrays import Float, Int
 from schemas.errors import NotIdentifiableError
 
 _DRAWS = 1000
+"""Bootstrap draws of the gain."""
 _SEED = 7
+"""Of these draws."""
 _RIDGE = 1e-12
+"""Share of a normal matrix's diagonal that is added before it is inverted."""
 _MOST = 12
+"""Steps of a fit without a part at most."""
 
 
 @dataclass(frozen=True)

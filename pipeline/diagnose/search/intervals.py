@@ -14,8 +14,11 @@ from pipeline.physics.least_squares import minimise
 from schemas.arrays import Float
 
 NORMAL_90 = 1.645
+"""Half width of a 90 % interval of the normal distribution, in standard deviations."""
 _ROUNDS, _STEPS = 4, 6
+"""Rounds in which an end is looked for, and steps of a fit in each."""
 _LEAST_RISE, _MOST_FACTOR = 0.25, 3.0
+"""Least rise of χ² that is taken at its word (root of its share), and most by which a step grows in a round."""
 _NEAR = 0.7
 """Share of the rise of χ² that an end of an interval stands for from which it is far enough."""
 

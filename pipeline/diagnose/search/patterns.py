@@ -20,8 +20,10 @@ from pipeline.diagnose.simulation.session import Place, Session
 from schemas.arrays import Bool, Float, Int
 
 _DEGREE = 3
+"""Degree of the polynomials."""
 _SKIPPED = frozenset({REST_HUM, TAP_RING, WEIGHT_GAIN})
 _RELATIVE_RANK = 1e-6
+"""Eigenvalue of a Gram matrix over the largest below which it is none."""
 _BY_VARIABLE = ("amplitude", "voltage_kv", "cycle", "session_s")
 _WORDS = {
     "amplitude": "strain amplitude",
@@ -73,15 +75,6 @@ def test_patterns(fit: ExtendedFit) -> Patterns:
 def name_variable(variable: str) -> str:
     """A variable's name in words."""
     return _WORDS[variable]
-
-
-def blocks_p(fit: ExtendedFit, spread: float) -> Float:
-    """(B,) probability of each block's χ² under the null, where variances are known to `spread` (relative) only."""
-    result = np.ones(len(fit.of.session.places))
-    for i, p in enumerate(fit.of.session.places):
-        r = fit.misfit[p.first : p.stop]
-        result[i] = compute_block_p(float(r @ r), r.size, spread)
-    return result
 
 
 def compute_block_p(chi2: float, size: int, spread: float) -> float:

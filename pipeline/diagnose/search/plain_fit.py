@@ -34,9 +34,13 @@ from schemas.errors import NotIdentifiableError
 
 _MECHANICAL = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, RELAXATION_FORCE, CYCLE_FORCE, TAP_RING, WEIGHT_GAIN})
 _PER_DECADE = 6
+"""Arms of a fine ladder per decade of time."""
 _FAR = 60.0
+"""Limit of entries that have none, in logarithms."""
 _MOST = 30
+"""Steps of a search at most."""
 _PLACES = 6
+"""Places at which a further arm is tried."""
 _OTHER_CLAMPS = tuple(float(v) for v in np.exp(np.arange(-10, 11) / 10))
 """Masses over those of the rigs' files for which the film is looked at, and how many of them are tried."""
 

@@ -22,8 +22,11 @@ from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFi
 from schemas.arrays import Bool, Float
 
 _DRAWS = 20_000
+"""Draws of the null distribution."""
 _SEED = 20_260
+"""Of these draws."""
 _RANK = 1e-7
+"""Eigenvalue of the correlation over the largest below which it is none."""
 
 
 @dataclass(frozen=True)

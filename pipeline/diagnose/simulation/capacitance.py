@@ -18,9 +18,13 @@ from pipeline.diagnose.simulation.remembered import Inputs
 from schemas.arrays import Complex, Float
 
 _PHASE = 2 * np.pi * np.arange(64) / 64
+"""Phases of a period."""
 _SINUSOID = (1 + np.cos(_PHASE)) / 2
+"""Strain over a period, from 0 to 1."""
 _ORDERS = np.array([1, 2])
+"""Harmonics of the capacitance that are features."""
 _FIRST_AND_SECOND = 2 * np.cos(np.outer(_ORDERS, _PHASE)) / _PHASE.size
+"""Takes these harmonics of a period."""
 
 
 class CapacitanceFamily(Family):

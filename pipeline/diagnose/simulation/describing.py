@@ -17,19 +17,26 @@ from pipeline.diagnose.simulation.effects import Course, Scale
 from schemas.arrays import Complex, Float, Int
 
 PHASES = 32
+"""Phases of a period."""
 _ITERATIONS = 12
+"""Rounds in which the strain of the film is found, at most."""
 _SETTLED = 1e-4
+"""Relative change of it that is none."""
 _LOOPS = 2
+"""Rounds in which a waveform is found with its harmonics."""
 _SLOPES = 0.05, 1.5
+"""Least and largest slope of a tension over the linear one by which its waveform is corrected."""
 _GRID = np.array([
     0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.93, 0.96, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.35, 1.6, 2.2, 3.2,
 ])  # fmt: skip
 """Amplitudes of the grid over the largest that the linear film has at a frequency, dense where a weak onset lies; whole hundredths."""
 _CELLS = 100
+"""Cells of a look-up in the grid, per unit of the amplitude."""
 _ROW = np.clip(np.searchsorted(_GRID, (np.arange(int(_GRID[-1] * _CELLS) + 1) + 0.5) / _CELLS) - 1, 0, _GRID.size - 2)
 """Number of the grid's amplitude below each hundredth."""
 _GAP = np.diff(_GRID)
 _ANGLE = 2 * np.pi * np.arange(PHASES) / PHASES
+"""The phases, rad."""
 _WAVES = (
     np.exp(1j * np.outer(np.arange(4), _ANGLE))
     .conj()
@@ -40,6 +47,7 @@ _WAVES = (
 )
 """Re and Im of c_m, one below the other, make Σ Re c_m e^{jmθ} of this: real products cost a quarter of complex ones."""
 _TURNS = np.exp(-1j * np.outer(_ANGLE, np.arange(4))) * 2 / PHASES
+"""Takes harmonics 0 to 3 of a period."""
 _TURNS[:, 0] /= 2
 
 

@@ -16,15 +16,13 @@ from schemas.arrays import Complex, Float, Int
 
 @dataclass(frozen=True)
 class Scale:
-    """What the whole session has: largest strain amplitude, largest voltage kV, exposure kV² s, duration s, length mm,
-    pre-strain (share of the stretched length, NaN where unknown), cycles under voltage."""
+    """What the whole session has: largest strain amplitude, largest voltage kV, exposure kV² s, duration s, length mm."""
 
     strain: float
     voltage_kv: float
     exposure_kv2_s: float
     duration_s: float
     length_mm: float
-    pre_strain: float
 
 
 @dataclass(frozen=True, eq=False)

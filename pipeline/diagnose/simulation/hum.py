@@ -17,6 +17,7 @@ from pipeline.diagnose.simulation.session import Session
 from schemas.arrays import Float
 
 _RANGE_N = (1e-7, 1.0)
+"""Amplitudes of the mains between which they are searched, N."""
 
 
 def with_hum(session: Session) -> Session:

@@ -14,7 +14,9 @@ from pipeline.diagnose.features.functionals import Component
 from schemas.arrays import Float
 
 HUM_HZ = (50.0, 100.0)
+"""Mains and their first harmonic, Hz."""
 _LEAST_GAIN = 1e-3
+"""Gain of a filter below which the mains do not pass it."""
 
 
 def mains_of(gain: Callable[[Float], Float] | None = None) -> tuple[Component, ...]:

@@ -17,7 +17,9 @@ from schemas.arrays import Complex, Float
 from schemas.metadata import RigConstants
 
 _LOWEST_HZ, _HIGHEST_HZ = 1e-4, 2e4
+"""Lowest and highest frequency of nodes, Hz."""
 _PER_DECADE = 24
+"""Nodes per decade away from the resonance."""
 _PER_WIDTH = 4.0
 """Nodes per half width of the lightest resonance that is expected."""
 _RESONANCE = (0.75, 1.7)

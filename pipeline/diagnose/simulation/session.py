@@ -35,6 +35,7 @@ from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 
 _TIMES_BEYOND = 30.0
+"""How far beyond both ends of what tests show the time of an arm is searched."""
 _LEAST_VARIANCE = 1e-10
 """Share of a block's mean variance that is added to its diagonal: functionals may be nearly dependent."""
 
@@ -111,11 +112,6 @@ class Session:
     def recording_of(self) -> Int:
         """(N,) number of the recording of each value."""
         return np.concatenate([np.full(p.stop - p.first, p.recording) for p in self.places])
-
-    @cached_property
-    def block_of(self) -> Int:
-        """(N,) number of the block of each value."""
-        return np.concatenate([np.full(p.stop - p.first, i) for i, p in enumerate(self.places)])
 
     @cached_property
     def kind(self) -> NDArray[np.str_]:
@@ -285,7 +281,6 @@ def make_session(
         exposure_kv2_s=sum(r.values.get("exposure_kv2_s", 0.0) for r in ordered),
         duration_s=float(start[-1] + ordered[-1].duration_s),
         length_mm=ordered[0].values.get("strain_length_mm", 1.0),
-        pre_strain=next((r.values["pre_strain"] for r in ordered if "pre_strain" in r.values), float("nan")),
     )
     return Session(
         specimen_id=specimens[0],

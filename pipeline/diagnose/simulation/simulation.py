@@ -54,6 +54,7 @@ _MECHANICAL: dict[str, Callable[[Session, Sequence[Place], Float], MechanicalFam
     RAMP: RampFamily,
 }
 _DRIFT_SIGN = {STEP_FORCE: -1.0, STEP_CAPACITANCE: 0.0, STEP_VOLTAGE: 0.0}
+"""How a drift of the force counts in each kind of features; 1 in all others."""
 
 
 class Simulation:

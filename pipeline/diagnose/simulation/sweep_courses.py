@@ -15,7 +15,9 @@ from pipeline.diagnose.simulation.sweep_course import SweepCourse
 from schemas.arrays import Complex, Float, Int
 
 _ITERATIONS, _SETTLED = 20, 1e-6
+"""Rounds in which the tension of a sweep is found, at most, and relative change that is none."""
 _FALLING = 0.7
+"""Change of a round over that of the one before above which the step is halved."""
 
 
 class SweepCourses:

@@ -34,14 +34,17 @@ from schemas.mechanisms import plain_name
 STRESS, PREDICTED = "cycle.stress", "cycle.unseen"
 """Kinds of residuals: everything fitted to everything; the unloading as the fit to the loading predicts it."""
 _DRAWS, _TRIALS, _SEED = 200, 400, 11
+"""Parameters that are drawn from so many trials, and the seed of both."""
 _OPEN, _WIDER = 1.0, 1.3
 """Standard deviation of a parameter, most of them logarithms, that the data do not hold; and how much wider is drawn than is held."""
 _NORMAL_90 = 1.645
+"""Half width of a 90 % interval of the normal distribution, in standard deviations."""
 _PLACES = 4
 """Parts of equal length into which loading and unloading are cut each, to say where the simulation is wrong."""
 _N_PER_MM_OF_KPA = 1e-3
 """A 1 mm cube: 1 MPa = 1 N/mm."""
 _HOLD_S, _SLOWER = 600.0, 10.0
+"""Hold that is proposed, s, and how many times slower or faster a cycle."""
 _SHOWN = 400
 """Samples of each curve that are kept for figures."""
 _COMPARED, _FEW = 24, 60

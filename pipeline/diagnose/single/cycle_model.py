@@ -16,6 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
+from pipeline.diagnose.mechanisms.drift import BASELINE_DRIFT
+from pipeline.diagnose.mechanisms.film_amplitude import AMPLITUDE_SOFTENING, CYCLIC_SOFTENING, STRAIN_STIFFENING
+from pipeline.diagnose.mechanisms.film_time import MISSING_RELAXATION, POWER_LAW_RELAXATION
+from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
 from pipeline.fit.relaxation.time_domain import CycleFits, branch, fit_cycle
 from pipeline.physics.hyperelastic import LAWS
@@ -23,11 +27,13 @@ from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
 
 _MOST_STEPS = 100
+"""Evaluations of a fit at most."""
 _PER_SPAN = 30.0
 """Times of branches are searched from a sample's interval to so many times the length of the cycle."""
 _LADDER = 25
 """Branches that stand for a power law, spaced evenly in log time beyond both ends of what a cycle can show."""
 _LADDER_SPAN = 1e-3, 1e3
+"""Ends of the ladder over the length of the cycle."""
 _FAR = 12.0
 """Largest change of a logarithm that is searched."""
 
@@ -153,27 +159,27 @@ def list_mechanisms(span_s: float, interval_s: float) -> tuple[CycleMechanism, .
     weak, bent = -_FAR, (np.log(0.2), np.log(6.0))
     return (
         CycleMechanism(
-            "missing_relaxation", "a second branch", "+ Q₂, dQ₂/dt + Q₂/τ₂ = γ₂ dλ/dt",
+            MISSING_RELAXATION.id, "a second branch", "+ Q₂, dQ₂/dt + Q₂/τ₂ = γ₂ dλ/dt",
             ((0.0, fast), (0.0, middle), (0.0, slow)),
             (weak, shortest), (_FAR, longest), (weak, middle), _add_branches, _report_relaxation,
         ),
         CycleMechanism(
-            "missing_relaxation", "a second and a third branch", "+ Q₂ + Q₃, dQᵢ/dt + Qᵢ/τᵢ = γᵢ dλ/dt",
+            MISSING_RELAXATION.id, "a second and a third branch", "+ Q₂ + Q₃, dQᵢ/dt + Qᵢ/τᵢ = γᵢ dλ/dt",
             ((0.0, fast, 0.0, middle), (0.0, middle, 0.0, slow)),
             (weak, shortest) * 2, (_FAR, longest) * 2, (weak, middle) * 2, _add_branches, _report_relaxation,
         ),
         CycleMechanism(
-            "power_law_relaxation", "", "+ ∫ K (t − s)^−α/Γ(1 − α) dλ",
+            POWER_LAW_RELAXATION.id, "", "+ ∫ K (t − s)^−α/Γ(1 − α) dλ",
             ((0.0, 0.2), (0.0, 0.6)), (weak, 0.02), (_FAR, 0.95), (weak, 0.2), _add_power_law,
             lambda parts, values: {"stiffness_ratio": float(np.exp(values[0])), "exponent": float(values[1])},
         ),
         CycleMechanism(
-            "strain_stiffening", "beyond the law", "P_eq (1 + s (ε/ε_max)^m)",
+            STRAIN_STIFFENING.id, "beyond the law", "P_eq (1 + s (ε/ε_max)^m)",
             ((0.1, 0.0), (0.1, 1.0)), (0.0, bent[0]), (20.0, bent[1]), (0.0, 0.0), _stiffen,
             lambda parts, values: {"stiffening": float(values[0])},
         ),
         CycleMechanism(
-            "amplitude_softening", "with the strain, reversible", "P/(1 + (ε/ε_c)^m)",
+            AMPLITUDE_SOFTENING.id, "with the strain, reversible", "P/(1 + (ε/ε_c)^m)",
             ((-2.0, 0.0), (-2.0, 1.0)), (weak, bent[0]), (3.0, bent[1]), (weak, 0.0), _soften,
             lambda parts, values: {
                 "drop": float(1 - 1 / (1 + np.exp(values[0]))),
@@ -181,16 +187,16 @@ def list_mechanisms(span_s: float, interval_s: float) -> tuple[CycleMechanism, .
             },
         ),
         CycleMechanism(
-            "cyclic_softening", "damage below the largest stretch so far", "P (1 − d (1 − e^(−(λ_max − λ)/a)))",
+            CYCLIC_SOFTENING.id, "damage below the largest stretch so far", "P (1 − d (1 − e^(−(λ_max − λ)/a)))",
             ((0.1, 0.0),), (0.0, -3.0), (0.95, 3.0), (0.0, 0.0), _apply_damage,
             lambda parts, values: {"loss": float(values[0]), "strain_scale": float(np.exp(values[1]))},
         ),
         CycleMechanism(
-            "gain_error", "", "P (1 + g)", ((0.1,), (1.0,)), (-0.9,), (20.0,), (0.0,), _apply_gain,
+            GAIN_ERROR.id, "", "P (1 + g)", ((0.1,), (1.0,)), (-0.9,), (20.0,), (0.0,), _apply_gain,
             lambda parts, values: {"gain": float(values[0])},
         ),
         CycleMechanism(
-            "baseline_drift", "", "P + b log₁₀(1 + t/t₀)",
+            BASELINE_DRIFT.id, "", "P + b log₁₀(1 + t/t₀)",
             ((0.05, fast), (0.05, middle)), (-5.0, shortest), (5.0, longest), (0.0, middle), _add_drift,
             lambda parts, values: {"per_decade": float(values[0]), "onset_s": float(np.exp(values[1]))},
         ),

@@ -26,6 +26,7 @@ from schemas.arrays import Bool, Float
 STIFFNESS, DAMPING, GAIN, QUADRATIC, CUBIC, DRAG, ARM, RATE, SLIP, CEILING, DELAY = range(11)
 """Rows of the parameters: κ, δ, γ, β₂, β₃, c, a, ln r, ln s, l, Δ. A rate or slip of −∞ is none."""
 PARAMETERS = 11
+"""Number of parameters."""
 
 _FORGOTTEN = 1e-4
 """Share of a start that a run-in may leave."""

@@ -42,13 +42,18 @@ _BOUNDS = {
     CEILING: (0.0, 100.0),
     DELAY: (-6.0, 6.0),
 }
+"""Least and largest value of each parameter, in the units of `oscillator`."""
 _LOWER, _UPPER = np.array([_BOUNDS[i] for i in range(PARAMETERS)]).T
 _STEP = 1e-5
+"""Step of derivatives."""
 _ROUNDS = 20
+"""Rounds of a fit at most."""
 _STILL = 1e-5
 """Relative fall of the sum of squares that ends a fit."""
 _LINES = 3000
+"""Strongest spectral lines by which a linear start is found."""
 _FREQUENCIES, _RATIOS = 160, np.geomspace(3e-3, 3.0, 9)
+"""Frequencies and damping ratios of the grid of linear starts."""
 
 
 @dataclass(frozen=True)

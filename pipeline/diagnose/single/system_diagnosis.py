@@ -16,7 +16,7 @@ from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.report import Details, Films, describe_what_stays, list_smallest, report_comparison
 from pipeline.diagnose.single.system_discrepancies import list_system_discrepancies
-from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
+from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system, list_asked
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.mechanisms import plain_name
@@ -26,6 +26,7 @@ OUTPUT = "system.output"
 _SHOWN, _RESONANCES = 500, 25.0
 """Samples that are kept for figures at most, and turns of the resonance that they span."""
 _NO_FILM = RelaxationModel(1.0, (), ())
+"""Stands where a film's model would."""
 
 
 def diagnose_system(
@@ -56,7 +57,6 @@ def _collect_details(
     specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion, found: Comparison, verdict: str, unit: str
 ) -> Details:
     best = found.ranked[0].model
-    tried = {e.mechanism for e in question.models} | {"amplitude_softening", "strain_stiffening"}
     parts = {
         part.name: (
             _compute_error(question.plain.unseen[part.values] - question.left_out[part.values], question.sd),
@@ -73,7 +73,7 @@ def _collect_details(
         discrepancies=list_system_discrepancies(question),
         residuals=tuple(_list_residuals(question, found, verdict)),
         smallest=list_smallest(p.model for p in found.ranked),
-        invisible=tuple(m for m in MECHANISMS if m not in tried),
+        invisible=tuple(m for m in MECHANISMS if m not in list_asked()),
         could_not_ask=(
             "This is no film in a rig: it is simulated as one resonance, and asked for what bends it",
             f"The noise of the output, {question.sd:.2g} {unit}, is {question.noise}",

@@ -20,7 +20,9 @@ _BANDS = (
     (2.5, 3.5, "about three times its resonance"),
     (3.5, np.inf, "above that"),
 )
+"""Bands over the resonance: lower and upper end, and in words."""
 _WINDOWS = 30
+"""Stretches of a record that are sorted by the output."""
 _THIRDS = ("where the output is smallest", "where it is middling", "where it is largest")
 
 

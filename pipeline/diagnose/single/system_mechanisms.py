@@ -19,6 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.diagnose.mechanisms import Mechanism
+from pipeline.diagnose.mechanisms.contact import CLAMP_SLIP
+from pipeline.diagnose.mechanisms.film_amplitude import AMPLITUDE_SOFTENING, SLACK, STRAIN_STIFFENING
+from pipeline.diagnose.mechanisms.film_time import MISSING_RELAXATION
+from pipeline.diagnose.mechanisms.rig import LOAD_CELL_DAMPING
+from pipeline.diagnose.mechanisms.sensor import SENSOR_DELAY, SENSOR_SATURATION
 from pipeline.diagnose.results import Estimate
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import TriedModel, draw_parameters
@@ -51,13 +57,13 @@ from schemas.arrays import Bool, Float, Int
 
 _LINEAR = (STIFFNESS, DAMPING, GAIN)
 _DRAWN = 200
+"""Parameters that are drawn from what a fit leaves open."""
 _SEED = 7
+"""Of these draws."""
 _BLOCKS = 50
 """Most blocks that a part is drawn anew from: the error grows and falls with the amplitude, which lasts."""
 _SAFETY = 0.7
 """Damping on which run-ins are counted, over that of the linear fit, which a bent resonance broadens."""
-_KEYS = {"strain_stiffening": ("stiffening",), "amplitude_softening": ("drop",)}
-"""Of a term whose sign makes two mechanisms, the severities of each."""
 
 
 @dataclass(frozen=True)
@@ -112,25 +118,43 @@ class SystemQuestion:
     simulations: tuple[Simulated, ...]
 
 
+Report = Callable[[Float, float, float], Mapping[str, Float]]
+"""Parameters (…, PARAMETERS), largest speed over A w, and w in rad/s → severities by key."""
+
+
 @dataclass(frozen=True)
 class _SystemMechanism:
-    """A term.
+    """A mechanism of the list as a term of a system's equation.
 
-    rows : parameters that are free beyond the linear ones; starts : of them, each tried
-    mechanism : by the value of the first of them
-    severity : of parameters (…, PARAMETERS), largest speed over A w, and w in rad/s
+    Parameters
+    ----------
+    mechanism : of the list
+    variant, equation : in words, and with the term
+    rows : parameters that are free beyond the linear ones
+    starts : of them, each tried
+    report : severities by key
+    negative : the mechanism that the term stands for where the first of its parameters is negative, and its report
     """
 
+    mechanism: Mechanism
     variant: str
     equation: str
     rows: tuple[int, ...]
     starts: tuple[tuple[float, ...], ...]
-    mechanism: Callable[[float], str]
-    severity: Callable[[Float, float, float], Mapping[str, Float]]
+    report: Report
+    negative: tuple[Mechanism, Report] | None = None
+
+    def choose_sign(self, value: float) -> tuple[Mechanism, Report]:
+        """The mechanism and its report by the value of the first parameter."""
+        return (self.mechanism, self.report) if value >= 0 or self.negative is None else self.negative
 
 
-def _report_cubic(p: Float, speed: float, w: float) -> Mapping[str, Float]:
-    return {"stiffening": 3 * p[..., CUBIC] / p[..., STIFFNESS], "drop": -p[..., CUBIC] / p[..., STIFFNESS]}
+def _report_stiffening(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {"stiffening": 3 * p[..., CUBIC] / p[..., STIFFNESS]}
+
+
+def _report_drop(p: Float, speed: float, w: float) -> Mapping[str, Float]:
+    return {"drop": -p[..., CUBIC] / p[..., STIFFNESS]}
 
 
 def _report_quadratic(p: Float, speed: float, w: float) -> Mapping[str, Float]:
@@ -161,62 +185,60 @@ def _report_delay(p: Float, speed: float, w: float) -> Mapping[str, Float]:
     return {"delay_s": p[..., DELAY] / w}
 
 
-def _always(name: str) -> Callable[[float], str]:
-    return lambda value: name
-
-
 MECHANISMS: tuple[_SystemMechanism, ...] = (
     _SystemMechanism(
+        STRAIN_STIFFENING,
         "cubic stiffness",
         "y″ + d y′ + w₀² y + k₃ y³ = g u",
         (CUBIC,),
         ((0.0,),),
-        lambda value: "strain_stiffening" if value >= 0 else "amplitude_softening",
-        _report_cubic,
+        _report_stiffening,
+        (AMPLITUDE_SOFTENING, _report_drop),
     ),
     _SystemMechanism(
-        "quadratic stiffness",
-        "y″ + d y′ + w₀² y + k₂ y² = g u",
-        (QUADRATIC,),
-        ((0.0,),),
-        _always("slack"),
-        _report_quadratic,
+        SLACK, "quadratic stiffness", "y″ + d y′ + w₀² y + k₂ y² = g u", (QUADRATIC,), ((0.0,),), _report_quadratic
     ),
     _SystemMechanism(
+        LOAD_CELL_DAMPING,
         "damping grows with speed",
         "y″ + d y′ + c |y′| y′ + w₀² y = g u",
         (DRAG,),
         ((0.0,),),
-        _always("load_cell_damping"),
         _report_drag,
     ),
     _SystemMechanism(
+        SENSOR_SATURATION,
         "reading bends to a ceiling",
         "reading y/√(1 + y²/L²)",
         (CEILING,),
         ((0.0,),),
-        _always("sensor_saturation"),
         _report_ceiling,
     ),
     _SystemMechanism(
+        CLAMP_SLIP,
         "friction that yields",
         "y″ + d y′ + w₀² y + k q = g u, q′ = y′ − |y′| q/q_s",
         (ARM, SLIP),
         ((0.05, np.log(2.0)), (0.05, np.log(20.0))),
-        _always("clamp_slip"),
         _report_slip,
     ),
     _SystemMechanism(
+        MISSING_RELAXATION,
         "an arm that relaxes",
         "y″ + d y′ + w₀² y + k₁ q = g u, q′ = y′ − q/τ",
         (ARM, RATE),
         ((0.05, np.log(0.3)), (0.05, np.log(3.0))),
-        _always("missing_relaxation"),
         _report_arm,
     ),
-    _SystemMechanism("output late", "reading y(t − Δ)", (DELAY,), ((0.0,),), _always("sensor_delay"), _report_delay),
+    _SystemMechanism(SENSOR_DELAY, "output late", "reading y(t − Δ)", (DELAY,), ((0.0,),), _report_delay),
 )
-"""Causes that are tried."""
+"""The mechanisms that a system is asked for."""
+
+
+def list_asked() -> frozenset[str]:
+    """Ids of the mechanisms that a system is asked for, of either sign."""
+    both = ((m.mechanism, *(m.negative[:1] if m.negative else ())) for m in MECHANISMS)
+    return frozenset(mechanism.id for ones in both for mechanism in ones)
 
 
 def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> SystemQuestion:
@@ -321,29 +343,38 @@ def _try_model(
         unseen.append(predicted)
         drawn.append(predicted + changes @ slope.T)
     whole = fits[0]
-    severity: dict[str, Estimate] = {}
-    mechanism = cause.mechanism(float(whole.parameters[cause.rows[0]])) if cause else ""
-    if cause:
-        changes = draw_parameters(whole.jacobian, whole.simulated - measured, memory, _DRAWN, rng)
-        around = np.tile(whole.parameters, (_DRAWN, 1))
-        around[:, list(whole.problem.free)] += changes
-        around = clip_parameters(around)
-        speed = _find_largest_speed(oscillator, whole)
-        values = cause.severity(whole.parameters, speed, oscillator.angular_frequency)
-        for key, spread in cause.severity(around, speed, oscillator.angular_frequency).items():
-            if key not in _KEYS.get(mechanism, (key,)):
-                continue
-            low, high = np.quantile(spread, [0.05, 0.95])
-            severity[key] = Estimate(float(values[key]), float(np.std(spread)), float(low), float(high))
+    if cause is None:
+        id, variant, equation, severity = "", "", "", dict[str, Estimate]()
+    else:
+        mechanism, report = cause.choose_sign(float(whole.parameters[cause.rows[0]]))
+        id, variant, equation = mechanism.id, cause.variant, cause.equation
+        severity = _estimate_severity(report, whole, oscillator, measured, memory, rng)
     return TriedModel(
-        mechanism=mechanism,
-        variant=cause.variant if cause else "",
-        equation=cause.equation if cause else "",
+        mechanism=id,
+        variant=variant,
+        equation=equation,
         severity=severity,
         whole=whole.simulated,
         unseen=np.concatenate(unseen),
         drawn=np.concatenate(drawn, axis=1),
     )
+
+
+def _estimate_severity(
+    report: Report, whole: Fit, oscillator: Oscillator, measured: Float, memory: int, rng: np.random.Generator
+) -> dict[str, Estimate]:
+    """Severities by key, from the fit to everything and what it leaves open."""
+    changes = draw_parameters(whole.jacobian, whole.simulated - measured, memory, _DRAWN, rng)
+    around = np.tile(whole.parameters, (_DRAWN, 1))
+    around[:, list(whole.problem.free)] += changes
+    around = clip_parameters(around)
+    speed = _find_largest_speed(oscillator, whole)
+    values = report(whole.parameters, speed, oscillator.angular_frequency)
+    found = {}
+    for key, spread in report(around, speed, oscillator.angular_frequency).items():
+        low, high = np.quantile(spread, [0.05, 0.95])
+        found[key] = Estimate(float(values[key]), float(np.std(spread)), float(low), float(high))
+    return found
 
 
 def _find_largest_speed(oscillator: Oscillator, fit: Fit) -> float:

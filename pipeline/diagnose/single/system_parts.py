@@ -16,7 +16,9 @@ from pipeline.diagnose.single.oscillator_fit import join_compared
 from schemas.arrays import Bool, Float
 
 _WINDOWS = 32
+"""Stretches of a record that are dealt into two parts."""
 _TINY = 1e-30
+"""Instead of nothing."""
 
 
 def split_in_two(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[str, str], Bool]:

@@ -18,8 +18,6 @@ ITERATIONS = 80
 TOLERANCE = 1e-5
 """Fall of χ², in units of χ² per row where that exceeds 1, that is not worth another step."""
 LARGEST_STEP = 1.5
-FLOOR = np.log(1e-9)
-"""Springs below this share of the total (logarithm) count as gone."""
 
 
 @dataclass(frozen=True)

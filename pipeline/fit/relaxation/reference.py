@@ -31,8 +31,6 @@ NOTHING = 0.9
 """Share of the weighted sum of squares that must not stay unexplained."""
 LARGEST_STEP = 20.0
 """Of a nuisance parameter within one Gauss-Newton step: standard deviations, or the logarithm of an amplitude."""
-SPREAD_LEVEL = 0.01
-"""Probability below which differences between recordings count as real."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,38 @@
+"""Further causes beside the strongest one: found where they are, not made up from what its form leaves."""
+
+from __future__ import annotations
+
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism
+from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.several_causes import Combination, combine_causes
+from pipeline.diagnose.search.tempering import temper_weights
+from tests.hidden_effects.truth import Effect
+from tests.physics.test_departures import plain_model
+
+
+def combine(seed: int, *effects: Effect) -> Combination:
+    """What is combined of the mechanisms that each explain something of a session."""
+    noise_fit = plain_model(seed, *effects)
+    changes = compute_secants(noise_fit)
+    of = noise_fit.of.with_weight(temper_weights(noise_fit.of.session, noise_fit.misfit))
+    plain = of.refined(of.fit(noise_fit.theta))
+    signatures = compute_signatures(changes, plain)
+    scores = find_best_scores(signatures)
+    singles = confirm_best(fit_each_mechanism(plain, scores, signatures, RULES.fit.mechanisms))
+    return combine_causes(noise_fit, plain, singles, changes)
+
+
+def test_one_effect_is_one_cause() -> None:
+    found = combine(331, Effect("field_dependent_permittivity", 0.05))
+    assert found.final is not None
+    assert [c.id for c in found.final.of.chosen] == ["field_dependent_permittivity"]
+    assert found.final.chi2 <= found.singles[0].chi2 + 1e-6
+
+
+def test_two_effects_are_two_causes() -> None:
+    found = combine(331, Effect("field_dependent_permittivity", 0.05), Effect("baseline_drift", 0.05))
+    assert found.final is not None
+    assert {c.id for c in found.final.of.chosen} == {"field_dependent_permittivity", "baseline_drift"}
+    falls = [found.plain.chi2 - f.chi2 for f in found.singles]
+    assert found.plain.chi2 - found.final.chi2 > 1.2 * max(falls)
