@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnose.features import blocks, chirp
+from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_RESPONSE
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.features.sweep_kernels import Piece, SweepReader, bands_of, harmonics_of
 from pipeline.diagnose.search.detectable import discount_further_arms
@@ -220,3 +221,14 @@ def test_of_many_sweeps_each_is_read_with_those_just_before_it(monkeypatch: pyte
     assert few.sd == pytest.approx(whole.sd, rel=0.05)
     read, all_read = counts.values()
     assert read < 0.6 * all_read
+
+
+def test_what_is_left_of_a_sweep_without_its_response_is_simulated() -> None:
+    """A part of a session is left out to be predicted: of a single sweep the response may be."""
+    truth = true_session(SESSION, SWEEPS[1:], ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    found = fit_plain(session, Simulation(session))
+    rest = session.part([p.block.kind != CHIRP_RESPONSE for p in session.places])
+    assert CHIRP_HARMONIC in rest.kinds
+    slips = compose_chosen((Chosen("clamp_slip", ""),), ({"overload": 0.2, "hardening": 0.5, "creep_s": 0.01},))
+    assert np.isfinite(Simulation(rest).predict(found.model, found.theta, slips)).all()

@@ -130,7 +130,8 @@ class SweepFamily(MechanicalFamily):
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
         linear = self.linear(physical, effect)
         values = self.apply(linear.response)
-        if loads is None or not (effect.tension or effect.reading):
+        # Where no response is among the features (it is left out, to be predicted), no sweep is known over time.
+        if loads is None or not self._sweeps or not (effect.tension or effect.reading):
             return values
         passed = self._passed(linear, physical, effect, loads) if effect.tension else []
         for sweep, added in zip(self._sweeps, passed, strict=False):
