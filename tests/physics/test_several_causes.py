@@ -7,7 +7,7 @@ from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mecha
 from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
 from pipeline.diagnose.search.several_causes import Combination, combine_causes
 from pipeline.diagnose.search.tempering import temper_weights
-from tests.hidden_effects.truth import Effect
+from tests.helpers.truth_rig import Effect
 from tests.physics.test_departures import plain_model
 
 

@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
+from pipeline.diagnose.rules import write_table
 from schemas.views import EXAMPLES, view_reference
 from tests.studies.__main__ import HERE, RESULTS, about, parts
 from tests.tools import measured
@@ -64,7 +65,10 @@ PARTS: Mapping[str, Mapping[str, Callable[[], str]]] = {
     "schemas/README.md": {"examples": examples, "tables": tables},
     "pipeline/README.md": {"fit study": functools.partial(study, "fit", "- order test, ", "- likelihood ratio", "- …")},
     "pipeline/nightly/README.md": {"costs": measured.costs},
-    "pipeline/diagnose/README.md": {"diagnosis study": functools.partial(study, "diagnosis")},
+    "pipeline/diagnose/README.md": {
+        "diagnosis study": functools.partial(study, "diagnosis"),
+        "rules": write_table,
+    },
     "tests/README.md": {
         "benchmarks": measured.ratios,
         "faults": measured.faults,

@@ -32,16 +32,18 @@ SPECIMEN = (
     "pipeline/diagnose/diagnosis.py",
     "pipeline/diagnose/simulation/session.py",
     "pipeline/diagnose/simulation/simulation.py",
-    "pipeline/diagnose/mechanisms/mechanism.py",
     "pipeline/diagnose/search/plain_fit.py",
     "pipeline/diagnose/search/screen.py",
+    "pipeline/diagnose/search/patterns.py",
+    "pipeline/diagnose/search/tempering.py",
     "pipeline/diagnose/search/fit_mechanisms.py",
     "pipeline/diagnose/search/several_causes.py",
+    "pipeline/diagnose/search/alternatives.py",
     "pipeline/diagnose/search/doubt.py",
     "pipeline/diagnose/search/held_out.py",
-    "pipeline/diagnose/search/detectable.py",
+    "pipeline/diagnose/judge.py",
     "pipeline/diagnose/proposals/next_recording.py",
-    "pipeline/diagnose/results.py",
+    "pipeline/diagnose/report.py",
 )
 """In the order in which a diagnosis asks them."""
 
