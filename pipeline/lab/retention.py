@@ -1,7 +1,8 @@
 """Retention: what a lab can do without, what that is in bytes, and its removal.
 
 Results stay: samples, copies of refused files and recordings whose raw file has gone are what can go. Samples come back
-when their recording is read again. Does not belong here: backups (copies of the folder, see the README).
+when their recording is read again. Does not belong here: backups (copies of the folder, see
+`pipeline/nightly/README.md`).
 """
 
 from __future__ import annotations

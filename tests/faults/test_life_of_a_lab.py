@@ -119,7 +119,7 @@ def test_samples_that_no_row_speaks_of_go(night: tuple[Path, Lab]) -> None:
 
 def test_backup_and_restore_as_the_readme_says(night: tuple[Path, Lab], tmp_path: Path) -> None:
     raw, lab = night
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "pipeline" / "nightly" / "README.md").read_text(encoding="utf-8")
     commands = [line.strip() for line in text.splitlines() if "backup.tar" in line and "tar -C" in line]
     assert len(commands) == 2, "one to keep, one to bring back"
     if shutil.which("flock") is None:
