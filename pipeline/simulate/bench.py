@@ -17,8 +17,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from pipeline.physics.film import RelaxationModel
+from pipeline.physics.motion import StateSpace, assemble, integrate
+from pipeline.physics.rig import Rig
 from pipeline.simulate.drive import Amplifier
-from pipeline.simulate.mechanics import Rig, StateSpace, assemble, integrate
 from schemas.arrays import Float
 
 STAGES = ("drive", "actuation", "mechanics", "sensor", "drift")

@@ -18,6 +18,7 @@ from pipeline.simulate.effects import EFFECTS
 from pipeline.simulate.lifetime import Life
 from pipeline.simulate.plan import Campaign, Planned, load_campaign, packaged_campaigns, read_campaign
 from pipeline.simulate.procedures.base import Clock
+from pipeline.simulate.rigs import file_constants
 from pipeline.simulate.self_sensing import ClosedLoop
 from pipeline.simulate.sensors import random_stream
 from schemas.errors import RefusedError, UsageError
@@ -136,7 +137,7 @@ def truth(campaign: Campaign, planned: Planned) -> dict[str, Any]:
     film = bench.film
     known: dict[str, Any] = {
         "recording_id": planned.recording_id,
-        "rig": asdict(bench.rig),
+        "rig": file_constants(bench.rig),
         "amplifier": {k: v for k, v in asdict(bench.amplifier).items() if v != math.inf},
         "noise_sd": {q: s.noise_sd for q, s in planned.sensors.items()},
     }

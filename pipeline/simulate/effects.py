@@ -45,8 +45,8 @@ class RigConstants:
 def _rig_constants(bench: Bench, values: RigConstants, rng: np.random.Generator) -> Bench:
     rig = replace(
         bench.rig,
-        clamp_mass_kg=bench.rig.clamp_mass_kg * (1 + values.mass_error),
-        load_cell_stiffness_n_per_mm=bench.rig.load_cell_stiffness_n_per_mm * (1 + values.stiffness_error),
+        mass=bench.rig.mass * (1 + values.mass_error),
+        stiffness=bench.rig.stiffness * (1 + values.stiffness_error),
     )
     return replace(bench, rig=rig)
 

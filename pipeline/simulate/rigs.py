@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.physics.rig import TONNES_PER_KG, Rig
 from pipeline.simulate.drive import Amplifier
-from pipeline.simulate.mechanics import TONNE_PER_KG, Rig
 from pipeline.simulate.self_sensing import SwitchingSpikes
 from pipeline.simulate.sensors import Sensor
 from pipeline.simulate.tables import known_only, number, parse, subtable
@@ -52,9 +52,9 @@ class TrueConstants:
     def rig(self) -> Rig:
         damping = self.load_cell_damping_n_s_per_mm
         if damping is None:
-            product = self.load_cell_stiffness_n_per_mm * self.clamp_mass_kg * TONNE_PER_KG
+            product = self.load_cell_stiffness_n_per_mm * self.clamp_mass_kg * TONNES_PER_KG
             damping = 2 * (self.damping_ratio or 0.0) * math.sqrt(product)
-        return Rig(self.clamp_mass_kg, self.load_cell_stiffness_n_per_mm, damping)
+        return Rig(self.clamp_mass_kg * TONNES_PER_KG, self.load_cell_stiffness_n_per_mm, damping)
 
     @property
     def amplifier(self) -> Amplifier:
@@ -102,14 +102,23 @@ def read_rig(name: str, table: Mapping[str, Any], noise: Mapping[str, Any], wher
     return RigSetup(name, true, _stated(name, true, sensors, subtable(table, "file", where), where), sensors, spikes)
 
 
+def file_constants(rig: Rig) -> dict[str, float]:
+    """Constants of a rig by the keys of a rig file."""
+    mass, stiffness, damping, _ = rig.numbers
+    return {
+        "clamp_mass_kg": mass / TONNES_PER_KG,
+        "load_cell_stiffness_n_per_mm": stiffness,
+        "load_cell_damping_n_s_per_mm": damping,
+    }
+
+
 def _stated(
     name: str, true: TrueConstants, sensors: Mapping[str, Sensor], file: Mapping[str, Any], where: str
 ) -> RigConstants:
     values: dict[str, Any] = {
         "rig_id": name,
+        **file_constants(true.rig),
         "clamp_mass_kg": true.clamp_mass_kg,
-        "load_cell_stiffness_n_per_mm": true.load_cell_stiffness_n_per_mm,
-        "load_cell_damping_n_s_per_mm": true.rig.load_cell_damping_n_s_per_mm,
         "load_cell_range_n": true.load_cell_range_n,
         "amplifier_gain_kv_per_v": true.amplifier_gain_kv_per_v,
     }

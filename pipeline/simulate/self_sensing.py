@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from pipeline.physics.motion import Propagator
 from pipeline.simulate.bench import Bench, Film, Signals, Stage, capacitance
-from pipeline.simulate.mechanics import Propagator
 from pipeline.simulate.procedures.base import Clock, amplifier_interval_s
 from pipeline.simulate.sensors import Sensor
 from pipeline.simulate.specimen import Specimen

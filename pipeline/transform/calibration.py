@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
-from pipeline.physics.rig import TONNES_PER_KG, RigModel, tied_by_frequency
+from pipeline.physics.rig import TONNES_PER_KG, RigPrior, tied_by_frequency
 from pipeline.transform import quality
 from pipeline.transform.ringing import damped_sinusoid, rings
 from pipeline.transform.sampling import runs, sample, seconds
@@ -150,10 +150,9 @@ def _stated_frequency(rig: RigConstants) -> tuple[float, float] | None:
     """Clamp-alone frequency of the rig file and its standard deviation."""
     if rig.clamp_mass_kg is None or rig.load_cell_stiffness_n_per_mm is None or rig.clamp_mass_kg == 0:
         return None
-    model = RigModel.of(rig)
-    frequency = float(np.sqrt(model.stiffness / model.mass)) / (2 * np.pi)
-    relative = np.sqrt(np.diag(model.covariance)[:2]) / (model.mass, model.stiffness)
-    return frequency, 0.5 * float(np.hypot(*relative)) * frequency
+    prior = RigPrior.of(rig)
+    frequency = float(prior.rig.clamp_omega) / (2 * np.pi)
+    return frequency, 0.5 * float(np.hypot(*prior.sd[:2] / prior.nominal[:2])) * frequency
 
 
 def weigh(recording: Recording) -> WeightCalibration:
@@ -297,11 +296,9 @@ def sharpen(rig: RigConstants, calibration: Calibration) -> RigConstants:
     tied = replace(rig, clamp_frequency_hz=frequency, clamp_frequency_hz_sd=frequency_sd)
     if rig.clamp_mass_kg is None or rig.load_cell_stiffness_n_per_mm is None or rig.clamp_mass_kg == 0:
         return tied
-    model = RigModel.of(replace(rig, clamp_frequency_hz=None, clamp_frequency_hz_sd=None))
-    mass_sd, stiffness_sd = np.sqrt(np.diag(model.covariance)[:2])
-    mass, stiffness, covariance = tied_by_frequency(
-        model.mass, model.stiffness, float(mass_sd), float(stiffness_sd), frequency, frequency_sd
-    )
+    prior = RigPrior.of(replace(rig, clamp_frequency_hz=None, clamp_frequency_hz_sd=None))
+    (mass, stiffness), (mass_sd, stiffness_sd) = prior.nominal[:2].tolist(), prior.sd[:2].tolist()
+    mass, stiffness, covariance = tied_by_frequency(mass, stiffness, mass_sd, stiffness_sd, frequency, frequency_sd)
     mass_sd, stiffness_sd = np.sqrt(np.diag(covariance))
     damping = 2 * calibration.damping_ratio * float(np.sqrt(stiffness * mass))
     relative = calibration.damping_ratio_sd / max(calibration.damping_ratio, 1e-12)

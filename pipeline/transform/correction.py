@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pipeline.physics.rig import RigModel
+from pipeline.physics.rig import RigPrior
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
 from schemas.arrays import Complex, Float
@@ -37,36 +37,33 @@ def correct_mechanical(
 ) -> FrequencyResponse:
     """Dynamic stiffness of the film from G = F/x0.
 
-    `variance` is the noise alone, |∂k/∂G|² σ_G²; `systematic` (n, 3 or 4) the prior of the rig's constants, fully
-    correlated over frequency; `amplification` |1 + k/(kL − Mω² + jωcL)|. Lines with an amplification above 5 are not
-    usable. `thesis_sign` gives the printed eq 4.21, whose inertia term has the wrong sign: for comparison only.
+    Parameters
+    ----------
+    response : measured stiffness G, n lines
+    rig : what the rig file says
+    thesis_sign : the printed eq 4.21, whose inertia term has the wrong sign: for comparison only
 
-    Raises `NotIdentifiableError` that names the key when a constant of the rig is missing, `ValueError` for a response that
-    is no stiffness.
+    Returns
+    -------
+    Response k in N/mm. `variance` is the noise alone, |∂k/∂G|² σ_G²; `systematic` (n, r) the prior of the rig's constants, fully correlated
+    over frequency; `amplification` |1 + k/(kL − Mω² + jωcL)|. Lines with an amplification above 5 are not usable.
+
+    Raises
+    ------
+    NotIdentifiableError
+        A constant of the rig is missing; it names the key.
+    ValueError
+        The response is no stiffness.
     """
     if response.quantity != STIFFNESS:
         raise ValueError(f"a {response.quantity} is not a measured stiffness")
-    model = RigModel.of(rig)
+    prior = _printed_sign(RigPrior.of(rig)) if thesis_sign else RigPrior.of(rig)
     response = calibrated(response, rig)
-    f, g = response.frequency_hz, response.value
-    omega = 2 * np.pi * f
-    inertia = model.mass * omega**2 / model.stiffness
-    a: Complex = (1 + inertia).astype(complex) if thesis_sign else model.dynamic(f)
-    rest = 1 - g / model.stiffness
-    derivative = a / rest**2
-    k = a * g / rest
-    sign = -1.0 if thesis_sign else 1.0
-    by_mass = -sign * omega**2 / model.stiffness * g / rest
-    by_damping = np.zeros_like(g) if thesis_sign else 1j * omega / model.stiffness * g / rest
-    by_stiffness = (
-        sign * (model.mass * omega**2 - (0 if thesis_sign else 1j * omega * model.damping)) * g / rest
-        - a * g**2 / rest**2
-    ) / model.stiffness**2
-    systematic = np.stack([by_mass, by_stiffness, by_damping], axis=1) @ model.factor()
-    if model.force_gain_sd:
-        systematic = np.column_stack([systematic, derivative * g * model.force_gain_sd])
-    amplification = 1 / np.maximum(np.abs(rest), np.finfo(float).tiny)
-    corrected = _corrected(response, k, np.abs(derivative) ** 2, systematic, model)
+    omega, g, own = 2 * np.pi * response.frequency_hz, response.value, prior.rig
+    k = own.film_stiffness(g, own.clamp(omega))
+    derivative, by_constants = own.film_stiffness_slopes(g, omega)
+    amplification = 1 / np.maximum(np.abs(1 - g * own.compliance), np.finfo(float).tiny)
+    corrected = _corrected(response, k, np.abs(derivative) ** 2, by_constants @ prior.factor, prior)
     corrected = replace(
         corrected, amplification=amplification, details={**corrected.details, "thesis_sign": thesis_sign}
     )
@@ -82,30 +79,38 @@ def blocked_force(
 ) -> FrequencyResponse:
     """Blocked force F_A/V² in N/kV² from H = −F/V² and the film's stiffness k (n,) N/mm at the lines of `response`.
 
-    It is flat, ε0 εr w/z, when drive, permittivity and k are right. `stiffness_systematic` (n, m): factor of the
-    covariance of k (k = k̂ + S z, z standard normal). The relative noise does not change: amplification is 1.
+    Parameters
+    ----------
+    response : measured force per voltage squared, n lines
+    stiffness : (n,) N/mm, film stiffness at these lines
+    rig : what the rig file says
+    stiffness_systematic : (n, m) factor of the covariance of k (k = k̂ + S z, z standard normal)
 
-    Raises like `correct_mechanical`.
+    Returns
+    -------
+    Blocked force: flat, ε0 εr w/z, when drive, permittivity and k are right. The relative noise does not change: amplification is 1.
+
+    Raises
+    ------
+    NotIdentifiableError
+        A constant of the rig is missing; it names the key.
+    ValueError
+        The response is no force per voltage squared, or not as long as `stiffness`.
     """
     if response.quantity != FORCE_PER_VOLTAGE_SQUARED:
         raise ValueError(f"a {response.quantity} is not a measured force per voltage squared")
     if stiffness.shape != response.frequency_hz.shape:
         raise ValueError(f"stiffness has shape {stiffness.shape}, frequency_hz {response.frequency_hz.shape}")
-    model = RigModel.of(rig)
+    prior = RigPrior.of(rig)
     response = calibrated(response, rig)
-    f, h = response.frequency_hz, response.value
-    omega = 2 * np.pi * f
-    derivative = model.dynamic(f) + stiffness / model.stiffness
-    by_mass = -(omega**2) / model.stiffness * h
-    by_damping = 1j * omega / model.stiffness * h
-    by_stiffness = (model.mass * omega**2 - 1j * omega * model.damping - stiffness) / model.stiffness**2 * h
-    systematic = np.stack([by_mass, by_stiffness, by_damping], axis=1) @ model.factor()
-    if model.force_gain_sd:
-        systematic = np.column_stack([systematic, derivative * h * model.force_gain_sd])
+    omega, h, own = 2 * np.pi * response.frequency_hz, response.value, prior.rig
+    derivative, by_constants = own.blocked_force_slopes(h, stiffness, omega)
+    systematic = by_constants @ prior.factor
     if stiffness_systematic is not None:
-        systematic = np.column_stack([systematic, stiffness_systematic * (h / model.stiffness)[:, None]])
-    corrected = _corrected(response, derivative * h, np.abs(derivative) ** 2, systematic, model)
-    return _marked(replace(corrected, amplification=np.ones_like(f)))
+        systematic = np.column_stack([systematic, stiffness_systematic * (h * own.compliance)[:, None]])
+    blocked = own.blocked_force(h, stiffness, own.clamp(omega))
+    corrected = _corrected(response, blocked, np.abs(derivative) ** 2, systematic, prior)
+    return _marked(replace(corrected, amplification=np.ones_like(omega)))
 
 
 def judged_machine(response: FrequencyResponse, own_deformation: Float | None) -> FrequencyResponse:
@@ -159,19 +164,36 @@ def calibrated(response: Response, rig: RigConstants) -> Response:
 def resonance_free(ratio: Complex, frequency_hz: Float, rig: RigConstants, *, thesis_sign: bool = False) -> Complex:
     """−F/(F_A − Mÿ − cLẏ) with y = −x′ from the ratio −F/F_A (n,): kL/(kL + k), as thesis fig 4-17 means to show it.
 
-    It still depends on the rig through k/kL. `thesis_sign` gives the printed eq 4.22, whose inertia terms have the wrong
-    sign and no damping: for comparison only. Raises `NotIdentifiableError` for missing constants.
+    Parameters
+    ----------
+    ratio : (n,) −F/F_A
+    frequency_hz : (n,) Hz
+    rig : what the rig file says
+    thesis_sign : the printed eq 4.22, whose inertia terms have the wrong sign and no damping: for comparison only
+
+    Returns
+    -------
+    (n,); it still depends on the rig through k/kL
+
+    Raises
+    ------
+    NotIdentifiableError
+        A constant of the rig is missing; it names the key.
     """
-    model = RigModel.of(rig)
-    omega = 2 * np.pi * frequency_hz
-    inertia = model.mass * omega**2 / model.stiffness
-    if thesis_sign:
-        return np.asarray(ratio * (1 + inertia) / (1 - inertia * ratio))
-    return np.asarray(ratio / (1 + (inertia - 1j * omega * model.damping / model.stiffness) * ratio))
+    prior = _printed_sign(RigPrior.of(rig)) if thesis_sign else RigPrior.of(rig)
+    clamp = prior.rig.clamp(2 * np.pi * frequency_hz)
+    # The printed numerator holds the inertia as well.
+    return np.asarray((clamp if thesis_sign else 1.0) * ratio / (1 + (1 - clamp) * ratio))
+
+
+def _printed_sign(prior: RigPrior) -> RigPrior:
+    """The rig as the printed eq 4.18 has it: no damping, and the clamp's inertia with the sign of a negative mass."""
+    sign = np.array([-1.0, 1.0, 0.0, 1.0])
+    return RigPrior(prior.nominal * sign, prior.factor * sign[:, None], prior.assumed)
 
 
 def _corrected(
-    response: FrequencyResponse, value: Complex, factor: Float, systematic: Complex, model: RigModel
+    response: FrequencyResponse, value: Complex, factor: Float, systematic: Complex, prior: RigPrior
 ) -> FrequencyResponse:
     noise = response.noise_variance
     return replace(
@@ -180,7 +202,7 @@ def _corrected(
         variance=response.variance * factor,
         noise_variance=None if noise is None else noise * factor,
         systematic=systematic,
-        details={**response.details, "assumed": list(model.assumed)},
+        details={**response.details, "assumed": list(prior.assumed)},
     )
 
 

@@ -131,7 +131,7 @@ def test_drag_is_that_of_the_speed_which_it_leaves() -> None:
     drag = compose_chosen((Chosen("load_cell_damping", "drag"),), ({"damping_ratio": ratio, "growth": growth},))
     plain, dragged = (family.linear(physical, effect) for effect in (NONE, drag))
     rig, view = physical.rigs[family.rig], family.view
-    omega, alone = 2 * np.pi * view.frequency_hz, float(1 / np.sqrt(rig.mass * rig.compliance)[0, 0])
+    omega, alone = 2 * np.pi * view.frequency_hz, float(1 / np.sqrt(rig.mass * rig.compliance))
     whole = dragged.dynamic + dragged.k * rig.compliance
     speed = view.strain * omega * np.abs(dragged.k * rig.compliance / whole) / (view.scale.strain * alone)
     expected = omega * ratio * 2 / alone * speed**growth

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pipeline.analyse.rows.calibrations import calibration_table
-from pipeline.physics.rig import RigModel
+from pipeline.physics.rig import RigPrior
 from pipeline.transform.calibration import TapCalibration, calibrate, sharpen
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
@@ -196,8 +196,8 @@ def test_a_tap_sharpens_mass_stiffness_and_damping() -> None:
     assert sharp.clamp_mass_kg_sd < 0.6 * rig.clamp_mass_kg_sd
     assert sharp.load_cell_damping_n_s_per_mm == pytest.approx(TRUTH.damping, rel=0.05)
     assert sharp.load_cell_damping_n_s_per_mm_sd < 0.03 * TRUTH.damping
-    model = RigModel.of(sharp)
-    correlation = model.covariance[0, 1] / np.sqrt(model.covariance[0, 0] * model.covariance[1, 1])
+    prior = RigPrior.of(sharp)
+    correlation = prior.factor[0] @ prior.factor[1] / (prior.sd[0] * prior.sd[1])
     assert correlation > 0.99
 
 

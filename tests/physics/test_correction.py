@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.rig import RigModel
+from pipeline.physics.rig import RigPrior
 from pipeline.transform.correction import (
     blocked_force,
     calibrated,
@@ -196,9 +196,9 @@ def test_a_measured_clamp_frequency_ties_mass_and_stiffness() -> None:
     after = np.sqrt((np.abs(tied.systematic) ** 2).sum(axis=1))
     assert np.all(after < 0.85 * before)
     # Mass and stiffness that move together leave the clamp's own frequency where it is.
-    model = RigModel.of(truth.constants(clamp_frequency_hz=52.0, clamp_frequency_hz_sd=0.03))
-    ratio = np.array([-1 / model.mass, 1 / model.stiffness, 0.0])
-    assert np.sqrt(ratio @ model.covariance @ ratio) == pytest.approx(2 * 0.03 / 52.0, rel=1e-3)
+    prior = RigPrior.of(truth.constants(clamp_frequency_hz=52.0, clamp_frequency_hz_sd=0.03))
+    ratio = np.array([-1 / prior.rig.mass, 1 / prior.rig.stiffness, 0.0, 0.0])
+    assert np.linalg.norm(ratio @ prior.factor) == pytest.approx(2 * 0.03 / 52.0, rel=1e-3)
 
 
 def test_a_machine_that_gives_way_more_than_the_specimen_is_not_believed() -> None:
@@ -280,12 +280,13 @@ def test_forward_and_inverse_undo_each_other(load_cell, clamp, zeta, k0, k1, tau
     truth = Truth((k0, (k1,), (k1 * tau,)) if k1 > 1e-3 else (k0, (), ()), load_cell, clamp, zeta)
     f = np.geomspace(0.5, 150, 30)
     f = f[np.abs(f / clamp - 1) > 0.02]
-    model = RigModel.of(truth.constants())
-    np.testing.assert_allclose(model.measured_stiffness(f, truth.stiffness(f)), truth.measured(f), rtol=1e-9)
-    np.testing.assert_allclose(model.measured_ratio(f, truth.stiffness(f)), truth.ratio(f), rtol=1e-9)
+    rig = RigPrior.of(truth.constants()).rig
+    k, clamp = truth.stiffness(f), rig.clamp(2 * np.pi * f)
+    np.testing.assert_allclose(rig.mechanical(k, clamp), truth.measured(f), rtol=1e-9)
+    np.testing.assert_allclose(rig.electrical(k, clamp), truth.ratio(f), rtol=1e-9)
     corrected = correct_mechanical(response(f, truth.measured(f)), truth.constants())
     np.testing.assert_allclose(corrected.value, truth.stiffness(f), rtol=1e-6)
-    np.testing.assert_allclose(corrected.amplification, model.amplification(f, truth.stiffness(f)), rtol=1e-6)
+    np.testing.assert_allclose(corrected.amplification, np.abs(1 + k / (rig.stiffness * clamp)), rtol=1e-6)
 
 
 def test_table_4_3_film_is_the_one_meant() -> None:

@@ -46,7 +46,7 @@ def test_cracks_open_with_the_strain_of_the_film() -> None:
         omega = 2 * np.pi * f
         on_cell = -rig.mass * omega**2 + 1j * omega * rig.damping
         before_film = 1 + on_cell * rig.compliance
-        film = complex((before_film / (before_film + physical.film.stiffness([f])[0] * rig.compliance)).item())
+        film = complex(before_film / (before_film + physical.film.stiffness([f])[0] * rig.compliance))
         extension = amplitude * abs(film) * (1 + np.cos(2 * np.pi * turn + np.angle(film)))
         rest = session.recordings[p.recording].values["capacitance_rest_pf"]
         largest = session.scale.strain * session.scale.length_mm

@@ -8,16 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.fit.relaxation.rig import combined, divided, rig_prior
-from pipeline.physics.film import RelaxationModel
-from pipeline.physics.relaxation_kernels import (
-    Hold,
-    Shape,
-    hold_stiffness,
-    series_hold_stiffness,
-    series_hold_values,
-    stiffness_and_slopes,
-)
+from pipeline.physics.film import RelaxationModel, Shape, arm_step, series_share, stiffness_and_slopes
+from pipeline.physics.held_step import Hold, hold_stiffness, series_hold_stiffness, series_hold_values
+from pipeline.physics.rig import Rig, rig_of_constants, rig_prior
 from schemas.metadata import RigConstants
 from tests.physics.fit_truth import (
     ACRYLATE,
@@ -56,6 +49,34 @@ def test_state_space_of_the_film_gives_the_same_stiffness() -> None:
         response = -k @ np.linalg.solve(2j * np.pi * f * np.eye(3) - np.diag(-k / c), k / c) + k0 + k.sum()
         assert model.stiffness(f) == pytest.approx(response, rel=1e-13)
     assert model.stiffness(0.0) == k0
+
+
+def test_parameters_of_a_film_and_back() -> None:
+    """Logarithms in any order of the arms; the film has its longest first."""
+    shape = Shape(2, dashpot=True)
+    theta = np.log([0.4, 3.0, 0.6, 0.02, 1.5, 0.03])
+    model = shape.model(theta)
+    assert model.tau == pytest.approx((1.5, 0.02))
+    assert np.allclose(shape.theta(model), np.log([0.4, 0.6, 3.0, 1.5, 0.02, 0.03]))
+    assert np.allclose(model.stiffness(BAND), stiffness_and_slopes(theta, shape, 2 * np.pi * BAND)[0], rtol=1e-13)
+
+
+def test_films_in_series_are_one_whose_compliances_add_up() -> None:
+    k, other = film(BAND, ACRYLATE), film(BAND, STACK)
+    share = series_share(k, other)
+    assert np.allclose(1 / (k * share), 1 / k + 1 / other, rtol=1e-12)
+
+
+def test_one_step_of_an_arm_is_the_solution_of_its_equation() -> None:
+    """ḟ = k ė − f/τ for an even extension: against a thousand small steps, and at the ends of the range."""
+    tau, k, extension, start = 0.3, 2.0, 0.7, 1.1
+    decay, gain = arm_step(np.array([0.5 / tau]))
+    force, h = start, 0.5 / 20_000
+    for _ in range(20_000):
+        middle = force + h / 2 * (k * extension / 0.5 - force / tau)
+        force += h * (k * extension / 0.5 - middle / tau)
+    assert decay * start + gain * k * extension == pytest.approx(force, rel=1e-6)
+    assert np.allclose(arm_step(np.array([0.0, 1e3])), [[1.0, 0.0], [1.0, 1e-3]])
 
 
 def test_hertz_are_not_radians() -> None:
@@ -137,31 +158,76 @@ def test_rig_response_and_its_derivatives() -> None:
     k = film(BAND, ACRYLATE)
     w = 2 * np.pi * BAND
     constants = np.array([MASS, CELL, DAMPING, 1.0])
-    value, by_k, by_constants = combined(k, w, constants, None)
+    rig = rig_of_constants(constants)
+    value, by_k, by_constants = rig.response_slopes(k, w)
     assert np.allclose(value, mechanical(BAND, k), rtol=1e-13)
-    assert np.allclose(divided(value, w, constants), k, rtol=1e-9)
-    assert np.allclose((combined(k * (1 + 1e-6), w, constants, None)[0] - value) / (1e-6 * k), by_k, rtol=1e-4)
-    for amplitude in (None, 0.002):
-        base, _, by = combined(k, w, constants, amplitude)
+    assert np.allclose(value, rig.mechanical(k, rig.clamp(w)), rtol=1e-13)
+    assert np.allclose(rig.film_stiffness(value, rig.clamp(w)), k, rtol=1e-9)
+    assert np.allclose((rig.response_slopes(k * (1 + 1e-6), w)[0] - value) / (1e-6 * k), by_k, rtol=1e-4)
+    for actuation in (None, 0.002):
+        base, _, by = rig.response_slopes(k, w, actuation)
         for i in range(4):
             step = constants * np.where(np.arange(4) == i, 1e-6, 0)
-            difference = (combined(k, w, constants + step, amplitude)[0] - base) / step[i]
+            difference = (rig_of_constants(constants + step).response_slopes(k, w, actuation)[0] - base) / step[i]
             assert np.allclose(by[:, i], difference, atol=2e-5 * np.abs(difference).max())
     assert by_constants.shape == (100, 4)
+
+
+def test_derivatives_of_the_inversions() -> None:
+    """∂k/∂G, ∂(F_A/V²)/∂H and those by mass, stiffness, damping and gain, against differences; every inversion undoes its forward model."""
+    k, w, actuation = film(BAND, ACRYLATE), 2 * np.pi * BAND, 0.002
+    constants = np.array([MASS, CELL, DAMPING, 1.0])
+    rig = rig_of_constants(constants)
+    g, h = rig.mechanical(k, rig.clamp(w)), actuation * rig.electrical(k, rig.clamp(w))
+    assert np.allclose(rig.film_stiffness_of_actuation(h, actuation, rig.clamp(w)), k, rtol=1e-9)
+    assert np.allclose(rig.blocked_force(h, k, rig.clamp(w)), actuation, rtol=1e-12)
+
+    def stiffness(constants: Float, g: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        rig = rig_of_constants(constants)
+        return rig.film_stiffness(g, rig.clamp(w))
+
+    def blocked(constants: Float, h: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        rig = rig_of_constants(constants)
+        return rig.blocked_force(h, k, rig.clamp(w))
+
+    for value, response, slopes in (
+        (stiffness, g, rig.film_stiffness_slopes(g, w)),
+        (blocked, h, rig.blocked_force_slopes(h, k, w)),
+    ):
+        by_response, by_constants = slopes
+        rise = (value(constants, response * (1 + 1e-6)) - value(constants, response)) / (1e-6 * response)
+        assert np.allclose(rise, by_response, rtol=1e-3)
+        for i in range(4):
+            step = constants * np.where(np.arange(4) == i, 1e-6, 0)
+            difference = (value(constants + step, response) - value(constants - step, response)) / (2 * step[i])
+            assert np.allclose(by_constants[:, i], difference, atol=1e-6 * np.abs(difference).max())
+
+
+def test_constants_broadcast_and_a_rigid_load_cell_shows_the_film() -> None:
+    k, w = film(BAND, ACRYLATE), 2 * np.pi * BAND
+    both = Rig(*(np.array([v, 1.1 * v])[:, None] for v in (MASS, CELL, DAMPING)))
+    found = both.mechanical(k, both.clamp(w))
+    for row, factor in zip(found, (1.0, 1.1), strict=True):
+        one = Rig(factor * MASS, factor * CELL, factor * DAMPING)
+        assert np.allclose(row, one.mechanical(k, one.clamp(w)), rtol=1e-14)
+    rigid = Rig(MASS, np.inf, DAMPING)
+    assert np.array_equal(rigid.mechanical(k, rigid.clamp(w)), k)
+    assert rigid.damping_ratio == 0
+    assert np.isinf(Rig(0.0, CELL, 0.0).clamp_omega)
 
 
 def test_resonance_is_where_the_balance_of_forces_puts_it() -> None:
     """A spring of 2 N/mm on the rig: |G| peaks at √((kL + k)/M)."""
     f = np.linspace(40, 70, 30001)
-    constants = np.array([MASS, CELL, 1e-6, 1.0])
-    value = combined(np.full(f.size, 2.0 + 0j), 2 * np.pi * f, constants, None)[0]
+    rig = Rig(MASS, CELL, 1e-6)
+    value = rig.mechanical(np.full(f.size, 2.0 + 0j), rig.clamp(2 * np.pi * f))
     assert f[np.argmax(np.abs(value))] == pytest.approx(np.sqrt((CELL + 2.0) / MASS) / 2 / np.pi, rel=1e-4)
 
 
 def test_prior_of_the_rig_file() -> None:
     prior = rig_prior(rig())
     assert prior is not None
-    assert np.allclose(np.sqrt((prior.factor**2).sum(axis=1))[:3], [0.03 * MASS, 0.02 * CELL, DAMPING])
+    assert np.allclose(prior.sd, [0.03 * MASS, 0.02 * CELL, DAMPING, 0.0])
     assert rig_prior(None) is None
     assert rig_prior(RigConstants()) is None
 

@@ -13,7 +13,7 @@ from pipeline.fit.relaxation.linear import Linearisation, first_expansion
 from pipeline.fit.relaxation.reference import find_reference
 from pipeline.fit.relaxation.search import Search
 from pipeline.fit.relaxation.varpro import LinearProblem, _non_negative, bounds, merged
-from pipeline.physics.relaxation_kernels import Shape
+from pipeline.physics.film import Shape
 from tests.physics.fit_truth import (
     ACRYLATE,
     BAND,

@@ -56,7 +56,7 @@ def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None
         fit = of.refined(of.fit(found.theta, most=3))
         place = next(i for i, name in enumerate(found.model.names) if "clamp mass" in name)
         assert [n for n in found.model.names if n.startswith("rig 1")] == []
-        return float(found.model.physical(fit.theta).rigs[0].mass[0, 0]), float(np.sqrt(fit.covariance[place, place]))
+        return float(found.model.physical(fit.theta).rigs[0].mass), float(np.sqrt(fit.covariance[place, place]))
 
     bare, both = mass(taps[0]), mass(*taps)
     true = truth.truth.rig.hidden.law.mass

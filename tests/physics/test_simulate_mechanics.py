@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from pipeline.physics.film import RelaxationModel
-from pipeline.simulate.mechanics import Propagator, Rig, assemble, integrate
+from pipeline.physics.motion import Propagator, assemble, integrate
+from pipeline.physics.rig import Rig
 
 Complex = NDArray[np.complex128]
 
-RIG = Rig(clamp_mass_kg=0.1874, load_cell_stiffness_n_per_mm=20.0, load_cell_damping_n_s_per_mm=6.1e-4)
+RIG = Rig(mass=0.1874e-3, stiffness=20.0, damping=6.1e-4)
 THIRD = RelaxationModel(1.0, (1.5, 2.0, 30.0), (0.05 / 1.5, 0.01, 0.02 / 30))
 DASHPOT = RelaxationModel(1.0, (1.5, 2.0), (0.05 / 1.5, 0.01), 0.02)
 
@@ -34,17 +35,12 @@ def stiffness(model: RelaxationModel, frequency_hz: NDArray[np.float64]) -> Comp
 
 def rig_denominator(k: Complex, frequency_hz: NDArray[np.float64], rig: Rig = RIG) -> Complex:
     omega = 2 * np.pi * frequency_hz
-    return np.asarray(
-        k
-        + rig.load_cell_stiffness_n_per_mm
-        - rig.clamp_mass_kg * 1e-3 * omega**2
-        + 1j * omega * rig.load_cell_damping_n_s_per_mm
-    )
+    return np.asarray(k + rig.stiffness - rig.mass * omega**2 + 1j * omega * rig.damping)
 
 
 def driven_by_sine(system_input: str, model: RelaxationModel, seconds: float, hz: float) -> tuple[np.ndarray, ...]:
     """Force of the load cell from an adaptive integration; displacement or Maxwell force sin²(πft)-shaped."""
-    mass, kl, cl = RIG.clamp_mass_kg * 1e-3, RIG.load_cell_stiffness_n_per_mm, RIG.load_cell_damping_n_s_per_mm
+    mass, kl, cl = RIG.mass, RIG.stiffness, RIG.damping
     omega = 2 * np.pi * hz
 
     def shape(t: float) -> tuple[float, float]:
@@ -110,9 +106,7 @@ def test_parts_in_series_share_the_maxwell_force_and_move_the_sensing_part() -> 
     force = -ks / (ka + ks) * 20.0 / rig_denominator(series, frequency)
     # with the clamp at x′ = force/kL, the tension is force + inertia, and the sensing part extends by tension/k_S
     omega = 2 * np.pi * frequency
-    tension = force * (
-        1 - RIG.clamp_mass_kg * 1e-3 * omega**2 / 20.0 + 1j * omega * RIG.load_cell_damping_n_s_per_mm / 20.0
-    )
+    tension = force * (1 - RIG.mass * omega**2 / 20.0 + 1j * omega * RIG.damping / 20.0)
     system = assemble([active, sensing], RIG, active=0, watched=1)
     identity = np.eye(system.a.shape[0])
     found = np.array(
@@ -124,7 +118,7 @@ def test_parts_in_series_share_the_maxwell_force_and_move_the_sensing_part() -> 
 
 def test_a_uniform_film_passes_on_the_share_of_its_lengths_at_once() -> None:
     parts = [RelaxationModel(k0, (2 * k0,), (0.3,)) for k0 in (1.0, 0.5)]
-    stiff = Rig(1e-3, 1e6, 1.0)
+    stiff = Rig(1e-6, 1e6, 1.0)
     steps = np.concatenate([np.zeros(10), np.ones(4000)])
     force = integrate(assemble(parts, stiff, active=0), [None, steps], 1e-3)[0]
     share = 0.5 / (1.0 + 0.5)
@@ -140,8 +134,8 @@ def test_a_held_step_ends_at_the_static_force(
     arms: list[tuple[float, float]], k0: float, kl: float, hz: float, zeta: float
 ) -> None:
     model = RelaxationModel(k0, tuple(k for k, _ in arms), tuple(t for _, t in arms))
-    mass = kl / (2 * np.pi * hz) ** 2 * 1e3
-    rig = Rig(mass, kl, 2 * zeta * np.sqrt(kl * mass * 1e-3))
+    mass = kl / (2 * np.pi * hz) ** 2
+    rig = Rig(mass, kl, 2 * zeta * np.sqrt(kl * mass))
     # with kL in series the slowest time is at most τ (kL + k(∞))/(kL + k0)
     slowest = max((t for _, t in arms), default=0.0) * (1 + sum(k for k, _ in arms) / (kl + k0))
     seconds = 20 * max(slowest, 1 / (zeta * 2 * np.pi * hz))

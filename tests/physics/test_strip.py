@@ -45,7 +45,7 @@ def test_the_capacitance_follows_the_active_film_alone() -> None:
         omega = 2 * np.pi * f
         lag = 1j * omega * STRIP["time_constant_s"]
         strip = passive * (1 + STRIP["relaxing"] * lag / (1 + lag))
-        cell = complex((1 / rig.compliance - rig.mass * omega**2 + 1j * omega * rig.damping).item())
+        cell = complex(rig.stiffness - rig.mass * omega**2 + 1j * omega * rig.damping)
         compliances = [1 / complex(film.stiffness([f])[0]), 1 / strip, 1 / cell]
         alone = compliances[0] / (compliances[0] + compliances[2])
         share = compliances[0] / sum(compliances)

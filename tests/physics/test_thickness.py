@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.physics.ogden import energy, principal_stress, principal_tangent, stress_and_tangent
+from pipeline.physics.hyperelastic import energy, principal_stress, principal_tangent, stress_and_tangent
 from pipeline.physics.thickness import layout
 from pipeline.physics.thickness.assembly import q4
 from pipeline.physics.thickness.continuous import continuous_thickness

@@ -18,7 +18,7 @@ from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_
 from pipeline.diagnose.features.records import Record, record, rest_samples, strain_length_mm
 from pipeline.diagnose.features.sweep_kernels import WITHIN, Bands, Piece, bands_of, harmonics_of
 from pipeline.diagnose.rules import RULES
-from pipeline.fit.relaxation.rig import rig_prior
+from pipeline.physics.rig import rig_prior
 from pipeline.transform import sweeps
 from pipeline.transform.channels import drive
 from schemas.arrays import Complex, Float
@@ -156,14 +156,10 @@ def _gain(frequency: Float, response: Complex, rig: RigConstants) -> Callable[[F
     if prior is None:
         size = np.log(np.abs(response))
         return lambda f: np.asarray(np.exp(np.interp(np.log(f), x, size)))
-    mass, stiffness, damping, _ = prior.nominal
-
-    def own(f: Float) -> Complex:
-        omega = 2 * np.pi * f
-        return np.asarray(1 + (-mass * omega**2 + 1j * omega * damping) / stiffness)
-
-    clear = np.abs(own(frequency[order])) > RULES.features.clear_response
-    k = own(frequency[order]) * response / (1 - response / stiffness)
+    known = prior.rig
+    clamp = known.clamp(2 * np.pi * frequency[order])
+    clear = np.abs(clamp) > RULES.features.clear_response
+    k = known.film_stiffness(response, clamp)
 
     top = clear & (x > x[clear][-1] - _TOP)
     middle, level = x[top].mean(), np.log(np.abs(k[top])).mean()
@@ -177,7 +173,7 @@ def _gain(frequency: Float, response: Complex, rig: RigConstants) -> Callable[[F
         film = np.interp(at, x[clear], k[clear].real) + 1j * np.interp(at, x[clear], k[clear].imag)
         # The resonance with a stiff film may lie above the sweep.
         film = np.where(at > x[clear][-1], np.exp(level + slope * (at - middle) + 1j * phase), film)
-        return np.asarray(np.abs(film / (own(f) + film / stiffness)))
+        return np.abs(known.mechanical(film, known.clamp(2 * np.pi * f)))
 
     return gain
 

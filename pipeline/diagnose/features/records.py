@@ -15,7 +15,7 @@ from pipeline.diagnose.features.kinds import NoiseSample
 from pipeline.diagnose.features.noise_density import noise_sample
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.mains import mains_of
-from pipeline.fit.relaxation.rig import rig_prior
+from pipeline.physics.rig import rig_prior
 from pipeline.transform.channels import stretched_length
 from pipeline.transform.sampling import Sampled, runs, sample
 from schemas.arrays import Bool, Complex, Float
@@ -192,7 +192,7 @@ def clamp_hz(rig: RigConstants) -> float:
     prior = rig_prior(rig)
     if prior is None or prior.nominal[0] <= 0:
         return 50.0
-    return float(np.sqrt(prior.nominal[1] / prior.nominal[0]) / (2 * np.pi))
+    return float(prior.rig.clamp_omega / (2 * np.pi))
 
 
 def strain_length_mm(recording: Recording) -> float:

@@ -25,7 +25,7 @@ from pipeline.diagnose.features.kinds import (
 from pipeline.diagnose.features.noise_density import MAINS_HZ, thinned
 from pipeline.diagnose.features.records import Record, record
 from pipeline.diagnose.rules import RULES
-from pipeline.fit.relaxation.rig import rig_prior
+from pipeline.physics.rig import rig_prior
 from pipeline.transform.channels import drive
 from pipeline.transform.periodic import excited_lines
 from pipeline.transform.sweeps import find_period
@@ -207,8 +207,7 @@ def _ringing_s(rig: RigConstants) -> float:
     prior = rig_prior(rig)
     if prior is None or prior.nominal[0] <= 0:
         return 0.0
-    mass, stiffness = prior.nominal[:2]
-    return float(np.log(100) / (prior.lightest_ratio * np.sqrt(stiffness / mass)))
+    return float(np.log(100) / (prior.lightest_ratio * prior.rig.clamp_omega))
 
 
 def _away_from_mains(frequency: Float) -> Bool:

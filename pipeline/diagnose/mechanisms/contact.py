@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SHAPE, SWEEPS, Context, Mechanism, Parameter, Values
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect
+from pipeline.physics.film import arm_step
 from schemas.arrays import Complex, Float
 
 _TURNS, _MOST_TURNS = 2, 10
@@ -72,8 +73,8 @@ def _film(k: Complex, static: float, interval_s: Float) -> tuple[Float, Float, F
     arm = np.where(relaxes, rise * (1 + 1 / turn**2), 0.0)
     # τ = turn/ω; a period has as many intervals as points. Slip flows evenly over an interval, and what it strains relaxes in it.
     passed = 2 * np.pi / interval_s.shape[0] / turn
-    decay = np.exp(-passed) * np.ones_like(interval_s)
-    return np.where(relaxes, static, np.abs(k)), arm * -np.expm1(-passed) / passed, decay
+    decay, gain = arm_step(passed)
+    return np.where(relaxes, static, np.abs(k)), arm * gain, decay * np.ones_like(interval_s)
 
 
 def _force(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:

@@ -16,6 +16,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Values,
 )
 from pipeline.diagnose.simulation.effects import Effect, Film, View
+from pipeline.physics.film import arm_response, series_share
 from schemas.arrays import Complex, Float
 
 _LOWEST_HZ = 1e-6
@@ -27,7 +28,7 @@ def _arm(values: Values, variant: str) -> Effect:
 
     def more(film: Film, view: View) -> Film:
         z = view.power_of_jw(spread, tau=tau, lowest_hz=_LOWEST_HZ)
-        return Film(film.k + ratio * view.k0 * z / (1 + z), film.share)
+        return Film(film.k + ratio * view.k0 * arm_response(z), film.share)
 
     return Effect(film=(more,)) if ratio else Effect()
 
@@ -81,9 +82,9 @@ def _strip(values: Values, variant: str) -> Effect:
         return Effect()
 
     def in_series(film: Film, view: View) -> Film:
-        s = 2j * np.pi * view.frequency_hz * tau
-        passive = view.k0 * (1 - compliant) / compliant * (1 + relaxing * s / (1 + s))
-        share: Complex = np.asarray(passive / (film.k + passive), dtype=complex)
+        s: Complex = np.asarray(2j * np.pi * view.frequency_hz * tau, dtype=complex)
+        passive = view.k0 * (1 - compliant) / compliant * (1 + relaxing * arm_response(s))
+        share = series_share(film.k, passive)
         return Film(film.k * share, film.share * share)
 
     return Effect(film=(in_series,))

@@ -15,8 +15,9 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
-from pipeline.diagnose.simulation.effects import Effect, Rig, View
+from pipeline.diagnose.simulation.effects import Effect, View
 from pipeline.diagnose.simulation.nodes import carried
+from pipeline.physics.rig import Rig
 from schemas.arrays import Complex
 
 _ROUNDS, _FOUND, _NO_DRAG = 12, 1e-6, 1e-300
@@ -28,7 +29,7 @@ def _constants(values: Values, variant: str) -> Effect:
         return replace(
             rig,
             mass=rig.mass * (1 + values["mass_error"]),
-            compliance=rig.compliance / (1 + values["stiffness_error"]),
+            stiffness=rig.stiffness * (1 + values["stiffness_error"]),
         )
 
     return Effect(rig=(change,))
@@ -38,18 +39,15 @@ def _damping(values: Values, variant: str) -> Effect:
     ratio = values["damping_ratio"]
 
     def more(rig: Rig) -> Rig:
-        critical = 2 * np.sqrt(rig.mass / np.maximum(rig.compliance, 1e-300))
-        return replace(rig, damping=rig.damping + ratio * critical)
+        return replace(rig, damping=rig.damping + ratio * rig.critical_damping)
 
     def dragged(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
         # Linear damping that takes as much work from a sinusoid; the motion that it brakes is found with it.
         omega = 2 * np.pi * view.frequency_hz
-        critical = 2 * np.sqrt(rig.mass * rig.compliance)
-        with np.errstate(divide="ignore"):
-            alone = np.where(rig.mass > 0, 1 / np.sqrt(np.maximum(rig.mass * rig.compliance, 1e-300)), np.inf)
-        reference = max(view.scale.strain, 1e-12) * alone
+        critical = rig.critical_damping * rig.compliance
+        reference = max(view.scale.strain, 1e-12) * rig.clamp_omega
         # The film's strain moves the clamp by k/kL of the whole: x′ = x0 (k/kL)/(own + k/kL). The drag adds to its imaginary part.
-        alone_with_film = own + k * rig.compliance
+        alone_with_film = rig.loaded(k, own)
         still, moving = alone_with_film.real**2, alone_with_film.imag
         speed = view.strain * omega * np.abs(k * rig.compliance) / reference
         growth = values["growth"]
@@ -68,10 +66,8 @@ def _damping(values: Values, variant: str) -> Effect:
 
     def second(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
         # A small mass on the clamp, as heavy as brings that damping when it is tuned to the clamp: μ/(4ζ₂).
-        with np.errstate(divide="ignore"):
-            alone = np.where(rig.mass > 0, 1 / np.sqrt(np.maximum(rig.mass * rig.compliance, 1e-300)), np.inf)
         omega = 2 * np.pi * view.frequency_hz
-        r = omega / (values["tuning"] * alone)
+        r = omega / (values["tuning"] * rig.clamp_omega)
         spring, share = 1 + 2j * values["width"] * r, 4 * values["width"] * ratio
         of_the_second: Complex = np.asarray(spring - r**2, dtype=complex)
         if view.few:

@@ -376,13 +376,9 @@ def _estimate_noise(session: Session, rig: int, quantity: str) -> float:
 
 def _compute_response(physical: Physical, number: int, frequency: Float, electrical: bool) -> Complex:
     """F/x0 or −F/V² of the plain model at frequencies (m,)."""
-    rig = physical.rigs[number]
-    mass, compliance, damping, gain = (float(v[0, 0]) for v in (rig.mass, rig.compliance, rig.damping, rig.gain))
-    omega = 2 * np.pi * frequency
-    own = 1 + compliance * (-mass * omega**2 + 1j * omega * damping)
-    k = physical.film.stiffness(frequency)
-    numerator = -physical.actuation if electrical else k
-    return np.asarray(gain * numerator / (own + k * compliance), dtype=complex)
+    rig, k = physical.rigs[number], physical.film.stiffness(frequency)
+    clamp = rig.clamp(2 * np.pi * frequency)
+    return -physical.actuation * rig.electrical(k, clamp) if electrical else rig.mechanical(k, clamp)
 
 
 def _filter_signal(values: Float, response: Complex) -> Float:

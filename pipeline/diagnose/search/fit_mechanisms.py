@@ -240,8 +240,8 @@ def _start_as_filed(of: Extended, base: ExtendedFit, as_filed: Callable[[float, 
     model, theta = base.of.model, base.of.model.with_rigs_as_filed(base.theta)
     pairs = zip(model.physical(base.theta).rigs, model.physical(theta).rigs, model.rigs, strict=True)
     known = [(here, filed) for here, filed, prior in pairs if prior is not None]
-    mass = float(np.mean([(here.mass / filed.mass).item() for here, filed in known]))
-    stiffness = float(np.mean([(filed.compliance / here.compliance).item() for here, filed in known]))
+    mass = float(np.mean([here.mass / filed.mass for here, filed in known]))
+    stiffness = float(np.mean([here.stiffness / filed.stiffness for here, filed in known]))
     return of.entries(theta, (*base.values, as_filed(mass - 1, stiffness - 1)))
 
 

@@ -7,7 +7,7 @@ that ended early would be taken for a discrepancy.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -27,8 +27,9 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.parameters import BaseModel
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
-from pipeline.physics.film import RelaxationModel
+from pipeline.physics.film import RelaxationModel, debye
 from pipeline.physics.least_squares import Solution, minimise
+from pipeline.physics.rig import RIGID, Rig
 from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
 
@@ -233,10 +234,11 @@ def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Com
             continue
         n = p.block.size // 2
         f, g = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]
-        own, compliance = _compute_clamp(session, int(session.rig[p.recording]), f, ratio)
-        clear = np.abs(own) > RULES.features.clear_response
+        rig = _load_clamp(session, int(session.rig[p.recording]), ratio)
+        clamp = rig.clamp(2 * np.pi * f)
+        clear = np.abs(clamp) > RULES.features.clear_response
         frequencies.append(f[clear])
-        stiffness.append((own * g / (1 - g * compliance))[clear])
+        stiffness.append(rig.film_stiffness(g, clamp)[clear])
     if sum(f.size for f in frequencies) == 0:
         _append_electrical(session, frequencies, stiffness, ratio)
     f, k = np.concatenate(frequencies), np.concatenate(stiffness)
@@ -251,32 +253,33 @@ def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Com
 
 
 def _append_electrical(session: Session, frequencies: list[Float], stiffness: list[Complex], ratio: float) -> None:
-    """k = kL (a/H − 1 − …) with the actuation that the geometry promises; the order of magnitude is what counts."""
+    """The same from electrical responses, with the actuation that the geometry promises; the order of magnitude is what counts."""
     for p in session.places:
         if p.block.kind != SPHS_RESPONSE:
             continue
         n = p.block.size // 2
         f, h = p.block.frequency_hz[:n], p.block.value[:n] + 1j * p.block.value[n:]
-        own, compliance = _compute_clamp(session, int(session.rig[p.recording]), f, ratio)
+        rig = _load_clamp(session, int(session.rig[p.recording]), ratio)
         drive = session.recordings[p.recording].values.get("actuation_n_per_kv2", float(np.abs(h).max()))
-        k = (drive / h - own) / compliance if compliance > 0 else np.ones(f.size, dtype=complex)
+        k = np.ones(f.size, dtype=complex)
+        if rig.compliance > 0:
+            k = rig.film_stiffness_of_actuation(h, drive, rig.clamp(2 * np.pi * f))
         frequencies.append(f)
-        stiffness.append(np.where(k.real > 0.02 / max(compliance, 1e-9), k, 0.1 / max(compliance, 1e-9)))
+        cell = min(rig.stiffness, 1e9)
+        stiffness.append(np.where(k.real > 0.02 * cell, k, 0.1 * cell))
 
 
-def _compute_clamp(session: Session, rig: int, f: Float, ratio: float) -> tuple[Complex, float]:
-    prior = session.priors[rig]
+def _load_clamp(session: Session, number: int, ratio: float) -> Rig:
+    """A rig as its file says, its clamp `ratio` times as heavy and with what is known to be on it."""
+    prior = session.priors[number]
     if prior is None:
-        return np.ones(f.size, dtype=complex), 0.0
-    mass, stiffness, damping, _ = prior.nominal
-    omega, on_clamp = 2 * np.pi * f, ratio * mass + session.loaded[rig][1]
-    return np.asarray(1 + (-on_clamp * omega**2 + 1j * omega * damping) / stiffness), 1 / float(stiffness)
+        return RIGID
+    return replace(prior.rig, mass=ratio * prior.rig.mass + session.loaded[number][1])
 
 
 def _fit_ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float, float]:
     """Springs ≥ 0 of arms at `times` under k, least squares relative to |k|: k0, (len(times),) and the misfit, root mean square."""
-    s = 2j * np.pi * f[:, None] * times
-    design = np.column_stack([np.ones(f.size, dtype=complex), s / (1 + s)]) / np.abs(k)[:, None]
+    design = np.column_stack([np.ones(f.size, dtype=complex), debye(2 * np.pi * f, times)]) / np.abs(k)[:, None]
     target = k / np.abs(k)
     springs, left = nnls(np.vstack([design.real, design.imag]), np.concatenate([target.real, target.imag]))
     return max(float(springs[0]), 0.02 * float(np.abs(k).min())), springs[1:], float(left) / np.sqrt(f.size)

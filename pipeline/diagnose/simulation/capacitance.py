@@ -62,7 +62,7 @@ class CapacitanceFamily(Family):
         film = film_at(physical, effect, view)
         own = dynamic(rig, view, effect, film.k)
         # Of what two films in series are strained by together, the active one has the share by which its force reaches the ends.
-        return np.atleast_2d(own / (own + film.k * rig.compliance) * film.share)
+        return np.atleast_2d(rig.extension(film.k, own) * film.share)
 
     def _closed(self, physical: Physical | Several, effect: Effect, strained: Complex) -> Float:
         """Features (..., rows) where no cracks open."""

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.diagnose.simulation.effects import Course, Scale
+from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float, Int
 
 PHASES = 32
@@ -83,19 +84,19 @@ class Loop:
     """What closes the loop about the elements at harmonics 0 … 3 of the drive: film and rig, linear.
 
     frequency_hz (S, J) of the drive, `cycles` (S, J) each as in `Course`; k (4, S, J) N/mm of the linear film (at 0 the main
-    spring), `dynamic` (4, S, J) = 1 + (−Mω² + jωcL)/kL, `compliance` 1/kL.
+    spring), `dynamic` (4, S, J) = 1 + (−Mω² + jωcL)/kL of the clamp, `rig` (1, 1).
     """
 
     frequency_hz: Float
     k: Complex
     dynamic: Complex
-    compliance: Float
+    rig: Rig
     cycles: tuple[Float, Float] | None = None
 
     def mean(self) -> Loop:
         """One for all states."""
         k, dynamic = self.k.mean(axis=1, keepdims=True), self.dynamic.mean(axis=1, keepdims=True)
-        return Loop(self.frequency_hz[:1], k, dynamic, self.compliance)
+        return Loop(self.frequency_hz[:1], k, dynamic, self.rig)
 
 
 def describe(
@@ -111,15 +112,15 @@ def describe(
 
     The mean tension that the elements find beyond what the scaled k0 carries is `mean`.
     """
-    k, dynamic, compliance = loop.k[1], loop.dynamic[1], loop.compliance
-    turn = dynamic / (dynamic + k * compliance)
+    k, dynamic = loop.k[1], loop.dynamic[1]
+    turn = loop.rig.extension(k, dynamic)
     amplitude = strain * np.abs(turn)
     factor: Complex = np.ones(k.shape, dtype=complex)
     found: Complex = np.zeros((*k.shape, 4), dtype=complex)
     own: Complex | None = None
     for i in range(_ITERATIONS):
         factor, found, own = _one_amplitude(elements, loop, amplitude, mean_strain, rest_force_n, loads, scale, own)
-        turn = dynamic / (dynamic + factor * k * compliance)
+        turn = loop.rig.extension(factor * k, dynamic)
         amplitude, change = _next(amplitude, strain, turn, i)
         if change < _SETTLED:
             break
@@ -248,7 +249,7 @@ def _one_amplitude(
     """
     k = np.moveaxis(loop.k, 0, -1)
     dynamic = np.moveaxis(loop.dynamic, 0, -1)
-    give = np.asarray(loop.compliance)[..., None]
+    give = np.asarray(loop.rig.compliance)[..., None]
     e = np.zeros((*amplitude.shape, 4), dtype=complex) if own is None else own.copy()
     if own is None:
         e[..., 0] = mean_strain

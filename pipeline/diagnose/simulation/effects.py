@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float, Int
 
 
@@ -107,20 +108,6 @@ class Film:
 
     k: Complex
     share: Complex | float = 1.0
-
-
-@dataclass(frozen=True)
-class Rig:
-    """Clamp and load cell, each (1 or S, 1): mass N s²/mm, compliance mm/N, damping N s/mm, gain of the force channel.
-
-    extra : known mass on the clamp beside its own, N s²/mm
-    """
-
-    mass: Float
-    compliance: Float
-    damping: Float
-    gain: Float
-    extra: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def electrical_response(
     own = dynamic(rig, view, effect, film.k)
     drive = physical.actuation * film.share * channel(effect.actuation, view) / channel(effect.voltage, view) ** 2
     drive = drive * channel(effect.electrode, view)
-    response = drive / (own + film.k * rig.compliance)
+    response = drive / rig.loaded(film.k, own)
     if output == FORCE:
         return np.asarray(rig.gain * response * channel(effect.force, view))
     sensed = -physical.pf_per_n * own * response * physical.k0 / film.k
@@ -113,8 +113,7 @@ class StepFamily(Family):
 
     def _along(self, values: Float, physical: Physical, effect: Effect, loads: Loads) -> None:
         rig = rig_of(physical, self.rig, effect)
-        compliance = float(rig.compliance[0, 0])
-        still = 1 + physical.film.k0 * compliance
+        still = rig.at_rest(physical.film.k0).item()
         at = 0
         for p in self.places:
             part = values[at : at + p.block.size]
@@ -122,7 +121,7 @@ class StepFamily(Family):
             drop = part.copy()
             if effect.tension:
                 course = Course(
-                    (drop * compliance / self.session.scale.length_mm)[None],
+                    drop[None] * rig.compliance / self.session.scale.length_mm,
                     -drop[None],
                     False,
                     np.array([[rest]]),
@@ -255,7 +254,7 @@ class MultisineFamily:
         film = film_at(physical, effect, view)
         own = dynamic(rig, view, effect, film.k)
         pulled = physical.actuation * film.share * channel(effect.actuation, view) * acting
-        passed = rig.gain / (own + film.k * rig.compliance)
+        passed = rig.electrical(film.k, own)
         force = -passed * pulled
         rest = np.nan_to_num(self.view.rest_force_n)
         total = np.zeros((len(self.places), count), dtype=complex)

@@ -18,12 +18,13 @@ import numpy as np
 from pipeline.diagnose.features.blocks import operator_of
 from pipeline.diagnose.features.functionals import Operator
 from pipeline.diagnose.features.kinds import CHIRP_RESPONSE
-from pipeline.diagnose.simulation.effects import NONE, Effect, Factor, Film, Rig, View
+from pipeline.diagnose.simulation.effects import NONE, Effect, Factor, Film, View
 from pipeline.diagnose.simulation.node_weights import NodeWeights
 from pipeline.diagnose.simulation.nodes import POINTS, carried, fewer_nodes, interpolation
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.physics.film import RelaxationModel, stiffnesses
+from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float, Int
 
 _WORTH = 0.7
@@ -65,7 +66,7 @@ class Family:
         within = self._nodes[(self._nodes >= self.frequency[0]) & (self._nodes <= self.frequency[-1])]
         rig, whole = rig_of(physical, self.rig, NONE), replace(self.view, frequency_hz=within[None, :])
         k = film_at(physical, NONE, whole).k
-        found = fewer_nodes(within, (dynamic(rig, whole, NONE, k) + k * rig.compliance)[0])
+        found = fewer_nodes(within, rig.loaded(k, dynamic(rig, whole, NONE, k))[0])
         if found.size > _WORTH * self.frequency.size or found.size <= POINTS:
             return None
         weights = interpolation(found, self.frequency, POINTS)
@@ -193,12 +194,11 @@ def dynamic(rig: Rig, view: View, effect: Effect, k: Complex) -> Complex:
 
     Raises `Elsewhere` where the view has few nodes that do not carry the resonance of both.
     """
-    omega = 2 * np.pi * view.frequency_hz
-    own: Complex = np.asarray(1 + rig.compliance * (-rig.mass * omega**2 + 1j * omega * rig.damping), dtype=complex)
+    own = rig.clamp(2 * np.pi * view.frequency_hz)
     for change in effect.clamp:
         own = change(own, rig, view, k)
     if view.few:
-        carried(own + k * rig.compliance)
+        carried(rig.loaded(k, own))
     return own
 
 

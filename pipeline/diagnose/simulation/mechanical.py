@@ -15,12 +15,13 @@ import numpy as np
 
 from pipeline.diagnose.features.kinds import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
 from pipeline.diagnose.simulation.describing import PHASES, Loads, Loop, along, describe, harmonics
-from pipeline.diagnose.simulation.effects import NONE, Course, Effect, Rig, View, bent
+from pipeline.diagnose.simulation.effects import NONE, Course, Effect, View, bent
 from pipeline.diagnose.simulation.families import Family, channel, dynamic, film_at, rig_of
 from pipeline.diagnose.simulation.nodes import carried
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
 from pipeline.diagnose.simulation.session import Place, Session
+from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float
 
 CYCLIC, RAMP = "cyclic", "ramp"
@@ -57,7 +58,7 @@ class MechanicalFamily(Family, ABC):
         rig = rig_of(physical, self.rig, effect)
         k = film_at(physical, effect, at).k
         own = dynamic(rig, at, effect, k)
-        response = rig.gain * k / (own + k * rig.compliance) * channels(effect, at)
+        response = rig.mechanical(k, own) * channels(effect, at)
         return Linear(np.atleast_2d(k), np.atleast_2d(own), np.atleast_2d(response))
 
     def loop(
@@ -78,13 +79,11 @@ class MechanicalFamily(Family, ABC):
             np.broadcast_to(view.frequency_hz, shape),
             np.array([k0, *(np.broadcast_to(a.k, shape) for a in at)]),
             np.array([no_clamp, *(np.broadcast_to(a.dynamic, shape) for a in at)]),
-            rig.compliance,
+            rig,
             cycles,
         )
         passing = [
-            rig.gain
-            / (found.dynamic[order] + found.k[order] * rig.compliance)
-            * channel(effect.force, views[order - 1])
+            rig.electrical(found.k[order], found.dynamic[order]) * channel(effect.force, views[order - 1])
             for order in (2, 3)
         ]
         return found, passing
@@ -158,16 +157,14 @@ class CyclicFamily(MechanicalFamily):
     def _with_elements(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> Float:
         """Features with the describing functions of the elements: of the response, of mean and harmonics."""
         rig, view = rig_of(physical, self.rig, effect), self._own[0]
-        still = 1 + physical.film.k0 * rig.compliance
+        still = rig.at_rest(physical.film.k0)
         loop, passing = self.loop(physical, effect, self._own, self._cycles)
         mean_strain, rest = self._mean_strain / still, np.broadcast_to(view.rest_force_n, view.strain.shape)
         found = describe(effect.tension, loop, view.strain, mean_strain, rest, loads, view.scale)
         k = linear.k * found.factor
-        impedance = linear.dynamic + k * rig.compliance
         if self.view.few:
-            carried(impedance)
-        closed = rig.gain * k / impedance
-        values = self.apply(np.atleast_2d(closed * channels(effect, self.view)))
+            carried(rig.loaded(k, linear.dynamic))
+        values = self.apply(np.atleast_2d(rig.mechanical(k, linear.dynamic) * channels(effect, self.view)))
         unit = found.turn / np.abs(found.turn)
         force = [h * unit**m * p for m, h, p in zip((2, 3), (found.second, found.third), passing, strict=True)]
         for p in self.places:
@@ -200,9 +197,9 @@ class CyclicFamily(MechanicalFamily):
         """Largest loads of the family as the plain film has them: what onsets are measured against."""
         view = self._own[0]
         linear = self.linear(physical, NONE, view)
-        compliance, travel = physical.rigs[self.rig].compliance, view.strain * view.scale.length_mm
-        swing = np.abs(linear.k * linear.dynamic / (linear.dynamic + linear.k * compliance)) * travel
-        level = physical.film.k0 / (1 + physical.film.k0 * compliance) * self._mean_strain * view.scale.length_mm
+        rig, travel = physical.rigs[self.rig], view.strain * view.scale.length_mm
+        swing = np.abs(linear.k * rig.extension(linear.k, linear.dynamic)) * travel
+        level = physical.film.k0 / rig.at_rest(physical.film.k0) * self._mean_strain * view.scale.length_mm
         reading = np.nan_to_num(view.rest_force_n) + level + np.abs(linear.response) * travel
         return Loads(float((swing + level).max()), float(np.maximum(swing - level, 0).max()), float(reading.max()))
 
@@ -229,7 +226,7 @@ class RampFamily(MechanicalFamily):
 
     def _along(self, values: Float, physical: Physical, effect: Effect, rig: Rig, loads: Loads) -> None:
         """Elements and readings along the windows of relaxation and cycles, in time order."""
-        still = 1 + physical.film.k0 * float(rig.compliance[0, 0])
+        still = rig.at_rest(physical.film.k0).item()
         for p in self.places:
             own = self.spans[id(p)]
             order = np.argsort(p.block.time_s)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import scipy.sparse
 
-from pipeline.fit.relaxation.rig import rig_prior
+from pipeline.physics.rig import rig_prior
 from schemas.arrays import Complex, Float
 from schemas.metadata import RigConstants
 
@@ -42,8 +42,7 @@ def response_nodes(rig: RigConstants) -> Float:
     prior = rig_prior(rig)
     if prior is None or prior.nominal[0] <= 0:
         return np.concatenate([[0.0], np.exp(np.arange(start, end + coarse, coarse))])
-    mass, stiffness = prior.nominal[:2]
-    alone = 0.5 * math.log(stiffness / mass) - math.log(2 * math.pi)
+    alone = math.log(prior.rig.clamp_omega / (2 * math.pi))
     low, high = alone + math.log(_RESONANCE[0]), alone + math.log(_RESONANCE[1])
     fine = prior.lightest_ratio / _PER_WIDTH
     return np.concatenate([[0.0], np.exp(_graded((start, end), (low, high), fine, coarse, _GRADED))])

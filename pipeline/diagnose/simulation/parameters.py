@@ -12,9 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.diagnose.simulation.effects import Rig
-from pipeline.fit.relaxation.rig import RigPrior
-from pipeline.physics.film import RelaxationModel
+from pipeline.physics.film import RelaxationModel, Shape
+from pipeline.physics.rig import RIGID, Rig, RigPrior, rig_of_constants
 from schemas.arrays import Float, Int
 
 CLAMP_MASS = "clamp mass"
@@ -40,7 +39,7 @@ class Physical:
     """θ in physical terms.
 
     film : relaxation model
-    rigs : constants of each rig, (1, 1) arrays
+    rigs : constants of each rig, numbers
     actuation : F_A/V², N/kV²
     amplifier : kV/V, per rig
     pf_per_n, pf_per_mm : what the sensing region makes of the tension (at rest) and of the displacement
@@ -78,10 +77,8 @@ class Several:
             return np.array(list(values))[:, None, None]
 
         def stacked(rigs: Sequence[Rig]) -> Rig:
-            mass, compliance, damping, gain = (
-                np.array([getattr(r, name) for r in rigs]) for name in ("mass", "compliance", "damping", "gain")
-            )
-            return Rig(mass, compliance, damping, gain, rigs[0].extra)
+            mass, stiffness, damping, gain = np.array([r.numbers for r in rigs]).T[:, :, None, None]
+            return Rig(mass, stiffness, damping, gain, rigs[0].extra)
 
         return cls(
             tuple(members),
@@ -105,7 +102,8 @@ class Several:
         at = np.array(places)
 
         def rig(whole: Rig) -> Rig:
-            return Rig(whole.mass[at], whole.compliance[at], whole.damping[at], whole.gain[at], whole.extra)
+            mass, stiffness, damping, gain = np.array([whole.mass, whole.stiffness, whole.damping, whole.gain])[:, at]
+            return Rig(mass, stiffness, damping, gain, whole.extra)
 
         fields = {name: getattr(self, name)[at] for name in ("k0", "actuation", "pf_per_n", "pf_per_mm")}
         given = {name: np.full_like(fields[name], value) for name, value in hidden.items()}
@@ -144,34 +142,27 @@ class BaseModel:
     @property
     def film(self) -> slice:
         """Places of the material in θ."""
-        return slice(0, 1 + 2 * self.arms + self.dashpot)
+        return slice(0, self.shape.size)
+
+    @cached_property
+    def shape(self) -> Shape:
+        """The material's entries."""
+        return Shape(self.arms, dashpot=self.dashpot)
 
     def physical(self, theta: Float) -> Physical:
         """θ (P,) in physical terms."""
-        n = self.arms
-        x = np.exp(theta[self.film])
-        order = np.argsort(-x[1 + n : 1 + 2 * n])
-        film = RelaxationModel(
-            float(x[0]),
-            tuple(x[1 : 1 + n][order].tolist()),
-            tuple(x[1 + n : 1 + 2 * n][order].tolist()),
-            float(x[-1]) if self.dashpot else 0.0,
-        )
         at = self.film.stop
         rigs = []
         for prior in self.rigs:
             if prior is None:
-                mass, compliance, damping, gain = 0.0, 0.0, 0.0, 1.0
+                rigs.append(RIGID)
             else:
-                mass, stiffness, damping, gain = prior.values(theta[at : at + prior.size])
-                compliance = 1 / stiffness
+                rigs.append(rig_of_constants(prior.values(theta[at : at + prior.size])))
                 at += prior.size
-            m, c, d, g = (np.array([[v]], dtype=float) for v in (mass, compliance, damping, gain))
-            rigs.append(Rig(m, c, d, g))
         rigs = [replace(rigs[of], extra=extra) for of, extra in self.loaded]
         named = dict(zip(self.names[at:], theta[at:].tolist(), strict=True))
         return Physical(
-            film=film,
+            film=self.shape.model(theta),
             rigs=tuple(rigs),
             actuation=float(np.exp(named.get("log actuation", 0.0))),
             amplifier=tuple(float(np.exp(named.get(f"log amplifier {i}", 0.0))) for i in range(len(self.rigs))),
@@ -187,8 +178,7 @@ class BaseModel:
         if len(film.k) != self.arms or (film.c_inf > 0) != self.dashpot:
             raise ValueError(f"a film with {len(film.k)} arms, the model has {self.arms}")
         theta = np.array([e.mean for e in self.entries])
-        head = [film.k0, *film.k, *film.tau] + ([film.c_inf] if self.dashpot else [])
-        theta[self.film] = np.log(head)
+        theta[self.film] = self.shape.theta(film)
         for name, value in named.items():
             place = self.index(name.replace("_", " "))
             if place is None:

@@ -96,5 +96,5 @@ class Remembered:
         value = getattr(physical, name)
         if name == "rigs":
             rig = value[self._rig]
-            return rig.mass.item(), rig.compliance.item(), rig.damping.item(), rig.gain.item(), rig.extra
+            return *rig.numbers, rig.extra
         return value[self._rig] if name == "amplifier" else value

@@ -29,7 +29,7 @@ from pipeline.diagnose.features.noise_density import NoiseLaw, noise_law
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.effects import Scale
 from pipeline.diagnose.simulation.parameters import BaseModel, Entry, film_entries, rig_entries
-from pipeline.fit.relaxation.rig import RigPrior, rig_prior
+from pipeline.physics.rig import RigPrior, rig_prior
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants

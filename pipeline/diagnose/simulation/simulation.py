@@ -159,14 +159,12 @@ class Simulation:
                 total = total + hum_score(amplitude, place.block.support["variance"])
             return total
         rig = rig_of(physical, int(self.session.rig[place.recording]), effect)
-        mass, compliance, damping, gain = (float(v[0, 0]) for v in (rig.mass, rig.compliance, rig.damping, rig.gain))
         if place.block.kind == WEIGHT_GAIN:
             still = state_view(self.session, np.array([place.state]), np.zeros((1, 1)), "weight")
-            return np.array([gain * float(np.real(np.ravel(channel(effect.force, still))[0]))])
-        if mass <= 0 or compliance <= 0:
+            return np.array([rig.gain * float(np.real(np.ravel(channel(effect.force, still))[0]))])
+        if not np.isfinite(rig.clamp_omega):
             return np.asarray(place.block.value)
-        omega = 1 / np.sqrt(mass * compliance)
-        return np.array([np.log(omega / (2 * np.pi)), damping * omega * compliance / 2])
+        return np.array([np.log(rig.clamp_omega / (2 * np.pi)), rig.damping_ratio])
 
 
 def _remembered(family: Predicting, about: Physical | None) -> Remembered:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.diagnose.simulation.describing import Places, SweepTable
 from pipeline.diagnose.simulation.sweep_course import SweepCourse
+from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float, Int
 
 _ITERATIONS, _SETTLED = 20, 1e-6
@@ -42,20 +43,20 @@ class SweepCourses:
         """(W, C) signals (W, T) over the input's as the sweeps pass the frequencies: amplitude in mm or N, phase against it."""
         return np.asarray(np.take_along_axis(signal, self._at, axis=1) * self._unturned)
 
-    def elongation(self, dynamic: Complex, k: Complex, compliance: float) -> Complex:
+    def elongation(self, dynamic: Complex, k: Complex, rig: Rig) -> Complex:
         """(W, B) spectra of the linear film's elongation, mm: x0 D/(D + k/kL)."""
-        return np.asarray(self.input * (dynamic / (dynamic + k * compliance)))
+        return np.asarray(self.input * rig.extension(k, dynamic))
 
     def strained(
-        self, dynamic: Complex, k: Complex, compliance: float, table: SweepTable, length_mm: float, by_size: bool
+        self, dynamic: Complex, k: Complex, rig: Rig, table: SweepTable, length_mm: float, by_size: bool
     ) -> tuple[Complex, Complex]:
         """(W, B) spectra of the film's elongation, mm, and of what elements add to its tension, N. `by_size`: the amplitude is that
         of the tension over |k|.
 
         T = k e + Δ, Δ = (n − 1) k e at the amplitude of every instant, e = (D x0 − Δ/kL)/(D + k/kL), found together.
         """
-        course, giving = self.course, compliance / (dynamic + k * compliance)
-        found: Complex = self.elongation(dynamic, k, compliance)
+        course, giving = self.course, rig.compliance / rig.loaded(k, dynamic)
+        found: Complex = self.elongation(dynamic, k, rig)
         total = np.zeros_like(found)
         rows = np.arange(len(found))
         e, added, free = found, total, found.copy()

@@ -170,10 +170,9 @@ class SweepFamily(MechanicalFamily):
     def _passed(self, linear: Linear, physical: Physical, effect: Effect, loads: Loads) -> list[_Passed]:
         """What elements add to each sweep."""
         rig, view = rig_of(physical, self.rig, effect), self._coarse[0]
-        compliance = float(rig.compliance[0, 0])
         length = view.scale.length_mm
         loop, passing = self.loop(physical, effect, self._coarse)
-        still = 1 + physical.film.k0 * compliance
+        still = rig.at_rest(physical.film.k0).item()
         outside = np.broadcast_to(channels(effect, self.view), linear.k.shape)
         by_size, mean = any(isinstance(element, BySize) for element in effect.tension), loop.mean()
         stiffness = mean.k[1, 0] if by_size else np.ones(self._log_hz.size, dtype=complex)
@@ -187,14 +186,14 @@ class SweepFamily(MechanicalFamily):
         for alike in self._alike:
             at = (_rows(v, alike.state) for v in (linear.dynamic, linear.k, outside))
             own, k, outer = alike.courses.at_bins(*at)
-            tops.append(np.abs(strain(alike.courses, k, alike.courses.elongation(own, k, compliance))))
+            tops.append(np.abs(strain(alike.courses, k, alike.courses.elongation(own, k, rig))))
             parts.append((own, k, outer))
         rest = float(np.mean(view.rest_force_n))
         table = sweep_table(effect.tension, mean, np.max(np.concatenate(tops), axis=0), rest, loads, view.scale)
         found: dict[int, _Passed] = {}
         for alike, (own, k, outer) in zip(self._alike, parts, strict=True):
-            e, added = alike.courses.strained(own, k, compliance, table, length, by_size)
-            force = outer * float(rig.gain[0, 0]) / (own + k * compliance) * added
+            e, added = alike.courses.strained(own, k, rig, table, length, by_size)
+            force = outer * rig.electrical(k, own) * added
             at_coarse = strain(alike.courses, k, e)
             waves = table.waves(np.abs(at_coarse), self._at_log_hz)
             unit = at_coarse / np.maximum(np.abs(at_coarse), 1e-300)
@@ -251,12 +250,12 @@ class SweepFamily(MechanicalFamily):
 
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the family as the plain film has them: what onsets are measured against."""
-        linear, compliance = self.linear(physical, NONE), float(physical.rigs[self.rig].compliance[0, 0])
+        linear, rig = self.linear(physical, NONE), physical.rigs[self.rig]
         swing = reading = 0.0
         for alike in self._alike:
             courses, parts = alike.courses, (linear.dynamic, linear.k, linear.response)
             own, k, response = courses.at_bins(*(_rows(v, alike.state) for v in parts))
-            tension = courses.course.signal(k * courses.elongation(own, k, compliance))
+            tension = courses.course.signal(k * courses.elongation(own, k, rig))
             swing = max(swing, float(np.abs(tension).max()))
             force = np.abs(courses.course.signal(response * courses.input)).max(axis=1)
             rest = [self.rest_of(self._sweeps[number].response) for number in alike.number]

@@ -21,7 +21,8 @@ from pipeline.diagnose.mechanisms.film_amplitude import AMPLITUDE_SOFTENING, CYC
 from pipeline.diagnose.mechanisms.film_time import MISSING_RELAXATION, POWER_LAW_RELAXATION
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
-from pipeline.fit.relaxation.time_domain import CycleFits, branch, fit_cycle
+from pipeline.fit.relaxation.time_domain import CycleFits, fit_cycle
+from pipeline.physics.film import integrate_arms
 from pipeline.physics.hyperelastic import LAWS
 from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
@@ -70,7 +71,7 @@ class Ladder:
     def of(cls, cycle: LargeCycle) -> Ladder:
         span = cycle.time_s[-1] - cycle.time_s[0]
         tau = np.geomspace(_LADDER_SPAN[0] * span, _LADDER_SPAN[1] * span, _LADDER)
-        return cls(tau, branch(cycle.time_s, cycle.stretch, tau))
+        return cls(tau, integrate_arms(cycle.time_s, cycle.stretch, tau))
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class CycleMechanism:
 
 def _add_branches(parts: Parts, values: Float) -> Float:
     gamma, tau = np.exp(values[::2]), np.exp(values[1::2])
-    return np.asarray(parts.total + branch(parts.time_s, parts.stretch, tau) @ (parts.k0 * gamma))
+    return np.asarray(parts.total + integrate_arms(parts.time_s, parts.stretch, tau) @ (parts.k0 * gamma))
 
 
 def _add_power_law(parts: Parts, values: Float) -> Float:
@@ -273,7 +274,7 @@ class CycleModel:
             strain,
             np.maximum.accumulate(c.stretch),
             self._law.stress(c.stretch, law),
-            np.exp(x[0]) * branch(c.time_s, c.stretch, np.exp(x[1:2]))[:, 0],
+            np.exp(x[0]) * integrate_arms(c.time_s, c.stretch, np.exp(x[1:2]))[:, 0],
             float(np.diff(around)[0] / 2e-5),
             self._ladder,
         )

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.fit.relaxation.observations import ELECTRICAL, FILM, MECHANICAL, Curve, Lines, Nuisance, Observations
-from pipeline.fit.relaxation.rig import RigPrior, missing_constants, rig_prior
-from pipeline.physics.relaxation_kernels import Hold
+from pipeline.physics.held_step import Hold
+from pipeline.physics.rig import RigPrior, missing_constants, rig_prior
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
 from schemas.arrays import Float
@@ -190,10 +190,10 @@ def _ringing(window: Float, ramp: float, stiffness: Float, prior: RigPrior | Non
     """
     if prior is None or prior.nominal[0] <= 0:
         return np.zeros(stiffness.size)
-    mass, cell, damping, _ = prior.nominal
-    omega = np.sqrt((cell + stiffness) / mass)
+    rig = prior.rig
+    omega = rig.clamp_omega * np.sqrt(rig.at_rest(stiffness))
     start = np.minimum(1.0, 2 / (omega * max(ramp, 1e-12)))
-    decay = np.exp(-damping / (2 * mass) * np.maximum(window[:, 0] - ramp, 0.0))
+    decay = np.exp(-rig.damping / (2 * rig.mass) * np.maximum(window[:, 0] - ramp, 0.0))
     width = np.maximum(np.diff(window, axis=1)[:, 0], 1e-12)
     return np.asarray(start * decay * np.minimum(1.0, 2 / (omega * width)))
 

@@ -22,7 +22,6 @@ from pipeline.fit.relaxation.observations import Observations
 from pipeline.fit.relaxation.order import bic, held_out_error
 from pipeline.fit.relaxation.reference import Reference
 from pipeline.fit.relaxation.results import Estimate, RelaxationFit
-from pipeline.fit.relaxation.rig import CONSTANT_WORDS, CONSTANTS
 from pipeline.fit.relaxation.search import OrderFit
 from pipeline.physics.film import RelaxationModel
 from pipeline.physics.rig import TONNES_PER_KG
@@ -40,6 +39,12 @@ MOST_PROFILED = 5
 """Most arms of a model whose parameters get profile likelihoods: a long ladder of arms describes a curve, not springs."""
 CONFLICT = 3.5
 """Standard deviations between a fitted rig constant and the rig file that are worth a word."""
+CONSTANTS = {
+    "clamp_mass_kg": ("the clamp's mass", "kg", TONNES_PER_KG),
+    "load_cell_stiffness_n_per_mm": ("the load cell's stiffness", "N/mm", 1.0),
+    "load_cell_damping_n_s_per_mm": ("the load cell's damping", "N s/mm", 1.0),
+}
+"""The constants as a rig file names them: what each is called in a sentence, its unit there, and what that is in the package's units."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,6 @@ class Context:
         data = self.observations.data
         freedom = data - shape.size
         dispersion = max(1.0, solution.chi2 / freedom) if freedom >= 4 else 1.0
-        k0, k, tau, c = shape.split(solution.theta)
         held_out = held_out_error(self.observations, solution)
         names = shape.names + self.observations.nuisance.names
         further = None
@@ -68,7 +72,7 @@ class Context:
             names += (f"1/k{shape.order}",)
         return RelaxationFit(
             order=found.order,
-            model=RelaxationModel(k0, tuple(map(float, k)), tuple(map(float, tau)), c),
+            model=shape.model(solution.theta),
             shape=shape,
             theta=solution.theta,
             names=names,
@@ -138,15 +142,13 @@ class Context:
         found = []
         for r, prior in enumerate(self.observations.rigs):
             places = [solution.shape.size + p for p in self.observations.nuisance.rigs[r]]
-            values, sd = prior.values(solution.theta[places]), np.sqrt((prior.factor**2).sum(axis=1))
-            for i, name in enumerate(CONSTANTS):
+            values, sd = prior.values(solution.theta[places]), prior.sd
+            for i, (words, dimension, unit) in enumerate(CONSTANTS.values()):
                 distance = abs(values[i] - prior.nominal[i]) / sd[i] if sd[i] > 0 else 0.0
                 if distance > CONFLICT:
-                    unit = 1 / TONNES_PER_KG if i == 0 else 1.0
-                    words, dimension = CONSTANT_WORDS[name]
-                    expected = pm(unit * float(prior.nominal[i]), unit * float(sd[i]), dimension)
+                    expected = pm(float(prior.nominal[i]) / unit, float(sd[i]) / unit, dimension)
                     found.append(
-                        f"the fit puts {words} at {with_unit(significant(unit * float(values[i]), 4), dimension)},"
+                        f"the fit puts {words} at {with_unit(significant(float(values[i]) / unit, 4), dimension)},"
                         f" {significant(distance, 2)} SD from the {expected} of the rig's file and calibrations"
                     )
         return found
@@ -160,9 +162,8 @@ class Context:
             values = prior.values(solution.theta[places])
             slopes = prior.slopes(values)
             spread = slopes @ c[np.ix_(places, places)] @ slopes.T
-            for i, name in enumerate(CONSTANTS):
-                unit = 1 / TONNES_PER_KG if i == 0 else 1.0
-                value, sd = unit * float(values[i]), unit * float(np.sqrt(max(spread[i, i], 0.0)))
+            for i, (name, (_, _, unit)) in enumerate(CONSTANTS.items()):
+                value, sd = float(values[i]) / unit, float(np.sqrt(max(spread[i, i], 0.0))) / unit
                 label = name if r == 0 else f"{name} ({r + 1})"
                 found[label] = Estimate(value, sd, value - 1.96 * sd, value + 1.96 * sd, "wald")
         if nuisance.amplitude is not None:

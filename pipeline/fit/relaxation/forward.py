@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.fit.relaxation.observations import Observations
-from pipeline.physics.relaxation_kernels import Shape
+from pipeline.physics.film import Shape
 from schemas.arrays import Float
 
 ITERATIONS = 80

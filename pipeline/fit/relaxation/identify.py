@@ -22,9 +22,9 @@ from pipeline.fit.relaxation.order import arc_length, choose, tail_probability
 from pipeline.fit.relaxation.positivity import positivity
 from pipeline.fit.relaxation.reference import find_reference, refuse_hopeless, with_estimated_noise
 from pipeline.fit.relaxation.results import CORRECTED, FORWARD, MECHANICAL, RelaxationFit, SpecimenFits, Spread
-from pipeline.fit.relaxation.rig import missing_constants, rig_prior
 from pipeline.fit.relaxation.search import OrderFit, Search
 from pipeline.fit.relaxation.spread import by_group, with_spread
+from pipeline.physics.rig import missing_constants, rig_prior
 from pipeline.transform.correction import HIGHEST_AMPLIFICATION, correct_mechanical
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import STIFFNESS, FrequencyResponse

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.fit.relaxation.forward import GaussianPrior, Solution, Tied, polish
 from pipeline.fit.relaxation.observations import Observations
 from pipeline.fit.relaxation.results import Estimate
-from pipeline.physics.relaxation_kernels import Shape
+from pipeline.physics.film import Shape
 from schemas.arrays import Float
 
 PARABOLIC = 0.3

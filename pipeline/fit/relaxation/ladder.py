@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.fit.relaxation.identify import Rigs, film_stiffness, fit_specimen, per_recording
 from pipeline.fit.relaxation.order import LEVEL
 from pipeline.fit.relaxation.results import RelaxationFit, SpecimenFits
-from pipeline.physics.relaxation_kernels import Hold, hold_stiffness
+from pipeline.physics.held_step import Hold, hold_stiffness
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FrequencyResponse
 from schemas.arrays import Float

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from pipeline.fit.relaxation.observations import ELECTRICAL, Curve, Lines, Observations
-from pipeline.fit.relaxation.rig import divided
-from pipeline.physics.relaxation_kernels import Shape, debye, hold_kernel, series_hold_values
+from pipeline.physics.film import Shape, debye
+from pipeline.physics.held_step import hold_kernel, series_hold_values
+from pipeline.physics.rig import rig_of_constants
 from schemas.arrays import Complex, Float
 
 DIFFERENCE = 1e-4
@@ -218,11 +219,14 @@ def first_expansion(observations: Observations) -> Expansion:
         elif block.rig is None:
             k.append(block.value)
         elif block.kind != ELECTRICAL:
-            k.append(divided(block.value, block.omega, observations.constants(block.rig, q)))
+            rig = rig_of_constants(observations.constants(block.rig, q))
+            k.append(rig.film_stiffness(block.value, rig.clamp(block.omega)))
         elif electrical_only and observations.nuisance.amplitude is not None:
-            mass, cell, damping, gain = observations.constants(block.rig, q)
-            dynamic = cell - mass * block.omega**2 + 1j * block.omega * damping
-            k.append(gain * np.exp(q[observations.nuisance.amplitude]) * cell / block.value - dynamic)
+            rig, actuation = (
+                rig_of_constants(observations.constants(block.rig, q)),
+                np.exp(q[observations.nuisance.amplitude]),
+            )
+            k.append(rig.film_stiffness_of_actuation(block.value, actuation, rig.clamp(block.omega)))
         else:
             k.append(None)
     return Expansion(tuple(k), q)
@@ -250,14 +254,14 @@ def _amplitude(observations: Observations, q: Float) -> float:
     for block in observations.blocks:
         if not isinstance(block, Lines) or block.rig is None:
             continue
-        mass, cell, damping, gain = observations.constants(block.rig, q)
-        dynamic = cell - mass * block.omega**2 + 1j * block.omega * damping
-        weight = block.weight * np.abs(block.value) ** 2 / cell
+        rig = rig_of_constants(observations.constants(block.rig, q))
+        dynamic = rig.stiffness * rig.clamp(block.omega)
+        weight = block.weight * np.abs(block.value) ** 2 * rig.compliance
         columns = np.hstack(
             [np.ones((block.omega.size, 1)), debye(block.omega, tau), 1j * block.omega[:, None], dynamic[:, None]]
         )
         rows.append(_real(columns * weight[:, None]))
-        targets.append(_real(gain * cell / block.value * weight))
+        targets.append(_real(rig.gain * rig.stiffness / block.value * weight))
     x, _ = solve(np.concatenate(rows), np.concatenate(targets))
     largest = max(float(np.abs(b.value).max()) for b in observations.blocks if isinstance(b, Lines))
     return 1 / x[-1] if x[-1] * largest > 1e-3 else 2 * largest

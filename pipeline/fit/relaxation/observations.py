@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.fit.relaxation.rig import RigPrior, combined
-from pipeline.physics.relaxation_kernels import Hold, Shape, hold_stiffness, series_hold_stiffness, stiffness_and_slopes
+from pipeline.physics.film import Shape, stiffness_and_slopes
+from pipeline.physics.held_step import Hold, hold_stiffness, series_hold_stiffness
+from pipeline.physics.rig import RigPrior, rig_of_constants
 from schemas.arrays import Complex, Float, Int
 
 FILM, MECHANICAL, ELECTRICAL = "film", "mechanical", "electrical"
@@ -194,7 +195,7 @@ class Observations:
             value, by_k = k, np.ones_like(k)
         else:
             constants = self.constants(block.rig, q)
-            value, by_k, by_constants = combined(k, block.omega, constants, amplitude)
+            value, by_k, by_constants = rig_of_constants(constants).response_slopes(k, block.omega, amplitude)
             by_q[:, list(n.rigs[block.rig])] = by_constants @ self.rigs[block.rig].slopes(constants)
         if n.gains:
             gain = np.exp(q[[n.gains[g] for g in range(len(self.groups))]])[block.group]

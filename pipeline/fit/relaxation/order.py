@@ -22,7 +22,7 @@ from scipy.special import erfc
 from pipeline.fit.relaxation.forward import Solution
 from pipeline.fit.relaxation.linear import Expansion, Linearisation
 from pipeline.fit.relaxation.observations import Lines, Observations
-from pipeline.physics.relaxation_kernels import stiffness_and_slopes
+from pipeline.physics.film import stiffness_and_slopes
 from schemas.arrays import Float, Int
 
 LEVEL = 0.01

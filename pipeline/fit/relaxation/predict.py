@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.fit.relaxation.metrics import Errors, errors
 from pipeline.fit.relaxation.results import RelaxationFit, SpecimenFits
-from pipeline.fit.relaxation.rig import combined, rig_prior
+from pipeline.physics.rig import rig_of_constants, rig_prior
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, FrequencyResponse
 from schemas.arrays import Complex
 from schemas.errors import NotIdentifiableError
@@ -55,8 +55,9 @@ def predict_response(
                 remedy="Add the clamp and load-cell constants to the rig file",
             )
         return k
-    omega = 2 * np.pi * response.frequency_hz
-    return combined(k, omega, fit.constants(prior), (amplitude or 1.0) if electrical else None)[0]
+    own = rig_of_constants(fit.constants(prior))
+    clamp = own.clamp(2 * np.pi * response.frequency_hz)
+    return (amplitude or 1.0) * own.electrical(k, clamp) if electrical else own.mechanical(k, clamp)
 
 
 def prediction_errors(

@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 
 from pipeline.fit.relaxation.linear import Expansion, Linearisation, amplitude_given, first_expansion, solve
 from pipeline.fit.relaxation.observations import ELECTRICAL, Curve, Lines, Observations
-from pipeline.physics.relaxation_kernels import Shape, debye
+from pipeline.physics.film import Shape, debye
 from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
 

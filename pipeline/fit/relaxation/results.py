@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipeline.fit.relaxation.rig import RigPrior
-from pipeline.physics.film import RelaxationModel
-from pipeline.physics.relaxation_kernels import Shape, stiffness_and_slopes
+from pipeline.physics.film import RelaxationModel, Shape, stiffness_and_slopes
+from pipeline.physics.rig import RigPrior
 from schemas.arrays import Complex, Float
 
 MECHANICAL, ELECTRICAL, JOINT = "mechanical", "electrical", "joint"

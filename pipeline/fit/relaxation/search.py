@@ -19,7 +19,7 @@ from pipeline.fit.relaxation.order import expansion_at
 from pipeline.fit.relaxation.reference import Reference
 from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import MERGE, Candidate, LinearProblem, bounds
-from pipeline.physics.relaxation_kernels import Shape
+from pipeline.physics.film import Shape
 from schemas.arrays import Float
 
 DASHPOT_GAIN = 0.3

@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import solve_banded
 from scipy.optimize import least_squares
 
 from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import Candidate, LinearProblem
+from pipeline.physics.film import integrate_arms
 from pipeline.physics.hyperelastic import LAWS, NON_AFFINE, Law
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -87,7 +87,7 @@ class CycleFits:
 
     def stress(self, fit: CycleFit, time_s: Float, stretch: Float) -> Float:
         """Nominal stress (m,) of one order over a cycle, in the unit of the data."""
-        branches = branch(time_s, stretch, np.array(fit.tau)) @ np.array(fit.gamma)
+        branches = integrate_arms(time_s, stretch, np.array(fit.tau)) @ np.array(fit.gamma)
         return np.asarray(LAWS[self.law].stress(stretch, fit.equilibrium) + branches)
 
     def slope_at_rest(self, fit: CycleFit) -> float:
@@ -141,19 +141,6 @@ def fit_cycle(
     )
 
 
-def branch(time: Float, stretch: Float, tau: Float) -> Float:
-    """Q (m, n) of branches with γ = 1: exact for a stretch that is linear between samples."""
-    h, step = np.diff(time), np.diff(stretch)
-    decay = np.exp(-h[:, None] / tau)
-    gain = -np.expm1(-h[:, None] / tau) * tau * (step / h)[:, None]
-    q = np.zeros((time.size, tau.size))
-    for j in range(tau.size):
-        # q[i + 1] − decay[i] q[i] = gain[i] is a system with two diagonals: solved in one call instead of a loop over i
-        diagonals = np.vstack([np.ones(h.size), np.append(-decay[1:, j], 0.0)])
-        q[1:, j] = solve_banded((1, 0), diagonals, gain[:, j], check_finite=False)
-    return q
-
-
 def _check(t: Float, lam: Float, where: str) -> None:
     if t.size < FEWEST:
         raise NotIdentifiableError(f"{t.size} samples", where=where, expected=f"at least {FEWEST} of a load cycle")
@@ -205,7 +192,7 @@ class _Cycle:
         return np.asarray(rows - self.basis @ (self.basis.T @ rows))
 
     def columns(self, tau: Float) -> Float:
-        return self._left(branch(self.t, self.lam, tau) / self.scale)
+        return self._left(integrate_arms(self.t, self.lam, tau) / self.scale)
 
     def ends(self) -> Float:
         """No spring beside the equilibrium law and no dashpot: the stretch rate of a triangle is a constant."""
@@ -241,7 +228,7 @@ class _Cycle:
         names = tuple(f"log gamma{i + 1}" for i in range(n)) + tuple(f"log tau{i + 1}" for i in range(n))
         if self.fixed is None:
             base = self.law.columns(self.lam, self.shape)
-            rest = self.p - branch(self.t, self.lam, tau) @ gamma
+            rest = self.p - integrate_arms(self.t, self.lam, tau) @ gamma
             start += list(np.linalg.lstsq(base, rest, rcond=None)[0])
             limits += [(0.0, np.inf)] * len(self.law.moduli)
             names += self.law.moduli
@@ -287,12 +274,12 @@ class _Cycle:
 
     def _stress(self, x: Float, n: int) -> Float:
         equilibrium = self.fixed if self.fixed is not None else self._equilibrium(x, n)
-        q = branch(self.t, self.lam, np.exp(x[n : 2 * n])) @ np.exp(x[:n])
+        q = integrate_arms(self.t, self.lam, np.exp(x[n : 2 * n])) @ np.exp(x[:n])
         return np.asarray(self.law.stress(self.lam, equilibrium) + q)
 
     def stress(self, solution: _Solution) -> Float:
         """Stress (m,) of a fitted model on this cycle."""
-        q = branch(self.t, self.lam, solution.tau) @ solution.gamma
+        q = integrate_arms(self.t, self.lam, solution.tau) @ solution.gamma
         return np.asarray(self.law.stress(self.lam, solution.equilibrium) + q)
 
     def report(self, order: int, solution: _Solution, held_out: float) -> CycleFit:

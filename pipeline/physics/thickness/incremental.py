@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.physics.ogden import stress_and_tangent
+from pipeline.physics.hyperelastic import stress_and_tangent
 from pipeline.physics.thickness.assembly import q4, solve, tie_matrix
 from pipeline.physics.thickness.film import RodFilm, ThicknessMap, on_rods, undeformed_mesh
 from schemas.arrays import Float

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pipeline.physics import excitation
+from pipeline.physics.rig import TONNES_PER_KG
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, INTERVALS_PER_TIME_CONSTANT, Clock
 from pipeline.simulate.specimen import Specimen
@@ -63,7 +64,7 @@ class Tap(Calibration):
         return known | ({"extra_clamp_mass_kg": self.extra_clamp_mass_kg} if self.extra_clamp_mass_kg else {})
 
     def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
-        heavier = replace(bench.rig, clamp_mass_kg=bench.rig.clamp_mass_kg + self.extra_clamp_mass_kg)
+        heavier = replace(bench.rig, mass=bench.rig.mass + self.extra_clamp_mass_kg * TONNES_PER_KG)
         return super().run(replace(bench, rig=heavier), specimen, clock, rng)
 
     def pull(self, time_s: Float) -> Float:

@@ -1,6 +1,6 @@
-"""The film between driven end and clamp, the clamp on the load cell: equations of motion and their exact solution.
+"""Film and rig in time: equations of motion of a film between driven end and clamp, and their exact solution.
 
-Time domain only: nothing here knows the frequency-domain formulas that the analysis fits. Belongs here: linear
+Nothing here uses the formulas in frequency of `film` and `rig`: what one of them simulates, the other can be tested with. Belongs here: linear
 mechanics. What drives it, and what the sensors make of it, does not.
 """
 
@@ -14,24 +14,8 @@ from scipy.linalg import eig, expm
 from scipy.signal import lfilter
 
 from pipeline.physics.film import RelaxationModel
+from pipeline.physics.rig import Rig
 from schemas.arrays import Float
-
-TONNE_PER_KG = 1e-3
-"""In N, mm and s the unit of mass is the tonne."""
-
-
-@dataclass(frozen=True)
-class Rig:
-    """True constants of clamp and load cell: kg, N/mm, N s/mm."""
-
-    clamp_mass_kg: float
-    load_cell_stiffness_n_per_mm: float
-    load_cell_damping_n_s_per_mm: float
-
-    @property
-    def clamp_alone_hz(self) -> float:
-        """Natural frequency of the clamp without film."""
-        return float(np.sqrt(self.load_cell_stiffness_n_per_mm / (self.clamp_mass_kg * TONNE_PER_KG)) / (2 * np.pi))
 
 
 @dataclass(frozen=True)
@@ -49,24 +33,37 @@ def assemble(
 ) -> StateSpace:
     """Equations of motion of film parts in series on clamp and load cell.
 
-    Inputs: displacement of the driven end (mm) and Maxwell force (N), which acts in the part `active` and lowers the
-    tension. Outputs: force of the load cell (N, change from rest) and, with `watched`, the extension of that part (mm).
-    Without any part the second input acts on the clamp itself (a tap, with the sign of a loss of tension).
+    Parameters
+    ----------
+    parts : films in series, from the driven end to the clamp; none: only clamp and load cell
+    rig : constants of one rig, of finite stiffness; its gain is not looked at
+    active : place of the part in which the Maxwell force acts
+    watched : place of the part whose extension is an output
 
+    Returns
+    -------
+    System with the inputs displacement of the driven end (mm) and Maxwell force (N), which lowers the tension; outputs are the force on the
+    load cell (N, change from rest) and, with `watched`, the extension of that part (mm). Without any part the second input acts on the
+    clamp itself (a tap, with the sign of a loss of tension).
+
+    Raises
+    ------
+    ValueError
+        A pure dashpot in a chain of several parts.
+
+    Notes
+    -----
     Part j with extension e_j and internal points q_ji: T = K_j e_j − Σ k_ji q_ji − F_A, q̇_ji = (e_j − q_ji)/τ_ji,
-    K_j = k_j0 + Σ k_ji; the tension T is common, the extensions add up to x0 − x′, and M ẍ′ = T − kL x′ − cL ẋ′.
-    A pure dashpot is possible in a film of one part: its share of the velocity is taken into the state, so that the
+    K_j = k_j0 + Σ k_ji; the tension T is common, the extensions add up to x0 − x′, and M ẍ′ = T − kL x′ − cL ẋ′ (in place of thesis,
+    eq 4.5 and 4.6, which do not close). The share of a pure dashpot in the velocity is taken into the state, so that the
     velocity of the driven end is never needed.
-
-    Raises ValueError for a pure dashpot in a chain of several parts.
     """
     springs = [(j, k, tau) for j, part in enumerate(parts) for k, tau in _merged(part)]
     n = len(springs)
     dashpot = parts[0].c_inf if len(parts) == 1 else 0.0
     if len(parts) > 1 and any(part.c_inf for part in parts):
         raise ValueError("a pure dashpot needs a film of one part")
-    mass = rig.clamp_mass_kg * TONNE_PER_KG
-    stiffness, damping = rig.load_cell_stiffness_n_per_mm, rig.load_cell_damping_n_s_per_mm
+    mass, stiffness, damping, _ = rig.numbers
 
     # Rows over [q (n), x', w, x0, F_A]; the tension without the dashpot, then the extensions of the parts.
     width = n + 4
@@ -112,11 +109,22 @@ def _merged(part: RelaxationModel) -> list[tuple[float, float]]:
 
 
 def integrate(system: StateSpace, inputs: Sequence[Float | None], interval_s: float) -> Float:
-    """Outputs (outputs, n) for inputs sampled every `interval_s`, straight lines between the samples.
+    """Outputs of a system from equilibrium with the first values of its inputs.
 
-    The solution is exact for such inputs: the system is taken apart into its modes, each of which is a first-order
-    recursion (first-order hold). It begins in equilibrium with the first values of the inputs. An input that stays 0 is
-    given as None. Straight lines lower a sine of the frequency f by (2πf h)²/12: sample finely.
+    Parameters
+    ----------
+    system : with a state that ends in position and velocity of the clamp, as `assemble` makes it
+    inputs : (n,) each, straight lines between samples; None for one that stays 0
+    interval_s : s from sample to sample
+
+    Returns
+    -------
+    (outputs, n)
+
+    Notes
+    -----
+    Exact for such inputs: the system is taken apart into its modes, each of which is a first-order recursion (first-order hold). Straight
+    lines lower a sine of the frequency f by (2πf h)²/12: sample finely.
     """
     given = {i: np.asarray(u, dtype=np.float64) for i, u in enumerate(inputs) if u is not None}
     static = system.d - system.c @ np.linalg.solve(system.a, system.b)
