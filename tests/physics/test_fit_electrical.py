@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,18 @@ def test_actuation_force_with_the_mechanical_model(mechanical_fit: SpecimenFits)
     assert fits.selected_order == 3
     assert not any("does not fit" in w for w in fits.selected.warnings)
     assert fits.selected.phase_error_deg < 0.5
+
+
+def test_bic_of_a_model_that_was_taken_up_hangs_on_no_last_digit(mechanical_fit: SpecimenFits) -> None:
+    """Its yardstick is the best relaxation with the rig as its file says: with a rig of any constants many are as good."""
+    rng = np.random.default_rng(3)
+    data = electrical_response(BAND, electrical(BAND, K, FORCE), rng, recording_id="e1")
+    found = []
+    for _ in range(8):
+        moved = replace(data, value=data.value * (1 + 1e-14 * rng.normal(size=BAND.size)))
+        found.append([f.bic for f in fit_electrical([moved], rig(1.03), mechanical_fit).fits])
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], np.shape(found)), rtol=1e-6)
+    assert found[0][0] > found[0][2] + 100
 
 
 def test_voltages_that_differ_by_a_factor_widen_the_force(mechanical_fit: SpecimenFits) -> None:

@@ -19,10 +19,16 @@ from pipeline.fit.relaxation.forward import GaussianPrior, polish
 from pipeline.fit.relaxation.identify import ORDERS, Rigs, film_stiffness, identify, per_recording
 from pipeline.fit.relaxation.linear import amplitude_given
 from pipeline.fit.relaxation.metrics import Geometry
-from pipeline.fit.relaxation.observations import Lines, Observations
+from pipeline.fit.relaxation.observations import Lines
 from pipeline.fit.relaxation.positivity import positivity
 from pipeline.fit.relaxation.predict import prediction_errors
-from pipeline.fit.relaxation.reference import find_reference, misfit_probability, refuse_hopeless, with_estimated_noise
+from pipeline.fit.relaxation.reference import (
+    Reference,
+    find_reference,
+    misfit_probability,
+    refuse_hopeless,
+    with_estimated_noise,
+)
 from pipeline.fit.relaxation.results import ELECTRICAL, FORWARD, JOINT, RelaxationFit, SpecimenFits
 from pipeline.fit.relaxation.search import OrderFit
 from pipeline.fit.relaxation.spread import by_group, with_spread
@@ -79,7 +85,7 @@ def fit_electrical(
     alarm = positivity(parts, variance_estimated=bool(unknown))
     reference, spread = with_spread(reference, parts, gains=gains)
     observations = reference.observations
-    fits = [_taken_up(observations, f, f.order >= mechanical.selected_order) for f in mechanical.fits]
+    fits = [_taken_up(reference, f, f.order >= mechanical.selected_order) for f in mechanical.fits]
     fits = [_with_phase_error(f, responses, rigs) for f in fits]
     remarks: tuple[str, ...] = (alarm.statement,) if alarm.raised else ()
     if spread.gain_sd:
@@ -129,9 +135,12 @@ def fit_joint(
     )
 
 
-def _taken_up(observations: Observations, fit: RelaxationFit, adequate: bool) -> RelaxationFit:
-    """The electrical fit that starts from a mechanical one: Gaussian prior from its covariance, F_A/V² free."""
-    shape, size = fit.shape, fit.shape.size
+def _taken_up(reference: Reference, fit: RelaxationFit, adequate: bool) -> RelaxationFit:
+    """The electrical fit that starts from a mechanical one: Gaussian prior from its covariance, F_A/V² free.
+
+    `reference` of the electrical data, with the rig as its file says.
+    """
+    observations, shape, size = reference.observations, fit.shape, fit.shape.size
     nuisance = observations.nuisance
     q = np.zeros(nuisance.size)
     # places of what both fits share: material, and the rigs that the mechanical fit has sharpened
@@ -160,7 +169,6 @@ def _taken_up(observations: Observations, fit: RelaxationFit, adequate: bool) ->
     limits = bounds(*observations.omega_range)
     wide = (min(limits[0], *np.log(fit.model.tau), 0.0) - 5, max(limits[1], *np.log(fit.model.tau), 0.0) + 5)
     solution = polish(observations, start, shape, wide, prior=prior_of_fit)
-    reference = find_reference(observations)
     context = Context(observations, reference, wide, profile_all=False, prior=prior_of_fit)
     nothing = Candidate(np.zeros(0), np.zeros(0), 0.0, 0.0, solution.chi2)
     found = OrderFit(fit.order, solution, nothing, solution.chi2, _arms_only(fit.warnings))
