@@ -14,6 +14,7 @@ END_OF_RECORD = "end of record"
 TRUNCATED = "record damaged"
 GAP = "gap in the record"
 SAGGED = "voltage sagged"
+MONITOR_LOST = "monitor lost"
 RAISED = "voltage raised after the fixed test"
 """Beginnings of `censored_because`; details may follow after a colon."""
 
@@ -27,7 +28,9 @@ class LifetimeRow:
     `breakdown_voltage_kv` is the voltage at breakdown where the voltage was being raised. `staircase` says
     that it rose before a fixed test was over: such a row has a breakdown voltage but no life at one voltage.
     `test_duration_s` is the planned duration. `decided` is false where the record cannot tell a breakdown from a
-    switch-off, None where nobody asked (a table of lifetimes); `warnings` names that and all contradictions.
+    switch-off, None where nobody asked (a table of lifetimes); `warnings` names that and all contradictions. The four
+    probabilities are those of the causes of the fall of the voltage that ended the record (None where nothing fell);
+    `evidence` says from what they come, `contradiction` what in the record speaks against the verdict.
     """
 
     specimen_id: str
@@ -45,7 +48,29 @@ class LifetimeRow:
     test_duration_s: float | None = None
     staircase: bool = False
     decided: bool | None = None
+    probability_failed: float | None = None
+    probability_switched_off: float | None = None
+    probability_supply: float | None = None
+    probability_monitor: float | None = None
+    evidence: str | None = None
+    contradiction: str | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def undecided(self) -> bool:
+        """The record cannot tell whether the film broke down."""
+        return self.decided is False
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of each cause of the fall that ended the record; empty where nothing fell or nobody asked."""
+        named = {
+            "failed": self.probability_failed,
+            "switched off": self.probability_switched_off,
+            "supply": self.probability_supply,
+            "monitor": self.probability_monitor,
+        }
+        return {cause: share for cause, share in named.items() if share is not None}
 
     @property
     def name(self) -> str:

@@ -6,7 +6,7 @@ Belongs here: what can be said from the voltage alone before any verdict. Does n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -18,6 +18,8 @@ from schemas.recording import Channel
 FULL, HALF, START = 0.90, 0.50, 0.95
 """Shares of the level: up, down, and of the set point where life begins."""
 LONGEST_GAP_S = 0.5
+_MISSING = 3.5
+"""Two missing rows of a slow clock are no gap."""
 _BLOCK_S = 0.1
 _LEVEL_S = 1.0
 _PLATEAU = 0.02
@@ -26,6 +28,10 @@ _SUSTAINED_S = 0.5
 _REACHED = 0.80
 """A plateau at this share of the set point or above is the test voltage, though 95 % were never reached."""
 _ZERO = 0.02
+_RETURNS, _AWAY = 3, 0.2
+"""So often back, and so much of the time down: the voltage is not constant."""
+_ELSEWHERE = 20.0
+"""A voltage that is so many times the set point, or its inverse, has been given in other units than kV."""
 _STEP = 0.075
 """A rise by this share of the set point from one sample to the next is a step, not a ramp."""
 
@@ -56,26 +62,11 @@ class Trace:
     @property
     def longest_gap(self) -> float:
         """Distance of two samples above which the record has a gap, in s."""
-        return max(LONGEST_GAP_S, 2.5 * self.interval)
+        return max(LONGEST_GAP_S, _MISSING * self.interval)
 
     def until(self, stop: int) -> Trace:
         """The first `stop` samples."""
-        return Trace(
-            self.time[:stop],
-            self.value[:stop],
-            self.interval,
-            self.set_point,
-            self.level[:stop],
-            self.dropouts,
-            self.notes,
-        )
-
-    def noise(self, begin: int, end: int) -> float:
-        """Standard deviation of one sample between two indices, from differences of neighbours (robust), in kV."""
-        differences = np.diff(self.value[max(begin, 0) : end])
-        if differences.size < 3:
-            return 0.0
-        return float(1.4826 * np.median(np.abs(differences - np.median(differences))) / np.sqrt(2))
+        return replace(self, time=self.time[:stop], value=self.value[:stop], level=self.level[:stop])
 
 
 def finite_samples(channel: Channel, origin_ns: int) -> tuple[Float, Float]:
@@ -103,10 +94,13 @@ def voltage_trace(channel: Channel, set_point: float | None, *, leakage_times: F
     if set_point is None:
         set_point = _first_plateau(value, interval)
         notes.append(f"no voltage_setpoint_kv: {set_point:.3g} kV taken from the record")
+    plateau = _first_plateau(value, interval)
+    if set_point > 0 and plateau > 0 and max(plateau / set_point, set_point / plateau) > _ELSEWHERE:
+        notes.append(f"the voltage settles at {plateau:.3g} kV, the set point is {set_point:g} kV: look at the unit")
+        set_point = plateau
     if not set_point > 0 or float(value.max()) <= 0:
         raise NotIdentifiableError("the monitor shows no voltage", where=channel.quantity)
     if not (value >= START * set_point).any():
-        plateau = _first_plateau(value, interval)
         if plateau >= _REACHED * set_point:
             notes.append(f"the voltage settles at {plateau:.3g} kV, below 95 % of the set point {set_point:g} kV")
             set_point = plateau
@@ -252,6 +246,42 @@ def plateaus(medians: Float, block_s: float) -> Float:
         other = np.abs(flat - flat[0]) > _PLATEAU * flat[0]
         flat = flat[int(np.argmax(other)) :] if other.any() else flat[:0]
     return np.array(levels)
+
+
+def check_constant(trace: Trace, start: int) -> None:
+    """Raises `NotIdentifiableError` when the voltage alternates, or goes to and fro, from its start of life on.
+
+    A life belongs to one voltage. Self-healing discharges and sags that recover leave the voltage up for most of the time.
+    """
+    value = trace.value[start:]
+    state = np.where(value >= FULL * trace.set_point, 1, np.where(value < HALF * trace.set_point, -1, 0))
+    last = np.flatnonzero(state == 1)
+    state = state[: int(last[-1]) + 1 if last.size else 0]
+    away = float(np.mean(state == -1)) if state.size else 0.0
+    turns = np.diff(state[state != 0])
+    returns = int(np.count_nonzero(turns > 0))
+    below = float(value.min())
+    if below < -HALF * trace.set_point and np.count_nonzero(value < -HALF * trace.set_point) >= 2 and returns:
+        problem = f"the voltage alternates between {below:.3g} and {float(value.max()):.3g} kV: not constant"
+    elif returns >= _RETURNS and away > _AWAY:
+        problem = f"the voltage came back {returns} times and was down for {100 * away:.0f} % of the time: not constant"
+    else:
+        return
+    raise NotIdentifiableError(
+        problem, expected="constant voltage for a life", remedy="Give tests in cycles as a table of lives"
+    )
+
+
+def current_jumps(channel: Channel | None, origin_ns: int) -> Float | None:
+    """Instants in s at which the leakage current rises far above its usual value; None without the channel."""
+    if channel is None:
+        return None
+    time, value = finite_samples(channel, origin_ns)
+    if time.size < 3:
+        return None
+    usual = float(np.median(value))
+    spread = 1.4826 * float(np.median(np.abs(value - usual)))
+    return time[value > usual + max(10 * spread, 2 * abs(usual), 1e-12)]
 
 
 def first_gap(trace: Trace, start: int) -> int | None:

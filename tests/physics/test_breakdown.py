@@ -17,7 +17,8 @@ from pipeline.transform.breakdown_life import Lifetime
 from schemas.errors import NotIdentifiableError, RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
-from tests.studies.study_breakdown import study
+from tests.studies import breakdown_records
+from tests.studies.study_breakdown import Score, study
 
 RATE = 1000.0
 ON = 1.0

@@ -1,321 +1,182 @@
-"""Breakdown detection on simulated voltage records, by code that shares nothing with the detector.
+"""Breakdown detection on records whose truth is known, of any generator: rates of wrong and open verdicts per family.
 
-    python -m tests.studies.study_breakdown [--records N] [--seed N]
+    python -m tests.studies.study_breakdown [--generator FILE.py] [--n N] [--seed S] [--families a,b] [--wrong N]
 
-A supply and a film are simulated as pieces of exponential charge and discharge with known instants: switch-on ramps,
-self-healing discharges, dips and slow sags of the supply, lost samples, noise, and one ending: breakdown, end of test,
-switch-off by the operator, end of the record, a gap, a raised voltage. Each record is judged with its command and, as a
-second record, without it. With the command there must be no missed and no false breakdown and at most two samples of
-error in the instant; without it, undecided cases must be marked, and none of the others may be wrong.
+A generator is a module with `draw(seed, family)`, which gives an object with `time_s` (n,) in s, `channels` (name →
+(unit, (n,) values)), `metadata` and `truth` (failed, lifetime_s, family, decidable, last_above_90_s, visible_until_s,
+broke_in_staircase), and with a list `FAMILIES` unless `--families` names them. `N` records are spread over the families.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
-import time
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.stats import beta
 
 from pipeline.transform.breakdown import detect_breakdown
-from pipeline.transform.breakdown_life import Lifetime
+from schemas.errors import DealabError, RefusedError
+from schemas.lifetimes import LifetimeRow
 from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.quantities import QUANTITIES
 from schemas.recording import Channel, Recording
+from schemas.units import conversion
+from tests.studies import breakdown_records
 
-Float = NDArray[np.float64]
-EPOCH_NS = 1_772_000_000_000_000_000
-ENDINGS = {
-    "breakdown": 0.4,
-    "end of test": 0.15,
-    "operator": 0.15,
-    "record ends": 0.1,
-    "gap": 0.1,
-    "raised": 0.1,
-}
+_START_NS = 1_772_000_000_000_000_000
+_SURE = {"recording_id": "drawn", "specimen_id": "S", "protocol": "lifetime", "loading": "electrical"}
 
 
-@dataclass
-class Circuit:
-    """Voltage as pieces v∞ + (v0 − v∞) e^{−(t − t0)/τ} (or straight lines), built from left to right."""
-
-    pieces: list[tuple[float, float, float, float]] = field(default_factory=list)
-    """(t0, v0, v∞ or slope, τ; τ = 0 marks a straight line)."""
-
-    def at(self, t: float) -> float:
-        return float(self.sample(np.array([t]))[0])
-
-    def relax(self, t: float, towards: float, tau: float) -> None:
-        self.pieces.append((t, self.at(t) if self.pieces else 0.0, towards, tau))
-
-    def ramp(self, t: float, to: float, seconds: float) -> None:
-        start = self.at(t) if self.pieces else 0.0
-        self.pieces.append((t, start, (to - start) / seconds, 0.0))
-        self.pieces.append((t + seconds, to, to, 1.0))
-
-    def sample(self, t: Float) -> Float:
-        v = np.zeros_like(t)
-        for t0, v0, goal, tau in self.pieces:
-            now = t >= t0
-            s = t[now] - t0
-            v[now] = v0 + goal * s if tau == 0 else goal + (v0 - goal) * np.exp(-s / tau)
-        return v
+def classify(recording: Recording) -> LifetimeRow:
+    """What the detector says of a recording; a refusal is an undecided life of 0 with its reason as a warning."""
+    try:
+        return detect_breakdown(recording)
+    except DealabError as error:
+        reason = f"refused: {error}"
+        return LifetimeRow(specimen_id="S", lifetime_s=0.0, failed=False, decided=False, warnings=(reason,))
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What really happened, times in s since the first sample."""
-
-    ending: str
-    failed: bool
-    start_s: float
-    end_s: float
-    glitches: int
-    interval: float
-    slow_start: bool
-
-
-@dataclass(frozen=True)
-class Case:
-    recording: Recording
-    truth: Truth
-
-
-def simulate(rng: np.random.Generator, number: int) -> Case:
-    """One record with all its channels, the command among them."""
-    rate = float(rng.choice([100.0, 250.0, 500.0, 1000.0, 2000.0]))
-    dt, kv = 1 / rate, float(np.round(rng.uniform(3, 9), 1))
-    circuit, command, leaks = Circuit(), [(0.0, 0.0)], []
-    applied = float(rng.uniform(0.3, 2.0))
-    duration = float(np.round(rng.uniform(8, 25), 1))
-    command.append((applied, kv / 1.5))
-    slow_start = bool(rng.random() < 0.4)
-    if slow_start:
-        seconds = float(rng.uniform(0.1, 3.0))
-        circuit.ramp(applied, kv, seconds)
-        start, settled = applied + 0.95 * seconds, applied + seconds
-    else:
-        tau = float(rng.uniform(2e-3, 40e-3))
-        circuit.relax(applied, kv, tau)
-        start, settled = applied - tau * np.log(0.05), applied + 8 * tau
-    ending = str(rng.choice(list(ENDINGS), p=list(ENDINGS.values())))
-    planned = start + duration
-    free_end = float(rng.uniform(settled + 2.0, planned - 1.0))
-    end = planned if ending in ("end of test", "raised") else free_end
-    glitches, level = _life(rng, circuit, leaks, settled + 0.6, end - 1.2, kv)
-    circuit_end, failed, stop, cut = _ending(rng, ending, circuit, command, leaks, end, level)
-    if failed and ending == "breakdown":
-        end = circuit_end
-    t = np.arange(0.0, stop, dt)
-    if ending == "gap":
-        t = t[(t <= cut) | (t > cut + rng.uniform(0.6, 3.0))]
-    clean = circuit.sample(t)
-    values = clean + rng.normal(0, kv * rng.uniform(5e-4, 1e-2), t.size)
-    values = np.round(values / (15 / 2**15)) * (15 / 2**15)
-    _lose_samples(rng, t, values, clean, kv, end, settled)
-    channels = {"voltage": _channel("voltage", t, values)}
-    commanded = np.zeros_like(t)
-    for begin, volts in command:
-        commanded[t >= begin] = volts
-    channels["command"] = _channel("command", t, commanded)
-    if rng.random() < 0.3:
-        current = 0.2 + rng.normal(0, 0.02, t.size)
-        for begin, seconds in leaks:
-            current[(t >= begin) & (t < begin + seconds)] += 20.0
-        channels["leakage_current"] = _channel("leakage_current", t, current)
-    if rng.random() < 0.5:
-        force = 1.0 - 0.005 * clean**2 + rng.normal(0, 2e-3, t.size)
-        channels["force"] = _channel("force", t, force)
-    site = str(rng.choice(["rod", "lead"])) if failed else "none"
-    site = site if rng.random() < 0.4 else "unknown"
-    metadata = RecordingMetadata(
-        recording_id=f"study-{number}",
-        protocol="lifetime",
-        loading="electrical",
-        specimen_id=f"S{number}",
-        started_at=datetime(2026, 3, 1, tzinfo=UTC),
-        voltage_setpoint_kv=kv,
-        test_duration_s=duration,
-        failure_site=site,
-    )
-    if ending == "gap":
-        end = float(t[t <= cut][-1])
-    elif ending == "record ends":
-        end = float(t[-1])
-    truth = Truth(ending, failed and ending == "breakdown", start, end, glitches, dt, slow_start)
-    return Case(Recording(metadata, RigConstants(), channels), truth)
-
-
-def _life(
-    rng: np.random.Generator, circuit: Circuit, leaks: list[tuple[float, float]], begin: float, end: float, kv: float
-) -> tuple[int, float]:
-    """Events between switch-on and the ending; number of glitches and the level at the end."""
-    t, glitches, level = begin, 0, kv
-    while True:
-        t += float(rng.exponential(3.0))
-        if t > end - 3.5:
-            return glitches, level
-        event = rng.choice(["glitch", "dip", "deep dip", "sag", "nothing"], p=[0.35, 0.2, 0.15, 0.15, 0.15])
-        if event == "glitch":  # a discharge that heals: fast to nearly nothing, back with the supply's time constant
-            held, recharge = float(rng.uniform(0.01, 0.2)), float(rng.uniform(5e-3, 60e-3))
-            circuit.relax(t, level * float(rng.uniform(0.0, 0.3)), float(rng.uniform(5e-5, 1e-3)))
-            circuit.relax(t + held, level, recharge)
-            leaks.append((t, held))
-            glitches += 1
-            t += held + 8 * recharge + 0.2
-        elif event == "dip":  # the supply sags and recovers, never below half
-            held = float(rng.uniform(0.05, 2.0))
-            circuit.relax(t, level * float(rng.uniform(0.56, 0.85)), float(rng.uniform(2e-3, 0.1)))
-            circuit.relax(t + held, level, float(rng.uniform(5e-3, 0.1)))
-            t += held + 1.0
-        elif event == "deep dip":  # below half, but slowly: the supply's capacitor, no spark
-            held = float(rng.uniform(0.3, 1.5))
-            circuit.relax(t, level * float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.12, 0.4)))
-            circuit.relax(t + held, level, float(rng.uniform(10e-3, 60e-3)))
-            t += held + 1.0
-        elif event == "sag":
-            lower = level * float(rng.uniform(0.93, 0.98))
-            seconds = float(rng.uniform(1.0, 2.5))
-            circuit.ramp(t, lower, seconds)
-            if rng.random() < 0.5:
-                circuit.relax(t + seconds, level, 0.05)
-            else:
-                level = lower
-            t += seconds + 0.5
-
-
-def _ending(
-    rng: np.random.Generator,
-    ending: str,
-    circuit: Circuit,
-    command: list[tuple[float, float]],
-    leaks: list[tuple[float, float]],
-    end: float,
-    level: float,
-) -> tuple[float, bool, float, float]:
-    """(instant, breakdown, last time recorded, last time before a gap)."""
-    if ending in ("end of test", "operator"):
-        command.append((end, 0.0))
-        circuit.relax(end, 0.0, float(rng.uniform(1.6e-3, 33e-3)))
-        return end, False, end + float(rng.uniform(0.0, 3.0)), end
-    if ending == "record ends":
-        return end, False, end, end
-    if ending == "raised":
-        seconds = float(rng.uniform(2.0, 8.0))
-        command.append((end, 1.3 * level / 1.5))
-        circuit.ramp(end, 1.3 * level, seconds)
-        end += seconds * float(rng.uniform(0.7, 1.0))
-    if ending == "gap" and rng.random() < 0.5:
-        return end, False, end + 6.0, end  # the test goes on after the gap
-    begin = end if ending != "gap" else end + 2.0
-    residual = level * float(rng.choice([0.0, rng.uniform(0.03, 0.3)]))
-    circuit.relax(begin, residual, float(10 ** rng.uniform(-4.3, -2.7)))
-    stop = begin + float(rng.uniform(0.4, 3.0))
-    if rng.random() < 0.3:  # the supply tries again and again
-        for retry in np.arange(begin + 0.15, stop, 0.25):
-            circuit.relax(float(retry), 0.7 * level, 8e-3)
-            circuit.relax(float(retry) + 0.01, residual, 1e-3)
-    leaks.append((begin, stop - begin + 1))
-    if rng.random() < 0.6:  # the interlock, or the operator
-        command.append((begin + float(rng.uniform(0.06, 2.0)), 0.0))
-    return begin, True, stop, end
-
-
-def _lose_samples(
-    rng: np.random.Generator, t: Float, values: Float, clean: Float, kv: float, end: float, settled: float
-) -> None:
-    """Single samples of the monitor that are not there, or read zero, while the voltage is up."""
-    steady = (clean > 0.92 * kv) & (t > settled + 0.5) & (t < end - 0.5)
-    steady[1:-1] &= steady[:-2] & steady[2:]
-    rows = np.flatnonzero(steady)
-    for row in rng.choice(rows, size=min(rng.poisson(1.0), rows.size), replace=False) if rows.size else ():
-        if np.all(np.isfinite(values[row - 2 : row + 3])) and np.all(values[row - 2 : row + 3] > 0.9 * kv):
-            values[row] = rng.choice([np.nan, 0.0])
-
-
-def _channel(quantity: str, t: Float, values: Float) -> Channel:
-    return Channel(quantity, EPOCH_NS + np.round(t * 1e9).astype(np.int64), values)
-
-
-def without_command(case: Case) -> Case:
-    channels = {name: channel for name, channel in case.recording.channels.items() if name != "command"}
-    return replace(case, recording=replace(case.recording, channels=channels))
+def recording_of(drawn: Any) -> Recording:
+    """A drawn record as a recording. A voltage in units of the converter has no scale: its set point is left out."""
+    known = {f for f in RecordingMetadata.__dataclass_fields__ if f not in ("extra", "started_at")}
+    metadata = _SURE | {k: v for k, v in drawn.metadata.items() if k in known and v is not None}
+    stamps = _START_NS + np.round(np.asarray(drawn.time_s) * 1e9).astype(np.int64)
+    channels = {}
+    for name, (unit, values) in drawn.channels.items():
+        values = np.asarray(values, dtype=np.float64)
+        try:
+            to = conversion(unit, QUANTITIES[name].unit)
+            values = to.scale * values + to.offset
+        except RefusedError:
+            if name == "voltage":
+                metadata.pop("voltage_setpoint_kv", None)
+        channels[name] = Channel(name, stamps, values)
+    about = RecordingMetadata(started_at=datetime(2026, 3, 1, tzinfo=UTC), **metadata)
+    return Recording(about, RigConstants(), channels)
 
 
 @dataclass
 class Score:
-    """What became of the records."""
+    """What became of the records of one family; `wrong` names them."""
 
     records: int = 0
-    missed: list[str] = field(default_factory=list)
+    decidable: int = 0
+    censored: list[str] = field(default_factory=list)
     false: list[str] = field(default_factory=list)
-    undecided: Counter[str] = field(default_factory=Counter)
-    worst_instant: float = 0.0
-    worst_life: float = 0.0
-    worst_censored: float = 0.0
-    glitches_wrong: int = 0
-    seconds: float = 0.0
+    undecided: list[str] = field(default_factory=list)
+    undecided_decidable: int = 0
+    failures: int = 0
+    late: list[float] = field(default_factory=list)
+    staircases: int = 0
+    staircase_voltages: int = 0
 
-    def add(self, case: Case, found: Lifetime) -> None:
-        truth = case.truth
+    def add(self, name: str, truth: dict[str, Any], found: LifetimeRow, interval: float) -> None:
         self.records += 1
-        if found.decided is False:
-            self.undecided[truth.ending] += 1
-            return
-        name = f"{case.recording.metadata.recording_id} ({truth.ending}): {found}"
-        if truth.failed and not found.failed:
-            self.missed.append(name)
-        elif found.failed and not truth.failed:
+        decidable = bool(truth.get("decidable", True))
+        self.decidable += decidable
+        self.failures += bool(truth["failed"]) and decidable
+        failed = found.failed and not found.staircase  # a staircase has no life at one voltage
+        if truth.get("broke_in_staircase"):
+            self.staircases += 1
+            self.staircase_voltages += found.breakdown_voltage_kv is not None
+        if found.undecided:
+            self.undecided.append(name)
+            self.undecided_decidable += decidable
+        elif truth["failed"] and not failed and decidable:
+            self.censored.append(name)
+        elif failed and not truth["failed"] and decidable:
             self.false.append(name)
-        elif truth.failed:
-            self.worst_instant = max(self.worst_instant, abs(found.end_s - truth.end_s) / truth.interval)
-            if not truth.slow_start:
-                error = abs(found.lifetime_s - (truth.end_s - truth.start_s)) / truth.interval
-                self.worst_life = max(self.worst_life, error)
-            self.glitches_wrong += found.glitches != truth.glitches
-        else:
-            self.worst_censored = max(self.worst_censored, abs(found.end_s - truth.end_s))
-            self.glitches_wrong += found.glitches != truth.glitches
+        elif truth["failed"] and failed:
+            self.late.append(abs(found.lifetime_s - truth["lifetime_s"]) / interval)
+
+    def __add__(self, other: Score) -> Score:
+        return Score(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
 
     def __str__(self) -> str:
-        undecided = ", ".join(f"{n} {ending}" for ending, n in sorted(self.undecided.items())) or "none"
-        return (
-            f"{self.records} records: {len(self.missed)} breakdowns missed, {len(self.false)} false; undecided: {undecided}; "
-            f"largest error of the instant {self.worst_instant:.2f} samples, of the life after a fast switch-on "
-            f"{self.worst_life:.2f} samples, of a censored life {self.worst_censored:.3f} s; glitches miscounted in "
-            f"{self.glitches_wrong} records; {self.seconds / max(self.records, 1) * 1e3:.1f} ms each"
-        )
+        survivors = self.decidable - self.failures
+        parts = [f"{self.records:6d} records"]
+        if self.failures:
+            parts.append(f"wrongly censored {rate(len(self.censored), self.failures)}")
+        if survivors:
+            parts.append(f"false failures {rate(len(self.false), survivors)}")
+        parts.append(f"undecided {rate(self.undecided_decidable, self.decidable)}")
+        if self.decidable < self.records:
+            hidden = self.records - self.decidable
+            parts.append(f"of {hidden} that cannot be decided, {len(self.undecided) - self.undecided_decidable} said so")
+        if self.late:
+            parts.append(f"life off by {np.median(self.late):.2f} samples (95 %: {np.quantile(self.late, 0.95):.1f})")
+        if self.staircases:
+            parts.append(f"breakdown voltage in {self.staircase_voltages} of {self.staircases} staircases")
+        return "; ".join(parts)
 
 
-def study(records: int, seed: int) -> tuple[Score, Score]:
-    """Scores with and without the command."""
-    rng = np.random.default_rng(seed)
-    scores = (Score(), Score())
+def rate(number: int, of: int) -> str:
+    """A share in per cent with its exact 95 % interval (Clopper and Pearson)."""
+    low = float(beta.ppf(0.025, number, of - number + 1)) if number else 0.0
+    high = float(beta.ppf(0.975, number + 1, of - number)) if number < of else 1.0
+    return f"{100 * number / of:.2f} % ({100 * low:.2f} to {100 * high:.2f}, {number} of {of})" if of else "none"
+
+
+def study(generator: ModuleType | Any, families: Iterable[str], records: int, seed: int) -> dict[str, Score]:
+    """Scores per family, `records` spread over them."""
+    scores: dict[str, Score] = defaultdict(Score)
+    names = list(families)
     for number in range(records):
-        case = simulate(rng, number)
-        for score, shown in zip(scores, (case, without_command(case)), strict=True):
-            begin = time.perf_counter()
-            found = detect_breakdown(shown.recording)
-            score.seconds += time.perf_counter() - begin
-            score.add(shown, found)
-    return scores
+        family = names[number % len(names)]
+        drawn = generator.draw(seed + number // len(names), family)
+        interval = float(np.median(np.diff(drawn.time_s)))
+        found = classify(recording_of(drawn))
+        words = next((w for w in found.warnings if w.startswith("refused")), found.evidence or found.censored_because)
+        name = f"{family} {seed + number // len(names)}, every {interval * 1e3:.3g} ms: {words}"
+        scores[family].add(name, drawn.truth, found, interval)
+    return dict(scores)
+
+
+def _load(path: str | None) -> ModuleType:
+    if path is None:
+        return breakdown_records
+    spec = importlib.util.spec_from_file_location(Path(path).stem, path)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"{path} is no Python module")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _report(scores: dict[str, Score], wrong: int) -> Iterator[str]:
+    for family, score in scores.items():
+        yield f"- {family}: {score}"
+    total = sum(scores.values(), Score())
+    yield f"- all: {total}"
+    for title, names in (("wrongly censored", total.censored), ("false failure", total.false), ("undecided", total.undecided)):
+        yield from (f"  {title}: {name}" for name in names[:wrong])
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--records", type=int, default=2000)
+    parser.add_argument("--generator", help="path of a module with draw(seed, family); our own families without it")
+    parser.add_argument("--families", help="names, separated by commas; all that the module lists without it")
+    parser.add_argument("--n", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=20_260_301)
+    parser.add_argument("--wrong", type=int, default=0, help="so many verdicts of each kind of mistake are shown")
     arguments = parser.parse_args()
-    commanded, alone = study(arguments.records, arguments.seed)
-    print(f"- with command: {commanded}")
-    print(f"- without command: {alone}")
-    for title, score in (("with command", commanded), ("without command", alone)):
-        for name in [*score.missed, *score.false][:10]:
-            print(f"- {title}: {name}")
-    return 1 if commanded.missed or commanded.false or alone.missed or alone.false else 0
+    generator = _load(arguments.generator)
+    families = arguments.families.split(",") if arguments.families else getattr(generator, "FAMILIES", None)
+    if not families:
+        raise SystemExit("the generator lists no FAMILIES: name them with --families")
+    for line in _report(study(generator, families, arguments.n, arguments.seed), arguments.wrong):
+        print(line)
+    return 0
 
 
 if __name__ == "__main__":
