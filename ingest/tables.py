@@ -78,7 +78,7 @@ class RelaxationTable:
 
 
 def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: str) -> LifetimeTable:
-    """Lives from a table. A row without a life above 0 is left out, a problem. Raises `RefusedError`."""
+    """Lives from a table. A failure at 0 counts; a row without a life, or a survivor of 0 s, is left out, a problem. Raises `RefusedError`."""
     table = TableRows(file, mapping, where)
     metadata = table.metadata
     table.require("lifetime", "failed")
@@ -96,7 +96,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
     rows = []
     wrong = []
     for i in range(count):
-        if not (math.isfinite(life[i]) and life[i] > 0):
+        if not (math.isfinite(life[i]) and (life[i] > 0 or (failed[i] and life[i] == 0))):
             wrong.append(i)
             continue
         rows.append(
@@ -117,10 +117,13 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
         )
     if wrong:
         table.problems.append(
-            f"{len(wrong)} of {count} rows have no life above 0 (row {table.row_numbers[wrong[0]]}: {life[wrong[0]]:g} s): left out"
+            f"{len(wrong)} of {count} rows have no life, or survived 0 s (row {table.row_numbers[wrong[0]]}: {life[wrong[0]]:g} s):"
+            " left out"
         )
     if not rows:
-        raise RefusedError("no row has a life above 0", where=where, expected="lifetimes")
+        raise RefusedError(
+            "no row has a life that says anything", where=where, expected="lives above 0, or failures at 0"
+        )
     _check_names(rows, where)
     return LifetimeTable(metadata, tuple(rows), *table.remarks)
 

@@ -21,13 +21,14 @@ Value = TypeVar("Value")
 class Analysis:
     """Rows by table, results that later stages take in full, and what could not be done.
 
-    `notes` say what the data could not carry (no fault of anyone); `failures` are unexpected errors with their
-    tracebacks, `summary` line first.
+    `notes` say what the data could not carry (no fault of anyone); `problems` what somebody has to look at; `failures` are
+    unexpected errors with their tracebacks, `summary` line first.
     """
 
     tables: dict[str, list[pa.Table]] = field(default_factory=dict)
     carried: list[Any] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
 
     def attempt(

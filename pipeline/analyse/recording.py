@@ -41,7 +41,7 @@ def analyse_content(
 ) -> tuple[dict[str, Any], Analysis]:
     """The row of `recordings` that a content gets, and everything that is computed from it alone.
 
-    `kind` is the kind of table that stands instead of a recording. An analysis that fails is a problem of the row.
+    `kind` is the kind of table that stands instead of a recording. What an analysis finds wrong, or fails at, is a problem of the row.
     """
     if isinstance(content, Recording):
         row, analysis = recording_row(content), analyse_recording(content)
@@ -51,7 +51,7 @@ def analyse_content(
         analysis = analyse_table(content)
     notes = joined([row["notes"], *analysis.notes] if row["notes"] else analysis.notes)
     failed = [failure.splitlines()[0] for failure in analysis.failures]
-    problem = joined([p for p in (row["problem"], *(f"analysis failed: {f}" for f in failed)) if p])
+    problem = joined([p for p in (row["problem"], *analysis.problems, *(f"analysis failed: {f}" for f in failed)) if p])
     return {**row, "notes": notes, "problem": problem}, analysis
 
 
@@ -127,6 +127,10 @@ def _life(analysis: Analysis, recording: Recording) -> None:
     if life is not None:
         analysis.carry(life)
         analysis.add({"lifetimes": lifetime_table([life])})
+        if life.contradiction:
+            analysis.problems.append(f"breakdown: {life.contradiction}")
+        if life.undecided:
+            analysis.problems.append(f"breakdown: cannot be decided ({life.evidence or life.censored_because})")
 
 
 def _steps(analysis: Analysis, recording: Recording) -> None:

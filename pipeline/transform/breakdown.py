@@ -28,9 +28,7 @@ from pipeline.transform.breakdown_falls import (
 from pipeline.transform.breakdown_life import Counts, Lifetime, Verdict, lifetime
 from pipeline.transform.breakdown_model import CERTAIN, FAILED, MONITOR, SUPPLY, describe, posterior, strongest
 from pipeline.transform.breakdown_signal import (
-    FULL,
     HALF,
-    Trace,
     application,
     block_medians,
     check_constant,
@@ -122,9 +120,7 @@ class _Judgement:
         self.counts.notes += [note] if note else []
         if raised_s < self.trace.time[verdict.last]:
             return self._raised(start_s, raised_s, verdict)
-        return lifetime(
-            self.metadata, self.trace, self.counts, verdict, start_s, float(self.trace.time[verdict.last])
-        )
+        return lifetime(self.metadata, self.trace, self.counts, verdict, start_s, float(self.trace.time[verdict.last]))
 
     def cut_at_gap(self, start: int) -> float:
         """Leaves of the trace what comes before its first gap; gives when the voltage was raised, infinite for never."""
@@ -143,7 +139,9 @@ class _Judgement:
             return
         hole = float(self.trace.time[start] - self.trace.time[start - 1])
         if hole > self.trace.longest_gap:
-            self.counts.notes.append(f"the voltage came on in a gap of {hole:.3g} s: the life may be longer by that much")
+            self.counts.notes.append(
+                f"the voltage came on in a gap of {hole:.3g} s: the life may be longer by that much"
+            )
 
     # ---- falls ------------------------------------------------------------------------------------------------------
 
@@ -153,7 +151,7 @@ class _Judgement:
         for fall in falls(self.trace, start):
             if fall.lasts(self.trace):
                 raised = raised_s < self.trace.time[fall.last]
-                yield fall, self.witnesses.ask(fall, Life(start, applied_s, self.counts.glitches, raised))
+                yield fall, self.witnesses.ask(fall, Life(start, applied_s, raised))
             else:
                 yield fall, None
             if self.witnesses.command_at(fall)[0] in ("off first", "off at once"):
@@ -239,7 +237,11 @@ class _Judgement:
         end_s = float(self.trace.time[verdict.last])
         held = raised_s - start_s
         top = level_before(self.trace, verdict.last) if verdict.failed else None
-        fixed = held >= _LONG_TEST * planned - RULES.planned_slack_s if planned is not None else held >= (end_s - start_s) / 2
+        fixed = (
+            held >= _LONG_TEST * planned - RULES.planned_slack_s
+            if planned is not None
+            else held >= (end_s - start_s) / 2
+        )
         if not fixed:
             note = f"the voltage was raised {held:.3g} s after it was reached: a staircase, no life at one voltage"
             verdict = replace(verdict, notes=(*verdict.notes, note))
@@ -256,7 +258,14 @@ class _Judgement:
         because = f"{RAISED}, broke down at {top:.3g} kV" if top is not None else RAISED
         censored = replace(verdict, failed=False, because=because)
         return lifetime(
-            self.metadata, self.trace, self.counts, censored, start_s, start_s + held, breakdown_voltage=top, broke=broke
+            self.metadata,
+            self.trace,
+            self.counts,
+            censored,
+            start_s,
+            start_s + held,
+            breakdown_voltage=top,
+            broke=broke,
         )
 
     def _never_reached(self) -> Lifetime:
@@ -269,7 +278,7 @@ class _Judgement:
             fall = fall_from(trace, entry, 0, float(highest[entry]))
             if not fall.fast or fall.back is not None or fall.watched(trace) < SHORTEST_LASTING_S:
                 continue
-            found = self.witnesses.ask(fall, Life(fall.last, application(trace), 0, raised=True))
+            found = self.witnesses.ask(fall, Life(fall.last, application(trace), raised=True))
             verdict = self._verdict(fall, found)
             if not verdict.failed and verdict.decided:
                 continue

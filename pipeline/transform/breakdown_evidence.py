@@ -25,7 +25,7 @@ class Rules:
     """A 33 MΩ resistor across 50 pF of film and cable: no switched-off film empties faster (physics, 3.5)."""
     like_breakdown_s: float = 20e-3
     """Below this time constant a discharge can look like a breakdown (physics, 4.7)."""
-    discharge_shows_s: float = 6e-3
+    discharge_shows_s: float = 3e-3
     """Up to this distance of samples most discharges are resolved."""
     spark_shows_s: float = 25e-3
     """Up to this distance of samples the longest discharges are resolved, and a spark before a trip is seen."""
@@ -95,13 +95,12 @@ def samples_of(channel: Channel | None, origin_ns: int) -> Samples | None:
 
 @dataclass(frozen=True)
 class Life:
-    """The life before a fall: `start` its first sample, `applied_s` when the voltage came on, `healed` earlier falls that
-    were back within half a second, `raised` whether the voltage has left its set point upwards.
+    """The life before a fall: `start` its first sample, `applied_s` when the voltage came on, `raised` whether it has left
+    its set point upwards since.
     """
 
     start: int
     applied_s: float
-    healed: int
     raised: bool
 
 
@@ -123,15 +122,15 @@ class Witnesses:
         settled = self._settled(fall, until)
         after, left = self._after(fall, settled)
         found = {
-            "fall": self._speed(fall, until, left),
+            "fall": self._speed(fall, until, 0.0 if after in ("falls on", "not seen") else left),
             "after": after,
             "command": state,
             "leakage_current": self._leakage(fall, life, until, left),
             "force": self._force(fall, life, until, left),
-            "failure_site": _site(self.metadata.failure_site),
             "planned end": self._planned(fall, life),
-            "before": "healed" if life.healed else "calm",
         }
+        if fall.back is None:  # what failed in the end says nothing about a fall that came back
+            found["failure_site"] = _site(self.metadata.failure_site)
         return {name: outcome for name, outcome in found.items() if outcome}
 
     def _until(self, fall: Fall) -> float:
@@ -168,7 +167,7 @@ class Witnesses:
         early = value[: max(value.size // 3, min(2, value.size))]
         left = float(np.median(early))
         if fall.back is not None:
-            return "back", left
+            return ("back" if fall.fast else "sagged and back"), left
         if fall.watched(self.trace) < SHORTEST_LASTING_S:
             return "not seen", left
         rise = float(np.max(value - np.minimum.accumulate(value)))
@@ -185,7 +184,7 @@ class Witnesses:
         return ("holds" if parts[1] >= RULES.steady * parts[0] else "falls on"), left
 
     def _speed(self, fall: Fall, until: float, left: float) -> str:
-        """How the voltage fell, against what the resistor across the film allows."""
+        """How the voltage fell to what is `left` of it, against what the resistor across the film allows."""
         trace, level = self.trace, fall.level
         stop = int(np.searchsorted(trace.time, until, side="right"))
         time = trace.time[fall.last : stop] - trace.time[fall.last]
@@ -231,7 +230,10 @@ class Witnesses:
         if not steady.size:
             steady = self.command.between(-np.inf, before)[-3:]
         reference = float(np.median(np.abs(steady))) if steady.size else 0.0
-        if reference <= 0.01 * np.abs(self.command.value).max() or self.command.time[-1] < after - self.command.interval:
+        if (
+            reference <= 0.01 * np.abs(self.command.value).max()
+            or self.command.time[-1] < after - self.command.interval
+        ):
             return "", float("nan")
         window = self.command.indices(before - 0.25, until)
         at, off = self.command.time[window], np.abs(self.command.value[window]) < FULL * reference
@@ -262,7 +264,7 @@ class Witnesses:
         usual, noise = float(np.median(before)), max(noise_of(before), noise_of(lived))
         found = float(np.median(later))
         margin = RULES.significant * noise / np.sqrt(min(later.size, before.size))
-        highest = max(float(np.median(near)), found) if near.size >= 3 else max(float(near.max()), found)
+        highest = max(float(np.median(near)), found) if near.size >= 3 else found
         if highest > usual + max(RULES.significant * noise / np.sqrt(min(near.size, later.size)), 0.5 * abs(usual)):
             return "jumps"
         if found > RULES.raised * abs(early) + margin and found > min(2 * left, 0.6) * usual:

@@ -16,8 +16,14 @@ from schemas.metadata import RecordingMetadata
 
 _SERIES = 3
 _CONFIRMS = {"leakage_current": ("jumps", "stays high"), "force": ("steps",)}
-_SPEAKS_AGAINST = {"leakage_current": ("follows the voltage", "follows the voltage, slowly sampled", "goes on", "shows nothing"), "force": ("still", "silent")}
-_WORDS = {"leakage_current": "the leakage current does not jump with the collapse", "force": "the force does not step with the collapse"}
+_SPEAKS_AGAINST = {
+    "leakage_current": ("follows the voltage", "follows the voltage, slowly sampled", "goes on", "shows nothing"),
+    "force": ("still", "silent"),
+}
+_WORDS = {
+    "leakage_current": "the leakage current does not jump with the collapse",
+    "force": "the force does not step with the collapse",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,10 +100,9 @@ def voltage_trace(channel: Channel, set_point: float | None, *, leakage_times: F
         set_point = plateau
     if not set_point > 0 or float(value.max()) <= 0:
         raise NotIdentifiableError("the monitor shows no voltage", where=channel.quantity)
-    if not (value >= START * set_point).any():
-        if plateau >= _REACHED * set_point:
-            notes.append(f"the voltage settles at {plateau:.3g} kV, below 95 % of the set point {set_point:g} kV")
-            set_point = plateau
+    if plateau >= _REACHED * set_point and not (value >= START * set_point).any():
+        notes.append(f"the voltage settles at {plateau:.3g} kV, below 95 % of the set point {set_point:g} kV")
+        set_point = plateau
     level = _running_level(value, interval, set_point)
     lost = _dropouts(time, value, level, set_point, leakage_times)
     dropouts = int(lost.sum()) + _isolated_missing(channel)

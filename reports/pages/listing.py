@@ -9,7 +9,7 @@ from reports.names import short, visible
 from reports.results import Query, day
 from reports.results import Row as Record
 from reports.site import Site
-from schemas.numbers import ABSENT, compact, seconds, significant
+from schemas.numbers import ABSENT, compact, seconds, significant, with_unit
 
 
 def status(row: Record) -> Piece:
@@ -101,17 +101,24 @@ def lifetimes(
         Row(
             (
                 site.specimen(r["specimen_id"], root), name(r["configuration"]), compact(r["voltage_kv"]),
-                significant(None if r["lifetime_s"] is None else unit[0] * r["lifetime_s"]), "failed" if r["failed"] else flow("alive: ", short(r["censored_because"] or "end of test", 60)),
-                _place(r), visible(r["warnings"] or ""), site.recording(r["recording_id"], root),
+                significant(None if r["lifetime_s"] is None else unit[0] * r["lifetime_s"]), _end(r), ABSENT if r["probability_failed"] is None else f"{r['probability_failed']:.2f}", _place(r), visible(r["warnings"] or ""), site.recording(r["recording_id"], root),
             )
         )
         for r in found
     )  # fmt: skip
     heads = (
-        Head("Specimen"), Head("Configuration"), Head("kV", "n"), Head(f"Life, {unit[1]}", "n"), Head("End"), Head("Where"),
+        Head("Specimen"), Head("Configuration"), Head("kV", "n"), Head(f"Life, {unit[1]}", "n"), Head("End"), Head("Breakdown?", "n"), Head("Where"),
         Head("Contradictions"), Head("Recording"),
     )  # fmt: skip
     return Table(caption, heads, rows, query.shown())
+
+
+def _end(r: Record) -> Piece:
+    """How the life ended, as far as the record tells."""
+    said = "failed" if r["failed"] else flow("alive: ", short(r["censored_because"] or "end of test", 60))
+    if r["breakdown_voltage_kv"]:
+        said = flow(said, f", breakdown at {with_unit(compact(r['breakdown_voltage_kv']), 'kV')}")
+    return flow("undecided, counted as ", said) if r["decided"] is False else said
 
 
 def _place(r: Record) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -12,12 +13,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pipeline.transform.breakdown import detect_breakdown
+from pipeline.transform.breakdown import detect_breakdown, observe_falls
 from pipeline.transform.breakdown_life import Lifetime
+from pipeline.transform.breakdown_model import CAUSES, WEIGHTS, posterior
 from schemas.errors import NotIdentifiableError, RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
-from tests.studies import breakdown_records
+from tests.studies import breakdown_circuits, breakdown_records, study_breakdown
 from tests.studies.study_breakdown import Score, study
 
 RATE = 1000.0
@@ -420,15 +422,181 @@ def test_slow_logger_is_not_all_gaps() -> None:
     assert any("not resolved" in text for text in found.warnings)
 
 
+def quiet_current(bench: Bench, usual: float = 2.0) -> np.ndarray:
+    """Leakage in proportion to the voltage, µA."""
+    noise = np.random.default_rng(4).normal(0, 0.02, bench.t.size)
+    return np.asarray(usual * bench.v / bench.kv + noise)
+
+
+def hunting(bench: Bench, at: float) -> None:
+    """A breakdown into a limited supply: to 3 kV within one sample, then between 1 and 2 kV twice a second."""
+    after = bench.t > at
+    phase = (2 * (bench.t[after] - at)) % 1
+    bench.v[after] = np.where(bench.t[after] < at + 0.05, 3.0, 1.0 + phase)
+
+
+@pytest.mark.parametrize("rate", [10.0, 100.0, 1000.0])
+@pytest.mark.parametrize("site", [None, "rod", "lead"])
+@pytest.mark.parametrize("with_current", [False, True])
+def test_breakdown_into_a_limited_supply(rate: float, site: str | None, with_current: bool) -> None:
+    bench = Bench(rate=rate)
+    hunting(bench, 10.0)
+    if with_current:
+        bench.others["leakage_current"] = np.where(bench.t > 10.0, 450.0, quiet_current(bench))
+    found = bench.detect(command=False, failure_site=site)
+    assert (found.failed, found.decided, found.censored_because) == (True, True, None)
+    assert found.end_s == pytest.approx(10.0, abs=1 / rate)
+    assert found.probability_failed is not None
+    assert found.probability_failed > 0.9
+    assert sum(found.probabilities.values()) == pytest.approx(1)
+    assert "up and down" in (found.evidence or "")
+
+
+def test_trip_of_the_supply_is_no_breakdown_although_the_command_stays() -> None:
+    bench = Bench()
+    bench.fall(10.0, 0.0, tau=15e-3)
+    bench.others["leakage_current"] = quiet_current(bench)
+    found = bench.detect()
+    assert (found.failed, found.decided) == (False, True)
+    assert found.probabilities["supply"] == max(found.probabilities.values())
+
+
+def test_fading_insulation_shows_current_before_the_voltage() -> None:
+    bench = Bench(rate=100.0)
+    bench.others["leakage_current"] = quiet_current(bench)
+    fading = bench.t > 6
+    bench.others["leakage_current"][fading] *= np.minimum(np.exp(bench.t[fading] - 6), 100)
+    sagging = bench.t > 11
+    bench.v[sagging] = 2.0 + 5.5 * np.exp(-(bench.t[sagging] - 11))
+    found = bench.detect()
+    assert (found.failed, found.decided) == (True, True)
+    assert "leakage_current" in found.confirmed_by
+
+
+def test_monitor_that_loses_the_voltage_is_no_breakdown() -> None:
+    bench = Bench()
+    bench.others["leakage_current"] = quiet_current(bench)
+    bench.others["force"] = 1 - 0.005 * bench.v**2 + np.random.default_rng(3).normal(0, 1e-3, bench.t.size)
+    bench.v[bench.t > 10] = 0.0
+    found = bench.detect(command=False)
+    assert (found.failed, found.decided) == (False, True)
+    assert found.censored_because is not None
+    assert found.censored_because.startswith("monitor lost")
+
+
+def test_breakdown_in_the_staircase_after_the_planned_time_has_its_voltage() -> None:
+    bench = Bench(seconds=80.0, rate=100.0)
+    stairs = bench.t > 61.0
+    bench.v[stairs] = np.minimum(7.5 + 0.25 * np.ceil((bench.t[stairs] - 61.0) / 2), 9.5)
+    bench.others["leakage_current"] = quiet_current(bench)
+    bench.fall(78.0, 0.0, tau=2e-3)
+    bench.others["leakage_current"][bench.t > 78] = 450.0
+    found = bench.detect(command=False, failure_site="none")
+    assert (found.failed, found.decided) == (False, True)
+    assert found.lifetime_s == pytest.approx(60.0, abs=0.02)
+    assert found.breakdown_voltage_kv == pytest.approx(9.5, rel=0.01)
+    assert found.contradiction == "a breakdown in the record, but failure_site is none"
+
+
+def test_contradictions_are_said_whatever_the_verdict() -> None:
+    bench = Bench()
+    bench.fall(10.0, 0.2)
+    bench.others["leakage_current"] = quiet_current(bench)
+    found = bench.detect(failure_site="none")
+    assert found.contradiction is not None
+    assert "failure_site is none" in found.contradiction or "leakage current does not jump" in found.contradiction
+    assert Bench().detect(failure_site="lead").contradiction == "no breakdown in the record, but failure_site is lead"
+    assert Bench().detect(failure_site="none").contradiction is None
+
+
+def test_alternating_voltage_has_no_life() -> None:
+    t = np.arange(0, 1234.5, 0.5)
+    volts = 6.0 * np.sin(2 * np.pi * 0.2 * t)
+    with pytest.raises(NotIdentifiableError, match="alternates"):
+        detect_breakdown(record(t, {"voltage": volts}, voltage_setpoint_kv=6.0, test_duration_s=3600.0))
+    cycles = np.where(np.floor(t / 5) % 2 == 0, 6.0, 0.0)
+    with pytest.raises(NotIdentifiableError, match="not constant"):
+        detect_breakdown(record(t, {"voltage": cycles}, voltage_setpoint_kv=6.0, test_duration_s=3600.0))
+
+
+def test_two_missing_rows_of_a_slow_clock_do_not_end_the_life() -> None:
+    bench = Bench(seconds=100.0, rate=1.0)
+    bench.v[[40, 41]] = np.nan
+    bench.fall(80.0, 0.4)
+    bench.others["leakage_current"] = np.where(bench.t > 80, 400.0, 2.0)
+    found = bench.detect(test_duration_s=None)
+    assert found.failed
+    assert found.end_s == pytest.approx(80.0, abs=1)
+
+
+def test_voltage_in_other_units_than_the_set_point_is_noted_not_refused() -> None:
+    bench = Bench()
+    bench.fall(12.0, 0.4)
+    bench.v *= 2000  # counts of a converter
+    found = bench.detect()
+    assert found.failed
+    assert found.lifetime_s == pytest.approx(11.0, abs=2 / RATE)
+    assert any("look at the unit" in text for text in found.warnings)
+
+
+def test_every_outcome_has_its_weight() -> None:
+    weighed = {(w.evidence, w.outcome) for w in WEIGHTS}
+    assert len(weighed) == len(WEIGHTS)
+    for family in breakdown_records.FAMILIES:
+        for seed in range(12):
+            drawn = study_breakdown.recording_of(breakdown_records.draw(seed, family))
+            with contextlib.suppress(NotIdentifiableError):
+                for _, found in observe_falls(drawn):
+                    assert set(found.items()) <= weighed
+
+
+@pytest.mark.parametrize(
+    ("evidence", "outcome", "cause"),
+    [
+        ("leakage_current", "jumps", "failed"),
+        ("after", "hunts", "failed"),
+        ("command", "off first", "switched off"),
+        ("planned end", "reached", "switched off"),
+        ("leakage_current", "goes on", "monitor"),
+        ("force", "still", "monitor"),
+    ],
+)
+def test_weights_have_the_sense_of_the_physics(evidence: str, outcome: str, cause: str) -> None:
+    with_it, without = posterior({evidence: outcome}), posterior({})
+    assert max(CAUSES, key=lambda c: with_it[c] / without[c]) == cause
+
+
+def test_what_decays_as_through_a_resistor_is_hardly_a_breakdown() -> None:
+    assert posterior({"fall": "long discharge to zero"})["failed"] < 0.1 * posterior({})["failed"]
+
+
 @pytest.mark.study
 def test_study() -> None:
-    commanded, alone = study(records=150, seed=11)
-    assert (commanded.missed, commanded.false) == ([], [])
-    assert commanded.undecided.total() == 0
-    assert commanded.worst_instant <= 2
-    assert commanded.worst_censored <= 0.05
-    assert (alone.missed, alone.false) == ([], [])
-    assert 0 < alone.undecided.total() < 0.2 * alone.records
+    """Rates on records of families of endings; the seeds are not those that the weights were fitted on."""
+    total = sum(study(breakdown_records, breakdown_records.FAMILIES, 760, 77_000).values(), Score())
+    survivors = total.decidable - total.failures
+    assert total.failures > 150
+    assert len(total.censored) <= 0.01 * total.failures + 2
+    assert len(total.false) <= 0.005 * survivors + 2
+    assert total.undecided_decidable <= 0.1 * total.decidable
+    assert total.staircase_voltages >= 0.9 * total.staircases
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("with_command", [True, False])
+def test_records_of_circuits_that_no_weight_was_fitted_on(with_command: bool) -> None:
+    rng = np.random.default_rng(11)
+    undecided = 0
+    for number in range(200):
+        case = breakdown_circuits.simulate(rng, number)
+        shown = case if with_command else breakdown_circuits.without_command(case)
+        found = detect_breakdown(shown.recording)
+        undecided += found.undecided
+        if not found.undecided:
+            assert found.failed == case.truth.failed, f"{number} {case.truth}: {found}"
+            if found.failed:
+                assert abs(found.end_s - case.truth.end_s) <= 2 * case.truth.interval
+    assert undecided <= (0.06 if with_command else 0.15) * 200
 
 
 def test_a_million_samples() -> None:

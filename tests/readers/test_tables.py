@@ -12,6 +12,7 @@ import pytest
 from ingest.mapping import FileMapping
 from ingest.read import Content, read_raw
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
+from pipeline.fit.survival.groups import survival_group
 from schemas.errors import RefusedError
 
 LIFE = {
@@ -84,9 +85,23 @@ def test_constants_from_metadata_and_value(tmp_path: Path) -> None:
 
 
 def test_rows_without_a_life_are_left_out(tmp_path: Path) -> None:
-    table = lives(tmp_path, "t,f\n1,1\n0,1\n-3,1\n,1\nx,0\n7,0\n")
+    table = lives(tmp_path, "t,f\n1,1\n0,0\n-3,1\n,1\nx,0\n7,0\n")
     assert [r.specimen_id for r in table.rows] == ["table-1", "table-6"]
-    assert any("4 of 6 rows have no life above 0 (row 2" in p for p in table.problems)
+    assert any("4 of 6 rows have no life, or survived 0 s (row 2" in p for p in table.problems)
+
+
+def test_failures_at_once_count(tmp_path: Path) -> None:
+    """Two of twelve fail at 0: the curve begins with 10/12, and the median is 40 s, where 50 s would be without them."""
+    rows = [(0, 1), (0, 1), *((10 * i, 1) for i in range(1, 9)), (90, 0), (100, 0)]
+    text = "t,f\n" + "".join(f"{life},{flag}\n" for life, flag in rows)
+    table = lives(tmp_path, text, columns={"lifetime": {"column": "t", "unit": "s"}})
+    assert len(table.rows) == 12
+    assert table.problems == ()
+    (group,) = survival_group(table.rows).groups
+    assert (group.curve.time[0], group.curve.survival[0]) == (0.0, pytest.approx(10 / 12))
+    assert group.summary.median_s.value == 40.0
+    assert group.summary.restricted_mean_s.value == pytest.approx((10 * sum(10 - i for i in range(9)) + 10 * 2) / 12)
+    assert np.isfinite(group.summary.weibull_shape.value)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +121,7 @@ def test_rows_without_a_life_are_left_out(tmp_path: Path) -> None:
             "left-censored",
         ),
         ("t,f,n\n1,1,a\n2,1,a\n", {"columns": {"specimen_id": {"column": "n"}}}, '"a" stands in two rows'),
-        ("t,f\n-1,1\n0,1\n", {}, "no row has a life above 0"),
+        ("t,f\n-1,1\n0,0\n", {}, "no row has a life that says anything"),
         ("t,f\n1,1\n", {"columns": {"lifetime": {"column": "t", "unit": "kV"}}}, "kV"),
         ("t,f\n1,1\n", {"recording": {"recording_id": "a b"}}, "recording_id"),
         ("t,f,w\n1,1,top\n", {"columns": {"failure_site": {"column": "w"}}}, 'failure_site is "top"'),

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
-RATES = (1.0, 2.0, 10.0, 50.0, 100.0, 250.0, 1000.0)
+RATES = (1.0, 2.0, 10.0, 50.0, 100.0, 250.0, 500.0, 1000.0)
 SPARK_S = (5e-5, 1e-3)
 """Time constants with which a spark empties the film."""
 
@@ -454,7 +454,9 @@ def _recorded(b: Bench, family: str, life_start: float) -> Drawn:
         channels["command"] = ("V", look(b.command.sample) + rng.normal(0, 1e-3, t.size))
     if b.chance(0.6):
         gohm = b.spread(0.5, 50.0)
-        current = look(lambda s: np.minimum(b.voltage.sample(s) / gohm * b.leak_share.sample(s) + b.arc.sample(s), 5 * b.limit))
+        current = look(
+            lambda s: np.minimum(b.voltage.sample(s) / gohm * b.leak_share.sample(s) + b.arc.sample(s), 5 * b.limit)
+        )
         if b.chance(0.25):  # an ammeter on the film's side sees it charge and discharge
             # but not a film that empties through its own spark
             inside = (look(b.arc.sample) > 0) | (b.failed & (t >= b.end - 1.5 / b.rate))
@@ -469,7 +471,12 @@ def _recorded(b: Bench, family: str, life_start: float) -> Drawn:
         if b.failed and b.chance(0.2):
             force[t > b.end] -= b.uniform(0.05, 0.8)  # the film tears
         channels["force"] = ("N", force)
-    metadata: dict[str, Any] = {"recording_id": "drawn", "protocol": "lifetime", "loading": "electrical", "specimen_id": "S"}
+    metadata: dict[str, Any] = {
+        "recording_id": "drawn",
+        "protocol": "lifetime",
+        "loading": "electrical",
+        "specimen_id": "S",
+    }
     if b.chance(0.8):
         metadata["voltage_setpoint_kv"] = b.kv
     if b.chance(0.85):

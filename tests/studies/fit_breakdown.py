@@ -22,7 +22,7 @@ from schemas.errors import NotIdentifiableError
 from tests.studies import breakdown_records
 from tests.studies.study_breakdown import recording_of
 
-PRIOR = {"failed": 0.45, "switched off": 0.35, "supply": 0.17, "monitor": 0.03}
+PRIOR = {"failed": 0.46, "switched off": 0.35, "supply": 0.17, "monitor": 0.02}
 RARE = {"restarted": 0.5, "monitor_lost": 0.3, "monitor_glitch": 0.5}
 """Endings that are much rarer in laboratories than the others of the same cause."""
 WEIGHT_SD = 3.0
@@ -43,7 +43,9 @@ def labelled_falls(records: int, seed: int) -> Iterator[tuple[str, str, Mapping[
             slack = 3 * float(np.median(np.diff(drawn.time_s)))
             for instant, found in observed:
                 at = instant + drawn.time_s[0]
-                near = [(abs(t - at), kind) for t, kind in drawn.truth["events"] if at - slack - 0.6 < t < at + slack + 1]
+                near = [
+                    (abs(t - at), kind) for t, kind in drawn.truth["events"] if at - slack - 0.6 < t < at + slack + 1
+                ]
                 if near and min(near)[1] in _LABELS:
                     yield family, _LABELS[min(near)[1]], found
 
@@ -73,7 +75,9 @@ def fit_weights(
         gradient = seen.T @ ((share - wanted) * weight[:, None]) + stiffness * odds
         return value + 0.5 * float(np.sum(stiffness * odds**2)), gradient.ravel()
 
-    found = minimize(loss, np.zeros(seen.shape[1] * len(CAUSES)), jac=True, method="L-BFGS-B", options={"maxiter": 5000})
+    found = minimize(
+        loss, np.zeros(seen.shape[1] * len(CAUSES)), jac=True, method="L-BFGS-B", options={"maxiter": 5000}
+    )
     odds = found.x.reshape(-1, len(CAUSES))
     odds -= odds.mean(axis=1, keepdims=True)
     return dict(zip([*keys, ("prior", "")], odds, strict=True))

@@ -111,7 +111,9 @@ class Score:
         parts.append(f"undecided {rate(self.undecided_decidable, self.decidable)}")
         if self.decidable < self.records:
             hidden = self.records - self.decidable
-            parts.append(f"of {hidden} that cannot be decided, {len(self.undecided) - self.undecided_decidable} said so")
+            parts.append(
+                f"of {hidden} that cannot be decided, {len(self.undecided) - self.undecided_decidable} said so"
+            )
         if self.late:
             parts.append(f"life off by {np.median(self.late):.2f} samples (95 %: {np.quantile(self.late, 0.95):.1f})")
         if self.staircases:
@@ -158,7 +160,11 @@ def _report(scores: dict[str, Score], wrong: int) -> Iterator[str]:
         yield f"- {family}: {score}"
     total = sum(scores.values(), Score())
     yield f"- all: {total}"
-    for title, names in (("wrongly censored", total.censored), ("false failure", total.false), ("undecided", total.undecided)):
+    for title, names in (
+        ("wrongly censored", total.censored),
+        ("false failure", total.false),
+        ("undecided", total.undecided),
+    ):
         yield from (f"  {title}: {name}" for name in names[:wrong])
 
 

@@ -81,7 +81,7 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
     queries = {
         "lifetimes": Query(
             "SELECT specimen_id, configuration, voltage_kv, lifetime_s, failed, censored_because, failure_site, failure_region,\n"
-            "       warnings, recording_id\nFROM lifetimes\nWHERE campaign = $campaign\n"
+            "       breakdown_voltage_kv, decided, probability_failed, warnings, recording_id\nFROM lifetimes\nWHERE campaign = $campaign\n"
             "ORDER BY configuration, voltage_kv, lifetime_s, specimen_id, recording_id",
             parameters,
         ),

@@ -122,6 +122,7 @@ def _heading(row: Row, lives: list[Row]) -> Piece:
     if len(lives) == 1 and lives[0]["lifetime_s"] is not None:
         at = f" at {with_unit(compact(lives[0]['voltage_kv']), 'kV')}" if lives[0]["voltage_kv"] else ""
         end = "breakdown after" if lives[0]["failed"] else "alive after"
+        end = f"undecided, counted as {end}" if lives[0]["decided"] is False else end
         return flow(who, f": {end} {seconds(lives[0]['lifetime_s'])}{at}")
     if lives:
         failed = sum(bool(r["failed"]) for r in lives)
@@ -224,7 +225,8 @@ def _breakdown_mark(shown: list[Envelope], life: Row) -> list[tuple[float, str]]
 
 
 _LIFE_SQL = """SELECT specimen_id, configuration, voltage_kv, lifetime_s, failed, censored_because, failure_site, failure_region,
-       warnings, recording_id
+       breakdown_voltage_kv, decided, probability_failed, probability_switched_off, probability_supply, probability_monitor,
+       evidence, warnings, recording_id
 FROM lifetimes
 WHERE recording_id = $recording
 ORDER BY lifetime_s, specimen_id"""
@@ -239,6 +241,7 @@ def _life(draft: Draft, row: Row, lives: list[Row]) -> Section | None:
     )
     glitches = sum(r["glitches"] or 0 for r in lives)
     blocks: list[Block] = [table]
+    blocks += [_causes(life) for life in lives if life["probability_failed"] is not None]
     if glitches:
         blocks.append(
             Text(
@@ -247,6 +250,13 @@ def _life(draft: Draft, row: Row, lives: list[Row]) -> Section | None:
             )
         )
     return Section("life", "Life under voltage", "Life", tuple(blocks))
+
+
+def _causes(life: Row) -> Text:
+    """Why the voltage fell in the end, and from what that is known."""
+    causes = (("failed", "breakdown"), ("switched_off", "switched off"), ("supply", "supply"), ("monitor", "monitor"))
+    shares = ", ".join(f"{words} {life[f'probability_{name}']:.2f}" for name, words in causes)
+    return Text(f"Why the voltage fell: {shares}. {capital(life['evidence'])} (log odds for a breakdown).", "sub")
 
 
 _RESPONSE_SQL = """SELECT stage, quantity, frequency_hz, "real", imag, magnitude, phase_deg, standard_error, coherence, amplification, usable

@@ -167,7 +167,9 @@ def _life_or_count(draft: Draft, used: list[Row]) -> str:
     if lives and lives[0]["lifetime_s"] is not None:
         life = lives[0]
         at = f" at {with_unit(compact(life['voltage_kv']), 'kV')}" if life["voltage_kv"] else ""
-        return f"{'broke down after' if life['failed'] else 'lived through'} {seconds(life['lifetime_s'])}{at}"
+        end = "broke down after" if life["failed"] else "lived through"
+        end = f"undecided, counted as {end}" if life["decided"] is False else end
+        return f"{end} {seconds(life['lifetime_s'])}{at}"
     return _without_model(draft, used) or f"{counted(len(used), 'recording')}, no model fitted"
 
 
@@ -187,7 +189,7 @@ def _without_model(draft: Draft, used: list[Row]) -> str:
 
 
 _LIFE_SQL = """SELECT specimen_id, configuration, voltage_kv, lifetime_s, failed, censored_because, failure_site, failure_region,
-       warnings, recording_id
+       breakdown_voltage_kv, decided, probability_failed, warnings, recording_id
 FROM lifetimes
 WHERE specimen_id = $specimen
 ORDER BY lifetime_s, recording_id"""
