@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.fit.survival.kaplan_meier import kaplan_meier
 from pipeline.fit.survival.tests import permutation_test
 from pipeline.transform.breakdown import detect_breakdown
-from tests.studies.breakdown_circuits import simulate
+from tests.helpers.breakdown_circuits import simulate
 
 TITLE = "Survival"
 ROWS = 100_000

@@ -19,7 +19,8 @@ from pipeline.transform.breakdown_model import CAUSES, WEIGHTS, posterior
 from schemas.errors import NotIdentifiableError, RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
-from tests.studies import breakdown_circuits, breakdown_records, study_breakdown
+from tests.helpers import breakdown_circuits
+from tests.studies import breakdown_records, study_breakdown
 from tests.studies.study_breakdown import Score, study
 
 RATE = 1000.0
