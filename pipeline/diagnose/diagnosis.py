@@ -93,8 +93,8 @@ def _search_from(of: Extended, start: Float) -> Evidence:
     signatures = compute_signatures(changes, noise_fit)
     scores = find_best_scores(signatures)
     patterns = test_patterns(noise_fit)
-    p_value = signatures.p_value(scores[0].statistic) if scores else 1.0
-    threshold = signatures.threshold(RULES.alarm.mechanism_level) if scores else float("inf")
+    p_value = signatures.compute_p(scores[0].statistic) if scores else 1.0
+    threshold = signatures.find_threshold(RULES.alarm.mechanism_level) if scores else float("inf")
     nothing = Evidence(
         noise_fit, signatures, p_value, threshold, patterns, is_discrepant=False, plain=noise_fit
     )  # fmt: skip
@@ -103,8 +103,8 @@ def _search_from(of: Extended, start: Float) -> Evidence:
         return nothing
 
     # 3. Tempering: no mechanism has exactly reality's form, so every block may be wrong by a share of its misfit.
-    tempered = noise_fit.of.with_weight(temper_weights(of.session, noise_fit.misfit))
-    plain = tempered.refined(tempered.fit(noise_fit.theta))
+    tempered = noise_fit.of.reweigh(temper_weights(of.session, noise_fit.misfit))
+    plain = tempered.refine(tempered.fit(noise_fit.theta))
     tempered_signatures = compute_signatures(changes, plain)
 
     # 4. Every promising mechanism alone, fitted together with film and rig.
@@ -114,8 +114,9 @@ def _search_from(of: Extended, start: Float) -> Evidence:
     left = test_patterns(plain) if by_pattern else None
     pattern_stays = left is not None and left.p_value < RULES.alarm.left_level
     if not pattern_stays and fall < RULES.alarm.confirmed * threshold:
-        # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the model.
-        return replace(nothing, p_value=signatures.p_value(fall)) if singles else nothing
+        # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the
+        # model.
+        return replace(nothing, p_value=signatures.compute_p(fall)) if singles else nothing
 
     # 5. Further causes beside the best one.
     found = combine_causes(noise_fit, plain, singles, changes)
@@ -152,7 +153,7 @@ def _search_from(of: Extended, start: Float) -> Evidence:
 
 def _fit_under_noise(of: Extended, start: Float) -> ExtendedFit:
     """The plain model at its optimum under the noise alone, with a simulation whose nodes are about its film."""
-    found = of.refined(of.fit(start, most=_FEW_STEPS))
+    found = of.refine(of.fit(start, most=_FEW_STEPS))
     film = of.model.physical(found.theta)
     of = replace(of, simulation=of.simulation.about(film).measured_against(film))
     return ExtendedFit(of, found.solution)
@@ -166,8 +167,8 @@ def _is_better_optimum(final: ExtendedFit, single: ExtendedFit) -> bool:
 def _find_better_plain(evidence: Evidence) -> Float | None:
     """Entries (P,) at which the plain model does better than where it was left; None where there are none.
 
-    A search that ended early looks like a discrepancy. The plain model is begun anew from where its tempered fit has gone, and from
-    the films of the best mechanisms where these gain little more than that could be.
+    A search that ended early looks like a discrepancy. The plain model is begun anew from where its tempered fit has
+    gone, and from the films of the best mechanisms where these gain little more than that could be.
     """
     plain, noise_fit, rules = evidence.plain, evidence.noise_fit, RULES.plain
     if plain is not noise_fit:
@@ -182,7 +183,8 @@ def _find_better_plain(evidence: Evidence) -> Float | None:
 
 
 def _propose_recording(evidence: Evidence) -> NextRecording | None:
-    """The recording that would tell causes apart or, where one stands alone that may be none of the list, would show it again."""
+    """The recording that would tell causes apart or, where one stands alone that may be none of the list, would show it
+    again."""
     if evidence.final is None:
         return None
     if evidence.alternatives:

@@ -1,8 +1,8 @@
 """The verdict: the one place where it is made, for sessions and for records that are asked alone.
 
-`none`: nothing beyond the noise. `named`: causes that explain it, that no other mechanism replaces and that predict what they were
-not fitted to. `ambiguous`: the same, but another mechanism, or a cause that is in no list, might do as well. `unknown`: a
-discrepancy that no listed mechanism explains.
+`none`: nothing beyond the noise. `named`: causes that explain it, that no other mechanism replaces and that predict
+what they were not fitted to. `ambiguous`: the same, but another mechanism, or a cause that is in no list, might do as
+well. `unknown`: a discrepancy that no listed mechanism explains.
 
 Does not belong here: fits and tests (`search`, `single`).
 """
@@ -40,7 +40,8 @@ def judge_session(evidence: Evidence, held_out: HeldOut | None) -> str:
 
 
 def _leave_too_much(evidence: Evidence, final: ExtendedFit) -> bool:
-    """Whether something surely differs beside the causes, or they leave a pattern and explain too little for their names to be said."""
+    """Whether something surely differs beside the causes, or they leave a pattern and explain too little for their
+    names to be said."""
     if evidence.surely_beside:
         return True
     too_little = evidence.explained < RULES.verdict.explained
@@ -51,8 +52,9 @@ def _leave_too_much(evidence: Evidence, final: ExtendedFit) -> bool:
 def _hold_elsewhere(evidence: Evidence, final: ExtendedFit, held_out: HeldOut | None) -> bool:
     """Whether nothing speaks against the causes on parts that they were not fitted to.
 
-    A rig that fits with other constants than its file's predicts as well with those of the file: no gain is asked of causes that
-    explain little in the features. Of strong causes some gain is asked; weaker evidence is too noisy for that.
+    A rig that fits with other constants than its file's predicts as well with those of the file: no gain is asked of
+    causes that explain little in the features. Of strong causes some gain is asked; weaker evidence is too noisy for
+    that.
     """
     if held_out is None:
         return True

@@ -140,8 +140,8 @@ def _report_extension(
 ) -> Extension:
     plain = evidence.noise_fit
     without_parts = None if held_out is None else held_out.entries
-    interval = find_interval_ends(extended, extended.spread(without_parts))
-    raw = extended.of.data_residual(extended.x)
+    interval = find_interval_ends(extended, extended.estimate_spread(without_parts))
+    raw = extended.of.compute_data_residual(extended.x)
     film_sd, damper_sd = estimate_film_sd(extended)
     chosen = extended.of.chosen
     return Extension(
@@ -163,8 +163,8 @@ def _estimate_severity(
 ) -> dict[str, Estimate]:
     """Severity of mechanism `number` of a fit, by the contract's keys.
 
-    Standard deviations are by small steps, intervals by whole ones: as lopsided as the parameters are, and what is searched in the
-    logarithm is never below 0.
+    Standard deviations are by small steps, intervals by whole ones: as lopsided as the parameters are, and what is
+    searched in the logarithm is never below 0.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _estimate_severity(
 
     def change(steps: Float) -> dict[str, Float]:
         """Changes of each key by steps of each parameter."""
-        reports = [report(values) for values in fit.moved(number, steps)]
+        reports = [report(values) for values in fit.move_values(number, steps)]
         return {key: np.array([other.get(key, value) - value for other in reports]) for key, value in base.items()}
 
     base, (lower, upper) = report(fit.values[number]), interval
@@ -206,7 +206,7 @@ def _list_candidates(evidence: Evidence, context: Context, held_out: HeldOut | N
     found = []
     for fit, share in zip(evidence.singles, probability, strict=True):
         chosen = fit.of.chosen[0]
-        estimates = _estimate_severity(fit, 0, make_linear_ends(fit.spread()), context)
+        estimates = _estimate_severity(fit, 0, make_linear_ends(fit.estimate_spread()), context)
         key = find_main_key(chosen.id, estimates)
         ratio = plain.chi2 - fit.chi2
         is_the_cause = [c.id for c in causes] == [chosen.id]
@@ -287,7 +287,8 @@ def _describe_patterns(evidence: Evidence) -> list[str]:
 
 
 def _describe_doubt(evidence: Evidence) -> list[str]:
-    """What speaks for a cause that is in no list: the free quantity that differs most beside the causes, or explains more alone."""
+    """What speaks for a cause that is in no list: the free quantity that differs most beside the causes, or explains
+    more alone."""
     if evidence.beside:
         return [f"It may be a cause that is in no list: beside the one named, {evidence.beside[0].text}."]
     best = max(evidence.instead, key=lambda d: d.evidence, default=None)

@@ -43,7 +43,8 @@ class Estimate:
 class Candidate:
     """One mechanism, alone in the model, at its optimum.
 
-    likelihood_ratio : fall of χ² (twice the log likelihood ratio), with the form of the model allowed to be a little wrong
+    likelihood_ratio : fall of χ² (twice the log likelihood ratio), with the form of the model allowed to be a little
+        wrong
     bic : fall of χ² less log(effective number of data) per parameter, negative: not worth its parameters
     probability : among the candidates, by the evidence of each with a log-uniform prior of its severity
     severity : main severity by its key in the contract, and its standard deviation
@@ -81,8 +82,8 @@ class HeldOut:
     """Held-out error of the plain and of the extended model, pooled over the parts left out one by one.
 
     before, after : root mean square in units of the noise
-    gain : share of the removable error that the extension removes, `lower` to `upper` its 95 % interval; NaN where the plain
-        model's held-out error is within the noise
+    gain : share of the removable error that the extension removes, `lower` to `upper` its 95 % interval; NaN where the
+        plain model's held-out error is within the noise
     size : number of features that were predicted; parts : part left out → (before, after); predicted : block by block
     entries : (parts, Q) the mechanisms' entries in the extended model fitted without each part
     """
@@ -100,9 +101,9 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class NextRecording:
-    """A recording, or a few, that would tell causes apart. `designs`: keys of the contract's `recording` block of each, and
-    `warmer_k`, how much warmer than now the room is; `text` for people; `separation`: expected difference of χ² between the two
-    closest causes."""
+    """A recording, or a few, that would tell causes apart. `designs`: keys of the contract's `recording` block of each,
+    and `warmer_k`, how much warmer than now the room is; `text` for people; `separation`: expected difference of χ²
+    between the two closest causes."""
 
     designs: tuple[Mapping[str, str | float], ...]
     text: str
@@ -113,7 +114,8 @@ class NextRecording:
 class Extension:
     """The model with the named mechanisms.
 
-    film, film_sd : relaxation model of the film in it, and standard deviations (k0, k…, tau…); `plain_film` without them
+    film, film_sd : relaxation model of the film in it, and standard deviations (k0, k…, tau…); `plain_film` without
+        them
     damper_sd : standard deviations of the arms' dampers, whose springs and times err together
     severities : mechanism → key → estimate; `variants` mechanism → form
     chi2, plain_chi2 : of all features; `size` their number
@@ -154,18 +156,21 @@ class Diagnosis:
     """What the simulation of a specimen's session gets wrong, and why.
 
     verdict : none, named, ambiguous or unknown
-    mechanisms : all that are named together, the strongest first; empty for none; for `unknown` those that explain a part
-    also_possible : alternatives to the strongest that the recordings cannot tell from it; `unlisted` where it may be none of the list
+    mechanisms : all that are named together, the strongest first; empty for none; for `unknown` those that explain a
+        part
+    also_possible : alternatives to the strongest that the recordings cannot tell from it; `unlisted` where it may be
+        none of the list
     p_value : of the whole search under the noise alone
     supported_by : protocols in which the extension lowers the misfit clearly
-    smallest_detectable : mechanism → key → severity that would be found with 80 % probability; smallest_parameters the same in
-        the extension's own parameters (onset types: largest load over onset, less 1)
+    smallest_detectable : mechanism → key → severity that would be found with 80 % probability; smallest_parameters the
+        same in the extension's own parameters (onset types: largest load over onset, less 1)
     invisible : mechanisms that leave no trace in these recordings
     could_not_ask : questions that these recordings cannot answer, in words
-    unexplained : what is left where the verdict is unknown, what speaks for a cause that is in no list, and where the causes mend next
-        to nothing of what is far beyond the noise, in words
+    unexplained : what is left where the verdict is unknown, what speaks for a cause that is in no list, and where the
+        causes mend next to nothing of what is far beyond the noise, in words
     explained : share of the plain model's misfit that the mechanisms explain together; NaN for none
-    left_p_value : of smooth patterns that they leave, on the scale that allows their form to be a little wrong; NaN for none
+    left_p_value : of smooth patterns that they leave, on the scale that allows their form to be a little wrong; NaN for
+        none
     """
 
     specimen_id: str

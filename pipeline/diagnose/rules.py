@@ -1,8 +1,9 @@
 """Every number by which the diagnosis decides something, in one place: with meaning, unit and what calibrated it.
 
-`RULES.<step>.<rule>` is a number; `list_rules` gives all of them with their words, from which the table in this package's README
-is written. Numerical tolerances (steps of a derivative, rounds of an iteration, sizes of a grid that is fine enough) decide
-nothing and stand where they are used. A case that goes wrong asks for a better model, not for another number here.
+`RULES.<step>.<rule>` is a number; `list_rules` gives all of them with their words, from which the table in this
+package's README is written. Numerical tolerances (steps of a derivative, rounds of an iteration, sizes of a grid that
+is fine enough) decide nothing and stand where they are used. A case that goes wrong asks for a better model, not for
+another number here.
 """
 
 from __future__ import annotations

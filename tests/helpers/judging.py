@@ -269,7 +269,7 @@ def _plain(seed: int, size: str, material: str | None) -> _Plain:
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
-    fit = of.refined(of.fit(fitted.theta, most=3))
+    fit = of.refine(of.fit(fitted.theta, most=3))
     silent, left = _left(truth, fit)
     without_noise = Simulation(silent)
 

@@ -41,10 +41,10 @@ def explained(truth: Session, id: str, variant: str, start: dict[str, float]) ->
     for factor in (0.5, 1.0):
         severities = {p.name for p in of.chosen[0].mechanism.severities}
         values = {name: v * factor if name in severities else v for name, v in start.items()}
-        found = of.fit(of.entries(theta, (values,)), most=25)
+        found = of.fit(of.make_entries(theta, (values,)), most=25)
         best = found if best is None or found.chi2 < best.chi2 else best
     assert best is not None
-    before, after = (float(np.sum(r**2)) - session.size for r in (plain.data_residual(unaware), best.misfit))
+    before, after = (float(np.sum(r**2)) - session.size for r in (plain.compute_data_residual(unaware), best.misfit))
     return 1 - after / before, best
 
 
@@ -114,7 +114,7 @@ def test_damping_beyond_the_cell_takes_energy(variant: str) -> None:
     theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
     of = Extended(session, simulation, model, (Chosen("load_cell_damping", variant),), np.ones(session.size))
     plain = Extended(session, simulation, model, (), np.ones(session.size)).predict(theta)
-    none, some = (of.predict(of.entries(theta, ({"damping_ratio": z},))) for z in (0.0, 0.02))
+    none, some = (of.predict(of.make_entries(theta, ({"damping_ratio": z},))) for z in (0.0, 0.02))
     assert none == pytest.approx(plain, rel=1e-12)
     assert not np.allclose(some, plain)
 

@@ -40,7 +40,7 @@ def plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Exte
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
-    return of.refined(of.fit(fitted.theta, most=3))
+    return of.refine(of.fit(fitted.theta, most=3))
 
 
 def beside_the_plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> Sequence[FreeQuantity]:
@@ -86,7 +86,7 @@ def test_at_its_best_values_a_quantity_changes_the_features_by_what_it_explains(
     for d in fit_free_quantities(fit):
         if d.degrees_of_freedom < len(d.effects):
             continue
-        seen = of.weight * of.session.whiten(np.nan_to_num(d.change(of, fit.x)))
+        seen = of.weight * of.session.whiten(np.nan_to_num(d.compute_change(of, fit.x)))
         gram, along = project_out(fit, seen[:, None], make_absorbed_basis(fit))
         assert (gram.item(), along.item()) == pytest.approx((d.statistic, d.statistic), rel=1e-3), d.text
 
@@ -101,7 +101,7 @@ def test_what_differs_from_recording_to_recording_says_nothing_of_a_further_one(
     made = imagine_session(fit, proposal)
     assert made is not None
     later = Seen.of_fit(*made, fit).of
-    changes = {d.text: np.abs(d.change(later, fit.x)).max() for d in fit_free_quantities(fit)}
+    changes = {d.text: np.abs(d.compute_change(later, fit.x)).max() for d in fit_free_quantities(fit)}
     assert changes["the stiffness differs from recording to recording"] < 1e-9
     assert changes["the stiffness changes for good"] > 1e-4
 

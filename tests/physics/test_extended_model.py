@@ -41,7 +41,7 @@ def softened() -> ExtendedFit:
     plain = plain_model(311)
     chosen = (Chosen("amplitude_softening", MECHANISMS["amplitude_softening"].variants[0]),)
     of = Extended(plain.of.session, plain.of.simulation, plain.of.model, chosen, plain.of.weight)
-    return of.refined(of.fit(of.entries(plain.theta, ({"drop": 0.02},)), most=3))
+    return of.refine(of.fit(of.make_entries(plain.theta, ({"drop": 0.02},)), most=3))
 
 
 @pytest.mark.slow
@@ -49,6 +49,6 @@ def test_what_a_recording_says_of_a_cause_makes_it_dearer(softened: ExtendedFit)
     """The same recordings once more: less is left of the volume that its parameters have, never more."""
     of = softened.of
     seen = Seen.of_fit(of.session, of.simulation, softened)
-    assert seen.narrowed(np.zeros(of.session.size)) < -0.5
-    wrong = seen.narrowed(np.full(of.session.size, 1e4))
+    assert seen.measure_narrowing(np.zeros(of.session.size)) < -0.5
+    wrong = seen.measure_narrowing(np.full(of.session.size, 1e4))
     assert wrong == pytest.approx(0.0, abs=0.05)

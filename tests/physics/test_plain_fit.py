@@ -53,7 +53,7 @@ def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None
         session = make_session([reduce(r) for r in truth.extended(*designs).recordings])
         found = fit_plain(session, Simulation(session))
         of = Extended(session, Simulation(session), found.model, (), np.ones(session.size))
-        fit = of.refined(of.fit(found.theta, most=3))
+        fit = of.refine(of.fit(found.theta, most=3))
         place = next(i for i, name in enumerate(found.model.names) if "clamp mass" in name)
         assert [n for n in found.model.names if n.startswith("rig 1")] == []
         return float(found.model.physical(fit.theta).rigs[0].mass), float(np.sqrt(fit.covariance[place, place]))
@@ -80,7 +80,7 @@ def test_a_damper_is_surer_than_its_spring_and_time_where_only_their_product_sho
     simulation = Simulation(session)
     found = fit_plain(session, simulation)
     of = Extended(session, simulation, found.model, (), np.ones(session.size))
-    sd, dampers = estimate_film_sd(of.refined(of.fit(found.theta, most=3)))
+    sd, dampers = estimate_film_sd(of.refine(of.fit(found.theta, most=3)))
     film = found.model.physical(found.theta).film
     n = len(film.k)
     assert len(sd) == 1 + 2 * n

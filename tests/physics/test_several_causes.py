@@ -15,8 +15,8 @@ def combine(seed: int, *effects: Effect) -> Combination:
     """What is combined of the mechanisms that each explain something of a session."""
     noise_fit = plain_model(seed, *effects)
     changes = compute_secants(noise_fit)
-    of = noise_fit.of.with_weight(temper_weights(noise_fit.of.session, noise_fit.misfit))
-    plain = of.refined(of.fit(noise_fit.theta))
+    of = noise_fit.of.reweigh(temper_weights(noise_fit.of.session, noise_fit.misfit))
+    plain = of.refine(of.fit(noise_fit.theta))
     signatures = compute_signatures(changes, plain)
     scores = find_best_scores(signatures)
     singles = confirm_best(fit_each_mechanism(plain, scores, signatures, RULES.fit.mechanisms))

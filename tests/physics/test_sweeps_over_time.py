@@ -179,7 +179,7 @@ def test_an_arm_that_the_model_could_still_have_is_nothing_to_find() -> None:
     for order in (1, 3):
         found = fit_plain(session, simulation, order=order)
         of = Extended(session, simulation, found.model, (), np.ones(session.size))
-        fit = of.refined(of.fit(found.theta, most=3))
+        fit = of.refine(of.fit(found.theta, most=3))
         looked = compute_signatures(compute_secants(fit), fit)
         lengths.append((looked, discount_further_arms(fit, looked).length))
     (looked, beyond), (full, unchanged) = lengths

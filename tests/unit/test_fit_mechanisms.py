@@ -76,10 +76,10 @@ class Fitted:
         self.solution = SimpleNamespace(converged=True)
         self.of = SimpleNamespace(
             chosen=(score.chosen,),
-            entries=lambda theta, values: theta,
+            make_entries=lambda theta, values: theta,
             fit=lambda *_, **__: self,
-            refined=lambda fit: fit,
-            further=lambda fit, most: fit,
+            refine=lambda fit: fit,
+            continue_fit=lambda fit, most: fit,
         )
 
 

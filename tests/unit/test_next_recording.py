@@ -17,17 +17,22 @@ SAYS = st.floats(0.0, 1e4)
 AHEAD = st.floats(-9.0, 9.0)
 
 
-@given(if_form=SAYS, if_rival=SAYS, ahead=AHEAD, simpler=AHEAD)
-def test_either_may_be_the_form_believed(if_form: float, if_rival: float, ahead: float, simpler: float) -> None:
-    one, other = Separation(if_form, if_rival, ahead, simpler), Separation(if_rival, if_form, -ahead, -simpler)
+@given(if_believed=SAYS, if_alternative=SAYS, ahead=AHEAD, simpler=AHEAD)
+def test_either_may_be_the_fit_believed(
+    if_believed: float, if_alternative: float, ahead: float, simpler: float
+) -> None:
+    one, other = (
+        Separation(if_believed, if_alternative, ahead, simpler),
+        Separation(if_alternative, if_believed, -ahead, -simpler),
+    )
     assert one.log_undecided == pytest.approx(other.log_undecided, rel=1e-9, abs=1e-12)
     assert one.log_undecided <= 1e-12
 
 
-@given(if_form=st.floats(20.0, 1e3), if_rival=st.floats(20.0, 1e3), ahead=AHEAD, more=st.floats(1.01, 100.0))
-def test_more_of_the_same_is_surer(if_form: float, if_rival: float, ahead: float, more: float) -> None:
-    pair = Separation(if_form, if_rival, ahead, 0.0)
-    assert pair.times(more).log_undecided < pair.log_undecided
+@given(if_believed=st.floats(20.0, 1e3), if_alternative=st.floats(20.0, 1e3), ahead=AHEAD, more=st.floats(1.01, 100.0))
+def test_more_of_the_same_is_surer(if_believed: float, if_alternative: float, ahead: float, more: float) -> None:
+    pair = Separation(if_believed, if_alternative, ahead, 0.0)
+    assert pair.multiply(more).log_undecided < pair.log_undecided
 
 
 @pytest.mark.parametrize(
@@ -36,9 +41,9 @@ def test_more_of_the_same_is_surer(if_form: float, if_rival: float, ahead: float
 def test_it_is_the_share_of_recordings_that_leave_both(pair: Separation) -> None:
     """Against the causes themselves: one of them is drawn as likely as it is, then what χ² says with the noise it has."""
     rng = np.random.default_rng(seed=7)
-    form_is_true = rng.random(200_000) < 1 / (1 + np.exp(-pair.ahead / 2))
-    says = np.where(form_is_true, pair.if_form, pair.if_rival)
-    ahead = np.where(form_is_true, 1, -1) * (pair.ahead + pair.simpler)
+    believed_is_true = rng.random(200_000) < 1 / (1 + np.exp(-pair.ahead / 2))
+    says = np.where(believed_is_true, pair.if_believed, pair.if_alternative)
+    ahead = np.where(believed_is_true, 1, -1) * (pair.ahead + pair.simpler)
     noise = 2 * np.sqrt(says) * rng.standard_normal(says.size)
     assert np.exp(pair.log_undecided) == pytest.approx(np.mean(says + noise + ahead < ENOUGH), abs=5e-3)
 
@@ -47,7 +52,7 @@ def test_what_says_nothing_leaves_both() -> None:
     assert np.exp(Separation(0.0, 0.0, 3.0, 0.0).log_undecided) == pytest.approx(1.0)
 
 
-def test_a_rival_that_can_imitate_the_form_pays_for_its_parameters() -> None:
+def test_an_alternative_that_can_imitate_the_cause_pays_for_its_parameters() -> None:
     """A delay that a lag with three parameters follows: a recording that holds these three leaves the delay alone."""
     as_free, freer = Separation(60.0, 6.0, 0.0, 0.0), Separation(60.0, 6.0, 0.0, -6.0)
     assert freer.log_undecided < as_free.log_undecided - 0.5
@@ -60,10 +65,10 @@ class Worth:
     proposal: Proposal
     each: float
 
-    def merit(self) -> float:
+    def compute_merit(self) -> float:
         return self.each * float(self.proposal.design["periods"])
 
-    def times(self, often: float) -> Worth:
+    def multiply(self, often: float) -> Worth:
         return Worth(self.proposal, self.each * often)
 
 

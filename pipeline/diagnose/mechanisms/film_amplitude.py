@@ -11,9 +11,9 @@ from pipeline.diagnose.mechanisms.mechanism import (
     CYCLES,
     ELECTRICAL,
     MECHANICAL,
-    MULTISINE_FORCE,
     RAMPS,
     SHAPE,
+    SPHS_FORCE,
     SWEEPS,
     Context,
     Mechanism,
@@ -23,7 +23,7 @@ from pipeline.diagnose.mechanisms.mechanism import (
 from pipeline.diagnose.simulation.effects import BySize, Course, Effect, Film, View
 from schemas.arrays import Float
 
-_BENT = SWEEPS | CYCLES | RAMPS | MULTISINE_FORCE | {kinds.STEP_FORCE}
+_BENT = SWEEPS | CYCLES | RAMPS | SPHS_FORCE | {kinds.STEP_FORCE}
 
 
 def _amplitude(course: Course) -> Float:

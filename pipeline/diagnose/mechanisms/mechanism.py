@@ -22,11 +22,11 @@ SWEEPS = frozenset({kinds.CHIRP_RESPONSE, kinds.CHIRP_HARMONIC, kinds.CHIRP_LEVE
 CYCLES = frozenset({kinds.CYCLIC_RESPONSE, kinds.CYCLIC_HARMONIC, kinds.CYCLIC_LEVEL})
 RAMPS = frozenset({kinds.RELAXATION_FORCE, kinds.CYCLE_FORCE})
 MECHANICAL = SWEEPS | CYCLES | RAMPS | {kinds.CYCLIC_CAPACITANCE}
-MULTISINE_FORCE = frozenset({kinds.SPHS_RESPONSE, kinds.SPHS_DETECTION})
+SPHS_FORCE = frozenset({kinds.SPHS_RESPONSE, kinds.SPHS_DETECTION})
 STEP_SENSED = frozenset({kinds.STEP_FORCE, kinds.STEP_CAPACITANCE})
 ELECTRICAL = STEP_SENSED | {kinds.SPHS_RESPONSE, kinds.SPHS_CAPACITANCE}
 """Kinds that follow H; with the lines that a linear film leaves empty: `BENT`."""
-BENT = ELECTRICAL | MULTISINE_FORCE
+BENT = ELECTRICAL | SPHS_FORCE
 AMPLIFIER = frozenset({kinds.SPHS_VOLTAGE, kinds.STEP_VOLTAGE})
 
 

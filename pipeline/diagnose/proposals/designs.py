@@ -1,7 +1,8 @@
-"""Recordings that could be made next: a catalogue around what a session has, and their features as the plain model would give them.
+"""Recordings that could be made next: a catalogue around what a session has, and their features as the plain model
+would give them.
 
-The features of a recording that was not made have their operators and noise from its input, for which the plain model supplies an
-output: what is compared later are predictions, not these values.
+The features of a recording that was not made have their operators and noise from its input, for which the plain model
+supplies an output: what is compared later are predictions, not these values.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pipeline.diagnose.features.kinds import (
     RecordingFeatures,
 )
 from pipeline.diagnose.features.reduce import reduce
-from pipeline.diagnose.mechanisms.mechanism import CYCLES, MULTISINE_FORCE, RAMPS, STEP_SENSED, SWEEPS, Mechanism
+from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SPHS_FORCE, STEP_SENSED, SWEEPS, Mechanism
 from pipeline.diagnose.simulation.parameters import Physical
 from pipeline.diagnose.simulation.session import Session
 from pipeline.physics import excitation
@@ -43,8 +44,8 @@ _SEED = 3
 _RATE_HZ = {"chirp": 1000.0, "sphs": 1000.0, "cyclic": 100.0, "step": 500.0, "relaxation": 100.0}
 """Sample rate at which each test would be recorded, Hz."""
 OFTEN = {"chirp": 10, "cyclic": 10, "sphs": 3, "step": 10}
-"""How many times as many sweeps, cycles, periods or voltage steps are made where a few do not decide. More periods show what no model
-is right to."""
+"""How many times as many sweeps, cycles, periods or voltage steps are made where a few do not decide. More periods show
+what no model is right to."""
 MOST_OFTEN = {"sphs": 10}
 """The same where nothing else decides."""
 _TIMES = {2: "twice", 2 * OFTEN["chirp"]: "twenty times"}
@@ -56,7 +57,7 @@ _KINDS = {
     "chirp": SWEEPS,
     "cyclic": CYCLES,
     "relaxation": RAMPS,
-    "sphs": MULTISINE_FORCE | {SPHS_VOLTAGE},
+    "sphs": SPHS_FORCE | {SPHS_VOLTAGE},
     "step": STEP_SENSED | {STEP_VOLTAGE},
     "tap": {TAP_RING},
     "weight": {WEIGHT_GAIN},
@@ -77,7 +78,8 @@ _WARMER, _TEMPERATURE = "warmer_k", "temperature_degc"
 _TO_WARM_S, _ROOM_DEGC = 3600.0, 23.0
 """Time in which a film takes the temperature of a room, s; and that of a usual room, °C."""
 WARMER_K, LITTLE_WARMER_K = 10.0, 3.0
-"""How much warmer a room is made to tell causes apart, and to see one again: far from what is known, its form may be another."""
+"""How much warmer a room is made to tell causes apart, and to see one again: far from what is known, its form may be
+another."""
 _EXTRA_KG = "extra_clamp_mass_kg"
 _USUAL_CLAMP_KG, _WEIGHTS_KG = 0.1, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Mass of a clamp where no file gives one, and masses of a usual set of weights, kg."""
@@ -89,10 +91,14 @@ _CALIBRATION_SD = {"tap": (7e-4, 3e-3), "weight": (1e-3,)}
 
 @dataclass(frozen=True)
 class Proposal:
-    """A recording to make: keys of the contract's `recording` block, and how a person would ask for it.
+    """A recording to make.
 
-    more : recordings of the same protocol to make after it, where one does not decide; `warmer_k` in a design: the room is that much
-    warmer than it is now, and its temperature recorded
+    Parameters
+    ----------
+    design : keys of the contract's `recording` block; with `warmer_k` the room is that much warmer than now, and its
+        temperature recorded
+    text : how a person would ask for it
+    more : recordings of the same protocol to make after it, where one does not decide
     """
 
     design: Mapping[str, Key]
@@ -101,26 +107,32 @@ class Proposal:
 
     @property
     def designs(self) -> tuple[Mapping[str, Key], ...]:
+        """All recordings of the proposal."""
         return (self.design, *self.more)
 
     @property
     def test(self) -> str:
+        """The kind of test: its protocol, or `relaxation` for a mechanical step."""
         mechanical = self.design.get("loading") == "mechanical"
         protocol = str(self.design["protocol"])
         return "relaxation" if protocol == "step" and mechanical else protocol
 
 
 def select_showing(proposals: Sequence[Proposal], causes: Sequence[Mechanism]) -> list[Proposal]:
-    """Those in which at least one of the causes shows plainly."""
+    """Proposals in which at least one of these mechanisms shows plainly."""
     return [p for p in proposals if any(_KINDS[p.test] & m.shows and p.test not in m.faint for m in causes)]
 
 
 def list_proposals(session: Session, warmer_k: float | None) -> list[Proposal]:
-    """Tests around what the session has, long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity,
-    faster; and the calibrations of its rig.
+    """Tests around what a session has, and the calibrations of its rig.
 
-    None is larger than what the session has: that could bring effects of its own, or the end of the film. `warmer_k`: how much
-    warmer a room is made; None: of a warmer room nothing is asked.
+    They are long enough to decide: smaller, slower, after rest, at lower voltage, of the other polarity, faster. None
+    is larger than what the session has: that could bring effects of its own, or the end of the film.
+
+    Parameters
+    ----------
+    session : what was measured so far
+    warmer_k : how much warmer a room is made; None: no warmer room is proposed
     """
     largest = session.scale.strain if session.scale.strain > 0 else _USUAL_STRAIN
     swings = [2 * r.values.get("largest_strain", 0.0) for r in session.recordings if r.protocol == "chirp"]
@@ -188,8 +200,17 @@ def _choose_extra_kg(session: Session) -> float:
 
 
 def repeat_proposal(proposal: Proposal, often: Mapping[str, int]) -> Proposal | None:
-    """The same sweeps, cycles, periods or voltage steps as many times as often as `often` says; None for other tests, and for those
-    with a rest or another room."""
+    """The same sweeps, cycles, periods or voltage steps, made more often.
+
+    Parameters
+    ----------
+    proposal : the test
+    often : test → how many times as many
+
+    Returns
+    -------
+    None for other tests, and for those with a rest or another room
+    """
     design = proposal.design
     if proposal.test not in often or {_WARMER, "rest_before_s"} & set(design):
         return None
@@ -207,6 +228,7 @@ def repeat_proposal(proposal: Proposal, often: Mapping[str, int]) -> Proposal | 
 
 
 def _propose_sphs(kv: float, polarity: float, stop_hz: float, periods: int) -> Proposal:
+    """So many periods of an SPHS."""
     side, sign = _describe_polarity(polarity)
     wide = "" if stop_hz == _USUAL_HZ else f", to {stop_hz:g} Hz"
     return Proposal(
@@ -224,6 +246,7 @@ def _propose_sphs(kv: float, polarity: float, stop_hz: float, periods: int) -> P
 
 
 def _propose_steps(kv: float, polarity: float, number: int) -> Proposal:
+    """So many voltage steps."""
     side, sign = _describe_polarity(polarity)
     return Proposal(
         {
@@ -245,6 +268,7 @@ def _describe_polarity(polarity: float) -> tuple[str, dict[str, Key]]:
 
 
 def _propose_chirp(level: float, stop_hz: float, number: int) -> Proposal:
+    """So many sweeps."""
     return Proposal(
         {
             "protocol": "chirp",
@@ -260,6 +284,7 @@ def _propose_chirp(level: float, stop_hz: float, number: int) -> Proposal:
 
 
 def _propose_cycles(level: float, frequency_hz: float, number: float) -> Proposal:
+    """So many cycles."""
     return Proposal(
         {
             "protocol": "cyclic",
@@ -273,6 +298,7 @@ def _propose_cycles(level: float, frequency_hz: float, number: float) -> Proposa
 
 
 def _propose_electrical(highest: float) -> list[Proposal]:
+    """Tests with voltage, up to the highest that the session has."""
     found = []
     for share in (0.125, 0.25, 0.5, 1.0):
         for polarity in (1.0, -1.0):
@@ -285,7 +311,18 @@ def _propose_electrical(highest: float) -> list[Proposal]:
 
 
 def imagine_features(session: Session, physical: Physical, proposal: Proposal) -> list[RecordingFeatures]:
-    """Features of the proposed recordings after the session's last one, on its rig. Raises `NotIdentifiableError` as `reduce`."""
+    """Features of the proposed recordings, made after the session's last one, on its rig.
+
+    Parameters
+    ----------
+    session, physical : what was measured so far, and the plain model in physical units
+    proposal : the recordings
+
+    Raises
+    ------
+    NotIdentifiableError
+        as `reduce`
+    """
     made: list[RecordingFeatures] = []
     for number, design in enumerate(proposal.designs):
         last = made[-1] if made else session.recordings[-1]

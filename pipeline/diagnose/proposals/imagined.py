@@ -46,10 +46,15 @@ def _extend_laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLa
 
 @dataclass(frozen=True)
 class Seen:
-    """What a fit says of recordings that were not made, and how surely; whitened.
+    """What a fit says of recordings that were not made, and how surely; all whitened.
 
-    of : the fit's model on them; values : (N,) features; rows : (N, P) how they move with its entries; moves : (N, N) covariance
-    that its own uncertainty gives them
+    Parameters
+    ----------
+    fit : the fit
+    of : its model over these recordings
+    values : (N,) features
+    rows : (N, P) how they move with the fit's entries
+    moves : (N, N) covariance that the fit's own uncertainty gives them
     """
 
     fit: ExtendedFit
@@ -60,25 +65,38 @@ class Seen:
 
     @classmethod
     def of_fit(cls, part: Session, simulation: Simulation, fit: ExtendedFit) -> Seen:
-        of = fit.of.on(part, simulation, np.ones(part.size))
+        """What a fit says of the recordings of `part`."""
+        of = fit.of.move_to(part, simulation, np.ones(part.size))
         of = replace(of, model=of.model.with_loads(part.loaded))
-        rows = central(of.data_residuals, fit.x, *of.limits)
+        rows = central(of.compute_data_residuals, fit.x, *of.limits)
         return cls(fit, of, part.whiten(of.predict(fit.x)), rows, rows @ fit.covariance @ rows.T)
 
-    def against(self, others: Float) -> float:
+    def measure_against(self, others: Float) -> float:
         """χ² that these recordings would say against the fit, were they as `others` (N,) say."""
         difference = others - self.values
-        return self.shown(difference, difference)
+        return self.measure_shown(difference, difference)
 
-    def shown(self, change: Float, forms: Float) -> float:
-        """χ² of a change (N,) that the fit does not follow, where `forms` (N,) is predicted by forms that are wrong by a share."""
+    def measure_shown(self, change: Float, forms: Float) -> float:
+        """χ² of a change that the fit does not follow.
+
+        Parameters
+        ----------
+        change : (N,) of the features
+        forms : (N,) a difference that mechanisms predict, whose form is wrong by a share
+        """
         if not (np.isfinite(change).all() and np.isfinite(forms).all()):
             return 0.0
         return float(change @ np.linalg.solve(self._spread(forms), change))
 
-    def narrowed(self, forms: Float) -> float:
-        """Change of twice the log evidence by what the recordings would say of the parameters of its causes, where `forms` (N,) is
-        predicted by forms that are wrong by a share: the more they are free to do, the more it costs."""
+    def measure_narrowing(self, forms: Float) -> float:
+        """Change of twice the log evidence by what the recordings would say of the mechanisms' parameters.
+
+        The more these are free to do, the more it costs.
+
+        Parameters
+        ----------
+        forms : (N,) a difference that mechanisms predict, whose form is wrong by a share
+        """
         if not np.isfinite(forms).all():
             return 0.0
         before = self.fit.covariance
@@ -89,7 +107,8 @@ class Seen:
     def _spread(self, forms: Float) -> Float:
         """(N, N) covariance of the noise, of what forms are wrong by and of the fit's uncertainty.
 
-        What forms may be wrong by is weighed down for the fit as well: it takes less of a change up. Calibrations have no forms.
+        What forms may be wrong by is weighed down for the fit as well: it takes less of a change up. Calibrations have
+        no forms.
         """
         wrong = np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, RULES.proposal.form_error) * forms
         return np.asarray(np.diag(1 + wrong**2) + self.moves)
@@ -101,9 +120,9 @@ class Judged(Protocol):
     @property
     def proposal(self) -> Proposal: ...
 
-    def merit(self) -> float: ...
+    def compute_merit(self) -> float: ...
 
-    def times(self, often: float) -> Self:
+    def multiply(self, often: float) -> Self:
         """What so many times the data would be worth at most."""
 
 
@@ -112,7 +131,14 @@ J = TypeVar("J", bound=Judged)
 
 @dataclass(frozen=True)
 class Wanted:
-    """Merit that a proposal has at `least`; from which on nothing is made very often (`good`) and nothing often (`enough`) for more."""
+    """Merit that is wanted of a proposal.
+
+    Parameters
+    ----------
+    least : less is not proposed
+    good : from here on nothing is made very often for more
+    enough : from here on nothing is made often for more
+    """
 
     least: float
     good: float
@@ -120,17 +146,27 @@ class Wanted:
 
 
 def choose_best(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | None], wanted: Wanted) -> J | None:
-    """Of proposals what has the most merit, those included that are made often or very often where none is good without; None where
-    no one has the least."""
+    """The proposal of most merit, those included that are made more often where none is good without.
+
+    Parameters
+    ----------
+    proposals : what could be made
+    judge : the worth of one; None where it would have no features
+    wanted : merits that decide
+
+    Returns
+    -------
+    None where no proposal has the least merit
+    """
 
     def best(some: Iterable[Proposal]) -> list[J]:
         """Best first."""
         judged = [judge(p) for p in some]
-        return sorted((j for j in judged if j is not None), key=lambda j: j.merit(), reverse=True)
+        return sorted((j for j in judged if j is not None), key=lambda j: j.compute_merit(), reverse=True)
 
     def longer(often: Mapping[str, int], worth: float) -> list[J]:
         """The best that, made so many times as often, may be worth that much."""
-        hopeful = [j for j in found if j.times(often.get(j.proposal.test, 1)).merit() >= worth]
+        hopeful = [j for j in found if j.multiply(often.get(j.proposal.test, 1)).compute_merit() >= worth]
         again = [p for p in (repeat_proposal(j.proposal, often) for j in hopeful) if p is not None]
         return best(again[:1])
 
@@ -140,6 +176,6 @@ def choose_best(proposals: Iterable[Proposal], judge: Callable[[Proposal], J | N
         (OFTEN, wanted.enough, wanted.enough),
         (MOST_OFTEN, wanted.good, wanted.least),
     ):
-        if not any(j.merit() >= asked for j in chosen):
-            chosen = sorted([*longer(often, worth), *chosen], key=lambda j: j.merit(), reverse=True)[:1]
-    return chosen[0] if chosen and chosen[0].merit() >= wanted.least else None
+        if not any(j.compute_merit() >= asked for j in chosen):
+            chosen = sorted([*longer(often, worth), *chosen], key=lambda j: j.compute_merit(), reverse=True)[:1]
+    return chosen[0] if chosen and chosen[0].compute_merit() >= wanted.least else None

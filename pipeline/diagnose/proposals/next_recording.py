@@ -1,9 +1,9 @@
 """What to measure next: the recording in which two causes that fit alike would differ most.
 
-Were one cause true and the other fitted to all recordings, the new one included, Dᵀ (N + J C Jᵀ)⁻¹ D is what χ² would say against
-the fitted one; D is the difference of the two predictions in standard deviations, N the noise with what the forms may be wrong by, J
-the fitted cause's derivatives there, C its covariance from the recordings at hand. Which of them is true is as likely as the
-recordings at hand make it.
+Were one cause true and the other fitted to all recordings, the new one included, Dᵀ (N + J C Jᵀ)⁻¹ D is what χ² would
+say against the fitted one; D is the difference of the two predictions in standard deviations, N the noise with what the
+forms may be wrong by, J the fitted cause's derivatives there, C its covariance from the recordings at hand. Which of
+them is true is as likely as the recordings at hand make it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 ENOUGH = 2 * RULES.cause.close
 """Difference of Λ from which a cause stands alone."""
 _WANTED = Wanted(*(-math.log(undecided) for undecided in RULES.proposal.undecided))
-"""Of the probability that a recording leaves two causes undecided: above the first it is not proposed, above the others longer ones
-are, if they are surer."""
+"""Of the probability that a recording leaves two causes undecided: above the first it is not proposed, above the others
+longer ones are, if they are surer."""
 _LITTLE = 1e-9
 """χ² that says nothing."""
 _STEPS = 10
@@ -34,112 +34,132 @@ _STEPS = 10
 
 
 def propose_separating(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
-    """Of a catalogue of tests the one that separates the believed cause from its closest rival best; None where none would."""
+    """Of a catalogue of tests the one that separates the strongest cause from its closest alternative best.
+
+    Parameters
+    ----------
+    final : the model with the causes
+    alternatives : fits with another mechanism in place of the strongest cause
+
+    Returns
+    -------
+    None where no test would
+    """
     if not alternatives:
         return None
-    believed, rivals = _list_variants(final), [form for fit in alternatives for form in _list_variants(fit)]
+    believed, others = _list_variants(final), [variant for fit in alternatives for variant in _list_variants(fit)]
     causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
     best = choose_best(
         select_showing(list_proposals(final.of.session, WARMER_K), causes),
-        lambda proposal: _judge_proposal(proposal, believed, rivals),
+        lambda proposal: _judge_proposal(proposal, believed, others),
         _WANTED,
     )
     if best is None:
         return None
     names = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
-    chance = min(1 - math.exp(-best.merit()), RULES.proposal.most_certain)
+    chance = min(1 - math.exp(-best.compute_merit()), RULES.proposal.most_certain)
     text = f"{best.proposal.text}: tells {names} apart with a probability of {100 * chance:.0f} %"
-    return NextRecording(best.proposal.designs, text, best.separation())
+    return NextRecording(best.proposal.designs, text, best.find_separation())
 
 
 @dataclass(frozen=True)
 class Separation:
-    """A form believed and a rival in a recording that was not made: what χ² would say against the rival were the form true, and
-    against the form were the rival true; what puts the form ahead so far, and what it would gain by having fewer parameters."""
+    """A believed fit and an alternative in a recording that was not made.
 
-    if_form: float
-    if_rival: float
+    Parameters
+    ----------
+    if_believed : χ² that it would say against the alternative, were the believed one true
+    if_alternative : χ² that it would say against the believed one, were the alternative true
+    ahead : twice the log evidence that puts the believed one ahead so far
+    simpler : what the believed one would gain by having fewer parameters
+    """
+
+    if_believed: float
+    if_alternative: float
     ahead: float
     simpler: float
 
     @property
     def log_undecided(self) -> float:
-        """Logarithm of the probability that not the true one of the two is ahead by enough once the recording is made.
+        """Logarithm of the probability that the true one of the two is not ahead by enough once the recording is made.
 
         What χ² says has four times itself as variance.
         """
         later = self.ahead + self.simpler
-        either = ((self.if_form, later), (self.if_rival, -later))
+        either = ((self.if_believed, later), (self.if_alternative, -later))
         margins = [(says + ahead - ENOUGH) / (2 * np.sqrt(max(says, _LITTLE))) for says, ahead in either]
         true = log_expit([self.ahead / 2, -self.ahead / 2])
         return float(np.logaddexp(*(true + log_ndtr(np.negative(margins)))))
 
-    def times(self, often: float) -> Separation:
-        return replace(self, if_form=often * self.if_form, if_rival=often * self.if_rival)
+    def multiply(self, often: float) -> Separation:
+        """The same for so many times the data."""
+        return replace(self, if_believed=often * self.if_believed, if_alternative=often * self.if_alternative)
 
 
 @dataclass(frozen=True)
 class SeparationInTest:
-    """A proposal, and how far apart each pair of a form believed and a rival is in it."""
+    """A proposal, and how far it separates each pair of a believed fit and an alternative."""
 
     proposal: Proposal
     apart: tuple[Separation, ...]
 
-    def separation(self) -> float:
-        return min(min(pair.if_form, pair.if_rival) for pair in self.apart)
+    def find_separation(self) -> float:
+        """χ² by which the closest pair is separated."""
+        return min(min(pair.if_believed, pair.if_alternative) for pair in self.apart)
 
-    def merit(self) -> float:
-        """Of a pair that it decides, the least sure one: −ln of the probability that it does not."""
+    def compute_merit(self) -> float:
+        """−ln of the probability that the least sure pair is not decided."""
         return -max(pair.log_undecided for pair in self.apart)
 
-    def times(self, often: float) -> SeparationInTest:
+    def multiply(self, often: float) -> SeparationInTest:
         """What so many times the data would say at most."""
-        return replace(self, apart=tuple(pair.times(often) for pair in self.apart))
+        return replace(self, apart=tuple(pair.multiply(often) for pair in self.apart))
 
 
 def _judge_proposal(
-    proposal: Proposal, believed: Sequence[ExtendedFit], rivals: Sequence[ExtendedFit]
+    proposal: Proposal, believed: Sequence[ExtendedFit], others: Sequence[ExtendedFit]
 ) -> SeparationInTest | None:
     """What a proposal would say; None where its recording would have no features."""
     made = imagine_session(believed[0], proposal)
     if made is None:
         return None
-    seen = [[Seen.of_fit(*made, fit) for fit in fits] for fits in (believed, rivals)]
+    seen = [[Seen.of_fit(*made, fit) for fit in fits] for fits in (believed, others)]
     apart = [_compute_separation(one, other) for one in seen[0] for other in seen[1]]
     return SeparationInTest(proposal, tuple(apart))
 
 
 def _list_variants(fit: ExtendedFit) -> list[ExtendedFit]:
-    """A fit, and those with other forms of its first cause that do as well: whichever is true, a recording has to tell it from the
-    others."""
+    """A fit, and those with other variants of its first mechanism that do as well: whichever is true has to be told
+    from the others."""
     first, *others = fit.of.chosen
     found = [fit]
     for variant in first.mechanism.variants:
         if variant != first.variant:
             of = replace(fit.of, chosen=(replace(first, variant=variant), *others))
             starts = [fit.values[0], *_reverse_signs(first.mechanism, fit.values[0])]
-            tried = [of.fit(of.entries(fit.theta, (own, *fit.values[1:])), most=_STEPS) for own in starts]
+            tried = [of.fit(of.make_entries(fit.theta, (own, *fit.values[1:])), most=_STEPS) for own in starts]
             other = min(tried, key=lambda f: f.chi2)
             found += [other] if other.chi2 < fit.chi2 + 2 * RULES.cause.close else []
     return found
 
 
 def _reverse_signs(mechanism: Mechanism, values: Mapping[str, float]) -> list[dict[str, float]]:
-    """The parameters with severities of the other sign, where they may have one: what one channel reads too high another may read
+    """Parameters with severities of the other sign where there is one: what one channel reads too high another may read
     too low."""
     if not all(p.signed for p in mechanism.severities):
         return []
     return [{**values, **{p.name: -values[p.name] / (1 + values[p.name] * p.factor) for p in mechanism.severities}}]
 
 
-def _compute_lead(form: ExtendedFit, rival: ExtendedFit) -> float:
-    """Twice the log evidence of a form over a rival's; nothing where what both leave, not the evidence, makes it a rival."""
-    ahead = 2 * (form.log_evidence - rival.log_evidence)
+def _compute_lead(believed: ExtendedFit, other: ExtendedFit) -> float:
+    """Twice the log evidence of a believed fit over an alternative; 0 where what both leave, not the evidence, makes it
+    one."""
+    ahead = 2 * (believed.log_evidence - other.log_evidence)
     return ahead if ahead < 2 * RULES.cause.close else 0.0
 
 
-def _compute_separation(form: Seen, rival: Seen) -> Separation:
-    ahead = _compute_lead(form.fit, rival.fit)
-    apart = form.values - rival.values
-    simpler = form.narrowed(apart) - rival.narrowed(apart)
-    return Separation(rival.against(form.values), form.against(rival.values), ahead, simpler)
+def _compute_separation(believed: Seen, other: Seen) -> Separation:
+    ahead = _compute_lead(believed.fit, other.fit)
+    apart = believed.values - other.values
+    simpler = believed.measure_narrowing(apart) - other.measure_narrowing(apart)
+    return Separation(other.measure_against(believed.values), believed.measure_against(other.values), ahead, simpler)

@@ -39,7 +39,7 @@ def find_alternatives(
 def _replace_strongest(plain: ExtendedFit, final: ExtendedFit, single: ExtendedFit) -> ExtendedFit | None:
     """The causes with another strongest one; None where a rough fit explains far less."""
     of = replace(final.of, chosen=(single.of.chosen[0], *final.of.chosen[1:]))
-    start = of.entries(single.theta, (single.values[0], *final.values[1:]))
+    start = of.make_entries(single.theta, (single.values[0], *final.values[1:]))
     fit = of.fit(start, most=_ROUGH_STEPS, near=final, thorough=False)
     if fit.chi2 > final.chi2 + RULES.fit.alternative_chi2 * (plain.chi2 - final.chi2):
         return None
@@ -47,7 +47,8 @@ def _replace_strongest(plain: ExtendedFit, final: ExtendedFit, single: ExtendedF
 
 
 def _is_as_good(plain: ExtendedFit, best: ExtendedFit, other: ExtendedFit) -> bool:
-    """Whether the evidence does not part two fits or, where even the best leaves much beyond the noise, the ratio of what they leave."""
+    """Whether the evidence does not part two fits or, where even the best leaves much beyond the noise, the ratio of
+    what they leave."""
     if best.log_evidence - other.log_evidence < RULES.cause.close:
         return True
     left, left_other = measure_excess(plain, best), measure_excess(plain, other)

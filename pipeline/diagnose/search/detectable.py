@@ -27,11 +27,17 @@ _ARMS_S = np.geomspace(1e-4, 100.0, 19)
 
 
 def find_smallest(looked: Signatures, threshold: float) -> dict[str, tuple[str, dict[str, float]]]:
-    """Mechanism → form and parameters at which its signature reaches the threshold Λ with 80 % probability.
+    """Severities at which mechanisms would be found with probability `detectable.power`.
 
-    `looked` are the signatures about the plain model: their points are the shapes that count, in four of five of which this
-    severity or more would be found; the shape given is the one at that edge. Of the forms of a mechanism the first that can
-    be seen counts, which is the usual one. A mechanism that would have to be far beyond its plausible range is left out.
+    Parameters
+    ----------
+    looked : signatures about the plain model, whose points are the shapes that count
+    threshold : Λ at the false-alarm level
+
+    Returns
+    ------- Mechanism → variant and parameters. In `detectable.shapes` of the shapes this severity would be found; the
+    shape given is the one at that edge. Of the variants the first that can be seen counts, which is the usual one. A
+    mechanism that would have to be far beyond its plausible range is left out.
     """
     wanted = float(np.sqrt(threshold) + ndtri(RULES.detectable.power))
     by_form: dict[Chosen, list[int]] = {}
@@ -52,7 +58,13 @@ def find_smallest(looked: Signatures, threshold: float) -> dict[str, tuple[str, 
 def report_smallest(
     found: Mapping[str, tuple[str, Mapping[str, float]]], context: Context
 ) -> dict[str, dict[str, float]]:
-    """The same by the keys of the contract: mechanism → key → severity."""
+    """Smallest severities by the keys of the contract: mechanism → key → severity.
+
+    Parameters
+    ----------
+    found : mechanism → variant and parameters
+    context : what severities are relative to
+    """
     result = {}
     for id, (variant, values) in found.items():
         mechanism = MECHANISMS[id]
@@ -64,11 +76,13 @@ def report_smallest(
 
 
 def _take_shape(mechanism: Mechanism, values: Mapping[str, float]) -> Shape:
+    """Values of a mechanism's shapes."""
     return tuple(values[p.name] for p in mechanism.shapes)
 
 
 def _cover_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> dict[str, float] | None:
-    """Parameters at the severity that is enough in all but the hardest shapes."""
+    """Parameters at the severity that is enough in all but the hardest shapes; None where that is far beyond what is
+    plausible."""
     if not needed:
         return None
     main = mechanism.severities[0]
@@ -81,7 +95,7 @@ def _cover_most_shapes(mechanism: Mechanism, needed: Mapping[Shape, float]) -> d
 
 
 def _solve_by_slope(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
-    """In proportion to a small severity: far from zero the model could absorb more than its derivatives say."""
+    """Shape → severity at a wanted length, in proportion to a small severity."""
     main = mechanism.severities[0]
     needed: dict[Shape, float] = {}
     for i in points:
@@ -92,7 +106,8 @@ def _solve_by_slope(mechanism: Mechanism, looked: Signatures, points: list[int],
 
 
 def _solve_by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], wanted: float) -> dict[Shape, float]:
-    """Along a chain of powers through the lengths at the grid's severities: an onset has no slope at zero."""
+    """Shape → severity at a wanted length, along powers through the lengths at the severities of the grid: an onset has
+    no slope at zero."""
     main = mechanism.severities[0]
     lengths: dict[Shape, list[tuple[float, float]]] = {}
     for i in points:
@@ -105,7 +120,8 @@ def _solve_by_grid(mechanism: Mechanism, looked: Signatures, points: list[int], 
 
 
 def _interpolate_length(logs: Float, wanted: float) -> float:
-    """Severity at a wanted log length, from logarithms (L, 2) of severities and lengths; beyond them as steep as at the end."""
+    """Severity at a wanted log length, from logarithms (L, 2) of severities and lengths; beyond them as steep as at the
+    end."""
     if len(logs) == 1:
         return float(np.exp(logs[0, 0])) if logs[0, 1] >= wanted else float("inf")
     slopes = np.clip(np.diff(logs[:, 1]) / np.diff(logs[:, 0]), 1.0, _STEEPEST)
@@ -117,7 +133,8 @@ def _interpolate_length(logs: Float, wanted: float) -> float:
 def discount_further_arms(fit: ExtendedFit, looked: Signatures) -> Signatures:
     """Signatures about a plain fit, those of relaxations as long as what further arms would leave of them.
 
-    A plain model below the highest order takes another arm where the recordings ask for one, and then there is nothing to find.
+    A plain model below the highest order takes another arm where the recordings ask for one, and then there is nothing
+    to find.
 
     Parameters
     ----------

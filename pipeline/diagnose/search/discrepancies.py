@@ -38,13 +38,23 @@ _WORDS = {
 def list_discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
     """Every block of the session in its bands or spans of time, with χ² and a sentence; worst first.
 
-    All are listed, also those within the noise: a page chooses by p-value, which counts the noise's own uncertainty.
+    All are listed, also those within the noise: a page chooses by probability, in which the noise's own uncertainty
+    counts.
+
+    Parameters
+    ----------
+    fit : the plain model at its optimum
     """
     return tuple(sorted(_test_everywhere(fit), key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
 
 
 def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
-    """Where causes mend next to nothing of what is far beyond the noise, the worst places in words; whatever they explain elsewhere."""
+    """The worst places where causes mend next to nothing of what is far beyond the noise, in words.
+
+    Parameters
+    ----------
+    plain, extended : the plain model, and the one with the causes
+    """
     found = [
         now
         for before, now in zip(_test_everywhere(plain), _test_everywhere(extended), strict=True)
@@ -60,7 +70,7 @@ def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str,
 def _test_everywhere(fit: ExtendedFit) -> list[Discrepancy]:
     """Every block in its bands or spans of time, in the order of the session."""
     session = fit.of.session
-    simulated, residual = fit.of.predict(fit.x), fit.of.data_residual(fit.x)
+    simulated, residual = fit.of.predict(fit.x), fit.of.compute_data_residual(fit.x)
     found = []
     for p in session.places:
         for where, rows in _split_block(p):
@@ -96,12 +106,14 @@ def _split_block(p: Place) -> list[tuple[str, Int]]:
 
 
 def _split_rows(along: Float, rows: Int) -> list[Int]:
+    """Rows in parts of equal length along a coordinate."""
     edges = np.linspace(along.min(), along.max(), RULES.detectable.spans + 1)
     number = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, RULES.detectable.spans - 1)
     return [rows[number == i] for i in range(RULES.detectable.spans) if (number == i).any()]
 
 
 def _write_range(values: Float, unit: str) -> str:
+    """A range with its unit."""
     low, high = float(values.min()), float(values.max())
     return f"{low:.3g} to {high:.3g} {unit}" if high > low * 1.0001 else f"{low:.3g} {unit}"
 
@@ -130,7 +142,7 @@ def _write_statement(session: Session, p: Place, rows: Int, simulated: Float, wh
 
 
 def _write_ring(subject: str, difference: Float, sd: Float, value: Float) -> str:
-    """Logarithm of the frequency and damping ratio, whichever is farther off."""
+    """What is missed of a clamp's ring: its frequency or its damping, whichever is farther off."""
     worse = int(np.argmax(np.abs(difference / sd)))
     share = np.expm1(difference[0]) if worse == 0 else difference[1] / value[1]
     what = "frequency" if worse == 0 else "damping"

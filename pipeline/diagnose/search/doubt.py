@@ -1,7 +1,7 @@
 """Whether the cause may be one that is in no list: quantities left free beside the causes, and in their place.
 
-No mechanism has exactly reality's form, and a free quantity follows in part what a cause leaves. How much of that is no reason for
-a doubt was read off sessions whose truth is known and of another form (`RULES.doubt`).
+No mechanism has exactly reality's form, and a free quantity follows in part what a cause leaves. How much of that is no
+reason for a doubt was read off sessions whose truth is known and of another form (`RULES.doubt`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def compute_tolerance(demand: Demand, found: FreeQuantity, fall: float) -> float
 
 
 def meets_demand(demand: Demand, found: FreeQuantity, fall: float) -> bool:
-    """Whether a free quantity explains more, beside causes that explain `fall` of χ², than any form of theirs would leave to it."""
+    """Whether a free quantity explains more, beside causes that explain `fall` of χ², than any form of theirs would
+    leave to it."""
     return found.p_value < demand.level and found.excess > compute_tolerance(demand, found, fall) * (
         fall + found.excess
     )
@@ -43,7 +44,8 @@ def meets_demand(demand: Demand, found: FreeQuantity, fall: float) -> bool:
 def find_beside_causes(
     plain: ExtendedFit, final: ExtendedFit, alone: Sequence[FreeQuantity]
 ) -> tuple[FreeQuantity, ...]:
-    """Free quantities that explain more beside the causes than their form leaves, and much of the same without the causes.
+    """Free quantities that explain more beside the causes than their form leaves, and much of the same without the
+    causes.
 
     Parameters
     ----------
@@ -60,8 +62,9 @@ def find_instead_of_causes(
 ) -> tuple[FreeQuantity, ...]:
     """Free quantities that explain more than the causes do, in their place.
 
-    A listed cause is likelier from the start, and so a quantity must be better by some χ² and have few numbers: with a number for each
-    recording it imitates whatever comes with time. Several causes that happen to be there at once are less likely, by what parts causes.
+    A listed cause is likelier from the start, and so a quantity must be better by some χ² and have few numbers: with a
+    number for each recording it imitates whatever comes with time. Several causes that happen to be there at once are
+    less likely, by what parts causes.
     """
     others = len(final.of.chosen) - 1
     least = plain.chi2 - final.chi2 + RULES.doubt.better - others * 2 * RULES.cause.close

@@ -54,7 +54,8 @@ class Evidence:
 
     @property
     def leaves_pattern(self) -> bool:
-        """Whether the causes leave a pattern. Where the plain model shows none, a weak one may be what is not known of the noise."""
+        """Whether the causes leave a pattern. Where the plain model shows none, a weak one may be what is not known of
+        the noise."""
         shown = self.patterns_before.p_value < RULES.alarm.pattern_level
         level = RULES.alarm.left_level if shown else RULES.alarm.pattern_level
         return self.patterns_after is not None and self.patterns_after.p_value < level

@@ -1,8 +1,8 @@
 """The plain model with mechanisms added: one vector of entries for both, its fit, and the evidence for it.
 
-Entries of a mechanism are logarithms where its parameter is searched in the logarithm, else parts of its plausible range, so
-that steps and priors mean the same for all. Belongs here: parameters and fits. Which mechanisms are tried is in `screen` and
-`select`.
+Entries of a mechanism are logarithms where its parameter is searched in the logarithm, else parts of its plausible
+range, so that steps and priors mean the same for all. Belongs here: parameters and fits. Which mechanisms are fitted is
+in `screen` and `fit_mechanisms`.
 """
 
 from __future__ import annotations
@@ -34,49 +34,61 @@ _LARGEST_LOG = 600.0
 
 @dataclass(frozen=True)
 class Chosen:
-    """A mechanism in one of its forms."""
+    """A mechanism in one of its variants."""
 
     id: str
     variant: str
 
     @property
     def mechanism(self) -> Mechanism:
+        """The entry of the list."""
         return MECHANISMS[self.id]
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """How a parameter is searched: value = exp(x), `scale` × x, or exp(`scale` × x) − 1; prior N(mean, sd) in x for shapes."""
+    """How a parameter of a mechanism is searched, as an entry x: value = exp(x), `scale` × x, or exp(`scale` × x) − 1.
+
+    Parameters
+    ----------
+    owner : number of the mechanism in the model
+    parameter : what is searched
+    """
 
     owner: int
     parameter: Parameter
 
     @property
     def logarithmic(self) -> bool:
+        """Whether x is the logarithm of the value."""
         return self.parameter.log and not self.parameter.signed
 
     @property
     def fixed(self) -> bool:
-        """Not searched: it only says in which unit another one counts."""
+        """Whether it is not searched: it only says in which unit another parameter counts."""
         return self.parameter.low == self.parameter.high
 
     @property
     def scale(self) -> float:
+        """Value of an entry 1, where x is no logarithm."""
         p = self.parameter
         return p.start if p.signed else max(abs(p.low), abs(p.high))
 
     def value(self, x: float) -> float:
+        """The value at an entry."""
         if self.parameter.factor:
             return float(np.expm1(min(self.scale * x, _LARGEST_LOG)))
         return float(np.exp(min(x, _LARGEST_LOG))) if self.logarithmic else self.scale * float(x)
 
     def entry(self, value: float) -> float:
+        """The entry of a value."""
         if self.parameter.factor:
             return float(np.log1p(value)) / self.scale
         return float(np.log(max(value, 1e-300))) if self.logarithmic else value / self.scale
 
     @property
     def limits(self) -> tuple[float, float]:
+        """Least and largest entry: beyond the plausible range, which is no limit, and within the hard limits."""
         p = self.parameter
         if self.fixed:
             return self.entry(p.low), self.entry(p.low)
@@ -95,7 +107,8 @@ class Coordinate:
 
     @property
     def prior(self) -> tuple[float, float]:
-        """Mean and standard deviation in x: the plausible range is two standard deviations wide. Severities have none."""
+        """Mean and standard deviation of the entry of a shape: its plausible range is two standard deviations wide.
+        Severities have none."""
         p = self.parameter
         if p.role == SEVERITY or self.fixed:
             return 0.0, np.inf
@@ -103,7 +116,8 @@ class Coordinate:
         return (low + high) / 2, max((high - low) / 2, 1e-6)
 
     def log_density(self, x: float) -> float:
-        """Log of the prior density of a severity in x: log-uniform over its plausible range, either sign alike where signed."""
+        """Logarithm of the prior density of a severity at an entry: uniform in the logarithm over its plausible range,
+        either sign alike."""
         p = self.parameter
         width = np.log(p.high / p.low)
         if self.logarithmic:
@@ -116,7 +130,12 @@ class Coordinate:
 class Extended:
     """A plain model with mechanisms, over a session and its simulation.
 
-    `weight` (N,) scales whitened residuals (ones: the noise alone; smaller where the model's form is allowed to be wrong).
+    Parameters
+    ----------
+    session, simulation : what it is fitted to, and by what it predicts
+    model : the plain model, P₀ entries θ
+    chosen : mechanisms in their variants; none: the plain model
+    weight : (N,) of whitened residuals: 1 for the noise alone, smaller where the form may be wrong
     """
 
     session: Session
@@ -127,10 +146,12 @@ class Extended:
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
+        """The mechanisms' parameters, (Q,) in the order of the entries after θ."""
         return tuple(Coordinate(i, p) for i, c in enumerate(self.chosen) for p in c.mechanism.parameters)
 
     @cached_property
     def limits(self) -> tuple[Float, Float]:
+        """Least and largest entries, (P,) each; P = P₀ + Q."""
         low, high = make_bounds(self.model)
         own = [c.limits for c in self.coordinates]
         return np.concatenate([low, [a for a, _ in own]]), np.concatenate([high, [b for _, b in own]])
@@ -147,12 +168,13 @@ class Extended:
             found[c.owner][c.parameter.name] = c.value(entry)
         return tuple(found)
 
-    def entries(self, theta: Float, values: Sequence[Mapping[str, float]]) -> Float:
-        """Entries from θ and the parameters of each mechanism; those not given are at their start."""
+    def make_entries(self, theta: Float, values: Sequence[Mapping[str, float]]) -> Float:
+        """(P,) entries from θ and the parameters of each mechanism; parameters not given are at their start."""
         own = [c.entry(float(values[c.owner].get(c.parameter.name, c.parameter.start))) for c in self.coordinates]
         return np.concatenate([theta, own])
 
     def effect(self, x: Float) -> Effect:
+        """What all mechanisms change in the simulation at entries x (P,)."""
         return compose_chosen(self.chosen, self.values(x))
 
     def predict(self, x: Float) -> Float:
@@ -170,17 +192,17 @@ class Extended:
             found[rows] = self.simulation.predict_several(self.model, several[rows, :model], effect)
         return found
 
-    def data_residual(self, x: Float) -> Float:
-        """(N,) whitened, not weighted."""
-        return np.asarray(self.data_residuals(x[None])[0])
+    def compute_data_residual(self, x: Float) -> Float:
+        """(N,) measured less predicted features at x (P,), whitened and not weighted."""
+        return np.asarray(self.compute_data_residuals(x[None])[0])
 
-    def data_residuals(self, several: Float) -> Float:
-        """(B, N) of several x (B, P), as above."""
+    def compute_data_residuals(self, several: Float) -> Float:
+        """(B, N) the same of several x (B, P)."""
         return self.session.whiten((self.session.value - self.predict_several(several)).T).T
 
     def residuals(self, several: Float) -> Float:
-        """(B, N + priors) what the fit makes small, of several x (B, P)."""
-        data = self.weight * self.data_residuals(several)
+        """(B, N + priors) what a fit makes small, of several x (B, P): weighted residuals and deviations from priors."""
+        data = self.weight * self.compute_data_residuals(several)
         return np.concatenate([data, np.array([self._beside_data(x) for x in several])], axis=1)
 
     def _beside_data(self, x: Float) -> Float:
@@ -199,9 +221,15 @@ class Extended:
         jacobian: Float | None = None,
         thorough: bool = True,
     ) -> ExtendedFit:
-        """The optimum from `start`: entries, or a fit of this model whose search goes on.
+        """The optimum from a start.
 
-        `near`, a fit of the same model with fewer mechanisms or elsewhere, lends its Jacobian.
+        Parameters
+        ----------
+        start : entries (P,), or a fit of this model whose search goes on
+        most : steps at most
+        near : a fit of the same model with fewer mechanisms or elsewhere, whose Jacobian is a first guess
+        jacobian : (M, P) a first guess itself
+        thorough : whether the end is confirmed with a Jacobian of its own
         """
         if near is not None:
             jacobian = self._lent(near)
@@ -211,16 +239,17 @@ class Extended:
         )
         return ExtendedFit(self, found)
 
-    def refined(self, fit: ExtendedFit) -> ExtendedFit:
+    def refine(self, fit: ExtendedFit) -> ExtendedFit:
         """The same optimum with a Jacobian by central differences."""
         jacobian = central(self.residuals, fit.x, *self.limits)
         return ExtendedFit(self, replace(fit.solution, jacobian=jacobian))
 
-    def further(self, fit: ExtendedFit, *, most: int) -> ExtendedFit:
-        """On from a fit with the Jacobian that it has and next to no damping.
+    def continue_fit(self, fit: ExtendedFit, *, most: int) -> ExtendedFit:
+        """On from a fit with the Jacobian that it has, and next to no damping.
 
-        Entries that can change places (a mass and its error) are parted by priors that are 10⁸ times weaker than the data:
-        forward differences see a slope there that is none, and damping in proportion to the data holds them where they are.
+        Entries that can change places (a mass and its error) are parted by priors that are 10⁸ times weaker than the
+        data: forward differences see a slope there that is none, and damping in proportion to the data holds the
+        entries where they are.
         """
         own = fit.x.size
         found = minimise(
@@ -228,8 +257,8 @@ class Extended:
         )
         return ExtendedFit(self, found)
 
-    def room(self, start: Float, most: int, near: ExtendedFit) -> Solution:
-        """Where the material and the rig are at their best for the mechanisms as they stand at `start`."""
+    def fit_material(self, start: Float, most: int, near: ExtendedFit) -> Solution:
+        """Where film and rig are at their best for the mechanisms as they stand in the entries `start` (P,)."""
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
         lent, own = self._lent(near), self.model.size
@@ -242,30 +271,35 @@ class Extended:
         jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
         return jacobian
 
-    def with_weight(self, weight: Float) -> Extended:
+    def reweigh(self, weight: Float) -> Extended:
+        """The same model with other weights (N,)."""
         return replace(self, weight=weight)
 
-    def on(self, session: Session, simulation: Simulation, weight: Float) -> Extended:
+    def move_to(self, session: Session, simulation: Simulation, weight: Float) -> Extended:
+        """The same model over another session."""
         return replace(self, session=session, simulation=simulation, weight=weight)
 
 
 @dataclass(frozen=True)
 class ExtendedFit:
-    """An optimum of an extended model."""
+    """An extended model at its optimum."""
 
     of: Extended
     solution: Solution
 
     @property
     def x(self) -> Float:
+        """(P,) entries."""
         return self.solution.x
 
     @property
     def theta(self) -> Float:
+        """(P₀,) those of the plain model."""
         return self.solution.x[: self.of.model.size]
 
     @property
     def values(self) -> tuple[dict[str, float], ...]:
+        """Parameters of each mechanism by name."""
         return self.of.values(self.solution.x)
 
     @property
@@ -280,12 +314,13 @@ class ExtendedFit:
 
     @cached_property
     def covariance(self) -> Float:
+        """(P, P) of the entries."""
         return self.solution.covariance
 
     @cached_property
     def trace(self) -> Float:
-        """(B,) what shows of the mechanisms in each block, without what the plain model's entries absorb of it: weighted χ² in units
-        of the noise."""
+        """(B,) what shows of the mechanisms in each block, beyond what the entries of the plain model absorb: χ² in
+        units of the noise."""
         of = self.of
         alone = of.simulation.predict(of.model, self.theta)
         change = of.weight * of.session.whiten(of.predict(self.x) - alone)
@@ -293,19 +328,27 @@ class ExtendedFit:
         change = change - absorbed @ (absorbed.T @ change)
         return np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in of.session.places])
 
-    def spread(self, without_parts: Float | None = None) -> Float:
+    def estimate_spread(self, without_parts: Float | None = None) -> Float:
         """(Q,) standard deviations of the mechanisms' entries.
 
-        without_parts : (G, Q) the entries fitted without each of G parts of the data. Where these differ by more than noise
-        explains, the form is not quite right, and their delete-a-group jackknife counts.
+        Parameters
+        ----------
+        without_parts : (G, Q) the entries fitted without each of G parts of the data. Where these differ by more than
+            noise explains, the form is not quite right, and their delete-a-group jackknife counts.
         """
         variance = np.maximum(np.diag(self.covariance), 0.0)[self.of.model.size :]
         if without_parts is not None and len(without_parts) > 1:
             variance = np.maximum(variance, (len(without_parts) - 1) * np.var(without_parts, axis=0))
         return np.asarray(np.sqrt(variance))
 
-    def moved(self, number: int, changes: Float) -> list[dict[str, float]]:
-        """Parameters of mechanism `number`, those that are searched changed one by one by these changes (Q,) of the entries."""
+    def move_values(self, number: int, changes: Float) -> list[dict[str, float]]:
+        """Parameters of mechanism `number` with each of its searched entries changed in turn.
+
+        Parameters
+        ----------
+        number : of the mechanism in the model
+        changes : (Q,) of the entries
+        """
         values, own, found = self.values[number], self.x[self.of.model.size :], []
         for c, x, change in zip(self.of.coordinates, own, changes, strict=True):
             if c.owner == number and not c.fixed:
@@ -314,9 +357,10 @@ class ExtendedFit:
 
     @cached_property
     def log_evidence(self) -> float:
-        """Laplace's approximation of log ∫ likelihood × prior over the mechanisms' parameters, given the model's entries.
+        """Logarithm of ∫ likelihood × prior over the mechanisms' parameters, with θ at its best, in Laplace's
+        approximation.
 
-        Without the constants that all models of one session share. −χ²/2 for the plain model.
+        Without the constants that all models of one session share: −χ²/2 for the plain model.
         """
         model = self.of.model.size
         total = -0.5 * self.chi2
@@ -332,7 +376,7 @@ class ExtendedFit:
         return float(total)
 
     def log_volume(self, covariance: Float) -> float:
-        """Logarithm of the volume that a covariance (P, P) of all entries leaves to those of the mechanisms that are searched.
+        """Logarithm of the volume that a covariance (P, P) leaves to the mechanisms' entries that are searched.
 
         A direction that the data leave open is as wide as its plausible range, not wider.
         """
@@ -361,7 +405,12 @@ def orthonormalise(jacobian: Float) -> Float:
 
 
 def compose_chosen(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float]]) -> Effect:
-    """The composed effect of mechanisms in their forms, in the order of the stages."""
+    """The composed effect of mechanisms in their variants, in the order of the stages.
+
+    Parameters
+    ----------
+    chosen, values : mechanisms, and the parameters of each by name
+    """
     total = NONE
     order = list(MECHANISMS)
     for c, own in sorted(zip(chosen, values, strict=True), key=lambda pair: order.index(pair[0].id)):
@@ -371,5 +420,6 @@ def compose_chosen(chosen: Sequence[Chosen], values: Sequence[Mapping[str, float
 
 @lru_cache(maxsize=256)
 def _make_effect(chosen: Chosen, values: tuple[tuple[str, float], ...]) -> Effect:
-    """The effect of one mechanism: the same object for the same parameters, so that predictions from it are known again."""
+    """The effect of one mechanism: the same object for the same parameters, so that predictions from it are known
+    again."""
     return chosen.mechanism.effect(dict(values), chosen.variant)

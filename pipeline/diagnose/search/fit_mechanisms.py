@@ -1,8 +1,8 @@
 """Nonlinear fits of the mechanisms that a screen proposes, alone or on top of others, each from several starts.
 
-A fit has three stages: rough searches from all starts of which the best go on, rounds of further steps as long as these gain
-something, and the confirmation of the optimum with central differences, for the mechanisms near the best alone. Belongs here: how
-starts are made and which optimum is kept. What the optima mean is in `judge`.
+A fit has three stages: rough searches from all starts of which the best go on, rounds of further steps as long as these
+gain something, and the confirmation of the optimum with central differences, for the mechanisms near the best alone.
+Belongs here: how starts are made and which optimum is kept. What the optima mean is in `judge`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ _FEW, _ROUGHLY, _THOROUGHLY = 2, 6, 25
 _MOST_ROUNDS = 20
 """Rounds of further steps at most."""
 _TRIALS, _CONFIRMATIONS = 20, 8
-"""Steps of a round of confirming an optimum, many of which may be too long; and rounds at most: along a bent valley each gains a little."""
+"""Steps of a round of confirming an optimum, many of which may be too long; and rounds at most: along a bent valley
+each gains a little."""
 _LEAST_SHARE, _MOST_SHARE = 1e-3, 3.0
 """Least and largest part of a screen's severity at which a fit starts."""
 _SMALL = 1e-3
@@ -53,10 +54,10 @@ def fit_each_mechanism(
     One fit per mechanism, in the order of the screen
 
     Notes
-    -----
-    A mechanism is given up where the screen promises so little that its fit could come near neither the best of those fitted so far
-    nor the goal. A mechanism whose place film and rig can take is never given up, for a screen sees next to nothing of a strong one;
-    and wherever it stands in the screen it is fitted if the best of the others is known to be taken for it.
+    ----- A mechanism is given up where the screen promises so little that its fit could come near neither the best of
+    those fitted so far nor the goal. A mechanism whose place film and rig can take is never given up, for a screen sees
+    next to nothing of a strong one; and wherever it stands in the screen it is fitted if the best of the others is
+    known to be taken for it.
     """
     by_id = _group_by_mechanism(scores)
     kept: list[ExtendedFit] = []
@@ -101,7 +102,8 @@ def _bound_chi2(base: ExtendedFit, best: ExtendedFit) -> float:
 def _exchange_films(base: ExtendedFit, kept: Sequence[ExtendedFit], best: ExtendedFit) -> list[ExtendedFit]:
     """The same fits, or better ones about the film of a mechanism that theirs can be taken for.
 
-    Two mechanisms that are alike may have ended at films that make room for the one or the other; each is searched about both.
+    Two mechanisms that are alike may have ended at films that make room for the one or the other; each is searched
+    about both.
     """
     near = [
         f
@@ -118,14 +120,15 @@ def _exchange_films(base: ExtendedFit, kept: Sequence[ExtendedFit], best: Extend
 
 
 def _may_be_taken_for(fit: ExtendedFit, other: ExtendedFit) -> bool:
-    """Whether film and rig can take the place of a fit's mechanism, and the other fit's is a different one that it is confused with."""
+    """Whether film and rig can take the place of a fit's mechanism, and the other fit's is a different one that it is
+    confused with."""
     one, two = fit.of.chosen[-1].mechanism, other.of.chosen[-1].mechanism
     return one.id != two.id and one.absorbed and (one.id in two.confusable or two.id in one.confusable)
 
 
 def _refit_about_film_of(other: ExtendedFit, fit: ExtendedFit, base: ExtendedFit) -> ExtendedFit:
     """The fit, or a better one of its mechanism from the film and the rig of another."""
-    again = fit.of.fit(fit.of.entries(other.theta, fit.values), most=_ROUGHLY, thorough=False)
+    again = fit.of.fit(fit.of.make_entries(other.theta, fit.values), most=_ROUGHLY, thorough=False)
     both = [fit, follow_to_end(base, again, np.inf)]
     if min(f.chi2 for f in both) < other.chi2 + RULES.fit.close_call:
         # Rough ends do not say which of two valleys is the deeper one, nor which is the wider.
@@ -163,7 +166,7 @@ def fit_mechanism(base: ExtendedFit, score: Score, signatures: Signatures, reach
         best = _revive_arms(base, best, reach)
     if not best.chi2 <= base.chi2:
         faint = scale_severities(score.chosen.mechanism, score.values, _SMALL)
-        start = of.entries(base.theta, (*base.values, faint))
+        start = of.make_entries(base.theta, (*base.values, faint))
         again = of.fit(start, most=_ROUGHLY, near=base, thorough=False)
         best = again if not best.chi2 < again.chi2 else best
     return best
@@ -173,10 +176,10 @@ def _fit_from_starts(base: ExtendedFit, of: Extended, score: Score, signatures: 
     """Rough fits of one mechanism more, from all starts that are worth it."""
     mechanism = score.chosen.mechanism
     starts = _list_starts(base, of, score, signatures)
-    begins = [of.entries(_make_room(base, score.chosen, values), (*base.values, values)) for values in starts]
+    begins = [of.make_entries(_make_room(base, score.chosen, values), (*base.values, values)) for values in starts]
     if mechanism.absorbed:
         # Film and rig first: they must make room before the severity may move.
-        begins = [room.x for room in drop_astray([of.room(x, _ROUGHLY, base) for x in begins], base)]
+        begins = [room.x for room in drop_astray([of.fit_material(x, _ROUGHLY, base) for x in begins], base)]
     if mechanism.as_filed is not None and any(base.of.model.rigs):
         begins.append(_start_as_filed(of, base, mechanism.as_filed))
     near = None if mechanism.absorbed else base
@@ -219,8 +222,8 @@ def _list_levels(score: Score, signatures: Signatures) -> list[Start]:
 def _start_above_onset(base: ExtendedFit, of: Extended, score: Score, signatures: Signatures) -> list[Start]:
     """Low severities, each with the shape that leaves least.
 
-    The screen's part of a high severity may lie below where anything begins, and no slope leads out of there; and the shape that a
-    high severity would have to have is not that of a low one.
+    The screen's part of a high severity may lie below where anything begins, and no slope leads out of there; and the
+    shape that a high severity would have to have is not that of a low one.
     """
     low = {p.name: p.low for p in score.chosen.mechanism.severities}
     points = [v for c, v in zip(signatures.chosen, signatures.values, strict=True) if c == score.chosen]
@@ -236,13 +239,14 @@ def _start_above_onset(base: ExtendedFit, of: Extended, score: Score, signatures
 
 
 def _start_as_filed(of: Extended, base: ExtendedFit, as_filed: Callable[[float, float], Start]) -> Float:
-    """Entries with the rig as its file has it, and its deviations in the mechanism: only the priors have a slope along that exchange."""
+    """Entries with the rig as its file has it, and its deviations in the mechanism: only the priors have a slope along
+    that exchange."""
     model, theta = base.of.model, base.of.model.with_rigs_as_filed(base.theta)
     pairs = zip(model.physical(base.theta).rigs, model.physical(theta).rigs, model.rigs, strict=True)
     known = [(here, filed) for here, filed, prior in pairs if prior is not None]
     mass = float(np.mean([here.mass / filed.mass for here, filed in known]))
     stiffness = float(np.mean([here.stiffness / filed.stiffness for here, filed in known]))
-    return of.entries(theta, (*base.values, as_filed(mass - 1, stiffness - 1)))
+    return of.make_entries(theta, (*base.values, as_filed(mass - 1, stiffness - 1)))
 
 
 def _make_room(base: ExtendedFit, chosen: Chosen, values: Start) -> Float:
@@ -264,7 +268,7 @@ def _make_remaining(base: ExtendedFit, of: Extended, chosen: Chosen) -> Callable
     absorbed = make_absorbed_basis(base)
 
     def compute_remaining(values: Start) -> float:
-        (residual,) = of.residuals(of.entries(_make_room(base, chosen, values), (*base.values, values))[None])
+        (residual,) = of.residuals(of.make_entries(_make_room(base, chosen, values), (*base.values, values))[None])
         seen = residual[: absorbed.shape[0]]
         kept = float(residual @ residual - np.sum((absorbed.T @ seen) ** 2))
         return kept if np.isfinite(kept) else np.inf
@@ -273,7 +277,8 @@ def _make_remaining(base: ExtendedFit, of: Extended, chosen: Chosen) -> Callable
 
 
 def drop_astray(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
-    """Of starts at several severities those from which the data can be reached, the nearest in any case; all where much is to explain.
+    """Of starts at several severities those from which the data can be reached, the nearest in any case; all where much
+    is to explain.
 
     Parameters
     ----------
@@ -287,7 +292,8 @@ def drop_astray(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
 
 
 def follow_to_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:
-    """On from a rough optimum as long as that adds to what it explains: a strong effect is far from where a screen sees it.
+    """On from a rough optimum as long as that adds to what it explains: a strong effect is far from where a screen sees
+    it.
 
     Parameters
     ----------
@@ -309,8 +315,8 @@ def follow_to_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> Extended
 def _revive_arms(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:
     """The fit, or a better one from where its arms that have vanished are as in `base`.
 
-    An arm of next to no stiffness has no slope left by which it could come back, and a mechanism that begins too strong takes more of
-    the arms than it needs in the end.
+    An arm of next to no stiffness has no slope left by which it could come back, and a mechanism that begins too strong
+    takes more of the arms than it needs in the end.
     """
     arms = fit.of.model.arms
     springs = 1 + np.arange(arms)
@@ -326,13 +332,13 @@ def _revive_arms(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedF
 
 def finish_fit(fit: ExtendedFit) -> ExtendedFit:
     """The same fit brought to its optimum, and confirmed with central differences."""
-    found = fit.of.refined(fit.of.fit(fit.x, most=_THOROUGHLY))
+    found = fit.of.refine(fit.of.fit(fit.x, most=_THOROUGHLY))
     for _ in range(_CONFIRMATIONS):
-        again = fit.of.further(found, most=_TRIALS)
+        again = fit.of.continue_fit(found, most=_TRIALS)
         fall = found.chi2 - again.chi2
         if fall < RULES.fit.settled_chi2:
             break
-        found = fit.of.refined(again)
+        found = fit.of.refine(again)
         if fall < RULES.fit.settled_share * found.chi2:
             break
     return found
@@ -345,8 +351,8 @@ def settle_outliers(fit: ExtendedFit) -> ExtendedFit:
         weight = lower_outlier_weights(fit, tempered)
         if np.allclose(weight, fit.of.weight, rtol=_SAME_WEIGHT):
             break
-        of = fit.of.with_weight(weight)
-        fit = of.refined(of.fit(fit.x, most=_THOROUGHLY))
+        of = fit.of.reweigh(weight)
+        fit = of.refine(of.fit(fit.x, most=_THOROUGHLY))
     return fit
 
 
@@ -355,7 +361,7 @@ def drop_mechanism(fit: ExtendedFit, number: int) -> ExtendedFit:
     chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
     values = tuple(v for i, v in enumerate(fit.values) if i != number)
     of = replace(fit.of, chosen=chosen)
-    return finish_fit(of.fit(of.entries(fit.theta, values), most=_ROUGHLY))
+    return finish_fit(of.fit(of.make_entries(fit.theta, values), most=_ROUGHLY))
 
 
 def reorder_mechanisms(fit: ExtendedFit, order: Int) -> ExtendedFit:
@@ -363,4 +369,4 @@ def reorder_mechanisms(fit: ExtendedFit, order: Int) -> ExtendedFit:
     if np.array_equal(order, np.arange(order.size)):
         return fit
     of = replace(fit.of, chosen=tuple(fit.of.chosen[i] for i in order))
-    return finish_fit(of.fit(of.entries(fit.theta, tuple(fit.values[i] for i in order)), most=3))
+    return finish_fit(of.fit(of.make_entries(fit.theta, tuple(fit.values[i] for i in order)), most=3))

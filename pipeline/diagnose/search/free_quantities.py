@@ -1,10 +1,12 @@
-"""What no listed cause does, in general terms: quantities of the simulation that differ freely where no law says how.
+"""What no listed mechanism does, in general terms: quantities of the simulation that are left free where no law says
+how.
 
-A listed cause that stands for an unlisted one leaves what it cannot follow: a stiffness that differs from recording to recording,
-a bend of the force over strain of any shape, a resonance that is not the clamp's. Smooth patterns of the residual hardly see
-that, spread over all recordings as it is; a few free numbers in the stage where it acts do. Of forms of which one at a time is
-likely, the best is taken, and its probability multiplied by their number. What material, rig and the causes in the model absorb is
-taken off, so that the sum of squares of the scores is χ² under the null.
+A listed mechanism that stands for an unlisted one leaves what it cannot follow: a stiffness that differs from recording
+to recording, a bend of the force over strain of any shape, a resonance that is not the clamp's. Smooth patterns of the
+residual hardly see that, spread over all recordings as it is; a few free numbers in the stage where it acts do. Of
+several courses of which one at a time is likely the best is taken, and its probability multiplied by their number. What
+film, rig and the mechanisms in the model absorb is taken off, so that the sum of squares of the scores is χ² under the
+null.
 """
 
 from __future__ import annotations
@@ -37,11 +39,15 @@ _RATE_S = 0.1
 
 @dataclass(frozen=True)
 class FreeQuantity:
-    """One quantity left free. `statistic` is χ² with `degrees_of_freedom` under the null; `text` says what differs.
+    """One quantity left free beside a model.
 
+    Parameters
+    ----------
+    text : what differs, in words
+    statistic, degrees_of_freedom : χ² under the null
     tolerated : share of what it and the causes explain together that it may have where the causes are right
-    effects, values : its numbers, as effects of size `_STEP`, and what they are best
-    forms : number of those of which this is the best
+    effects, values : one effect of size `_STEP` for each free number, and the best value of each
+    forms : number of courses of which this is the best
     """
 
     text: str
@@ -54,6 +60,7 @@ class FreeQuantity:
 
     @property
     def p_value(self) -> float:
+        """Probability under the null, over all courses that were looked at."""
         return min(1.0, self.forms * float(chdtrc(max(self.degrees_of_freedom, 1), self.statistic)))
 
     @property
@@ -63,18 +70,29 @@ class FreeQuantity:
 
     @property
     def evidence(self) -> float:
-        """The same, less what choosing among its forms takes of it."""
+        """The same, less what choosing among its courses takes of the noise."""
         return self.excess - 2 * float(np.log(self.forms))
 
-    def change(self, of: Extended, x: Float) -> Float:
-        """(N,) what it would change of features, to first order, at its best values; of an extended model at entries `x`."""
+    def compute_change(self, of: Extended, x: Float) -> Float:
+        """(N,) what it would change in features at its best values, to first order.
+
+        Parameters
+        ----------
+        of, x : the model with features, and its entries (P,)
+        """
         return (
             np.asarray(self.values) @ _differentiate(of, x, self.effects) if self.effects else np.zeros(of.session.size)
         )
 
 
 def fit_free_quantities(fit: ExtendedFit, among: Collection[str] | None = None) -> tuple[FreeQuantity, ...]:
-    """Every quantity left free beside a fitted model, the least probable first; of those with these texts alone if `among` is given."""
+    """Every quantity left free beside a fitted model, the least probable first.
+
+    Parameters
+    ----------
+    fit : the model at its optimum
+    among : texts of those that are asked; None: all
+    """
     of, session = fit.of, fit.of.session
     absorbed = make_absorbed_basis(fit)
     found = []
@@ -108,9 +126,14 @@ def _differentiate(of: Extended, x: Float, effects: Sequence[Effect]) -> Float:
 
 @dataclass(frozen=True)
 class _Proposed:
-    """What is left free, in words, an effect of size `_STEP` for each number, and the share that it may have.
+    """A quantity that can be left free.
 
-    at_once : numbers that are one form, of which the best is taken; 0: all are
+    Parameters
+    ----------
+    text : what differs, in words
+    effects : one of size `_STEP` for each free number
+    at_once : numbers that make one course, of which the best is taken; 0: all are one
+    tolerated : share that it may have beside right causes
     """
 
     text: str
@@ -120,6 +143,7 @@ class _Proposed:
 
 
 def _propose_quantities(session: Session) -> Iterator[_Proposed]:
+    """All quantities that can be left free in a session."""
     spans = _group_recordings(session)
     yield _Proposed(
         "the stiffness differs from recording to recording", [_change_stiffness(_weigh_span(s)) for s in spans]
@@ -176,6 +200,8 @@ Weight = Callable[[View], Float | Complex]
 
 
 def _change_stiffness(weight: Weight) -> Effect:
+    """A film that is stiffer by `_STEP` times a weight."""
+
     def stiffer(film: Film, view: View) -> Film:
         return Film(film.k * (1 + _STEP * weight(view)), film.share)
 
@@ -183,14 +209,17 @@ def _change_stiffness(weight: Weight) -> Effect:
 
 
 def _change_actuation(weight: Weight) -> Effect:
+    """An actuation that is stronger by `_STEP` times a weight."""
     return Effect(actuation=(lambda view: 1 + _STEP * weight(view),))
 
 
 def _weigh_span(span: tuple[float, float]) -> Weight:
+    """1 within a span of the session's time."""
     return lambda view: np.asarray((view.session_s >= span[0]) & (view.session_s < span[1]), dtype=np.float64)
 
 
 def _weigh_sine(period_s: float, turn: float) -> Weight:
+    """A sine over the session's time."""
     return lambda view: np.sin(2 * np.pi * (view.session_s / period_s + turn))
 
 
@@ -217,7 +246,8 @@ def _weigh_frequency(knots: Float, number: int, turn: complex) -> Weight:
 
 
 def _bend_tension(session: Session) -> list[Callable[[Course], Float]]:
-    """Powers of the strain, and what goes with its rate: smooth, and with its sign alone, as friction and hysteresis do."""
+    """Powers of the strain, and what goes with its rate: smooth, and with its sign alone, as friction and hysteresis
+    do."""
     largest = session.scale.strain
 
     def force(shape: Callable[[Float, Float], Float]) -> Callable[[Course], Float]:
@@ -241,6 +271,8 @@ def _bend_tension(session: Session) -> list[Callable[[Course], Float]]:
 
 
 def _bend_reading(power: int) -> Callable[[Reading], Float]:
+    """A reading that bends with a power of the force."""
+
     def bent(reading: Reading) -> Float:
         if reading.largest_n <= 0:  # no mechanical test says what a large force is
             return reading.force

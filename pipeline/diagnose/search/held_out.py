@@ -31,15 +31,23 @@ _MOST = 12
 
 @dataclass(frozen=True)
 class _Part:
+    """What is left out at once: numbers of blocks."""
+
     name: str
     blocks: tuple[int, ...]
 
 
 def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
-    """Pooled held-out error of both models; None where nothing can be left out.
+    """Errors of both models on parts that they were not fitted to, pooled; None where nothing can be left out.
 
-    gain = (χ²_plain − χ²_extended)/(χ²_plain − ν) over the features that the mechanisms touch; its interval is a bootstrap over
-    blocks.
+    Parameters
+    ----------
+    plain, extended : the plain model, and the one with the causes
+
+    Notes
+    -----
+    gain = (χ²_plain − χ²_extended)/(χ²_plain − n) over the n features that the causes touch.
+    Its interval is a bootstrap over blocks.
     """
     session = extended.of.session
     touched = extended.trace / max(float(extended.trace.sum()), 1e-300)
@@ -61,7 +69,7 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
         chosen = np.concatenate([np.arange(p.first, p.stop) for i, p in enumerate(session.places) if keep[i]])
         errors, values = [], []
         for fit in (plain, extended):
-            of = fit.of.on(rest, simulation, fit.of.weight[chosen])
+            of = fit.of.move_to(rest, simulation, fit.of.weight[chosen])
             rows = np.concatenate([chosen, np.arange(session.size, fit.solution.residual.size)])
             again = of.fit(fit.x, most=_MOST, jacobian=fit.solution.jacobian[rows], thorough=False)
             values.append(fit.of.predict(again.x))
@@ -105,13 +113,19 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
 
 
 def _record_prediction(session: Session, place: Place, plain: Float, extended: Float) -> Predicted:
+    """What both models predict of a block."""
     own = slice(place.first, place.stop)
     recording = session.recordings[place.recording].recording_id
     return Predicted(recording, place.block.kind, place.block.label, plain[own], extended[own], session.sd[own])
 
 
 def list_supporting_protocols(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
-    """Protocols in whose features the extension lowers χ² clearly."""
+    """Protocols in whose features the causes lower χ² clearly.
+
+    Parameters
+    ----------
+    plain, extended : the plain model, and the one with the causes
+    """
     session = extended.of.session
     before, after = plain.misfit, extended.misfit
     fall: dict[str, float] = {}
@@ -123,21 +137,24 @@ def list_supporting_protocols(plain: ExtendedFit, extended: ExtendedFit) -> tupl
 
 
 def name_protocol(session: Session, recording: int) -> str:
+    """The protocol of a recording, by its number; a mechanical step is `relaxation`."""
     r = session.recordings[recording]
     return "relaxation" if (r.protocol, r.loading) == ("step", "mechanical") else r.protocol
 
 
 def _compute_rms(squares: Sequence[float], size: int) -> float:
+    """Root mean square from sums of squares."""
     return float(np.sqrt(sum(squares) / size))
 
 
 def _compute_gain(before: Float | float, after: Float | float, size: Float | float) -> Float:
+    """Share of the removable error that is removed, from −1 to 1."""
     removable = np.maximum(np.asarray(before) - size, 1e-9)
     return np.asarray(np.clip((np.asarray(before) - after) / removable, -1.0, 1.0))
 
 
 def _choose_parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
-    """Protocols that show the mechanisms, in smaller parts where the rest would not know what it is to predict them with."""
+    """Protocols that show the causes; in smaller parts where the rest would not know what it is to predict them with."""
     session = extended.of.session
     by_protocol: dict[str, list[int]] = {}
     for i, p in enumerate(session.places):
@@ -155,7 +172,8 @@ def _choose_parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
 
 
 def _split_protocol(extended: ExtendedFit, part: _Part, touched: Float) -> list[_Part]:
-    """A protocol's recordings dealt into parts, those in turn into blocks where needed; what cannot be predicted is left in."""
+    """A protocol's recordings dealt into parts, and these into blocks where needed; what cannot be predicted is not
+    left out."""
     session = extended.of.session
     recordings: dict[int, list[int]] = {}
     for i in part.blocks:
@@ -180,7 +198,7 @@ def _split_protocol(extended: ExtendedFit, part: _Part, touched: Float) -> list[
 
 
 def _group_blocks(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int]]:
-    """Blocks by sweep or group of cycles, whose features need each other; one by one where there is one such group."""
+    """Blocks by sweep or group of cycles, whose features need each other; one by one where all are of one such group."""
     by_state: dict[int, list[int]] = {}
     for i in blocks:
         by_state.setdefault(extended.of.session.places[i].state, []).append(i)
@@ -188,8 +206,8 @@ def _group_blocks(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int
 
 
 def _is_predictable(extended: ExtendedFit, part: _Part, touched: Float) -> bool:
-    """Whether the rest of the session determines what the part is predicted with: mean variance of the prediction below the noise,
-    over what the mechanisms touch."""
+    """Whether the rest of the session determines the prediction of a part: its mean variance is below that of the
+    noise."""
     places = extended.of.session.places
     jacobian = extended.solution.jacobian
 

@@ -1,7 +1,9 @@
-"""How far severities may be from where they were found: by the curvature of χ² there, and by χ² itself where that is flatter.
+"""How far severities may be from where they were found: where χ² has risen, not where its curvature says that it would
+have.
 
-Entries that can change places (a mass and a stiffness whose ratio is known) lie along a bent valley, of which the curvature at one
-point says too little.
+Entries that can change places (a mass and a stiffness whose ratio is known) lie along a bent valley, of which the
+curvature at one point says too little. Ends are those of profile likelihood (Venzon and Moolgavkar 1988), never nearer
+than the curvature says.
 """
 
 from __future__ import annotations
@@ -24,14 +26,25 @@ _NEAR = 0.7
 
 
 def make_linear_ends(spread: Float) -> tuple[Float, Float]:
-    """(Q,) steps down and up to the ends of 90 % intervals, by standard deviations (Q,) alone."""
+    """Steps down and up to the ends of 90 % intervals by standard deviations alone, (Q,) each.
+
+    Parameters
+    ----------
+    spread : (Q,) standard deviations of the mechanisms' entries
+    """
     return -NORMAL_90 * spread, NORMAL_90 * spread
 
 
 def find_interval_ends(fit: ExtendedFit, spread: Float) -> tuple[Float, Float]:
-    """(Q,) steps of the mechanisms' entries down and up to the ends of their 90 % intervals; `spread` (Q,) standard deviations.
+    """Steps of the mechanisms' entries down and up to the ends of their 90 % intervals, (Q,) each.
 
-    Those of severities are where χ² has risen by 2.7 with everything else at its best, never nearer than the curvature says.
+    The ends of severities are where χ² has risen by 2.7 with everything else at its best, never nearer than the
+    curvature says.
+
+    Parameters
+    ----------
+    fit : the model at its optimum
+    spread : (Q,) standard deviations of the mechanisms' entries
     """
     down, up = make_linear_ends(spread)
     for i, coordinate in enumerate(fit.of.coordinates):
@@ -41,6 +54,7 @@ def find_interval_ends(fit: ExtendedFit, spread: Float) -> tuple[Float, Float]:
 
 
 def _find_end(fit: ExtendedFit, entry: int, step: float) -> float:
+    """The step to one end of one entry's interval, from that which the curvature says."""
     low, high = (float(bound[entry]) for bound in fit.of.limits)
     x = float(fit.x[entry])
     for _ in range(_ROUNDS):

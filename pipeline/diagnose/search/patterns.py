@@ -1,8 +1,9 @@
-"""Is anything left? Tests of residuals that no mechanism proposes: smooth patterns, and blocks one by one.
+"""Is anything left? Tests of a residual for smooth patterns that no mechanism proposes.
 
-Smooth patterns are polynomials in the logarithm of frequency or time, alone and times amplitude, voltage, cycle and session time, for
-each kind of feature. What material, rig and the mechanisms in the model absorb is taken off, so that the sum of squares of the
-scores is χ² under the null. An unlisted effect, or one of another form, shows here.
+Patterns are polynomials in the logarithm of frequency or time, alone and times amplitude, voltage, cycle and session
+time, for each kind of feature. What film, rig and the mechanisms in the model absorb is taken off, so that the sum of
+squares of the scores is χ² under the null (score test, Rao 1948). An unlisted effect, or one of another form, shows
+here.
 """
 
 from __future__ import annotations
@@ -35,9 +36,14 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Patterns:
-    """Smooth patterns in a residual. `statistic` is χ² with `degrees_of_freedom` under the null.
+    """Smooth patterns in a residual, all together and by what they are.
 
-    kind_p : kind of feature → probability of its own patterns; variable_p : variable → that of the patterns that it modulates
+    Parameters
+    ----------
+    statistic, degrees_of_freedom : χ² under the null
+    p_value : its probability
+    kind_p : kind of feature → probability of its own patterns
+    variable_p : variable → probability of the patterns that it modulates
     """
 
     statistic: float
@@ -48,7 +54,12 @@ class Patterns:
 
 
 def test_patterns(fit: ExtendedFit) -> Patterns:
-    """Smooth patterns that a fitted model leaves."""
+    """Smooth patterns that a fitted model leaves.
+
+    Parameters
+    ----------
+    fit : the model at its optimum
+    """
     session = fit.of.session
     columns, labels = [], []
     for kind, variable, column in _make_patterns(session):
@@ -78,7 +89,17 @@ def name_variable(variable: str) -> str:
 
 
 def compute_block_p(chi2: float, size: int, spread: float) -> float:
-    """Probability of χ² or more of `size` values whose common variance is known to `spread` (relative): Satterthwaite."""
+    """Probability of χ² or more of a block whose noise variance is itself known only so well.
+
+    Parameters
+    ----------
+    chi2, size : of the block, and the number of its values
+    spread : relative standard deviation of the noise variance
+
+    Notes
+    -----
+    The sum is taken as a multiple of a χ² with the same mean and variance: Satterthwaite 1946.
+    """
     variance = 2 * size + (spread * size) ** 2
     return float(chdtrc(2 * size**2 / variance, chi2 * 2 * size / variance))
 
@@ -134,12 +155,18 @@ def _make_abscissa(p: Place) -> Float:
 
 
 def _scale_to_unit(values: Float) -> Float:
+    """Values from −1 to 1."""
     low, high = float(values.min()), float(values.max())
     return np.asarray(2 * (values - low) / (high - low) - 1) if high > low else np.zeros(values.size)
 
 
 def compute_quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
-    """scoreᵀ gram⁺ score over patterns of unit length, its rank, and gram⁺ score."""
+    """sᵀ G⁺ s over changes of unit length, the rank of G, and G⁺ s.
+
+    Parameters
+    ----------
+    gram, score : G (G, G) products of the changes, and s (G,) with the residual
+    """
     values, vectors = np.linalg.eigh((gram + gram.T) / 2)
     kept = values > _RELATIVE_RANK * max(float(values[-1]), 1e-300)
     kept &= values > 1e-5
@@ -152,5 +179,6 @@ def compute_quadratic(gram: Float, score: Float) -> tuple[float, int, Float]:
 
 
 def _compute_p(gram: Float, score: Float, chosen: Bool) -> float:
+    """Probability of the scores of some patterns alone."""
     total, freedom, _ = compute_quadratic(gram[np.ix_(chosen, chosen)], score[chosen])
     return float(chdtrc(freedom, total)) if freedom else 1.0

@@ -1,7 +1,7 @@
 """The plain model of a session: its order, and the optimum of all its parameters.
 
-The order, one to three, is that which the recordings ask for together. Every order is searched from many starts, for a search
-that ended early would be taken for a discrepancy.
+The order, one to three, is that which the recordings ask for together. Every order is searched from many starts, for a
+search that ended early would be taken for a discrepancy.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class PlainFit:
 def fit_plain(session: Session, simulation: Simulation, *, order: int | None = None) -> PlainFit:
     """The plain model of the order that the recordings ask for, or of `order`, fitted to all features.
 
-    The order is found on the mechanical features, where there are any: they say most of the arms, at a fraction of the cost.
-    Raises `NotIdentifiableError` where no response of the film is among the features.
+    The order is found on the mechanical features, where there are any: they say most of the arms, at a fraction of the
+    cost. Raises `NotIdentifiableError` where no response of the film is among the features.
     """
     chosen = [p.block.kind in _MECHANICAL for p in session.places]
     responds = any(p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE) for p in session.places)
@@ -145,7 +145,8 @@ def _fit_order(
         return compute_residuals(session, about, model, several)
 
     def searched(starts: Sequence[Float]) -> list[Solution]:
-        """The finite ends of searches from these starts, up to the first that has found what there is, or on which several agree."""
+        """The finite ends of searches from these starts, up to the first that has found what there is, or on which
+        several agree."""
         ends: list[Solution] = []
         for start in starts:
             end = minimise(residuals, start, *make_bounds(model), most=_MOST)
@@ -170,7 +171,8 @@ def _fit_order(
 
 
 def _make_starts(session: Session, model: BaseModel, lower: PlainFit | None) -> list[Float]:
-    """Starts of θ: arms from a ladder fitted to rough stiffnesses, arms spread over the band, one more arm than `lower`."""
+    """Starts of θ: arms from a ladder fitted to rough stiffnesses, arms spread over the band, one more arm than
+    `lower`."""
     f, k = estimate_stiffness(session)
     starts = []
     if lower is not None:
@@ -181,7 +183,8 @@ def _make_starts(session: Session, model: BaseModel, lower: PlainFit | None) -> 
 
 
 def _try_other_clamps(session: Session, model: BaseModel) -> list[Float]:
-    """Starts with clamps of the masses that leave the film smoothest: from the wrong side of a resonance no slope leads over it."""
+    """Starts with clamps of the masses that leave the film smoothest: from the wrong side of a resonance no slope leads
+    over it."""
     tried = []
     for ratio in _OTHER_CLAMPS:
         f, k = estimate_stiffness(session, ratio)
@@ -224,7 +227,8 @@ def _estimate_sensing(session: Session) -> float:
 
 
 def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Complex]:
-    """Frequencies Hz (m,) and k(jω) N/mm (m,) as the responses have it with the rig as its file says, its clamp `ratio` times as heavy.
+    """Frequencies Hz (m,) and k(jω) N/mm (m,) as the responses have it with the rig as its file says, its clamp `ratio`
+    times as heavy.
 
     Raises `NotIdentifiableError` where no response of the film is among the features.
     """
@@ -278,7 +282,8 @@ def _load_clamp(session: Session, number: int, ratio: float) -> Rig:
 
 
 def _fit_ladder(f: Float, k: Complex, times: Float) -> tuple[float, Float, float]:
-    """Springs ≥ 0 of arms at `times` under k, least squares relative to |k|: k0, (len(times),) and the misfit, root mean square."""
+    """Springs ≥ 0 of arms at `times` under k, least squares relative to |k|: k0, (len(times),) and the misfit, root
+    mean square."""
     design = np.column_stack([np.ones(f.size, dtype=complex), debye(2 * np.pi * f, times)]) / np.abs(k)[:, None]
     target = k / np.abs(k)
     springs, left = nnls(np.vstack([design.real, design.imag]), np.concatenate([target.real, target.imag]))

@@ -1,9 +1,9 @@
 """Which mechanism could explain what a fitted simulation leaves: signatures over grids, and their null distribution.
 
-A signature is the change of all features when a mechanism is switched on at a severity, whitened, with everything taken off that
-the material, the rig and their priors can absorb. Secants at several severities stand for derivatives: onset effects have none.
-Under the null the scores along signatures are jointly normal, so that the distribution of the best of all of them, looked at
-everywhere, follows from the signatures alone.
+A signature is what a mechanism changes in all features when it is switched on at a severity: whitened, and with
+everything taken off that film, rig and their priors can absorb. Secants at several severities stand for derivatives,
+for effects with an onset have none. Under the null the scores along signatures are jointly normal, so that the
+distribution of the best of all of them, looked at everywhere, follows from the signatures alone.
 """
 
 from __future__ import annotations
@@ -31,12 +31,14 @@ _RANK = 1e-7
 
 @dataclass(frozen=True)
 class Signatures:
-    """Signatures at the points of all grids.
+    """Signatures at the points of all grids; those that leave no trace are left out.
 
-    chosen (G,), values (G,) : mechanism, its form and its parameters at each point; invisible ones are left out
-    correlation : (G, G) of the signatures with everything taken off that can be absorbed
+    Parameters
+    ----------
+    chosen, values : (G,) mechanism in its variant, and its parameters at each point
+    correlation : (G, G) of the signatures
     length : (G,) in standard deviations of the noise
-    score : (G,) of the fitted model's residual along them, standard normal each under the null
+    score : (G,) of the fitted model's residual along them, each standard normal under the null
     weak : (G,) whether the change was taken at a small part of the severity
     """
 
@@ -64,8 +66,13 @@ class Signatures:
             best[part] = np.maximum(scores.max(axis=0), 0.0)
         return np.sort(best**2)
 
-    def p_value(self, statistic: float) -> float:
-        """Probability that the best of all points reaches Λ by chance; beyond the draws the tail falls as that of a χ²."""
+    def compute_p(self, statistic: float) -> float:
+        """Probability that the best of all points reaches Λ by chance; beyond the draws the tail falls as that of a χ².
+
+        Parameters
+        ----------
+        statistic : Λ
+        """
         tail = float(np.mean(self.null >= statistic))
         known = self.null[int(0.998 * _DRAWS)]
         if statistic <= known:
@@ -73,22 +80,29 @@ class Signatures:
         return float(0.002 * np.exp(-(statistic - known) / 2))
 
     def reaches(self, statistic: float, level: float) -> bool:
-        """Whether the p-value of Λ is at most `level`; without draws where that of one point, or of all as if each were alone, says so."""
+        """Whether the probability of Λ under the null is at most `level`.
+
+        Without draws where the probability of one point alone, or of all as if they were independent, decides it.
+        """
         alone = float(ndtr(-np.sqrt(max(statistic, 0.0))))
         if alone > level or alone * self.length.size <= level:
             return alone <= level
-        return self.p_value(statistic) <= level
+        return self.compute_p(statistic) <= level
 
-    def threshold(self, level: float) -> float:
-        """Λ that the best reaches by chance with probability `level`."""
+    def find_threshold(self, level: float) -> float:
+        """Λ that the best of all points reaches by chance with probability `level`."""
         return float(np.quantile(self.null, 1 - level))
 
 
 @dataclass(frozen=True)
 class Score:
-    """The best point of a mechanism in one form.
+    """The best point of a mechanism in one variant.
 
-    `statistic` is Λ, the fall of χ² along its signature; `share` how much of the signature that takes.
+    Parameters
+    ----------
+    chosen, values : mechanism in its variant, and its parameters there
+    statistic : Λ, the fall of χ² along its signature
+    share : part of the severity at which that fall is reached
     """
 
     chosen: Chosen
@@ -99,9 +113,13 @@ class Score:
 
 @dataclass(frozen=True)
 class Secants:
-    """What mechanisms would change: points of all grids, and whitened changes of all features (N, G).
+    """What mechanisms would change in the features, at the points of all grids.
 
-    `weak` (G,): taken at a small part of the severity, and scaled.
+    Parameters
+    ----------
+    chosen, values : (G,) mechanism in its variant, and its parameters at each point
+    change : (N, G) whitened changes of all features
+    weak : (G,) whether the change was taken at a small part of the severity, and scaled
     """
 
     chosen: tuple[Chosen, ...]
@@ -111,9 +129,14 @@ class Secants:
 
 
 def compute_secants(fit: ExtendedFit) -> Secants:
-    """Changes about a fitted model, of every visible mechanism that is not in it. The one costly step of a screen.
+    """Changes about a fitted model by every visible mechanism that is not in it: the one costly step of a screen.
 
-    Weak effects of either sign have central differences: what a small step leaves of the curvature is more than some causes show.
+    Weak effects of either sign have central differences: what a small step leaves of the curvature is more than some
+    mechanisms show.
+
+    Parameters
+    ----------
+    fit : of the plain model, or of one with mechanisms
     """
     of = fit.of
     base = of.predict(fit.x)
@@ -142,7 +165,14 @@ def compute_secants(fit: ExtendedFit) -> Secants:
 
 
 def compute_signatures(found: Secants, fit: ExtendedFit) -> Signatures:
-    """Secants seen from a fitted model: weighted as it is, without what its entries absorb and without its mechanisms."""
+    """Secants as a fitted model sees them: weighted, and without what its entries absorb. Mechanisms that it has are
+    left out.
+
+    Parameters
+    ----------
+    found : changes about this model or one nearby
+    fit : the model
+    """
     held = {c.id for c in fit.of.chosen}
     open_ = np.array([i for i, c in enumerate(found.chosen) if c.id not in held], dtype=np.int64)
     seen = fit.of.weight[:, None] * found.change[:, open_]
@@ -161,7 +191,11 @@ def compute_signatures(found: Secants, fit: ExtendedFit) -> Signatures:
 
 
 def find_best_scores(found: Signatures) -> tuple[Score, ...]:
-    """Best point of each mechanism and form, best first."""
+    """The best point of each mechanism and variant, best first.
+
+    A small part of a strong effect's change is not the change of a weak one, for which there is a point of its own: the
+    score of a strong point counts where it stands for at least `alarm.least_part` of the severity.
+    """
     along = np.maximum(found.score, 0.0)
     share = along / found.length
     best: dict[Chosen, int] = {}
@@ -175,10 +209,15 @@ def find_best_scores(found: Signatures) -> tuple[Score, ...]:
 
 
 def make_grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, float], float]]:
-    """Points at which signatures are taken: of every visible mechanism, its forms, severities and shapes.
+    """Points at which signatures are taken: of every visible mechanism its variants, severities and shapes.
 
-    With each the part of the severity at which its change is taken: a small one where a weak effect is asked for, for what the
-    model absorbs of a strong one with its curvature is not what it absorbs of a weak one.
+    With each point goes the part of the severity at which the change is taken. It is small where a weak effect is asked
+    for: what the model absorbs of a strong effect by curvature is not what it absorbs of a weak one.
+
+    Parameters
+    ----------
+    of : the model
+    held : ids of mechanisms that are left out
     """
     for id, mechanism in MECHANISMS.items():
         if id in held or not (mechanism.shows & of.session.kinds):
@@ -195,7 +234,7 @@ def make_grid(of: Extended, held: set[str]) -> Iterator[tuple[Chosen, dict[str, 
 
 
 def scale_severities(mechanism: Mechanism, values: Mapping[str, float], part: float) -> dict[str, float]:
-    """Parameters with the severities times a part."""
+    """Parameters with the severities multiplied by a part; shapes as they are."""
     names = {p.name for p in mechanism.severities}
     return {name: part * value if name in names else value for name, value in values.items()}
 
@@ -206,6 +245,7 @@ def _may_change_sign(mechanism: Mechanism, values: Mapping[str, float]) -> bool:
 
 
 def _place_shapes(p: Parameter, shares: tuple[float, ...]) -> list[float]:
+    """Values of a shape at these parts of its plausible range."""
     if p.low == p.high:
         return [p.low]
     if p.log:
@@ -214,7 +254,8 @@ def _place_shapes(p: Parameter, shares: tuple[float, ...]) -> list[float]:
 
 
 def _list_severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float]]:
-    """Levels of each severity alone, the others 0; both signs where both are possible. With the part at which each is taken."""
+    """Values of each severity alone, the others 0, of both signs where both are possible; with the part at which each
+    is taken."""
     found = []
     for p in mechanism.severities:
         for number, level in enumerate(np.geomspace(p.low, p.high, RULES.alarm.severity_levels)):
@@ -226,7 +267,18 @@ def _list_severities(mechanism: Mechanism) -> list[tuple[dict[str, float], float
 
 
 def project_out(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, Float]:
-    """Products of weighted whitened changes (N, G) without what a fit absorbs, (G, G), and their scores (G,) with its residual."""
+    """What a fit cannot absorb of changes, as products.
+
+    Parameters
+    ----------
+    fit : the model at its optimum
+    seen : (N, G) weighted whitened changes
+    absorbed : (M, P) basis of what the entries absorb
+
+    Returns
+    -------
+    (G, G) products of the changes with each other, and (G,) with the residual
+    """
     # The priors' rows see nothing of a change, but they hold back what absorbs it.
     coefficients = absorbed[: fit.of.session.size].T @ seen
     gram = seen.T @ seen - coefficients.T @ coefficients
@@ -234,5 +286,5 @@ def project_out(fit: ExtendedFit, seen: Float, absorbed: Float) -> tuple[Float, 
 
 
 def make_absorbed_basis(fit: ExtendedFit) -> Float:
-    """(M, P) orthonormal: what changes of the fitted entries can absorb, priors in the last rows."""
+    """(M, P) orthonormal basis of what changes of a fit's entries can absorb; the priors in the last rows."""
     return orthonormalise(fit.solution.jacobian)

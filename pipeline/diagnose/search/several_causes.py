@@ -1,7 +1,8 @@
 """Several causes at once: further ones added to a single one, and dropped again where the others do without.
 
-A further cause has to add more than the form of those before it can be wrong by. Where one cause explains nearly everything, its
-form is known far better than was assumed, and a weaker cause beside it is looked for on the scale that this leaves.
+A further cause has to add more than the form of those before it can be wrong by. Where one cause explains nearly
+everything, its form is known far better than was assumed, and a weaker cause beside it is looked for on the scale that
+this leaves.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ _EACH = 2
 
 @dataclass(frozen=True)
 class Combination:
-    """The plain model, the single mechanisms, best evidence first, and the model with all causes; under the same weights.
+    """The plain model, the single mechanisms, best evidence first, and the model with all causes; under the same
+    weights.
 
     `final` is None where no mechanism is worth its parameters.
     """
@@ -80,19 +82,19 @@ def _search_weaker(
 ) -> Combination | None:
     """Causes beside the best single one, with weights by the form error that it is seen to have.
 
-    None where that is no smaller than was assumed, or no further cause shows. Changes about the plain model say whether one may be
-    there that is worth the cost of those about the cause.
+    None where that is no smaller than was assumed, or no further cause shows. Changes about the plain model say whether
+    one may be there that is worth the cost of those about the cause.
     """
     alone = singles[0]
-    raw = alone.of.with_weight(np.ones(noise_fit.of.session.size))
+    raw = alone.of.reweigh(np.ones(noise_fit.of.session.size))
     share = estimate_form_share(noise_fit, finish_fit(raw.fit(alone.x, most=_ROUGHLY)))
     if share > RULES.cause.finer_scale * RULES.temper.share:
         return None
     weight = temper_weights(noise_fit.of.session, noise_fit.misfit, share)
 
     def reweigh(fit: ExtendedFit) -> ExtendedFit:
-        of = fit.of.with_weight(weight)
-        return of.refined(of.fit(fit.x, most=_ROUGHLY))
+        of = fit.of.reweigh(weight)
+        return of.refine(of.fit(fit.x, most=_ROUGHLY))
 
     plain, base = reweigh(plain), finish_fit(reweigh(alone))
     signatures = compute_signatures(changes, base)
@@ -112,8 +114,8 @@ def _add_causes(
 ) -> tuple[ExtendedFit, bool]:
     """Causes added one by one: a further one where it is significant in what is left, and adds a share worth naming.
 
-    A mechanism that is like none of the causes shows that there is a further one; which it is the evidence says, whatever they are
-    like. True where one was chosen in this way.
+    A mechanism that is like none of the causes shows that there is a further one; which it is the evidence says,
+    whatever they are like. True where one was chosen in this way.
     """
     best, is_shown = worth[0], False
     for number in range(1, RULES.cause.most):
@@ -149,7 +151,8 @@ def _fit_further(
 
 
 def _is_promising(plain: ExtendedFit, base: ExtendedFit, score: Score, share: float) -> bool:
-    """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice that."""
+    """Whether a screen's Λ comes near what a further cause must add; fits often find more than the screen, rarely twice
+    that."""
     rules = RULES.cause
     least = rules.screen_part * rules.leaving_noise * rules.of_explained * _scale_demand(share)
     left = base.chi2 - expect_noise_chi2(plain)
@@ -206,7 +209,8 @@ def _contains_confusable(fit: ExtendedFit) -> bool:
 def _drop_needless(
     plain: ExtendedFit, final: ExtendedFit, is_shown: bool = False, share: float = RULES.temper.share
 ) -> ExtendedFit:
-    """The model without causes that are no longer needed; the others in the order of what each explains beside the rest."""
+    """The model without causes that are no longer needed; the others in the order of what each explains beside the
+    rest."""
     while len(final.of.chosen) > 1:
         fewer = [drop_mechanism(final, i) for i in range(len(final.of.chosen))]
         best = max(fewer, key=lambda f: f.log_evidence)

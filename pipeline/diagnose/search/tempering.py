@@ -1,4 +1,5 @@
-"""The tempered scale: every block may be wrong by a share of the plain model's misfit, for no extension has exactly reality's form.
+"""Tempering: every block may be wrong by a share of the plain model's misfit, for no mechanism has exactly reality's
+form.
 
 How large that share is, is assumed as long as nothing is known, and read off a cause that explains much more than that.
 """
@@ -14,7 +15,14 @@ from schemas.arrays import Float
 
 
 def temper_weights(session: Session, misfit: Float, share: float = RULES.temper.share) -> Float:
-    """(N,) weights: the variance of every block grows by the square of `share` times its misfit, of which `misfit` is (N,)."""
+    """(N,) weights by which the variance of every block grows by the square of a share of its misfit.
+
+    Parameters
+    ----------
+    session : with its blocks
+    misfit : (N,) whitened residual of the plain model
+    share : form error
+    """
     weight = np.ones(session.size)
     for p in session.places:
         own = misfit[p.first : p.stop]
@@ -23,8 +31,16 @@ def temper_weights(session: Session, misfit: Float, share: float = RULES.temper.
 
 
 def lower_outlier_weights(fit: ExtendedFit, weight: Float) -> Float:
-    """(N,) weights, lowered in blocks that a fit misses by more than the noise until it misses them by as much: what no model
-    describes says little of the film. `weight` (N,): what they would be without."""
+    """(N,) weights, lowered in blocks that a fit misses by more than the noise, until it misses them by as much as the
+    noise.
+
+    What no model describes says little of the film.
+
+    Parameters
+    ----------
+    fit : the model at its optimum
+    weight : (N,) weights without that
+    """
     found = weight.copy()
     for p in fit.of.session.places:
         own = slice(p.first, p.stop)
@@ -36,38 +52,44 @@ def lower_outlier_weights(fit: ExtendedFit, weight: Float) -> Float:
 
 
 def expect_noise_chi2(plain: ExtendedFit) -> float:
-    """χ² that the noise alone would leave on the tempered scale."""
+    """χ² that the noise alone would leave under the weights of a fit of the plain model."""
     return float(np.sum(plain.of.weight**2)) - plain.of.model.size
 
 
 def measure_excess(plain: ExtendedFit, fit: ExtendedFit) -> float:
-    """χ² that a fit leaves beyond what the noise alone would, in standard deviations of that (tempered scale)."""
+    """χ² that a fit leaves beyond the noise, in standard deviations of what the noise alone would leave. Both have the
+    same weights."""
     noise = expect_noise_chi2(plain)
     return float((fit.chi2 - noise) / np.sqrt(2 * max(noise, 1.0)))
 
 
 def measure_explained_share(plain: ExtendedFit, extended: ExtendedFit) -> float:
-    """Share of the plain model's misfit, in excess of the noise, that an extended one explains (tempered scale)."""
+    """Share of the plain model's misfit beyond the noise that an extended model explains. Both have the same weights."""
     fall = plain.chi2 - extended.chi2
     return float(np.clip(fall / max(plain.chi2 - expect_noise_chi2(plain), fall, 1e-9), 0.0, 1.0))
 
 
 def sum_by_block(fit: ExtendedFit, noise: bool = False) -> Float:
-    """(B,) weighted χ² of each block, or what the noise alone would leave."""
+    """(B,) weighted χ² of each block; with `noise` what the noise alone would leave."""
     squares = fit.of.weight**2 if noise else fit.misfit**2
     return np.array([float(squares[p.first : p.stop].sum()) for p in fit.of.session.places])
 
 
 def sum_by_part(fit: ExtendedFit, noise: bool = False) -> Float:
-    """(B + 1,) the same, and in the end that of what the files say of the rig: a cause may do nothing but reconcile them."""
+    """(B + 1,) the same, and last that of the rig's priors: a cause may do nothing but reconcile features with the
+    rig's file."""
     files = fit.solution.residual[fit.of.session.size :][: int(np.isfinite(fit.of.model.prior_sd).sum())]
     return np.append(sum_by_block(fit, noise), files.size if noise else float(files @ files))
 
 
 def estimate_form_share(plain: ExtendedFit, extended: ExtendedFit) -> float:
-    """Share of their misfit that the form of a cause is seen to leave in most blocks; `SHARE` at most. Both without tempering.
+    """Form error of a cause, as most blocks show it; `temper.share` at most.
 
     What another cause leaves in some of the blocks counts for nothing in the median of all.
+
+    Parameters
+    ----------
+    plain, extended : without and with the cause; both with weights of the noise alone
     """
     size = sum_by_block(plain, noise=True)
     before, after = sum_by_block(plain) - size, sum_by_block(extended) - size

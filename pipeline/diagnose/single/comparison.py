@@ -1,8 +1,8 @@
 """Models with one mechanism each, compared by what they predict of a part that they were not fitted to.
 
-For records that are asked alone: a large cycle, a system of another kind. There is no measured noise of other recordings to lean
-on, and what is left has a long memory, so that sums of squares over the fitted part decide nothing. Does not belong here: the
-models themselves and how they are fitted, and the verdict (`pipeline.diagnose.judge`).
+For records that are asked alone: a large cycle, a system of another kind. There is no measured noise of other
+recordings to lean on, and what is left has a long memory, so that sums of squares over the fitted part decide nothing.
+Does not belong here: the models themselves and how they are fitted, and the verdict (`pipeline.diagnose.judge`).
 """
 
 from __future__ import annotations
@@ -94,9 +94,8 @@ def compare_predictions(
     sd : standard deviation of the noise of one value, the largest that it may be
 
     Notes
-    -----
-    The part left out is one, and is no sample of anything, and the plain model's prediction of it is the one that was made: intervals
-    are of what the fits to the rest leave open about the models.
+    ----- The part left out is one, and is no sample of anything, and the plain model's prediction of it is the one that
+    was made: intervals are of what the fits to the rest leave open about the models.
     """
     size = left_out.size
 
@@ -145,7 +144,8 @@ def _draw_blocks(size: int, memory: int, times: int, rng: np.random.Generator) -
 
 
 def draw_parameters(jacobian: Float, residual: Float, memory: int, times: int, rng: np.random.Generator) -> Float:
-    """(B, P) changes of parameters that the fit leaves open: its residual (N,) drawn anew in blocks, one step of the linear problem.
+    """(B, P) changes of parameters that the fit leaves open: its residual (N,) drawn anew in blocks, one step of the
+    linear problem.
 
     jacobian : (N, P) of the residual. Directions that the data do not hold at all are left where they are.
     """

@@ -1,7 +1,7 @@
-"""The diagnosis of one large cycle that is alone: what one branch on the equilibrium stress gets wrong of it, and what would mend it.
+"""The diagnosis of one large cycle that is alone: what one branch on the equilibrium stress gets wrong of it, and why.
 
-Every cause is fitted to the loading and has to predict the unloading (`contest`). The noise is that of neighbouring samples, for
-there is no rest; what is left remembers for long, and counts as few independent values.
+Every mechanism is fitted to the loading and has to predict the unloading (`comparison`). The noise is that of
+neighbouring samples, for there is no rest; what is left remembers for long, and counts as few independent values.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ STRESS, PREDICTED = "cycle.stress", "cycle.unseen"
 _DRAWS, _TRIALS, _SEED = 200, 400, 11
 """Parameters that are drawn from so many trials, and the seed of both."""
 _OPEN, _WIDER = 1.0, 1.3
-"""Standard deviation of a parameter, most of them logarithms, that the data do not hold; and how much wider is drawn than is held."""
+"""Standard deviation of a parameter, most of them logarithms, that the data do not hold; and how much wider is drawn
+than is held."""
 _NORMAL_90 = 1.645
 """Half width of a 90 % interval of the normal distribution, in standard deviations."""
 _PLACES = 4
@@ -53,7 +54,13 @@ _COMPARED, _FEW = 24, 60
 
 @dataclass(frozen=True)
 class _Tried:
-    """A model fitted to the loading and to everything, with what both leave open: (B, P) each."""
+    """A model fitted to the loading and to everything, with what both fits leave open.
+
+    Parameters
+    ----------
+    learned, whole : fitted to the loading, and to everything
+    drawn_learned, drawn_whole : (B, P) parameters that they leave open
+    """
 
     learned: Fitted
     whole: Fitted
@@ -73,15 +80,15 @@ class _Tried:
         return found
 
     def predict_unloading(self, unloading: Bool, plain: _Tried) -> TriedModel:
-        """What it predicts of the unloading: what the plain model does where the loading does not show its cause."""
-        cause = self.whole.model.cause
+        """What it predicts of the unloading: as the plain model where the loading does not show its mechanism."""
+        mechanism = self.whole.model.mechanism
         learned, drawn_x = (plain, plain.learned.x[None]) if self.learned.unseen else (self, self.drawn_learned)
         drawn = np.array([learned.learned.stress(x)[unloading] for x in drawn_x])
         return TriedModel(
-            mechanism="" if cause is None else cause.mechanism,
-            variant="" if cause is None else cause.variant,
-            equation="" if cause is None else cause.equation,
-            severity={} if cause is None else self.severity,
+            mechanism="" if mechanism is None else mechanism.id,
+            variant="" if mechanism is None else mechanism.variant,
+            equation="" if mechanism is None else mechanism.equation,
+            severity={} if mechanism is None else self.severity,
             whole=self.whole.stress(),
             unseen=learned.learned.stress()[unloading],
             drawn=drawn,
@@ -89,7 +96,8 @@ class _Tried:
 
 
 def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Comparison]:
-    """What one branch on the equilibrium stress gets wrong of a large cycle, and which mechanism predicts its unloading.
+    """What one branch on the equilibrium stress gets wrong of a large cycle, and which mechanism predicts its
+    unloading.
 
     Parameters
     ----------
@@ -121,23 +129,30 @@ def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Comparison]:
 
 
 def estimate_noise_sd(values: Float) -> float:
-    """Standard deviation of the noise of single values (m,), from second differences, robust against corners and steps of time."""
+    """Standard deviation of the noise of single values.
+
+    From second differences, robust against corners and steps of time.
+
+    Parameters
+    ----------
+    values : (m,) of a smooth course with noise
+    """
     second = np.diff(values, 2)
     return float(np.sqrt(np.median(second**2) / (0.4549 * 6)))
 
 
-def _try_mechanism(cycle: LargeCycle, cause: CycleMechanism | None, rng: np.random.Generator) -> _Tried:
-    model = CycleModel(cycle, cause)
+def _try_mechanism(cycle: LargeCycle, mechanism: CycleMechanism | None, rng: np.random.Generator) -> _Tried:
+    model = CycleModel(cycle, mechanism)
     learned, whole = model.fit(cycle.loading), model.fit(np.ones(cycle.time_s.size, dtype=bool))
     return _Tried(learned, whole, _draw_open_parameters(learned, rng), _draw_open_parameters(whole, rng))
 
 
 def _draw_open_parameters(fit: Fitted, rng: np.random.Generator) -> Float:
-    """(B, P) parameters that the fit leaves open, within their limits; as they are where the cause is not seen.
+    """(B, P) parameters that the fit leaves open, within their limits; as they are where the mechanism is not seen.
 
-    What is left stands for the noise, as few independent values as its memory allows. Drawn from the linear problem, with what it
-    does not hold as wide as a factor e, and drawn again by how well they fit: valleys are bent (Rubin 1987, sampling-importance
-    resampling).
+    What is left stands for the noise, as few independent values as its memory allows. Drawn from the linear problem,
+    with what it does not hold as wide as a factor e, and drawn again by how well they fit: valleys are bent (Rubin
+    1987, sampling-importance resampling).
     """
     if fit.unseen:
         return np.tile(fit.x, (_DRAWS, 1))
@@ -200,8 +215,8 @@ def _collect_details(
 
 
 def _is_of(tried: _Tried, model: TriedModel) -> bool:
-    cause = tried.whole.model.cause
-    return cause is not None and (cause.mechanism, cause.variant) == (model.mechanism, model.variant)
+    mechanism = tried.whole.model.mechanism
+    return mechanism is not None and (mechanism.id, mechanism.variant) == (model.mechanism, model.variant)
 
 
 def _make_film(model: CycleModel, x: Float) -> RelaxationModel:
@@ -281,9 +296,10 @@ def _list_residuals(cycle: LargeCycle, plain: _Tried, extended: _Tried, sd: floa
 def _propose_recording(
     cycle: LargeCycle, others: Sequence[_Tried], found: Comparison, sd: float
 ) -> NextRecording | None:
-    """Of a slower cycle, a faster one and a hold the one that separates the causes that are possible best; None where none does.
+    """Of a slower cycle, a faster one and a hold the one that separates the possible mechanisms best; None where none
+    does.
 
-    As in `next_recording`: Dᵀ (N + C)⁻¹ D, of which C is what the cycle at hand leaves open about the rival.
+    As in `next_recording`: Dᵀ (N + C)⁻¹ D, of which C is what the cycle at hand leaves open about the alternative.
     """
     possible = [next(t for t in others if _is_of(t, p.model)) for p in found.possible]
     best: tuple[float, str, dict[str, str | float]] | None = None
@@ -305,7 +321,7 @@ def _propose_recording(
 
 
 def _name_mechanism(tried: _Tried) -> str:
-    return "" if tried.whole.model.cause is None else tried.whole.model.cause.mechanism
+    return "" if tried.whole.model.mechanism is None else tried.whole.model.mechanism.id
 
 
 def _predict_elsewhere(tried: _Tried, time: Float, stretch: Float) -> Float:
@@ -315,7 +331,7 @@ def _predict_elsewhere(tried: _Tried, time: Float, stretch: Float) -> Float:
 
 
 def _compute_separation(true: Float, rival: Float, sd: float) -> float:
-    """χ² against a rival, (1 + B, m) each, with what forms may be wrong by as noise."""
+    """χ² against an alternative, (1 + B, m) each, with the form error as noise."""
     difference = true[0] - rival[0]
     noise = np.diag(sd**2 + (RULES.single.form_error * difference) ** 2)
     return float(difference @ np.linalg.solve(noise + np.cov(rival[1:].T), difference))

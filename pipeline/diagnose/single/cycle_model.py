@@ -1,10 +1,10 @@
-"""What one branch beside an equilibrium stress gets wrong of a large cycle: models with one cause more, each fitted to the loading
-and judged on the unloading.
+"""Models of a large cycle: one branch beside an equilibrium stress, with one mechanism more.
 
     P = P_eq(λ) + Q,   dQ/dt + Q/τ = γ dλ/dt        (`pipeline.fit.relaxation.time_domain`)
 
-A triangle at one rate shows relaxation and the law of equilibrium in one curve. Both can be bent to follow the half that is fitted,
-so that only what they predict of the other half speaks. Belongs here: the models. What follows from them is in `cycle_diagnosis`.
+A triangle at one rate shows relaxation and the law of equilibrium in one curve. Both can be bent to follow the half
+that is fitted, so that only what they predict of the other half speaks. Belongs here: the models. What follows from
+them is in `cycle_diagnosis`.
 """
 
 from __future__ import annotations
@@ -41,8 +41,13 @@ _FAR = 12.0
 
 @dataclass(frozen=True)
 class LargeCycle:
-    """A cycle as it was measured: (m,) s, stretch, nominal stress in kPa; its fits with one branch and more, on the law that the
-    recording gives, else on a fitted one."""
+    """A cycle as it was measured.
+
+    Parameters
+    ----------
+    time_s, stretch, stress : (m,) s, stretch, and nominal stress in kPa
+    fits : with one branch and more, on the law that the recording gives, else on a fitted one
+    """
 
     time_s: Float
     stretch: Float
@@ -62,7 +67,13 @@ class LargeCycle:
 
 @dataclass(frozen=True)
 class Ladder:
-    """Branches that stand for a power law: their times (n,) s, and their stresses (m, n) with γ = 1."""
+    """Branches that stand for a power law.
+
+    Parameters
+    ----------
+    tau : (n,) their times, s
+    stress : (m, n) their stresses with γ = 1
+    """
 
     tau: Float
     stress: Float
@@ -76,8 +87,17 @@ class Ladder:
 
 @dataclass(frozen=True)
 class Parts:
-    """What a model is made of: (m,) s, stretch λ, strain over the largest, largest λ so far, equilibrium stress and that of the
-    branch in kPa; `k0` slope of the equilibrium stress at rest, kPa."""
+    """What a model is made of.
+
+    Parameters
+    ----------
+    time_s, stretch : (m,) s, and stretch λ
+    strain : (m,) over the largest
+    highest : (m,) largest λ so far
+    equilibrium, viscous : (m,) equilibrium stress, and that of the branch, kPa
+    k0 : slope of the equilibrium stress at rest, kPa
+    ladder : branches that stand for a power law
+    """
 
     time_s: Float
     stretch: Float
@@ -90,18 +110,25 @@ class Parts:
 
     @property
     def total(self) -> Float:
+        """(m,) stress of the plain model, kPa."""
         return np.asarray(self.equilibrium + self.viscous)
 
 
 @dataclass(frozen=True)
 class CycleMechanism:
-    """One cause in one form.
+    """A mechanism of the list, in one variant, as it acts on a cycle.
 
-    stress : parts, values → (m,) kPa; severity : values → key → value, relative to the parts
-    starts : values from which it is searched; `low`, `high` their limits; neutral : values at which it does nothing
+    Parameters
+    ----------
+    id, variant, equation : of the mechanism, in words, and with the term
+    starts : values from which it is searched
+    low, high : limits of its values
+    neutral : values at which it does nothing
+    stress : parts, values → (m,) kPa
+    severity : parts, values → severity by key
     """
 
-    mechanism: str
+    id: str
     variant: str
     equation: str
     starts: tuple[tuple[float, ...], ...]
@@ -154,7 +181,12 @@ def _report_relaxation(parts: Parts, values: Float) -> Mapping[str, float]:
 
 
 def list_mechanisms(span_s: float, interval_s: float) -> tuple[CycleMechanism, ...]:
-    """The causes that one cycle of that length and sampling can be asked for."""
+    """The mechanisms that one cycle can be asked for.
+
+    Parameters
+    ----------
+    span_s, interval_s : length of the cycle, and time between its samples
+    """
     shortest, longest = float(np.log(interval_s)), float(np.log(_PER_SPAN * span_s))
     fast, middle, slow = (float(np.log(share * span_s)) for share in (0.02, 0.2, 3.0))
     weak, bent = -_FAR, (np.log(0.2), np.log(6.0))
@@ -206,8 +238,16 @@ def list_mechanisms(span_s: float, interval_s: float) -> tuple[CycleMechanism, .
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model fitted to a part `seen` (m,) of a cycle. `x` log γ, log τ, those of the law where it is not given, the cause's values; `residual`
-    (n,) kPa and its `jacobian` (n, P) there; `unseen` whether that part does not show the cause."""
+    """A model fitted to a part of a cycle.
+
+    Parameters
+    ----------
+    model : the model
+    seen : (m,) the part
+    x : (P,) log γ, log τ, those of the law where it is not given, and the mechanism's values
+    residual, jacobian : (n,) kPa and (n, P) on the part
+    unseen : whether the part does not show the mechanism
+    """
 
     model: CycleModel
     seen: Bool
@@ -227,14 +267,15 @@ class Fitted:
 
     @property
     def severity(self) -> Mapping[str, float]:
+        """Severity by key."""
         return self.model.severity(self.x)
 
 
 class CycleModel:
-    """One branch on an equilibrium stress, with a cause or none, over a cycle."""
+    """One branch on an equilibrium stress, with a mechanism or none, over a cycle."""
 
-    def __init__(self, cycle: LargeCycle, cause: CycleMechanism | None) -> None:
-        self.cycle, self.cause, self._ladder = cycle, cause, Ladder.of(cycle)
+    def __init__(self, cycle: LargeCycle, mechanism: CycleMechanism | None) -> None:
+        self.cycle, self.mechanism, self._ladder = cycle, mechanism, Ladder.of(cycle)
         self._law = LAWS[cycle.fits.law]
         first = next(fit for fit in cycle.fits.fits if fit.order == 1)
         self._given = first.equilibrium if cycle.fits.fixed else None
@@ -255,12 +296,12 @@ class CycleModel:
     @property
     def limits(self) -> tuple[Float, Float]:
         """Lowest and highest x, (P,) each."""
-        cause = self.cause
-        low, high = ((), ()) if cause is None else (cause.low, cause.high)
+        mechanism = self.mechanism
+        low, high = ((), ()) if mechanism is None else (mechanism.low, mechanism.high)
         return np.concatenate([self._low, low]), np.concatenate([self._high, high])
 
     def split(self, x: Float) -> tuple[Parts, Float]:
-        """The parts of the model, and the cause's values."""
+        """The parts of the model at x (P,), and the mechanism's values."""
         c, law = self.cycle, self._given
         if law is None:
             values = np.exp(x[2 : self._own])
@@ -281,8 +322,8 @@ class CycleModel:
         return parts, x[self._own :]
 
     def severity(self, x: Float) -> Mapping[str, float]:
-        """Key → value."""
-        return {} if self.cause is None else self.cause.severity(*self.split(x))
+        """Severity by key, at x (P,)."""
+        return {} if self.mechanism is None else self.mechanism.severity(*self.split(x))
 
     def elsewhere(self, time_s: Float, stretch: Float) -> CycleModel:
         """The same model over another test of the same film, (m,) s and stretch, whose largest stretch is the same."""
@@ -294,12 +335,22 @@ class CycleModel:
     def stress(self, x: Float) -> Float:
         """(m,) kPa."""
         parts, values = self.split(x)
-        return parts.total if self.cause is None else self.cause.stress(parts, values)
+        return parts.total if self.mechanism is None else self.mechanism.stress(parts, values)
 
     def fit(self, seen: Bool) -> Fitted:
-        """The least squares over a part (m,) of the cycle. Raises `NotIdentifiableError` where no start leads anywhere."""
-        cause, (low, high) = self.cause, self.limits
-        extra = ((),) if cause is None else cause.starts
+        """The least squares over a part of the cycle.
+
+        Parameters
+        ----------
+        seen : (m,) the part
+
+        Raises
+        ------
+        NotIdentifiableError
+            where no start leads anywhere
+        """
+        mechanism, (low, high) = self.mechanism, self.limits
+        extra = ((),) if mechanism is None else mechanism.starts
         measured = self.cycle.stress[seen]
 
         def residual(x: Float) -> Float:
@@ -315,10 +366,10 @@ class CycleModel:
             raise NotIdentifiableError("the cycle's model has no finite fit", where=self.cycle.fits.recording_id)
         best = min(ends, key=lambda end: float(end.cost))
         length = np.linalg.norm(best.jac, axis=0)
-        unseen = cause is not None and bool((length[self._own :] < RULES.single.unseen * length.max()).all())
+        unseen = mechanism is not None and bool((length[self._own :] < RULES.single.unseen * length.max()).all())
         x = best.x.copy()
-        if unseen and cause is not None:
-            x[self._own :] = cause.neutral
+        if unseen and mechanism is not None:
+            x[self._own :] = mechanism.neutral
         return Fitted(self, seen, x, residual(x), best.jac, unseen)
 
 
@@ -331,7 +382,20 @@ def make_cycle(
     specimen_id: str,
     orders: Sequence[int] = (1,),
 ) -> LargeCycle:
-    """A cycle with its plain fits. Raises `NotIdentifiableError` as `fit_cycle`, and where there is no way back."""
+    """A cycle with its plain fits.
+
+    Parameters
+    ----------
+    time_s, stretch, stress : (m,) s, stretch, and nominal stress in kPa
+    equilibrium : parameters of the law of equilibrium by name; None: it is fitted
+    recording_id, specimen_id : where it is from
+    orders : numbers of branches that are fitted
+
+    Raises
+    ------
+    NotIdentifiableError
+        as `fit_cycle`, and where there is no way back
+    """
     good = np.isfinite(time_s) & np.isfinite(stretch) & np.isfinite(stress)
     t, lam, p = time_s[good], stretch[good], stress[good]
     fits = fit_cycle(

@@ -5,12 +5,13 @@ In units of a reference amplitude of the output A and a reference angular freque
     y″ + δ y′ + κ y + β₂ y² + β₃ y³ + c |y′| y′ + a q = γ u(t)/A,      q′ = y′ − (r + s |y′|) q
     reading = y/√(1 + l y²), late by Δ
 
-with δ, κ, γ the linear system of one mode. β₃ > 0 is the hardening spring of Duffing (Nayfeh and Mook, Nonlinear Oscillations, chapter 4), β₂
-one that is stiffer on one side, c quadratic damping; q with s = 0 is a Maxwell arm of rate r, with r = 0 a slider in series with a
-spring in the smooth form of Dahl (1968), which yields at a/s. Between samples the input is band-limited; a step between two of them is taken as midway.
+with δ, κ, γ the linear system of one mode. β₃ > 0 is the hardening spring of Duffing (Nayfeh and Mook, Nonlinear
+Oscillations, chapter 4), β₂ one that is stiffer on one side, c quadratic damping; q with s = 0 is a Maxwell arm of rate
+r, with r = 0 a slider in series with a spring in the smooth form of Dahl (1968), which yields at a/s. Between samples
+the input is band-limited; a step between two of them is taken as midway.
 
-What a damped oscillator did long ago it has forgotten: a record is cut into stretches that run side by side, each with a run-in that is
-not used. Does not belong here: which terms are free, and how they are fitted.
+What a damped oscillator did long ago it has forgotten: a record is cut into stretches that run side by side, each with
+a run-in that is not used. Does not belong here: which terms are free, and how they are fitted.
 """
 
 from __future__ import annotations
@@ -38,10 +39,12 @@ _TURN = 0.4
 class SystemRecord:
     """One record of a system.
 
-    input, output : (n,) in any unit, one value every interval_s
+    Parameters
+    ----------
+    input, output : (n,) in any unit, one value every `interval_s`
     periodic : whether it is one steady period
-    from_rest : whether the system rests before it, at an input and output of zero. Of other records the means are not compared, and of
-        those that are not periodic neither is the beginning
+    from_rest : whether the system rests before it, at an input and output of zero. Of other records the means are not
+        compared, and of those that are not periodic neither is the beginning
     """
 
     name: str
@@ -134,8 +137,8 @@ class Oscillator:
     def _integrate(self, parameters: Float) -> Float:
         """(L, K, C) positions y at the samples of all stretches.
 
-        The classical method of Runge and Kutta; q half a step aside, exact for the speed between (Strang 1968), so that no slider is
-        too stiff.
+        The classical method of Runge and Kutta; q half a step aside, exact for the speed between (Strang 1968), so that
+        no slider is too stiff.
         """
         stretches, sets = self._input.shape[1], parameters.shape[1]
         # Expanded, so that every operation below is one loop over contiguous memory.

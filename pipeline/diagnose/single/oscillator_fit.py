@@ -1,4 +1,5 @@
-"""Least squares of oscillators: many fits that differ in what is free and in what they are fitted to go side by side in one run.
+"""Least squares of oscillators: many fits that differ in what is free and in what they are fitted to go side by side in
+one run.
 
 Does not belong here: which fits are asked for, and what follows from them.
 """
@@ -178,7 +179,8 @@ def _step(fit: Fit, measured: Float, damping: float) -> tuple[Float, float]:
 
 
 def find_linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, float]:
-    """Angular frequency in rad/s, damping ratio and gain of y″ + 2ζω y′ + ω² y = g u, from spectra under a window of Hann.
+    """Angular frequency in rad/s, damping ratio and gain of y″ + 2ζω y′ + ω² y = g u, from spectra under a window of
+    Hann.
 
     The response error |Y − g U/D|² on a grid of ω and ζ, with the best g of each, and on from its least.
     """

@@ -127,7 +127,7 @@ def _report_extension(best: RankedModel, measured: Float, sd: float, chi2: float
 
 
 def list_smallest(models: Iterable[TriedModel]) -> dict[str, dict[str, float]]:
-    """Mechanism → main key → severity that stands out of what the fit to everything leaves open, of its first form."""
+    """Mechanism → main key → severity that stands out of what the fit to everything leaves open, of its first variant."""
     found: dict[str, dict[str, float]] = {}
     for model in models:
         for key, estimate in list(model.severity.items())[:1]:
@@ -137,7 +137,14 @@ def list_smallest(models: Iterable[TriedModel]) -> dict[str, dict[str, float]]:
 
 
 def describe_what_stays(words: str, residual: Float, sd: float, unit: str) -> str:
-    """What a cause leaves, fitted to everything: (N,) in a unit, and how much of it neighbours have in common."""
+    """What a mechanism leaves, in words: how much, and how much of it neighbours have in common.
+
+    Parameters
+    ----------
+    words : the mechanism
+    residual : (N,) of the fit to everything, in `unit`
+    sd : standard deviation of the noise
+    """
     correlation = float(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300))
     return (
         f"{words}, fitted to everything, leaves {np.sqrt(np.mean(residual**2)):.3g} {unit}, "

@@ -1,6 +1,8 @@
-"""The diagnosis of a system of another kind: what a linear simulation gets wrong of its records, and which cause predicts it.
+"""The diagnosis of a system of another kind: what a linear simulation of its records gets wrong, and which mechanism
+predicts it.
 
-Does not belong here: the models (`oscillator`, `system_causes`), and what a contest means (`contest`, `alone`).
+Does not belong here: the models (`oscillator`, `system_mechanisms`), and what their comparison means (`judge`,
+`report`).
 """
 
 from __future__ import annotations

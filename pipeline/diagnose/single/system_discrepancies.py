@@ -1,6 +1,7 @@
-"""Where a linear simulation of a system's records is wrong: in bands about its resonance, and by how large the output is.
+"""Where a linear simulation of a system's records is wrong: in bands about its resonance, and by how large the output
+is.
 
-Does not belong here: why (`system_causes`).
+Does not belong here: why (`system_mechanisms`).
 """
 
 from __future__ import annotations
@@ -27,9 +28,13 @@ _THIRDS = ("where the output is smallest", "where it is middling", "where it is 
 
 
 def list_system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ...]:
-    """Per record and band of frequency, and per record and third of its stretches by output; those beyond the noise, worst first.
+    """Bands of frequency, and thirds of a record by its output, in which the linear simulation is wrong; worst first.
 
-    χ² of a band is of its spectral lines, two values each; of a third that of its samples.
+    χ² of a band is that of its spectral lines, two values each; that of a third, of its samples.
+
+    Parameters
+    ----------
+    question : with the plain simulation of all records
     """
     found = []
     plain = question.simulations[0]

@@ -1,15 +1,22 @@
-"""A system of another kind: what a linear simulation of its records gets wrong, and which cause predicts it in a part left out.
+"""A system of another kind: models of its records with one mechanism each, and what they predict of a part left out.
 
-The plain model is y″ + d y′ + w₀² y = g u of one mode; every cause adds one term with one or two parameters (`oscillator`). All are
-fitted to everything, and for the held-out error to each of two parts, whose other one they predict (`system_parts`). Means are not
-compared (`SystemRecord`). An arm that relaxes and a delay are linear: they say that the order of the plain model is at fault.
+The plain model is y″ + d y′ + w₀² y = g u of one mode; every mechanism adds one term with one or two parameters
+(`oscillator`). All are fitted to everything, and for the held-out error to each of two parts, whose other one they
+predict (`system_parts`). Means are not compared (`SystemRecord`). An arm that relaxes and a delay are linear: they say
+that the order of the plain model is at fault.
 
-Severities are relative to the largest output A of all records: `stiffening` 3k₃A²/w₀², the rise of the tangent there; `drop` −k₃A²/w₀²,
-the loss of stiffness there; `residual` 1 − 2|k₂|A/w₀², the tangent that is left there on the softer side; `damping_ratio` c V/(2w₀) at the
-largest speed V; `overload` true over read output at A, less 1; `slip_force` k q_s/(w₀² A) and `hardening` k/w₀²; `stiffness_ratio` k₁/w₀²
-and `time_constant_s` τ; `delay_s` Δ.
+Severities are relative to the largest output A of all records:
 
-Does not belong here: what the contest makes of it (`contest`).
+    stiffening        3k₃A²/w₀², the rise of the tangent there
+    drop              −k₃A²/w₀², the loss of stiffness there
+    residual          1 − 2|k₂|A/w₀², the tangent that is left there on the softer side
+    damping_ratio     c V/(2w₀) at the largest speed V
+    overload          true over read output at A, less 1
+    slip_force        k q_s/(w₀² A), and hardening k/w₀²
+    stiffness_ratio   k₁/w₀², and time_constant_s τ
+    delay_s           Δ
+
+Does not belong here: how the models are compared (`comparison`).
 """
 
 from __future__ import annotations
@@ -70,7 +77,11 @@ _SAFETY = 0.7
 class Part:
     """A part that was left out.
 
-    name : in words; values : its place in `left_out`; places : (H,) its places among all compared values
+    Parameters
+    ----------
+    name : in words
+    values : its place in `left_out`
+    places : (H,) its places among all compared values
     """
 
     name: str
@@ -82,7 +93,12 @@ class Part:
 class Simulated:
     """A model's simulations of all records, fitted to everything.
 
-    outputs : (n,) per record, in its unit; compared : (n,) per record, where it is compared; parameters : (PARAMETERS,)
+    Parameters
+    ----------
+    mechanism : of the model; empty for the plain one
+    outputs : (n,) per record, in its unit
+    compared : (n,) per record, where it is compared
+    parameters : (PARAMETERS,)
     """
 
     mechanism: str
@@ -93,13 +109,20 @@ class Simulated:
 
 @dataclass(frozen=True)
 class SystemQuestion:
-    """What the contest is asked, and what the pages show.
+    """Models of a system, what they are compared on, and what the pages show.
 
-    measured, left_out : (N,) compared values of all records, and (H,) those of the parts left out; sd : of the noise of one value, noise
-    in words how it was told
-    plain, models : for the contest; parts : what was left out, one after the other
-    angular_frequency, damping_ratio : of the linear system, rad/s and share of the critical one; amplitude : largest output
-    names, times : of all records, (n,) in s; measured_outputs : (n,) per record as compared; simulations : the plain model's first
+    Parameters
+    ----------
+    measured : (N,) compared values of all records
+    left_out : (H,) those of the parts left out, one after the other
+    sd, noise : standard deviation of the noise of one value, and in words how it was told
+    plain, models : the plain model, and those with a mechanism
+    parts : what was left out
+    angular_frequency, damping_ratio : of the linear system, rad/s and share of the critical one
+    amplitude : largest output
+    names, times : of all records, and (n,) s
+    measured_outputs : (n,) per record as compared
+    simulations : the plain model's first
     """
 
     measured: Float
@@ -242,9 +265,12 @@ def list_asked() -> frozenset[str]:
 
 
 def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> SystemQuestion:
-    """The question of one system's records, all with one interval.
+    """Models of one system's records, fitted to everything and to each of two parts.
 
-    sd : of the noise of one output, where the caller knows it, for instance from periods that repeat
+    Parameters
+    ----------
+    records : all with one sampling interval
+    sd : standard deviation of the noise of one output, where the caller knows it, for instance from periods that repeat
     """
     oscillator, start = _start_plain(records)
     measured_outputs = tuple(_centre_output(oscillator, r) for r in records)
@@ -253,9 +279,9 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
     name, loud = split_in_two(oscillator, measured_outputs)
     folds = (everything, ~loud, loud)
     problems, owners = [], []
-    for number, cause in enumerate((None, *MECHANISMS)):
-        rows = cause.rows if cause else ()
-        for given in cause.starts if cause else ((),):
+    for number, term in enumerate((None, *MECHANISMS)):
+        rows = term.rows if term else ()
+        for given in term.starts if term else ((),):
             theta = start.copy()
             theta[list(rows)] = given
             for fold, fitted in enumerate(folds):
@@ -269,8 +295,8 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
     memory = int(max(RULES.single.memory * decay, measured.size / _BLOCKS, 1))
     known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
     found = [
-        _try_model(cause, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
-        for number, cause in enumerate((None, *MECHANISMS))
+        _try_model(term, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
+        for number, term in enumerate((None, *MECHANISMS))
     ]
     compared = tuple(oscillator.compared(r) for r in records)
     louder, quieter = np.flatnonzero(loud), np.flatnonzero(~loud)
@@ -324,14 +350,14 @@ def _centre_output(oscillator: Oscillator, record: SystemRecord) -> Float:
 
 
 def _try_model(
-    cause: _SystemMechanism | None,
+    term: _SystemMechanism | None,
     fits: Sequence[Fit],
     oscillator: Oscillator,
     measured: Float,
     loud: Bool,
     memory: int,
 ) -> TriedModel:
-    """Of the fits to everything, to the quiet and to the loud part."""
+    """A model from its fits to everything, to the quiet and to the loud part."""
     rng = np.random.default_rng(_SEED)
     unseen: list[Float] = []
     drawn: list[Float] = []
@@ -343,11 +369,11 @@ def _try_model(
         unseen.append(predicted)
         drawn.append(predicted + changes @ slope.T)
     whole = fits[0]
-    if cause is None:
+    if term is None:
         id, variant, equation, severity = "", "", "", dict[str, Estimate]()
     else:
-        mechanism, report = cause.choose_sign(float(whole.parameters[cause.rows[0]]))
-        id, variant, equation = mechanism.id, cause.variant, cause.equation
+        mechanism, report = term.choose_sign(float(whole.parameters[term.rows[0]]))
+        id, variant, equation = mechanism.id, term.variant, term.equation
         severity = _estimate_severity(report, whole, oscillator, measured, memory, rng)
     return TriedModel(
         mechanism=id,

@@ -1,6 +1,6 @@
 """Two parts of a system's records, one to be predicted from the other, and the noise of its output.
 
-Does not belong here: what is fitted to them (`system_causes`).
+Does not belong here: what is fitted to them (`system_mechanisms`).
 """
 
 from __future__ import annotations
@@ -22,8 +22,20 @@ _TINY = 1e-30
 
 
 def split_in_two(oscillator: Oscillator, outputs: Sequence[Float]) -> tuple[tuple[str, str], Bool]:
-    """Names of the two parts, and (M,) what belongs to the first: the record of the largest output, or of one record the half that is driven
-    more, else the second one, else every other stretch; the first of these in which both parts are driven at the same frequencies.
+    """Two parts of a system's records of which each can be predicted from the other.
+
+    Of several records the one of the largest output and the others. Of one record the half that is driven more and the
+    other; else its two halves; else every other stretch: the first of these in which both parts are driven at the same
+    frequencies.
+
+    Parameters
+    ----------
+    oscillator : with the records
+    outputs : (n,) per record
+
+    Returns
+    -------
+    Names of the two parts, and (M,) which compared values belong to the first
     """
     records = oscillator.records
     if len(records) > 1:
@@ -54,8 +66,11 @@ def _are_driven_alike(power: Float, chosen: Bool) -> bool:
 
 
 def estimate_noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
-    """Standard deviation of the noise of one output value, and in words how it is told: from frequencies that are not excited, as if
-    it were white: the upper end of its 95 % interval, so that noise alone is no misfit; the largest of the records'."""
+    """Standard deviation of the noise of one output value, and in words how it is told.
+
+    From frequencies that are not excited, as if it were white: the upper end of its 95 % interval, so that noise alone
+    is no misfit; the largest of the records'.
+    """
     levels, free = [], True
     for record in records:
         n = record.input.size
@@ -65,7 +80,8 @@ def estimate_noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
         excited = int(np.flatnonzero(smooth > RULES.single.excited * smooth.max())[-1] * RULES.single.above_excited)
         free &= excited < 0.95 * u.size
         above = y[min(excited, int(0.95 * u.size)) :]
-        # The median of an exponential distribution is ln 2 of its mean, its relative error 1/(ln 2 √n), under this window √1.5 of it.
+        # The median of an exponential distribution is ln 2 of its mean, its relative error 1/(ln 2 √n), under this
+        # window √1.5 of it.
         surely = 1 + 2 * np.sqrt(1.5 / above.size) / np.log(2)
         levels.append(float(np.median(above) / np.log(2) / np.sum(window**2) * surely))
     told = (
