@@ -12,6 +12,10 @@ from schemas.errors import NotIdentifiableError
 
 _MOVING = 0.02
 """Share of the amplitude that counts as movement."""
+_CLEARLY, _AT_REST = 6.0, 3.0
+"""Standard deviations of its noise from which a signal has clearly left its level, and within which a stretch is at rest."""
+_ENDS_SOON = 0.02
+"""Share of a period by which the end of a sweep may seem to lie beyond the end of the record: where it rests is found to a sample or few."""
 _AUTOCORRELATED = 0.9
 _COARSE = 16384
 """Points in which repeats are looked for; sweeps contain low frequencies, which is enough to find their period."""
@@ -19,11 +23,23 @@ _COARSE = 16384
 
 @dataclass(frozen=True)
 class Motion:
-    """First sample that moves, first sample that rests again (n when it never does), amplitude (half peak to peak)."""
+    """Where a signal moves.
+
+    Parameters
+    ----------
+    first, stop : int
+        First sample that moves, and first sample that rests again (n when it never does).
+    amplitude : float
+        Half peak to peak.
+    level, threshold : float
+        Where it rests before, and how far from there counts as movement.
+    """
 
     first: int
     stop: int
     amplitude: float
+    level: float
+    threshold: float
 
 
 @dataclass(frozen=True)
@@ -50,21 +66,27 @@ def motion(values: Float) -> Motion:
     if amplitude == 0:
         raise NotIdentifiableError("the input does not move at all", expected="a sweep")
     edge = int(np.clip(values.size // 200, 8, 256))
-    first, stop = _first_move(values, edge, amplitude), _first_move(values[::-1], edge, amplitude)
-    return Motion(first, values.size - stop, amplitude)
+    first, level, threshold = _first_move(values, edge, amplitude)
+    stop, _, _ = _first_move(values[::-1], edge, amplitude)
+    return Motion(first, values.size - stop, amplitude, level, threshold)
 
 
-def _first_move(values: Float, edge: int, amplitude: float) -> int:
+def _first_move(values: Float, edge: int, amplitude: float) -> tuple[int, float, float]:
+    """First sample that has left the level at the beginning, that level, and how far from it counts as left."""
     start = values[:edge]
-    threshold = min(max(_MOVING * amplitude, 6 * float(start.std())), amplitude / 4)
-    level = float(start.mean())
+    spread, level = float(start.std()), float(start.mean())
+    # Second differences of a signal that moves slowly are its noise; where it spreads farther, it moves from the first sample on.
+    noise = float(np.sqrt(np.mean(np.diff(start, 2) ** 2) / 6)) if edge > 2 else spread
+    if spread > _AT_REST * noise and spread > _MOVING * amplitude / _CLEARLY:
+        spread, level = noise, float(values[0])
+    threshold = min(max(_MOVING * amplitude, _CLEARLY * spread), amplitude / 4)
     # In pieces: most records move after a small part of them.
     for first in range(0, values.size, 65536):
         moving = np.abs(values[first : first + 65536] - level) > threshold
         hit = int(moving.argmax())
         if moving[hit]:
-            return first + hit
-    return 0
+            return first + hit, level, threshold
+    return 0, level, threshold
 
 
 def slices(
@@ -88,12 +110,18 @@ def slices(
     # Length of one sweep: to the last movement within the first period.
     piece = values[moving.first : moving.first + int(period)]
     active = motion(piece).stop if piece.size else 0
+    least = max(0.05 * period, min(least_rest, 0.2 * period))
+    if period - active < least and piece.size:
+        # Movement is seen a little late: the beginning of the next repeat, seen by the same measure, is no part of this one. The
+        # level itself may be off by as much.
+        beyond = np.flatnonzero(np.abs(piece - moving.level) > 2 * moving.threshold)
+        active = min(active, int(beyond[-1]) + 1) if beyond.size else active
     gap = period - active
-    rests = gap >= max(0.05 * period, min(least_rest, 0.2 * period))
+    rests = gap >= least
     if not rests:
         return periods(n, moving.first, period, repeats)
     before = int(min(moving.first, gap / 2))
-    count = int(np.floor((n - moving.first - active) / period + 1e-6)) + 1
+    count = int(np.floor((n - moving.first - active) / period + _ENDS_SOON)) + 1
     count = count if repeats is None else min(count, repeats)
     first = tuple(round(moving.first - before + p * period) for p in range(count))
     length = min(round(period), n - first[-1])

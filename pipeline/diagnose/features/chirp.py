@@ -15,7 +15,15 @@ import numpy as np
 from pipeline.diagnose.features.blocks import Signals, block
 from pipeline.diagnose.features.functionals import Component, stacked
 from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE, FeatureBlock, NoiseSample
-from pipeline.diagnose.features.records import Record, record, rest_samples, strain_length_mm
+from pipeline.diagnose.features.records import (
+    Record,
+    Start,
+    find_start,
+    record,
+    rest_samples,
+    strain_length_mm,
+    white_sd,
+)
 from pipeline.diagnose.features.sweep_kernels import WITHIN, Bands, Piece, bands_of, harmonics_of
 from pipeline.diagnose.rules import RULES
 from pipeline.physics.rig import rig_prior
@@ -30,6 +38,8 @@ _SHIFT_CELLS = 40
 """Stretches of a sweep, of equal length, in which what shifts the mean force is taken as constant."""
 _TOP = 0.5
 """Log frequency below the highest band that says how the film goes on above the sweep."""
+_CAME_BACK = 6.0
+"""Standard deviations of its noise within which a driven end is back where it began."""
 _REMEMBERED = 3
 """Sweeps, the last one itself, in which all is that a film answers with while one passes: with all of many, time and memory would grow
 as the square of their number."""
@@ -67,22 +77,21 @@ def chirp_blocks(
     names = source.input.quantity, source.output.quantity
     low, high = _band(recording)
     found = record({names[0]: source.input, names[1]: source.output}, recording, highest_hz=high)
-    pieces, amplitude = _sweeps(recording, found, found.values[names[0]], low)
-    rest = rest_samples(found.values[names[0]], back=int(0.25 / (low * found.interval_s)))
-    if rest < RULES.features.chirp_rest:
-        raise NotIdentifiableError(
-            "no rest before the first sweep",
-            where=where,
-            expected=f"at least {RULES.features.chirp_rest} samples of rest",
-        )
-    x, y = (found.values[q] - found.values[q][:rest].mean() for q in names)
+    pieces, amplitude = _sweeps(recording, found, found.values[names[0]])
+    before = rest_samples(found.values[names[0]], back=int(0.25 / (low * found.interval_s)))
+    start = find_start(before, RULES.features.chirp_rest, _rests_after(pieces))
+    rest = start.samples
+    x, y = found.values[names[0]] - _rest_position(found.values[names[0]], start), found.values[names[1]]
+    y = y - y[:rest].mean()
     length = strain_length_mm(recording)
-    noise = [found.noise(q, v[:rest]) for q, v in zip(names, (x, y), strict=True)]
+    # After a sweep the film still relaxes: a parabola takes that off.
+    degree = 1 if start.rests else 2
+    noise = [found.noise(q, v[s], degree=degree) for s in start.quiet for q, v in zip(names, (x, y), strict=True)]
+    warnings = [] if start.quiet else ["no rest: noise is taken from the other recordings of the rig"]
     signals = Signals(
-        x, y, found.interval_s, nodes, (), found.channel_factor(names[1], names[0]), noise_sd=float(y[:rest].std())
+        x, y, found.interval_s, nodes, (), found.channel_factor(names[1], names[0]), noise_sd=white_sd(y, start.quiet)
     )
     blocks: list[FeatureBlock] = []
-    warnings = []
     for i, sweep in enumerate(pieces):
         if found.lost[sweep.first : sweep.stop].any():
             warnings.append(f"sweep {sweep.number} has gaps and is left out")
@@ -118,21 +127,31 @@ def _band(recording: Recording) -> tuple[float, float]:
     return min(low, high), max(low, high)
 
 
-def _sweeps(recording: Recording, found: Record, x: Float, low: float) -> tuple[list[Sweep], float]:
+def _sweeps(recording: Recording, found: Record, x: Float) -> tuple[list[Sweep], float]:
     moving = sweeps.motion(x)
     metadata = recording.metadata
     period = None if metadata.period_s is None else metadata.period_s / found.interval_s
-    cut = sweeps.slices(x, moving, period=period, repeats=metadata.repeats, least_rest=1 / (low * found.interval_s))
-    if cut.continuous:
-        raise NotIdentifiableError(
-            "the sweeps follow each other without rest", where=metadata.recording_id, expected="rest after each sweep"
-        )
+    cut = sweeps.slices(x, moving, period=period, repeats=metadata.repeats)
     pieces = []
     for number, first in enumerate(cut.first, start=1):
         stop = min(first + cut.length, x.size)
         inside = sweeps.motion(x[first:stop])
         pieces.append(Sweep(first, stop, first + inside.first, first + inside.stop, number))
     return pieces, moving.amplitude
+
+
+def _rests_after(pieces: list[Sweep]) -> list[tuple[int, int]]:
+    """Late halves of the rests after the sweeps, in samples."""
+    return [(p.end + (p.stop - p.end) // 2, p.stop) for p in pieces]
+
+
+def _rest_position(values: Float, start: Start) -> float:
+    """Where the driven end rests: before the first sweep, else between the sweeps, if it comes back to where it began."""
+    if start.rests or not start.quiet:
+        return float(values[: start.samples].mean())
+    between = np.concatenate([values[s] for s in start.quiet])
+    back = abs(between.mean() - values[0]) < _CAME_BACK * between.std()
+    return float(between.mean() if back else values[0])
 
 
 def _components(names: tuple[str, str], bands: Bands, y: Float, rig: RigConstants) -> tuple[Component, ...]:

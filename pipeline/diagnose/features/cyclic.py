@@ -20,7 +20,7 @@ from pipeline.diagnose.features.kinds import (
     FeatureBlock,
     NoiseSample,
 )
-from pipeline.diagnose.features.records import bode_gain, record, rest_samples, strain_length_mm
+from pipeline.diagnose.features.records import bode_gain, find_start, record, rest_samples, strain_length_mm
 from pipeline.diagnose.rules import RULES
 from pipeline.transform import sweeps
 from pipeline.transform.channels import drive
@@ -32,6 +32,8 @@ _HARMONICS = 3
 """Highest harmonic of the force that is a feature."""
 _ROOM = 1.2
 """Highest frequency of interest over that of the last harmonic: noise above it only leaks in, with a film that stiffens."""
+_MANY_HARMONICS = 10
+"""Harmonics that are taken off before noise is read off cycles themselves."""
 _RESOLVING_REST_HZ = 4.0
 """Slow tests are sampled ten times as fast as this, so that the rest before them is seen."""
 
@@ -67,13 +69,12 @@ def cyclic_blocks(
     found = record(channels, recording, highest_hz=max(_ROOM * _HARMONICS * frequency, _RESOLVING_REST_HZ))
     given = found.values[names[0]]
     per_cycle = 1 / (frequency * found.interval_s)
-    rest = rest_samples(given, cycle=per_cycle)
-    if rest < RULES.features.cyclic_rest or per_cycle < RULES.features.per_cycle:
+    if per_cycle < RULES.features.per_cycle:
         raise NotIdentifiableError(
-            f"{rest} samples of rest before the first cycle, {per_cycle:.3g} in a cycle",
-            where=where,
-            expected=f"at least {RULES.features.cyclic_rest} and {RULES.features.per_cycle}",
+            f"{per_cycle:.3g} samples in a cycle", where=where, expected=f"at least {RULES.features.per_cycle}"
         )
+    start = find_start(rest_samples(given, cycle=per_cycle), RULES.features.cyclic_rest, ())
+    rest = start.samples
     x, y = (found.values[q] - found.values[q][:rest].mean() for q in names)
     moving = sweeps.motion(given)
     stated = recording.metadata.cycles
@@ -88,7 +89,12 @@ def cyclic_blocks(
     if not groups:
         raise NotIdentifiableError("no cycle without a gap", where=where)
     factor = found.channel_factor(names[1], names[0])
-    signals = Signals(x, y, found.interval_s, nodes, found.mains, factor, slow=True, noise_sd=float(y[:rest].std()))
+
+    def quiet(values: Float) -> Float:
+        """Noise of a channel: its rest, else what its last cycles leave of a sinusoid with many harmonics."""
+        return values[start.quiet[0]] if start.quiet else _residual(values, groups[-1], per_cycle)
+
+    signals = Signals(x, y, found.interval_s, nodes, found.mains, factor, slow=True, noise_sd=float(quiet(y).std()))
     length = strain_length_mm(recording)
     if "capacitance" in channels:
         sensed = found.values["capacitance"]
@@ -97,7 +103,7 @@ def cyclic_blocks(
             output=sensed - sensed[:rest].mean(),
             components=(Component("capacitance", 0), Component("capacitance", 1)),
             factor=found.channel_factor("capacitance", names[0]),
-            noise_sd=float(sensed[:rest].std()),
+            noise_sd=float(quiet(sensed).std()),
             largest_response=float(np.ptp(sensed) / np.ptp(x)),
         )
     blocks: list[FeatureBlock] = []
@@ -105,15 +111,26 @@ def cyclic_blocks(
         blocks += _blocks(signals, group, names, frequency, length, rest)
         if "capacitance" in channels:
             blocks.append(_capacitance(sensing, group, frequency, length))
-    noise = [found.noise(q, v[:rest]) for q, v in zip(names, (x, y), strict=True)]
+    noise = [found.noise(q, quiet(v)) for q, v in zip(names, (x, y), strict=True)]
     values = {
         "largest_strain": float(np.abs(x).max()) / length,
         "rest_force_n": float(found.values[names[1]][:rest].mean()),
     }
     if "capacitance" in channels:
         values["capacitance_rest_pf"] = float(sensed[:rest].mean())
-        noise += [found.noise("capacitance", sensed[:rest])]
+        noise += [found.noise("capacitance", quiet(sensed))]
     return blocks, [n for n in noise if n is not None], values, []
+
+
+def _residual(values: Float, group: _Group, per_cycle: float) -> Float:
+    """What a parabola and harmonics leave of a channel in a group of cycles: noise between the harmonics."""
+    n = np.arange(group.start, group.stop)
+    turn = 2 * np.pi * n / per_cycle
+    highest = int(min(_MANY_HARMONICS, per_cycle // 3, n.size // 4))
+    waves = [f(m * turn) for m in range(1, highest + 1) for f in (np.cos, np.sin)]
+    design = np.column_stack([*np.polynomial.legendre.legvander(np.linspace(-1, 1, n.size), 2).T, *waves])
+    solution = np.linalg.lstsq(design, values[n], rcond=None)[0]
+    return np.asarray(values[n] - design @ solution)
 
 
 def _groups(rest: int, per_cycle: float, whole: int, count: int, lost: Bool) -> list[_Group]:

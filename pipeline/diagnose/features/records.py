@@ -5,7 +5,7 @@ Belongs here: what all protocols share before their functionals are formed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,8 @@ _PASSED = 0.7
 _CLEARLY_AWAY, _FIRST_LEVEL, _LEAVING, _LEAST_OF_STEP = 6.0, 40, 0.2, 0.25
 """Standard deviations from its level at which an input has clearly left its rest; share of the record, and of a
 cycle, before that in which it may have begun to; and least noise over the step of the converter."""
+_NORMAL_MEDIAN = 0.6745
+"""Median of the size of a standard normal number."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,53 @@ def rest_samples(input_: Float, *, back: int = 2, cycle: float | None = None) ->
     # From rest 1 − cos φ grows as φ²/2; noise hides it a little longer.
     unseen = 0.0 if cycle is None else 1.2 * cycle * np.sqrt(4 * _CLEARLY_AWAY * noise / reach) / (2 * np.pi)
     return max(0, left - back - int(unseen))
+
+
+@dataclass(frozen=True)
+class Start:
+    """How a record begins.
+
+    Parameters
+    ----------
+    samples : int
+        Samples at the beginning that are rest, the reference of all levels; 1 where the test begins with the record: a film is taken to
+        be at rest when its recording starts.
+    quiet : list of slice
+        Stretches in which the input rests, long enough to read noise off: before the test, else after its parts; empty where it never does.
+    """
+
+    samples: int
+    quiet: tuple[slice, ...]
+
+    @property
+    def rests(self) -> bool:
+        """Whether the record begins with rest that noise can be read off."""
+        return bool(self.quiet) and self.quiet[0].start == 0
+
+
+def find_start(rest: int, fewest: int, quiet_later: Iterable[tuple[int, int]]) -> Start:
+    """How a record begins that has `rest` samples of rest first.
+
+    Parameters
+    ----------
+    rest : int
+        Samples before the input leaves its rest.
+    fewest : int
+        Least number of samples that noise can be read off.
+    quiet_later : pairs of int
+        First sample and stop of stretches in which the input rests again, used where there is too little rest before.
+    """
+    if rest >= fewest:
+        return Start(rest, (slice(0, rest),))
+    return Start(1, tuple(slice(a, b) for a, b in quiet_later if b - a >= fewest))
+
+
+def white_sd(values: Float, quiet: Sequence[slice]) -> float:
+    """Standard deviation of one sample's noise: of the quiet stretches, else from second differences of the whole."""
+    parts = [values[s] - values[s].mean() for s in quiet]
+    if parts:
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+    return float(np.median(np.abs(np.diff(values, 2))) / (np.sqrt(6) * _NORMAL_MEDIAN)) if values.size > 2 else 0.0
 
 
 def _step_of(values: Float) -> float:

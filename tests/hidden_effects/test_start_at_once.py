@@ -1,0 +1,67 @@
+"""Recordings of machines whose test begins with the record: no rest before the first sweep or cycle, sweeps with hardly any between.
+
+A diagnosis once left all of these out without a word, and judged on what was left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.features.kinds import CHIRP_RESPONSE, CYCLIC_RESPONSE
+from pipeline.diagnose.features.records import rest_samples
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.results import Diagnosis
+from schemas.recording import Recording
+from tests.hidden_effects.truth import Effect, compact_session
+
+SESSION_SEED = 103
+
+
+def without_rest(recording: Recording) -> Recording:
+    """A chirp or a cyclic recording from its first movement on; all others as they are."""
+    if recording.metadata.protocol not in ("chirp", "cyclic"):
+        return recording
+    given = recording.channels["displacement"]
+    begin_ns = int(given.time_ns[rest_samples(given.values)])
+    channels = {}
+    for quantity, channel in recording.channels.items():
+        kept = channel.time_ns >= begin_ns
+        channels[quantity] = replace(channel, time_ns=channel.time_ns[kept], values=channel.values[kept])
+    return replace(recording, channels=channels)
+
+
+def diagnose_without_rest(*effects: Effect) -> Diagnosis:
+    session = compact_session(SESSION_SEED, effects)
+    return diagnose([reduce(without_rest(recording)) for recording in session.recordings])
+
+
+def test_every_sweep_and_cycle_counts_without_rest_before_it() -> None:
+    for recording in compact_session(SESSION_SEED, ()).recordings:
+        kind = {"chirp": CHIRP_RESPONSE, "cyclic": CYCLIC_RESPONSE}.get(recording.metadata.protocol)
+        if kind is None:
+            continue
+        whole, cut = reduce(recording), reduce(without_rest(recording))
+        responses = [[b for b in features.blocks if b.kind == kind] for features in (whole, cut)]
+        assert len(responses[0]) == len(responses[1]) > 0
+        # The first cycles of a film that settles depend on where they are taken to begin.
+        settled = slice(None) if kind == CHIRP_RESPONSE else slice(-1, None)
+        for before, after in zip(responses[0][settled], responses[1][settled], strict=True):
+            size = np.abs(before.value).max()
+            assert np.abs(before.value - after.value).max() < 0.02 * size
+
+
+def test_nothing_is_found_in_a_clean_session_without_rest() -> None:
+    assert diagnose_without_rest().verdict == "none"
+
+
+@pytest.mark.parametrize(
+    ("cause", "severity"), [("rig_constants", 0.1), ("missing_relaxation", 0.2), ("amplitude_softening", 0.1)]
+)
+def test_causes_are_named_without_rest(cause: str, severity: float) -> None:
+    found = diagnose_without_rest(Effect(cause, severity))
+    assert found.verdict in ("named", "ambiguous")
+    assert found.mechanisms[0] == cause
