@@ -22,6 +22,16 @@ from schemas.recording import Recording
 _PER_DECADE = 12
 _FEWEST_WINDOWS = 8
 _FEWEST_REST = 8
+_NORMAL_MEDIAN = 0.6745
+"""Median of the size of a standard normal number."""
+_CLEARLY, _MOVED = 6.0, 0.02
+"""Standard deviations of its noise, and share of its whole travel, from which an input has clearly moved."""
+_AT_REST = 2.0
+"""Standard deviation over its noise beyond which a beginning is a slow movement and no rest."""
+_BEGINNING = 0.2
+"""Part of a ramp from which the force at its beginning is read where there is no rest."""
+_SPREAD = 2.0
+"""Standard deviations of its own spread by which what is left of a parabola may exceed the noise."""
 _RINGING = 3.0
 """A window whose samples scatter so many times more than the noise still holds the ringing of the clamp."""
 
@@ -67,20 +77,32 @@ class RelaxationCurve:
 
 @dataclass(frozen=True)
 class _Step:
-    """A ramp from `before` to `after` between `start_s` and `end_s`, held until `until_s`."""
+    """A ramp from `before` to `after` between `start_s` and `end_s`, held until `until_s`; `noise` of one sample of the input."""
 
     start_s: float
     end_s: float
     until_s: float
     before: float
     after: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Force from which the film relaxes, its variance, and how many samples of rest it is the mean of (0: there is no rest)."""
+
+    value: float
+    variance: float
+    samples: int
 
 
 def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, ...]]:
     """Relaxation curve of a mechanical `step` (or one of loading `other`), and warnings.
 
-    The first step is taken, from its ramp to the end of its hold. Raises `NotIdentifiableError` without a step, without
-    rest before it, or with a hold that is too short.
+    The first step is taken, from its ramp to the end of its hold. A testing machine begins to record when it begins to move: where
+    there is no rest, the force at the beginning of the ramp is the level from which it relaxes, and a warning says so.
+
+    Raises `NotIdentifiableError` without a step or with a hold that is too short.
     """
     source, origin = drive(recording), recording.start_ns
     where = recording.metadata.recording_id
@@ -90,12 +112,6 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     height = step.after - step.before
     held = (t_f > step.end_s) & (t_f <= step.until_s)
     rest = force[t_f < step.start_s]
-    if rest.size < _FEWEST_REST:
-        raise NotIdentifiableError(
-            f"{rest.size} samples of {source.output.quantity} before the step",
-            where=where,
-            expected=f"at least {_FEWEST_REST}, for the level from which it relaxes",
-        )
     time, values = t_f[held] - step.start_s, force[held]
     starts = _window_starts(time, step.end_s - step.start_s)
     if starts.size < _FEWEST_WINDOWS:
@@ -109,7 +125,8 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     times = np.add.reduceat(time, starts) / counts
     window = np.column_stack([time[starts], time[np.append(starts[1:], time.size) - 1]])
     quiet, ramp_noise = _noise(rest, values)
-    variance = mean_variances(quiet, np.append(counts, rest.size))
+    variance = mean_variances(quiet, np.append(counts, max(rest.size, 1)))
+    level = _rest_level(rest, float(variance[-1]), t_f, force, step, ramp_noise)
     coarse = _rounding_variance(source.output.resolution, ramp_noise)
     variance = np.maximum(variance, coarse)
     interval = (t_x[-1] - t_x[0]) / (t_x.size - 1)
@@ -119,23 +136,25 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     ringing = scatter > _RINGING * max(ramp_noise, np.sqrt(coarse))
     x_before = x[t_x < step.start_s]
     x_after = x[(t_x > step.end_s) & (t_x <= step.until_s)]
-    step_sd = float(np.sqrt(x_before.var() / x_before.size + x_after.var() / x_after.size))
+    begins = x_before.var() / x_before.size if level.samples else step.noise**2
+    step_sd = float(np.sqrt(begins + x_after.var() / x_after.size))
     curve = RelaxationCurve(
         time_s=times,
         window_s=window,
-        stiffness=(means - rest.mean()) / height,
+        stiffness=(means - level.value) / height,
         variance=variance[:-1] / height**2,
         usable=~ringing,
         ramp_s=step.end_s - step.start_s,
         step=height,
-        rest_variance=float(variance[-1]) / height**2,
+        rest_variance=max(level.variance, coarse) / height**2,
         step_sd=step_sd,
         unusable_because=tuple("ringing of the clamp" if r else "" for r in ringing),
         quantity=source.quantity,
         recording_id=where,
         specimen_id=recording.metadata.specimen_id,
         details={
-            "rest_level": float(rest.mean()),
+            "rest_level": level.value,
+            "rest_samples": level.samples,
             "ramp_start_s": step.start_s,
             "held_s": step.until_s - step.end_s,
             "samples": counts.tolist(),
@@ -144,6 +163,10 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
         },
     )
     warnings = []
+    if not level.samples:
+        warnings.append(
+            "the step begins with the record: the force at the beginning of its ramp is taken for the level from which it relaxes"
+        )
     if ringing.any():
         until = float(window[np.flatnonzero(ringing)[-1], 1])
         warnings.append(f"{int(ringing.sum())} windows up to {until:.3g} s after the step ring and are not usable")
@@ -156,14 +179,35 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     return curve, tuple(warnings)
 
 
+def _rest_level(rest: Float, variance: float, time: Float, force: Float, step: _Step, noise: float) -> _Level:
+    """Mean of the rest, with the variance that it has; without rest the force at the beginning of the ramp.
+
+    That is where a parabola begins that follows the first part of the ramp, as far as it does so within the noise.
+    """
+    if rest.size >= _FEWEST_REST:
+        return _Level(float(rest.mean()), variance, rest.size)
+    along = np.flatnonzero((time >= step.start_s) & (time <= step.start_s + _BEGINNING * (step.end_s - step.start_s)))
+    found = _Level(float(force[0]), noise**2, 0)
+    count = _FEWEST_REST
+    while count <= along.size:
+        part = along[:count]
+        design = np.vander((time[part] - step.start_s) / (time[part[-1]] - step.start_s), 3, increasing=True)
+        solution = np.linalg.lstsq(design, force[part], rcond=None)[0]
+        left = float(np.sum((force[part] - design @ solution) ** 2)) / (count - 3)
+        if left > (1 + _SPREAD * np.sqrt(2 / (count - 3))) * noise**2:
+            break
+        found = _Level(float(solution[0]), noise**2 * float(np.linalg.inv(design.T @ design)[0, 0]), 0)
+        count *= 2
+    return found
+
+
 def _find_step(time: Float, x: Float, where: str) -> _Step:
     """Ramp and hold in the input: a line through its 10 and 90 % crossings, held until it leaves the level."""
-    edge = int(np.clip(x.size // 200, _FEWEST_REST, 256))
+    edge, noise = _begin(x)
     before = float(np.median(x[:edge]))
-    noise = float(x[:edge].std())
     away = np.abs(x - before)
     reach = float(away.max(initial=0.0))
-    if x.size < 4 * edge or reach <= 6 * noise:
+    if x.size < 4 * _FEWEST_REST or reach <= _CLEARLY * noise:
         raise NotIdentifiableError(
             "the input holds no step above its noise", where=where, expected="a step and its hold"
         )
@@ -171,22 +215,39 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
     progress = (x - before) / (after - before)
     t10, t90 = _crossing(time, progress, 0.1), _crossing(time, progress, 0.9)
     duration = (t90 - t10) / 0.8
-    start = t10 - 0.1 * duration
-    end = start + duration
-    tolerance = max(0.02, 6 * noise / abs(after - before))
+    start = max(t10 - 0.1 * duration, float(time[0]))
+    end = t10 + 0.9 * duration
+    tolerance = max(0.02, _CLEARLY * noise / abs(after - before))
     left = (time > end + duration) & (np.abs(progress - 1) > tolerance)
     # One sample may be a spike: three in a row have left the level.
     run = left[:-2] & left[1:-1] & left[2:]
     until = float(time[int(run.argmax())]) if run.any() else float(time[-1]) + 1e-9
     rest = x[time < start]
     held = x[(time > end) & (time < until)]
-    if rest.size < _FEWEST_REST or held.size < _FEWEST_WINDOWS:
+    if held.size < _FEWEST_WINDOWS:
         raise NotIdentifiableError(
-            f"{rest.size} samples before the step and {held.size} while it is held",
-            where=where,
-            expected=f"at least {_FEWEST_REST} and {_FEWEST_WINDOWS}",
+            f"{held.size} samples while the step is held", where=where, expected=f"at least {_FEWEST_WINDOWS}"
         )
-    return _Step(start, end, until, float(rest.mean()), float(held.mean()))
+    begin = float(rest.mean()) if rest.size >= _FEWEST_REST else before
+    return _Step(start, end, until, begin, float(held.mean()), noise)
+
+
+def _begin(x: Float) -> tuple[int, float]:
+    """Samples at the beginning that are rest beyond doubt, and the noise of one sample.
+
+    The noise is that of second differences, in which neither rest nor ramp nor hold shows; of a rest long enough its own.
+    """
+    longest = int(np.clip(x.size // 200, _FEWEST_REST, 256))
+    differences = np.abs(np.diff(x, 2))
+    noise = float(np.median(differences)) / (np.sqrt(6) * _NORMAL_MEDIAN) if differences.size else 0.0
+    if noise == 0 and differences.any():
+        # A converter coarser than its noise: most neighbours are equal.
+        noise = float(differences[differences > 0].min()) / np.sqrt(12)
+    gone = np.abs(x[:longest] - np.median(x[:3])) > max(_CLEARLY * noise, _MOVED * float(np.ptp(x)))
+    rest = int(gone.argmax()) if gone.any() else min(longest, x.size)
+    if rest < _FEWEST_REST or gone.any() and x[:rest].std() > _AT_REST * noise:
+        return 1, noise
+    return rest, float(x[:rest].std())
 
 
 def _crossing(time: Float, progress: Float, level: float) -> float:
