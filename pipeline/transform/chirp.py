@@ -29,6 +29,7 @@ HALF_WIDTH, SHORT_HALF_WIDTH = 12, 6
 _ENOUGH_LINES = 40
 """Fewer lines than this with windows of ±12 bins: take ±6."""
 _FEWEST_LINES = 5
+_BEGINS_WITHIN, _ENDS_WITHIN = "the record begins within the sweep", "the record ends with the sweep"
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def chirp_response(recording: Recording) -> tuple[FrequencyResponse, tuple[str, 
     low, high = _band(recording, sampled, source)
     finite = sampled.finite
     if not finite.all():
-        sampled, found = without_short_gaps(sampled, int(1 / (20 * high * sampled.interval_s)))
+        sampled, found = without_short_gaps(sampled, high)
         warnings += found
         finite = sampled.finite
     sampled, pieces, amplitude, found = _pieces(recording, sampled, finite, names, low)
@@ -217,12 +218,13 @@ def _reach(lines: Int, widths: Int, length: int) -> int:
 def _single(
     sampled: Sampled, pieces: sweeps.Slices, source: Drive, low: float, high: float
 ) -> tuple[FrequencyResponse, list[str]]:
+    x, y = (sampled.values[q] for q in (source.input.quantity, source.output.quantity))
+    ends = _unsettled_ends(x, y, pieces, 0.02 / (low * sampled.interval_s))
+    low, high = _swept(x, sampled.interval_s, {why for why, _ in ends}, (low, high))
     lines, widths = _lines(pieces.length * sampled.interval_s, low, high, sampled.interval_s)
     bins = _reach(lines, widths, pieces.length)
     at_zero = replace(pieces, first=(0,))
     spectra = _spectra(sampled, at_zero, source, bins)
-    x, y = (sampled.values[q] for q in (source.input.quantity, source.output.quantity))
-    ends = _unsettled_ends(x, y, pieces, 0.02 / (low * sampled.interval_s))
     # A state that is off by Δ at an end of the record leaves a spectrum of about Δ/|1 − e^{−jωh}|.
     size = np.sqrt(sum(square for _, square in ends))
     scale = size / np.abs(np.expm1(-2j * np.pi * lines / y.size)) if ends else None
@@ -234,6 +236,16 @@ def _single(
         response = response.mark(cut, "the record begins or ends while the sweep passes here")
     noise = input_noise(x, at_zero, (low, high), sampled.interval_s, y.size)
     return mark_weak(response, spectra.input[0], lines, fitted.half_width, noise), warnings
+
+
+def _swept(x: Float, interval_s: float, ends: set[str], band: tuple[float, float]) -> tuple[float, float]:
+    """The part of a band that a cut sweep passed: beyond it is what leaks from the cut end, which is no response."""
+    first, last = (turns / interval_s for turns in sweeps.end_frequencies(x))
+    low, high = band
+    for cut, here, away in ((_BEGINS_WITHIN in ends, first, last), (_ENDS_WITHIN in ends, last, first)):
+        if cut and low < here < high:
+            low, high = (low, here) if here > away else (here, high)
+    return low, high
 
 
 def _cut_off(spectrum: Complex, lines: Int, half_width: Int) -> Bool:
@@ -256,9 +268,9 @@ def _unsettled_ends(x: Float, y: Float, pieces: sweeps.Slices, least_rest: float
     level = float(y.mean())
     # A sweep begins at its middle, and the film at rest; a record that was cut out of a sweep begins anywhere.
     if pieces.rest_before < least and abs(float(x[0] - x.mean())) > 0.02 * float(x.max() - x.min()):
-        ends.append(("the record begins within the sweep", float(np.mean((y[:edge] - level) ** 2))))
+        ends.append((_BEGINS_WITHIN, float(np.mean((y[:edge] - level) ** 2))))
     if pieces.rest_after < least:
-        ends.append(("the record ends with the sweep", float(np.mean((y[-edge:] - level) ** 2))))
+        ends.append((_ENDS_WITHIN, float(np.mean((y[-edge:] - level) ** 2))))
     if pieces.rest_after < 5 * least:
         return ends
     # One quarter of the rest against another: a film that still relaxes has not come to rest.

@@ -56,7 +56,7 @@ def sphs_response(recording: Recording) -> tuple[FrequencyResponse, tuple[Distor
     sampled = sample({names[0]: source.input, names[1]: source.output}, recording.start_ns)
     warnings += sampled.notes
     high = recording.metadata.frequency_stop_hz or 0.4 / sampled.interval_s
-    sampled, notes = without_short_gaps(sampled, int(1 / (20 * high * sampled.interval_s)))
+    sampled, notes = without_short_gaps(sampled, high)
     warnings += notes
     periods, notes = _periods(recording, sampled, source, high)
     warnings += notes

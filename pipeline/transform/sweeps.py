@@ -16,6 +16,9 @@ _CLEARLY, _AT_REST = 6.0, 3.0
 """Standard deviations of its noise from which a signal has clearly left its level, and within which a stretch is at rest."""
 _ENDS_SOON = 0.02
 """Share of a period by which the end of a sweep may seem to lie beyond the end of the record: where it rests is found to a sample or few."""
+_BEYOND, _SIZES, _FEWEST_HALVES = 0.2, 200, 6
+"""Share of its size about there that a sweep has to be beyond zero to have turned; parts of a record that have one size; fewest half
+turns of which frequencies are read."""
 _AUTOCORRELATED = 0.9
 _COARSE = 16384
 """Points in which repeats are looked for; sweeps contain low frequencies, which is enough to find their period."""
@@ -138,6 +141,30 @@ def periods(samples: int, onset: int, period: float, repeats: int | None) -> Sli
     first = tuple(int(start + p * period) for p in range(count))
     first = tuple(f for f in first if f + length <= samples)
     return Slices(first, length, 0, 0, period, samples - onset - count * period > 0.05 * period, continuous=True)
+
+
+def end_frequencies(values: Float) -> tuple[float, float]:
+    """Frequency of a sweep where a record begins and where it ends, in turns per sample; 0 and 0 without three turns.
+
+    Medians of three of the times between its crossings of zero: neither noise nor a cut end counts. A crossing counts where the signal
+    has gone a fifth of its size about there beyond zero since the last one.
+
+    Parameters
+    ----------
+    values : (n,) finite array
+        One sweep or a part of one, at rest or not at its ends.
+    """
+    x = values - (values.max() + values.min()) / 2
+    size = np.maximum.reduceat(np.abs(x), np.arange(0, x.size, max(1, x.size // _SIZES)))
+    local = np.interp(np.arange(x.size), np.linspace(0, x.size - 1, size.size), size)
+    beyond = np.maximum(_BEYOND * local, _MOVING * size.max())
+    state = np.where(x > beyond, 1, np.where(x < -beyond, -1, 0))
+    known = np.flatnonzero(state)
+    turned = known[1:][state[known[1:]] != state[known[:-1]]]
+    half = np.diff(turned)
+    if half.size < _FEWEST_HALVES:
+        return 0.0, 0.0
+    return float(0.5 / np.median(half[:3])), float(0.5 / np.median(half[-3:]))
 
 
 def find_period(values: Float) -> float | None:
