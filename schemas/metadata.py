@@ -216,11 +216,19 @@ class RecordingMetadata:
         return _as_text(self)
 
     @property
+    def pre_stretch(self) -> float | None:
+        """`stretch_1`; a film whose undeformed sizes are given without it is mounted as it is: 1. None where neither is given."""
+        if self.stretch_1 is not None:
+            return self.stretch_1
+        sizes = (self.film_length_mm, self.film_width_mm, self.film_thickness_mm)
+        return None if all(size is None for size in sizes) else 1.0
+
+    @property
     def lateral_stretch(self) -> float | None:
-        """`stretch_2`; where absent the film is uniaxial: 1/√stretch_1."""
+        """`stretch_2`; where absent the film is uniaxial: 1/√pre_stretch."""
         if self.stretch_2 is not None:
             return self.stretch_2
-        return None if self.stretch_1 is None else 1 / math.sqrt(self.stretch_1)
+        return None if self.pre_stretch is None else 1 / math.sqrt(self.pre_stretch)
 
     @property
     def undeformed_section_mm2(self) -> float | None:

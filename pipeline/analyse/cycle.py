@@ -87,12 +87,13 @@ def stretch_and_stress(recording: Recording) -> tuple[Float, Float, Float]:
 
 
 def _sizes(about: RecordingMetadata) -> tuple[float, float, float]:
-    """Stretch at displacement 0, length in mm, section in mm² per N/kPa, of the undeformed film."""
-    found = Geometry.of(about)
-    if found is None or about.stretch_1 is None:
-        return 1.0, 1.0, 1.0 / _KPA_PER_MPA
-    undeformed = found.section_mm2 * about.stretch_1
-    return about.stretch_1, found.length_mm / about.stretch_1, undeformed / _KPA_PER_MPA
+    """Stretch at displacement 0, length in mm, section in mm² per N/kPa, of the undeformed film.
+
+    What of its sizes is not known is that of a 1 mm cube.
+    """
+    whole, stretch = Geometry.of(about), about.pre_stretch or 1.0
+    length = about.film_length_mm if whole is None else whole.length_mm / stretch
+    return stretch, length or 1.0, (about.undeformed_section_mm2 or 1.0) / _KPA_PER_MPA
 
 
 def _at(channel: Channel, other: Channel) -> Float:

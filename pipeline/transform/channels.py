@@ -74,9 +74,9 @@ def stretched_length(metadata: RecordingMetadata) -> float | None:
     """Length of the film between the clamps at its pre-stretch in mm, None where the metadata do not say."""
     if metadata.total_length_mm is not None:
         return metadata.total_length_mm
-    if metadata.film_length_mm is None or metadata.stretch_1 is None:
+    if metadata.film_length_mm is None or metadata.pre_stretch is None:
         return None
-    return metadata.film_length_mm * metadata.stretch_1
+    return metadata.film_length_mm * metadata.pre_stretch
 
 
 def _converted(channel: Channel, quantity: str, change: Conversion) -> Channel:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.analyse.cycle import stretch_and_stress
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.sensing.self_sensing import actuation_per_voltage_squared, current_section_mm2
 from pipeline.simulate.procedures.calibration import Calibration
@@ -96,3 +97,36 @@ def test_what_tests_share_is_no_test(base: type) -> None:
     assert inspect.isabstract(base)
     with pytest.raises(TypeError, match="abstract"):
         base()
+
+
+def pulled(**sizes: str | None) -> Recording:
+    """A film pulled by 40 mm and back in 4 s with 5 N at the top."""
+    keys = {k: v for k, v in (STACK | {"protocol": "cycle"} | sizes).items() if v is not None}
+    half = np.linspace(0.0, 1.0, 21)
+    course = np.concatenate([half, half[-2::-1]])
+    time_ns = START_NS + (np.arange(course.size) * 1e8).astype(np.int64)
+    channels = {
+        "displacement": Channel("displacement", time_ns, 40.0 * course),
+        "force": Channel("force", time_ns, 5.0 * course),
+    }
+    return Recording(RecordingMetadata.parse(keys, where="pulled"), RigConstants(), channels)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "first", "largest", "stress_kpa"),
+    [
+        ({"stretch_1": None, "film_length_mm": "80"}, 1.0, 1.5, 50.0),
+        ({"stretch_1": "1", "film_length_mm": "80"}, 1.0, 1.5, 50.0),
+        ({"stretch_1": "2", "film_length_mm": "80"}, 2.0, 2.5, 50.0),
+        ({"stretch_1": None, "film_length_mm": "80", "film_width_mm": None}, 1.0, 1.5, 5000.0),
+        ({"stretch_1": None, "film_length_mm": None}, 1.0, 41.0, 50.0),
+    ],
+)
+def test_sizes_without_a_pre_stretch_are_those_of_a_film_mounted_as_it_is(
+    sizes: dict[str, str | None], first: float, largest: float, stress_kpa: float
+) -> None:
+    """They were once left aside as a whole, and a film of 80 mm was a cube of 1 mm stretched 41 times."""
+    _, stretch, stress = stretch_and_stress(pulled(**sizes))
+    assert stretch[0] == pytest.approx(first)
+    assert stretch.max() == pytest.approx(largest)
+    assert stress.max() == pytest.approx(stress_kpa)

@@ -111,7 +111,7 @@ def actuation_prior(metadata: RecordingMetadata) -> tuple[float, float] | None:
         metadata.relative_permittivity,
         metadata.active_width_mm,
         metadata.layer_thickness_mm,
-        metadata.stretch_1,
+        metadata.pre_stretch,
     )
     if any(x is None for x in needed):
         return None

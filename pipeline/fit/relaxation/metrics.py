@@ -48,11 +48,11 @@ class Geometry:
 
     @classmethod
     def of(cls, metadata: RecordingMetadata) -> Geometry | None:
-        """From the undeformed sizes and stretch_1, for an incompressible film: section = A0/λ. None where one is missing.
+        """From the undeformed sizes and the pre-stretch, for an incompressible film: section = A0/λ. None where one is missing.
 
         Film that is held rigid (`constrained_length_mm`) does not count in the length.
         """
-        length, section, stretch = metadata.film_length_mm, metadata.undeformed_section_mm2, metadata.stretch_1
+        length, section, stretch = metadata.film_length_mm, metadata.undeformed_section_mm2, metadata.pre_stretch
         if length is None or section is None or stretch is None:
             return None
         free = length * stretch - (metadata.constrained_length_mm or 0.0)

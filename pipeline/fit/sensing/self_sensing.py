@@ -63,14 +63,14 @@ class SensingFit:
 
 def current_section_mm2(metadata: RecordingMetadata) -> float | None:
     """Stretched cross-section w h of the film in mm²: undeformed section over the stretch in direction 1."""
-    section, stretch = metadata.undeformed_section_mm2, metadata.stretch_1
+    section, stretch = metadata.undeformed_section_mm2, metadata.pre_stretch
     return None if section is None or stretch is None else section / stretch
 
 
 def actuation_per_voltage_squared(metadata: RecordingMetadata) -> Estimate | None:
     """ε0 εr w/z of the active region in N/kV², current sizes; the prior of the permittivity is 10 % where absent."""
     permittivity, thickness = metadata.relative_permittivity, metadata.layer_thickness_mm
-    l1, l2, width = metadata.stretch_1, metadata.lateral_stretch, metadata.active_width_mm
+    l1, l2, width = metadata.pre_stretch, metadata.lateral_stretch, metadata.active_width_mm
     if permittivity is None or thickness is None or l1 is None or l2 is None or width is None:
         return None
     current = width * l2 if metadata.active_drawn == "undeformed" else width
@@ -84,7 +84,7 @@ def passive_stretch(metadata: RecordingMetadata) -> float | None:
 
     Film that is held rigid (`constrained_length_mm`) takes no part and does not count in l_tot.
     """
-    active, total, stretch = metadata.active_length_mm, metadata.total_length_mm, metadata.stretch_1
+    active, total, stretch = metadata.active_length_mm, metadata.total_length_mm, metadata.pre_stretch
     if active is None or total is None:
         return None
     if metadata.active_drawn == "undeformed":
