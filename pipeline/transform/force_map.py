@@ -6,12 +6,11 @@ comparisons (`pipeline.fit.force.force_map`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
+from pipeline.transform.static_force import fit_static_force
 from pipeline.transform.step import measure_steps
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -19,14 +18,14 @@ from schemas.recording import Channel, Recording
 
 Samples = tuple[Float, Float]
 """(time in s, value)."""
-_LEVEL_S = 0.5
-_EDGE_S = 0.01
+_SETTLED_S = 0.1
+"""Time after an edge in which the clamp rings and the converter of the voltage settles."""
 _UP = 0.98
 
 
 @dataclass(frozen=True)
 class ForceReading:
-    """One cycle of the voltage: drop of tension in N (positive) with the standard deviation of its levels, at kV."""
+    """One cycle of the voltage: drop of tension in N (positive) with its standard deviation, at kV."""
 
     direction: int
     cycle: int
@@ -62,9 +61,8 @@ class ForceMapReadings:
 def measure_force_map(recording: Recording) -> ForceMapReadings:
     """One reading per cycle and direction of a `force_map` recording.
 
-    A reading is the difference of the levels before the voltage comes on and before it goes off. The film goes on
-    relaxing from its pre-stretch meanwhile: the rest level at the time of the second level is interpolated between the
-    rests before and after the cycle.
+    The film goes on relaxing from its pre-stretch while the voltage is on: its drift is fitted before, during and after at once
+    (`static_force`), so that one time of voltage suffices.
 
     Raises `NotIdentifiableError` when the voltage makes no step or neither direction has usable samples.
     """
@@ -109,68 +107,54 @@ def _readings(recording: Recording, direction: int) -> list[ForceReading]:
     """Readings of all steps in the voltage of a recording with one force."""
     start = recording.start_ns
     voltage, force = (_finite(recording.channels[name], start) for name in ("voltage", "force"))
-    levels = [
-        level
+    times = [
+        on
         for step in measure_steps(recording).steps
-        if (level := _levels(step.cycle, step.start_s, step.end_s, voltage, force)) is not None
+        if (on := _time_of_voltage(step.cycle, step.start_s, step.end_s, voltage)) is not None
     ]
-    slopes = [(after.rest_n - before.rest_n) / (after.on_s - before.on_s) for before, after in pairwise(levels)]
-    slopes = [*slopes, slopes[-1]] if slopes else [0.0] * len(levels)
+    if not times:
+        return []
+    settle_s = max(_SETTLED_S, *(one.settle_s for one in times))
+    try:
+        found = fit_static_force(*force, [(one.on_s, one.off_s) for one in times], settle_s)
+    except NotIdentifiableError:
+        return []
     return [
-        ForceReading(
-            direction,
-            level.cycle,
-            level.rest_n + slope * (level.read_s - level.on_s) - level.force_n,
-            level.sd_n,
-            level.voltage_kv,
-        )
-        for level, slope in zip(levels, slopes, strict=True)
+        ForceReading(direction, one.cycle, float(value), float(sd), one.voltage_kv)
+        for one, value, sd in zip(times, found.force_n, found.force_sd_n, strict=True)
     ]
 
 
 @dataclass(frozen=True)
-class _Levels:
-    """One cycle: edge in s, tension before it and while the voltage is on.
-
-    `read_s` is as far after the window of the second as `on_s` is after the window of the first.
-    """
+class _TimeOfVoltage:
+    """One cycle: when the voltage begins to rise and to fall, in s, longest time that it is on its way, root mean square at its level."""
 
     cycle: int
     on_s: float
-    read_s: float
-    rest_n: float
-    force_n: float
-    sd_n: float
+    off_s: float
+    settle_s: float
     voltage_kv: float
 
 
-def _levels(cycle: int, on: float, off: float, voltage: Samples, force: Samples) -> _Levels | None:
-    """Levels of one cycle between two 50 % crossings of the voltage; None with too few samples.
+def _time_of_voltage(cycle: int, on: float, off: float, voltage: Samples) -> _TimeOfVoltage | None:
+    """What the voltage does between two 50 % crossings; None with too few samples.
 
-    The voltage has long left its level when it crosses 50 % on its way down, so the level while on is read before it
-    leaves 98 %.
+    It has long left its level when it crosses 50 %: it is on from where it leaves 2 % to where it leaves 98 %.
     """
-    span = min(_LEVEL_S, 0.2 * (off - on))
     times, volts = voltage
     on_phase = (times > on) & (times < off)
     if not on_phase.any():
         return None
-    up = times[on_phase & (volts >= _UP * float(np.median(volts[on_phase])))]
-    last = float(up[-1]) if up.size else off
-    volts_on = volts[(times > last - span) & (times < last)]
-    before, during = (force[1][(force[0] > end - span) & (force[0] < end)] for end in (on - _EDGE_S, last))
-    if min(before.size, during.size, volts_on.size) < 2:
+    level = float(np.median(volts[on_phase]))
+    up = times[on_phase & (np.abs(volts) >= _UP * abs(level))]
+    if up.size < 2:
         return None
-    noise = [float(np.std(np.diff(x))) / math.sqrt(2 * x.size) for x in (before, during)]
-    return _Levels(
-        cycle,
-        on,
-        last + _EDGE_S,
-        float(before.mean()),
-        float(during.mean()),
-        math.hypot(*noise),
-        float(np.sqrt(np.mean(volts_on**2))),
-    )
+    down = np.abs(volts) < (1 - _UP) * abs(level)
+    still, gone = times[(times < on) & down], times[(times > off) & down]
+    begin, end = float(still[-1]) if still.size else on, float(up[-1])
+    settle = max(float(up[0]) - begin, float(gone[0]) - end if gone.size else 0.0)
+    inside = volts[(times >= up[0]) & (times <= end)]
+    return _TimeOfVoltage(cycle, begin, end, settle, float(np.sqrt(np.mean(inside**2))))
 
 
 def _finite(channel: Channel, start_ns: int) -> Samples:

@@ -245,7 +245,7 @@ def _begin(x: Float) -> tuple[int, float]:
         noise = float(differences[differences > 0].min()) / np.sqrt(12)
     gone = np.abs(x[:longest] - np.median(x[:3])) > max(_CLEARLY * noise, _MOVED * float(np.ptp(x)))
     rest = int(gone.argmax()) if gone.any() else min(longest, x.size)
-    if rest < _FEWEST_REST or gone.any() and x[:rest].std() > _AT_REST * noise:
+    if rest < _FEWEST_REST or (gone.any() and x[:rest].std() > _AT_REST * noise):
         return 1, noise
     return rest, float(x[:rest].std())
 

@@ -165,7 +165,9 @@ def without_short_gaps(sampled: Sampled, highest_hz: float) -> tuple[Sampled, li
     for q in values:
         values[q], count = fill_short_gaps(values[q], longest)
         if count:
-            notes.append(f"{count} lost samples of {q} interpolated; each gap is below a quarter of the shortest period")
+            notes.append(
+                f"{count} lost samples of {q} interpolated; each gap is below a quarter of the shortest period"
+            )
     return replace(sampled, values=values), notes
 
 

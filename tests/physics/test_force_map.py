@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from pipeline.analyse.rows.force_maps import force_map_tables
 from pipeline.fit.force.comparisons import compare_forces
 from pipeline.fit.force.force_map import fit_force_map, fit_force_maps
 from pipeline.fit.force.points import force_per_permittivity, force_points
 from pipeline.transform.force_map import ForceMapReadings, ForceReading, measure_force_map
+from pipeline.transform.static_force import fit_static_force
 from reports.pages.specimen.force import finding
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
@@ -327,3 +329,25 @@ def test_tables() -> None:
     assert tables["force_map_fits"].num_rows == 2
     assert tables["force_comparisons"].num_rows == 1
     assert force_map_tables((), (), ())["force_maps"].num_rows == 0
+
+
+def test_drift_of_the_pre_stretch_is_no_force_and_intervals_cover() -> None:
+    """One time of voltage in a film that relaxes by up to a tenth of the force meanwhile, some of which comes slowly."""
+    covered, errors = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        on_s, lasts_s, rest_s = rng.uniform(2, 8), rng.uniform(3, 12), rng.uniform(3, 12)
+        time = np.arange(0, on_s + lasts_s + rest_s, 0.02)
+        force, lag_s, slow = rng.uniform(0.05, 0.5), 10 ** rng.uniform(-0.5, 1.5), rng.choice([0.0, 0.15])
+        slow_s, off_s = lasts_s * 10 ** rng.uniform(-1.5, -0.5), on_s + lasts_s
+        drift = rng.uniform(0, 0.1) * force / np.log((off_s + lag_s) / (on_s + lag_s))
+        while_on = np.where(time >= on_s, 1 - slow * np.exp(-(time - on_s) / slow_s), 0.0)
+        after = slow * -np.expm1(-lasts_s / slow_s) * np.exp(-np.maximum(time - off_s, 0) / slow_s)
+        tension = 1 - drift * np.log(time + lag_s) - force * np.where(time >= off_s, after, while_on)
+        noise = force * rng.uniform(0.002, 0.01)
+        found = fit_static_force(time, tension + rng.normal(0, noise, time.size), [(on_s, off_s)], 0.05)
+        error = float(found.force_n[0]) - force
+        errors.append(error / force)
+        covered.append(abs(error) < student.ppf(0.975, found.degrees_of_freedom) * found.force_sd_n[0])
+    assert abs(np.mean(errors)) < 2e-3
+    assert np.mean(covered) > 0.85
