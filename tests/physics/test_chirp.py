@@ -302,12 +302,13 @@ def test_no_line_is_usable_that_a_stopped_sweep_did_not_reach(integrated, stoppe
     for begin in (0.0, 0.5):
         first, stop = int(begin * RATE), int((0.5 + stopped_s) * RATE)
         signals = {"displacement": noisy(x[first:stop], 5e-4, 3), "force": noisy(force[first:stop], 1e-3, 4)}
+        run = recording(signals, RATE, repeats=1, **BAND)
         reached_hz = 100 ** (stopped_s / 10)
-        try:
-            response, _ = chirp_response(recording(signals, RATE, repeats=1, **BAND))
-        except NotIdentifiableError as refused:
-            assert "usable" in str(refused) or "too short" in str(refused)
+        if reached_hz < 12:
+            with pytest.raises(NotIdentifiableError, match="usable|too short"):
+                chirp_response(run)
         else:
+            response, _ = chirp_response(run)
             assert response.frequency_hz[response.usable].max() < reached_hz
 
 

@@ -111,7 +111,7 @@ def test_what_cannot_carry_a_curve_is_refused(change, reason) -> None:
 def test_a_machine_that_records_when_it_moves_gives_its_curve(ramp: float, rest_s: float) -> None:
     """The step is found from the noise of differences, however short the rest; without any the ramp's beginning is the level."""
     _, made = run(ramp, until=600.0)
-    first = int(round((4.0 - rest_s) * RATE))
+    first = round((4.0 - rest_s) * RATE)
     signals = {name: channel.values[first:] for name, channel in made.channels.items()}
     curve, warnings = relaxation_curve(recording(signals, RATE, protocol="step"))
     assert curve.step == pytest.approx(2.0, rel=2e-3)
