@@ -36,11 +36,15 @@ def flat_tops(values: Float, resolution: float | None = None) -> Bool:
     for sign, top in ((1.0, high), (-1.0, -low)):
         if not top > 0.01 * largest:
             continue
-        near = np.flatnonzero(values > top - 0.01 * largest if sign > 0 else values < 0.01 * largest - top)
+        near = np.flatnonzero(sign * values > top - 0.01 * largest)
         if near.size < _FEWEST_FLAT:
             continue
+        step = resolution or _step(sign * values[near], 0.0)
+        if not 0 < step < 0.005 * largest:
+            # A converter so coarse that its last step is all that lies near the top: look as far below as it takes.
+            step = max(resolution or 0.0, _step(sign * values[np.isfinite(values)], 1e-6 * largest))
+            near = np.flatnonzero(sign * values > top - max(0.01 * largest, 2.5 * step))
         signed = sign * values[near]
-        step = resolution or _step(signed, 1e-6 * largest)
         at = near[signed > top - step / 2]
         below = int(np.count_nonzero(signed > top - 1.5 * step)) - at.size
         if at.size < _FEWEST_FLAT or at.size <= _FLAT * below:

@@ -12,6 +12,7 @@ from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.recording import analyse_recording
 from pipeline.analyse.specimen import analyse_specimen
+from pipeline.transform.quality import flat_tops
 from schemas.metadata import RigConstants
 from schemas.recording import Recording
 from tests.physics.rig_truth import Sweep, Truth, filtered, recording, schroeder
@@ -216,3 +217,15 @@ def test_electrical_recordings_without_the_load_cell_give_no_model() -> None:
     _, specimen = through(made)
     assert rows(specimen, "model_fits") == []
     assert any("without the load cell's stiffness" in note for note in specimen.notes), specimen.notes
+
+
+@pytest.mark.parametrize("counts", [3, 10, 40, 90, 1000])
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_coarse_converter_is_not_at_its_end(counts: int, stated: bool) -> None:
+    """Integer encoders and few counts: the last step of a sine is wide, but so is the one below it."""
+    time = np.arange(20_000) / 1000.0
+    sine = np.rint(counts * np.sin(2 * np.pi * 0.7 * time)) / counts
+    assert not flat_tops(sine, 1 / counts if stated else None).any()
+    clipped = np.minimum(np.rint(counts * np.sin(2 * np.pi * 0.7 * time)), round(0.6 * counts)) / counts
+    if counts >= 10:
+        assert flat_tops(clipped, 1 / counts if stated else None).any()

@@ -305,7 +305,7 @@ def test_no_line_is_usable_that_a_stopped_sweep_did_not_reach(integrated, stoppe
         run = recording(signals, RATE, repeats=1, **BAND)
         reached_hz = 100 ** (stopped_s / 10)
         if reached_hz < 12:
-            with pytest.raises(NotIdentifiableError, match="usable|too short"):
+            with pytest.raises(NotIdentifiableError, match=r"usable|too short"):
                 chirp_response(run)
         else:
             response, _ = chirp_response(run)
