@@ -186,7 +186,7 @@ def _result(fit: _Fitted, windows: _Windows, cycles: Sequence[tuple[float, float
     weight = np.sqrt(windows.count / windows.count.mean())
 
     def modelled(x: Float) -> Float:
-        return _design(windows.time, x[:size], windows.start_s, cycles) @ x[size:] * weight
+        return np.asarray(_design(windows.time, x[:size], windows.start_s, cycles) @ x[size:] * weight)
 
     steps = 1e-5 * np.maximum(np.abs(everything), 1e-3)
     columns = [
