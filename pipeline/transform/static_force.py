@@ -124,9 +124,9 @@ def _windows(time: Float, force: Float, cycles: Sequence[tuple[float, float]], s
         inside = np.flatnonzero((time >= begin + settle_s) & (time < end))
         if inside.size < _FEWEST_WINDOWS:
             if number == 0 or number % 2:
-                part = "before the voltage" if number == 0 else "while the voltage is on"
+                when = "before the voltage" if number == 0 else "while the voltage is on"
                 raise NotIdentifiableError(
-                    f"{inside.size} samples of force {part}",
+                    f"{inside.size} samples of force {when}",
                     expected=f"at least {_FEWEST_WINDOWS} after it has settled",
                 )
             continue

@@ -16,7 +16,7 @@ from pipeline.diagnose.features.records import rest_samples
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.recording import Recording
-from tests.hidden_effects.truth import Effect, compact_session
+from tests.helpers.truth_rig import Effect, compact_session
 
 SESSION_SEED = 103
 
