@@ -6,20 +6,22 @@ Does not belong here: parsing of formats, conversion to canonical units and vali
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ingest.cell_units import Resolved, check_name, checked_unit, plain_unit, resolved
+from ingest.clocks import LOST
 from ingest.columns import ColumnFile, Numbers
 from ingest.mapping import ColumnMapping, FileMapping, TimeMapping
-from ingest.times import LOST, own_time, start_ns, time_column, uniform, with_zone, zone_of
-from schemas.arrays import Float, Int
+from ingest.select import SelectedRows, selected_rows
+from ingest.times import own_time, start_ns, time_column, uniform, with_zone, zone_of
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import RefusedError
+from schemas.metadata import RecordingMetadata, RigConstants, check_keys
 from schemas.quantities import QUANTITIES
 from schemas.recording import RawChannel, RawRecording
-from schemas.units import ANY, Conversion, conversion
-
-_BRACKETS = ("[]", "()", "{}", "<>")
+from schemas.units import ANY, Conversion
 
 
 @dataclass
@@ -33,6 +35,8 @@ class _Assembly:
     times: dict[object, Int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    no_sample: list[tuple[Bool, Bool]] = field(default_factory=list)
+    """Of each channel: rows without a number, and those of them that hold a text."""
 
 
 def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecording:
@@ -41,8 +45,13 @@ def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecord
     Cells that hold no number become NaN; a column without any is refused. Raises `RefusedError`.
     """
     zone = zone_of(mapping.time, mapping.source)
+    check_keys(mapping.recording, RecordingMetadata, "recording", mapping.source)
+    check_keys(mapping.rig, RigConstants, "rig", mapping.source)
+    file = _selected(file, mapping, where)
     shared = _Assembly(file, mapping, where, with_zone(mapping.recording, zone))
     channels = tuple(_channel(quantity, column, shared) for quantity, column in mapping.columns.items())
+    if mapping.counts_rows_as_time:
+        channels = _without_summary(channels, shared)
     if "started_at" not in shared.metadata and channels:
         first = min(int(c.time_ns[0]) for c in channels if c.time_ns.size)
         shared.metadata["started_at"] = np.datetime_as_string(np.datetime64(first // 1000, "us"), timezone="UTC")
@@ -55,11 +64,49 @@ def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecord
     )
 
 
-def scaled_numbers(file: ColumnFile, column: ColumnMapping, name: str, *, where: str) -> Numbers:
-    """A mapped column with scale and offset applied. Raises `RefusedError` when none of its cells is a number."""
+def _selected(file: ColumnFile, mapping: FileMapping, where: str) -> ColumnFile:
+    """The file, or its selected rows."""
+    first = next((c for c in mapping.columns.values() if c.column is not None), None)
+    if not mapping.select or first is None or first.column is None:
+        return file
+    count = len(file.cells(first.column, first.index))
+    return SelectedRows(file, selected_rows(file, mapping.select, count, where))
+
+
+def _without_summary(channels: tuple[RawChannel, ...], shared: _Assembly) -> tuple[RawChannel, ...]:
+    """The channels without rows at the end that hold words and no number at all: no samples, though they would count."""
+    sizes = {nothing.size for nothing, _ in shared.no_sample}
+    if len(sizes) != 1:
+        return channels
+    nothing = np.logical_and.reduce([n for n, _ in shared.no_sample])
+    words = np.logical_or.reduce([w for _, w in shared.no_sample])
+    last = int(np.flatnonzero(~nothing)[-1]) + 1 if not nothing.all() else nothing.size
+    if last == nothing.size or not words[last:].any():
+        return channels
+    shared.problems.append(f"the last {nothing.size - last} rows hold no number: a summary? They are left out")
+    end = max(int(c.time_ns[-1]) for c in channels if c.time_ns.size)
+    step = 1e9 / shared.mapping.time.sample_rate_hz if shared.mapping.time and shared.mapping.time.sample_rate_hz else 0
+    until = end - round((nothing.size - last - 0.5) * step)
+    return tuple(replace(c, time_ns=c.time_ns[c.time_ns < until], values=c.values[c.time_ns < until]) for c in channels)
+
+
+def scaled_numbers(
+    file: ColumnFile, column: ColumnMapping, name: str, unit: str, *, where: str, few_are_damage: bool = True
+) -> Resolved:
+    """A mapped column in `unit`, with scale and offset applied. Raises `RefusedError` when none of its cells is a number."""
     if column.column is None:
         raise RefusedError(f"{name} has no column", where=where, expected="a column of the file")
-    numbers = file.numbers(column.column, column.index)
+    scaled = column.scale != 1.0 or column.offset != 0.0
+    found = resolved(
+        file.numbers(column.column, column.index),
+        unit,
+        column.label,
+        name,
+        where=where,
+        few_are_damage=few_are_damage,
+        scaled=scaled,
+    )
+    numbers = found.numbers
     if numbers.texts and not np.isfinite(numbers.values).any():
         raise RefusedError(
             f'column {column.label} for {name} holds no numbers, such as "{numbers.example}"',
@@ -67,13 +114,12 @@ def scaled_numbers(file: ColumnFile, column: ColumnMapping, name: str, *, where:
             expected="numbers",
             remedy="Check column, decimal, header and unit_row in the mapping TOML",
         )
-    values = numbers.values
     if not (math.isfinite(column.scale) and math.isfinite(column.offset)) or column.scale == 0:
         raise RefusedError(
             f"columns.{name}: scale {column.scale}, offset {column.offset}", where=where, expected="a scale but 0"
         )
-    values = Conversion(column.scale, column.offset).apply(values)
-    return Numbers(values, numbers.empty, numbers.texts, numbers.example)
+    values = Conversion(column.scale, column.offset).apply(numbers.values)
+    return replace(found, numbers=replace(numbers, values=values))
 
 
 def unit_of(file: ColumnFile, column: ColumnMapping, name: str, canonical: str, *, where: str) -> str:
@@ -82,7 +128,7 @@ def unit_of(file: ColumnFile, column: ColumnMapping, name: str, canonical: str, 
     Raises `RefusedError` when there is none, or when the file's own unit says something else than the mapping. A column
     that the mapping scales is not compared: raw volts may stand where newtons come out.
     """
-    own = None if column.column is None else _plain_unit(file.unit(column.column))
+    own = None if column.column is None else plain_unit(file.unit(column.column))
     if column.unit is None:
         if not own:
             raise RefusedError(
@@ -92,39 +138,20 @@ def unit_of(file: ColumnFile, column: ColumnMapping, name: str, canonical: str, 
                 remedy=f"Add unit to [columns.{name}] in the mapping TOML",
             )
         return own
-    if not own or column.scale != 1.0 or column.offset != 0.0 or canonical == ANY:
+    if column.overrule_unit or column.scale != 1.0 or column.offset != 0.0 or canonical == ANY:
         return column.unit
-    said = conversion(column.unit, canonical, where=f"{where}: {name}")
-    try:
-        found = conversion(own, canonical)
-    except RefusedError:
-        same = False
-    else:
-        same = math.isclose(found.scale, said.scale, rel_tol=1e-9) and math.isclose(
-            found.offset, said.offset, rel_tol=1e-9, abs_tol=1e-12
-        )
-    if not same:
-        raise RefusedError(
-            f'the unit row says "{own}" for column {column.label}, the mapping says "{column.unit}" for {name}',
-            where=where,
-            expected="the same unit in both",
-            remedy="Correct unit in the mapping TOML, or leave it out to take the file's own",
-        )
-    return column.unit
-
-
-def _plain_unit(text: str | None) -> str | None:
-    """A unit without the brackets that exporters put around it."""
-    text = (text or "").strip()
-    while len(text) > 1 and text[0] + text[-1] in _BRACKETS:
-        text = text[1:-1].strip()
-    return text or None
+    check_name(column.column, column.unit, canonical, name, where=where)
+    return checked_unit(own, column.unit, column.label, canonical, name, where=where)
 
 
 def _channel(quantity: str, column: ColumnMapping, shared: _Assembly) -> RawChannel:
     where = shared.where
-    numbers = scaled_numbers(shared.file, column, quantity, where=where)
     unit = unit_of(shared.file, column, quantity, QUANTITIES[quantity].unit, where=where)
+    found = scaled_numbers(shared.file, column, quantity, unit, where=where)
+    shared.notes += found.notes
+    numbers = found.numbers
+    lost = ~np.isfinite(numbers.values)
+    shared.no_sample.append((lost, lost & ~numbers.empty))
     values = numbers.values
     times = _times(column, values.size, shared)
     if times.size != values.size:
@@ -180,7 +207,10 @@ def _times(column: ColumnMapping, count: int, shared: _Assembly) -> Int:
     if key not in shared.times:
         if source is None:
             raise RefusedError("the time has no column", where=shared.where, expected="[time] with column")
-        shared.times[key] = time_column(
+        found = time_column(
             shared.file, time, source, index, shared.metadata, source=shared.mapping.source, where=shared.where
         )
+        shared.problems += found.problems
+        shared.notes += found.notes
+        shared.times[key] = found.time_ns
     return shared.times[key]

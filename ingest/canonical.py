@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from ingest.plausible import find_impossible, find_marks
 from ingest.timing import sampling_notes
-from schemas.arrays import Bool
+from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
-from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.metadata import RecordingMetadata, RigConstants, near_miss
 from schemas.protocols import Protocol, missing_channels
-from schemas.quantities import QUANTITIES
+from schemas.quantities import QUANTITIES, Quantity
 from schemas.recording import Channel, RawChannel, RawRecording, Recording, Source
 from schemas.units import ANY, conversion
 
@@ -59,6 +60,8 @@ def canonical(
     rig = RigConstants.parse({**raw.rig, **(rig_file or {})}, where=where)
     definition = metadata.definition(where=where)
     problems, notes = list(raw.problems), list(raw.notes)
+    for name, about in (("recording", metadata), ("rig", rig)):
+        _tell_unknown_keys(name, about, problems, notes)
     known = _known(raw.channels, notes, where)
     required = _required(definition, known, where)
     channels: dict[str, Channel] = {}
@@ -82,6 +85,21 @@ def canonical(
     notes += sampling_notes(channels)
     _note_clock(recording, notes)
     return replace(recording, problems=tuple(dict.fromkeys(problems)), notes=tuple(dict.fromkeys(notes)))
+
+
+def _tell_unknown_keys(
+    name: str, about: RecordingMetadata | RigConstants, problems: list[str], notes: list[str]
+) -> None:
+    """Keys that the contract does not have: a near miss is a problem, what was meant is lost; the others are a note."""
+    meant = {key: near_miss(key, type(about)) for key in about.extra}
+    problems += [
+        f'{name} key "{key[:80]}" is unknown: did you mean {known}? It is not used'
+        for key, known in meant.items()
+        if known is not None and getattr(about, known, None) is None
+    ]
+    others = [key[:80] for key, known in meant.items() if known is None]
+    if others:
+        notes.append(f"keys of {name} that the contract does not have, kept and not used: {', '.join(others[:40])}")
 
 
 class _Unusable(Exception):
@@ -134,6 +152,7 @@ def _checked(raw: RawChannel, required: bool, problems: list[str], notes: list[s
     if raw.values.size == 0:
         raise _Unusable("the channel is empty", "samples")
     time, values = _ascending(raw, problems, notes)
+    values = _without_marks(values, name, problems)
     finite = np.isfinite(values)
     lost = int(values.size - finite.sum())
     if lost == values.size:
@@ -150,6 +169,7 @@ def _checked(raw: RawChannel, required: bool, problems: list[str], notes: list[s
     values = change.apply(values)
     if np.isinf(values).any():
         raise _Unusable("its values overflow in the canonical unit", f"values in {canonical_unit}")
+    values = _possible(values, QUANTITIES[name], raw.unit, problems)
     resolution, filter_hz, delay = (_key(raw, key, where) for key in ("resolution", "filter_hz", "delay_s"))
     return Channel(
         quantity=name,
@@ -161,6 +181,29 @@ def _checked(raw: RawChannel, required: bool, problems: list[str], notes: list[s
         sensor=raw.metadata.get("sensor") or None,
         unit=raw.unit if canonical_unit == ANY else None,
     )
+
+
+def _without_marks(values: Float, name: str, problems: list[str]) -> Float:
+    """The samples without marks of instruments that look like numbers, each kind a problem."""
+    for what, here in find_marks(values).items():
+        problems.append(f"{name}: {int(here.sum())} of {values.size} samples are {what}: NULL")
+        values = np.where(here, np.nan, values)
+    return values
+
+
+def _possible(values: Float, quantity: Quantity, unit: str, problems: list[str]) -> Float:
+    """The values without those that the quantity cannot have. `_Unusable` when most of them are of that kind."""
+    impossible = find_impossible(values, quantity)
+    count = int(impossible.sum())
+    if not count:
+        return values
+    example = values[int(np.argmax(impossible))]
+    text = f"{count} of {int(np.isfinite(values).sum())} values are no {quantity.name} there can be, such as {example:.4g} {quantity.unit}"
+    expected = f"{quantity.least:g} to {quantity.largest:g} {quantity.unit}"
+    if 2 * count > np.isfinite(values).sum():
+        raise _Unusable(text, expected, f'Check the unit "{unit[:40]}", the column and its scale')
+    problems.append(f"{quantity.name}: {text}: NULL; expected {expected}")
+    return np.where(impossible, np.nan, values)
 
 
 def _ascending(raw: RawChannel, problems: list[str], notes: list[str]) -> tuple[Any, Any]:

@@ -6,15 +6,15 @@ and `ingest.tables` take it from there. Does not belong here: any file format, u
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from ingest.mapping import ColumnName, column_label
-from schemas.arrays import Bool, Float
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import RefusedError
 
 CELL_LIMIT = 1 << 28
@@ -26,12 +26,20 @@ class Numbers:
     """A column as numbers: `values` (n,) with NaN where a cell has none; `texts` cells held something else.
 
     `example` is the first such cell, for messages; `empty` (n,) marks cells that hold nothing at all.
+
+    Of cells that are no plain numbers: `units` says which rows carry a unit of their own, their values as they stand
+    there; `notations` which rows are written in which way; `bounds` which are only known to be above (1) or below (−1);
+    `odd` how they are written, for messages. Rows count from 0.
     """
 
     values: Float
     empty: Bool
     texts: int = 0
     example: str = ""
+    units: Mapping[str, Int] = field(default_factory=dict)
+    notations: Mapping[str, Int] = field(default_factory=dict)
+    bounds: Mapping[int, int] = field(default_factory=dict)
+    odd: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,24 +77,6 @@ class ColumnFile(Protocol):
         """The time base that the file itself gives the column, None when it gives none."""
 
 
-_SEPARATED = re.compile(r"[+-]?\d{1,3}(?:[.,'’ \u00a0\u202f]\d{3})+(?:[.,]\d+)?")
-_OTHER_MARK = re.compile(r"[+-]?\d+[.,]\d+(?:[eE][+-]?\d+)?")
-
-
-def refuse_other_notation(text: str, column: ColumnName, decimal: str, where: str) -> None:
-    """Raises `RefusedError` for a cell that is a number in another notation than the mapping says.
-
-    Such a cell is no lost sample: leaving it out would drop exactly the numbers from 1000 up, or all with decimals.
-    """
-    if _OTHER_MARK.fullmatch(text) or _SEPARATED.fullmatch(text):
-        raise RefusedError(
-            f'column {column_label(column)} holds "{text[:40]}"',
-            where=where,
-            expected=f'numbers with the decimal mark "{decimal}" and without thousands separators',
-            remedy="Correct decimal in the mapping TOML, or export without thousands separators",
-        )
-
-
 def named_column(names: Sequence[str], column: ColumnName, where: str) -> int:
     """Position of a column given by its name or its number from 0.
 
@@ -97,6 +87,8 @@ def named_column(names: Sequence[str], column: ColumnName, where: str) -> int:
             return column
         raise missing_column(names, column, where)
     positions = [i for i, name in enumerate(names) if name == column.strip()]
+    if not positions:
+        positions = [i for i, name in enumerate(names) if plain_name(name) == plain_name(column)]
     if len(positions) > 1:
         raise RefusedError(
             f'{len(positions)} columns are named "{column}" (numbers {", ".join(map(str, positions))})',
@@ -107,6 +99,11 @@ def named_column(names: Sequence[str], column: ColumnName, where: str) -> int:
     if not positions:
         raise missing_column(names, column, where)
     return positions[0]
+
+
+def plain_name(name: str) -> str:
+    """A name as it looks: what the eye cannot tell apart (blanks, µ and μ, composed letters) is the same."""
+    return " ".join(unicodedata.normalize("NFKC", name).split())
 
 
 def missing_column(names: Sequence[str], column: ColumnName, where: str) -> RefusedError:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ingest.arrays import ArrayFile
 from ingest.columns import ColumnFile
-from ingest.csv_reader import Dialect
+from ingest.csv_dialect import Dialect
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING
 from ingest.sniff import TIME, GuessedColumn, guess_columns, guess_text

@@ -5,17 +5,20 @@ Does not belong here: formulas (their stored results are read), units and time (
 
 from __future__ import annotations
 
+import math
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column, refuse_other_notation
+from ingest.clocks import seconds_of_day
+from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column
 from ingest.mapping import ColumnName, FileMapping
+from ingest.notations import read_cell, read_column
 from schemas.errors import RefusedError
 
 _INFLATED_LIMIT = 1 << 29
@@ -30,6 +33,7 @@ class SheetFile:
     header: tuple[str, ...]
     units: tuple[str, ...]
     rows: tuple[Sequence[Any], ...]
+    decimal: str = "."
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -40,19 +44,29 @@ class SheetFile:
         cells = self.cells(column, index)
         values = np.full(len(cells), np.nan)
         empty = np.zeros(len(cells), dtype=bool)
-        texts, example = 0, ""
+        durations: list[int] = []
+        rows: list[int] = []
+        texts: list[str] = []
         for row, cell in enumerate(cells):
             if isinstance(cell, int | float) and not isinstance(cell, bool):
                 values[row] = cell
-            elif isinstance(cell, timedelta):
-                values[row] = cell.total_seconds()
+            elif isinstance(cell, timedelta | time):
+                values[row] = seconds_of_day(cell)
+                durations.append(row)
             elif cell is None or not str(cell).strip():
                 empty[row] = True
             else:
-                refuse_other_notation(str(cell).strip(), column, ".", self.where)
-                texts += 1
-                example = example or str(cell)[:40]
-        return Numbers(values, empty, texts, example)
+                rows.append(row)
+                texts.append(str(cell).strip())
+        found = read_column(
+            values, empty, np.array(rows, dtype=np.int64), texts, column, self.where, decimal=self.decimal
+        )
+        as_text = np.array([r for r, t in zip(rows, texts, strict=True) if _is_plain(t, self.decimal)], dtype=np.int64)
+        notations = {**found.notations, **({"numbers stored as text": as_text} if as_text.size else {})}
+        if durations:
+            units = {**found.units, "s": np.union1d(found.units.get("s", as_text[:0]), durations)}
+            return replace(found, units=units, notations=notations)
+        return replace(found, notations=notations)
 
     def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
         if index is not None:
@@ -78,10 +92,27 @@ def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
         header, rows = _texts(rows[0]), rows[1:]
     if options.get("unit_row", False) and rows:
         units, rows = _texts(rows[0]), rows[1:]
-    filled = tuple(row for row in rows if any(str(cell).strip() for cell in row))
+    filled = [row for row in rows if not _is_blank(row)]
     if not filled:
         raise RefusedError("there are no rows of data", where=path.name, expected="rows after the header")
-    return SheetFile(path.name, header or ("",) * len(filled[0]), units, filled)
+    problems: tuple[str, ...] = ()
+    if mapping.counts_rows_as_time:
+        last = max(i for i, row in enumerate(rows) if not _is_blank(row))
+        blank = last + 1 - len(filled)
+        filled = list(rows[: last + 1])
+        problems = (f"{blank} rows are blank: samples that were lost",) if blank else ()
+    decimal = str(options.get("decimal", "."))
+    return SheetFile(path.name, header or ("",) * len(filled[0]), units, tuple(filled), decimal, problems)
+
+
+def _is_blank(row: Sequence[Any]) -> bool:
+    return not any(str(cell).strip() for cell in row)
+
+
+def _is_plain(text: str, decimal: str) -> bool:
+    """Whether a text is a number as every program writes it."""
+    found = read_cell(text, decimal)
+    return found is not None and math.isfinite(found.value) and not (found.notation or found.unit)
 
 
 def sheet_names(path: Path) -> tuple[str, ...]:

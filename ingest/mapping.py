@@ -15,6 +15,7 @@ import functools
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -36,11 +37,21 @@ from ingest.mapping_keys import (
     choice,
     refused,
     table,
+    unknown,
 )
 from ingest.toml_files import content_hash, load_toml
 from schemas.quantities import QUANTITIES
 
 FOLDER_FILE = "recordings.toml"
+STARTED_AT = "started_at"
+ORIGINS: Mapping[str, tuple[int, bool]] = {
+    "unix": (0, True),
+    "labview": (-24_107 * 86_400, True),
+    "excel": (-25_569 * 86_400, False),
+    "excel_1904": (-24_107 * 86_400, False),
+    "matlab": (-719_529 * 86_400, False),
+}
+"""What times count from, by name: seconds from 1970, and whether that is UTC; local time else."""
 _OWN = ".toml"
 """What the name of a data file gets for that of a mapping of its own."""
 ColumnName: TypeAlias = str | int
@@ -63,6 +74,7 @@ class ColumnMapping:
     field: str | None = None
     time: ColumnName | None = None
     sparse: bool = False
+    overrule_unit: bool = False
     value: Any = None
     meanings: Mapping[str, tuple[Any, ...]] = dataclass_field(default_factory=dict)
     metadata: Mapping[str, str] = dataclass_field(default_factory=dict)
@@ -90,6 +102,7 @@ class TimeMapping:
     origin: str = "started_at"
     format: str | None = None
     zone: str | None = None
+    date_column: ColumnName | None = None
 
 
 @dataclass(frozen=True)
@@ -119,6 +132,17 @@ class FileMapping:
     source: str = ""
     hash: str = ""
 
+    @property
+    def counts_rows_as_time(self) -> bool:
+        """Whether a sample's instant follows from the number of its row: then no row may be left out before it is counted."""
+        return self.time is not None and self.time.sample_rate_hz is not None
+
+    def columns_of_file(self) -> list[ColumnName]:
+        """All columns of the file that the mapping names."""
+        time = () if self.time is None else (self.time.column, self.time.date_column)
+        of_values = (name for c in self.columns.values() for name in (c.column, c.time))
+        return [name for name in (*time, *of_values, *(s.column for s in self.select)) if name is not None]
+
     @classmethod
     def parse(cls, content: Mapping[str, Any], *, stem: str, suffix: str = "", source: str = "") -> FileMapping:
         """The mapping of a file from TOML content; `stem` and `suffix` are the two parts of the file's name.
@@ -129,9 +153,10 @@ class FileMapping:
         known = {*TOP, "time", "columns", "recording", "rig", "select", *OPTIONS}
         for key in content:
             if key not in known:
-                raise refused(source, f'key "{key[:80]}" is unknown', "one of " + ", ".join(sorted(known)))
+                raise unknown(source, key, known)
         kind = choice(content.get("kind", RECORDING), "kind", KINDS, source)
         chosen = _format(content, source) or format_of_suffix(suffix)
+        _check_used(content, kind, chosen, source)
         if kind == IGNORE:
             columns: dict[str, ColumnMapping] = {}
         else:
@@ -140,7 +165,7 @@ class FileMapping:
             kind=kind,
             format=chosen,
             options=checked(content.get(chosen or "", {}), chosen or "", OPTIONS.get(chosen or "", {}), source),
-            time=_time(content, source),
+            time=_time(content, kind, source),
             columns=columns,
             recording=table(content, "recording", source),
             rig=table(content, "rig", source),
@@ -244,7 +269,7 @@ def _columns(content: Mapping[str, Any], kind: str, chosen: str | None, source: 
     mapped = {}
     for name, entry in columns.items():
         if name not in allowed:
-            raise refused(source, f'columns.{name[:80]} is unknown for kind "{kind}"', "one of " + ", ".join(allowed))
+            raise unknown(source, f"columns.{name}", [f"columns.{n}" for n in allowed])
         mapped[name] = _column(entry, f"columns.{name}", keys, source)
     if not mapped and chosen != "mcap":
         raise refused(source, "no columns are mapped", "a table [columns.<quantity>] for each quantity")
@@ -276,23 +301,42 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         field=entry.get("field"),
         time=entry.get("time"),
         sparse=entry.get("sparse", False),
+        overrule_unit=entry.get("overrule_unit", False),
         value=entry.get("value"),
         meanings=meanings,
         metadata={k: str(entry[k]) for k in CHANNEL_METADATA if k in entry},
     )
 
 
-def _time(content: Mapping[str, Any], source: str) -> TimeMapping | None:
+def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, source: str) -> None:
+    """Refuses keys that are known and that this kind of file does not use: to ignore them would mislead."""
+    unused = []
+    if kind not in (RECORDING, IGNORE):
+        unused += ["rig"] if content.get("rig") else []
+        unused += [f"time.{key}" for key in table(content, "time", source) if key != "zone"]
+    if chosen == "mcap":
+        unused += ["select"] if content.get("select") else []
+    else:
+        columns = table(content, "columns", source)
+        unused += [f"columns.{n}.field" for n, c in columns.items() if isinstance(c, dict) and "field" in c]
+    if unused:
+        what = f"{chosen} files" if kind == RECORDING else f'kind "{kind}"'
+        raise refused(source, f"{unused[0]} is not used for {what}", "only keys that have an effect")
+
+
+def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | None:
     if "time" not in content:
         return None
     entry = checked(content["time"], "time", TIME, source)
     if "column" in entry and "sample_rate_hz" in entry:
         raise refused(source, "time has column and sample_rate_hz", "one of the two")
-    if "column" not in entry and "sample_rate_hz" not in entry and entry.get("origin") is None:
+    if kind == RECORDING and "column" not in entry and "sample_rate_hz" not in entry and entry.get("origin") is None:
         raise refused(source, "time has neither column nor sample_rate_hz", "one of the two")
     rate = entry.get("sample_rate_hz")
     if rate is not None and not 0 < rate < 1e9:
         raise refused(source, f"time.sample_rate_hz is {rate}", "a rate above 0 and below 1e9 Hz")
+    if "date_column" in entry and "column" not in entry:
+        raise refused(source, "time has date_column without column", "the column of the times of day beside it")
     if "format" in entry and "unit" in entry:
         raise refused(source, "time has format and unit", "format for dates as text, unit for numbers")
     return TimeMapping(
@@ -300,10 +344,23 @@ def _time(content: Mapping[str, Any], source: str) -> TimeMapping | None:
         index=entry.get("index"),
         unit=entry.get("unit"),
         sample_rate_hz=None if rate is None else float(rate),
-        origin=choice(entry.get("origin", "started_at"), "time.origin", ("started_at", "unix"), source),
+        origin=_origin(entry.get("origin", "started_at"), source),
         format=entry.get("format"),
         zone=entry.get("zone"),
+        date_column=entry.get("date_column"),
     )
+
+
+def _origin(value: str, source: str) -> str:
+    """An origin by its name, or the date that times count from."""
+    if value in (STARTED_AT, *ORIGINS):
+        return value
+    try:
+        datetime.fromisoformat(value)
+    except ValueError:
+        named = ", ".join((STARTED_AT, *ORIGINS))
+        raise refused(source, f'time.origin is "{value[:80]}"', f"{named}, or a date such as 1899-12-30") from None
+    return value
 
 
 def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...]:

@@ -5,7 +5,8 @@ The mapping is built from them in `ingest.mapping`; `ingest/README.md` shows the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -58,6 +59,7 @@ OPTIONS: Mapping[str, Mapping[str, Key]] = {
     "csv": {
         "delimiter": Key((str,), 'one character, or "whitespace"'),
         "decimal": Key((str,), "decimal mark"),
+        "thousands": Key((str,), "mark between thousands, where a number such as 1,234 may have two meanings"),
         "encoding": Key((str,), "character encoding, such as utf-8 or cp1252"),
         "skip_rows": Key((int,), "lines before the header"),
         "header": Key((bool,), "false: there is none, columns are numbers from 0"),
@@ -72,6 +74,7 @@ OPTIONS: Mapping[str, Mapping[str, Key]] = {
         "skip_rows": Key((int,), "rows before the header"),
         "header": Key((bool,), "false: there is none, columns are numbers from 0"),
         "unit_row": Key((bool,), "true: the row after the header holds units"),
+        "decimal": Key((str,), "decimal mark of numbers that are stored as text"),
     },
     "hdf5": {
         "root": Key((str,), "prefix of every path"),
@@ -91,8 +94,18 @@ TIME: Mapping[str, Key] = {
     "index": Key((int,), "column of a matrix, from 0"),
     "unit": Key((str,), "unit of time"),
     "sample_rate_hz": Key(_NUMBER, "in place of a column: equal steps"),
-    "origin": Key((str,), '"started_at": time since the start, the default; "unix": since 1970 UTC'),
-    "format": Key((str,), 'for times as text: "iso" or a strptime pattern'),
+    "origin": Key(
+        (str,),
+        '"started_at": time since the start, the default; "unix": since 1970 UTC; "labview": since 1904 UTC; "excel",'
+        ' "excel_1904" and "matlab": serial days of local time, which need zone; or the date they count from, such as'
+        ' "1899-12-30"',
+    ),
+    "format": Key(
+        (str,),
+        'for times as text: "iso", a strptime pattern, "time_of_day" (the date is that of started_at, midnight may pass),'
+        ' "elapsed" (hh:mm:ss, beyond 24 h as well) or "mm:ss"',
+    ),
+    "date_column": Key(_COLUMN, "the column of dates, where column holds the time of day alone"),
     "zone": Key((str,), "for absolute times that lack theirs: an IANA name such as Europe/Berlin"),
 }
 CHANNEL_METADATA = ("sensor", "delay_s", "resolution", "filter_hz")
@@ -102,6 +115,7 @@ _ANY_COLUMN: Mapping[str, Key] = {
     "unit": Key((str,), "unit of the column; may be left out where a unit row or the file has it"),
     "scale": Key(_NUMBER, "value = scale × raw + offset, in the unit"),
     "offset": Key(_NUMBER, "see scale"),
+    "overrule_unit": Key((bool,), "true: the unit that the file itself gives (header, unit row, attribute) is wrong"),
 }
 COLUMN: Mapping[str, Key] = {
     **_ANY_COLUMN,
@@ -129,9 +143,14 @@ SELECT: Mapping[str, Key] = {
 TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     LIFETIMES: {
         "lifetime": "required; a unit of time",
-        "failed": "required; `failed_values` and `censored_values` say which cells mean what: numbers are compared as"
-        " numbers, other cells as text, and a value in neither list refuses the table. No survival curve here can use"
-        " left-censored lives: they refuse it too",
+        "failed": "`failed_values` and `censored_values` say which cells mean what: numbers are compared as numbers, other"
+        " cells as text, and a value in neither list refuses the table. No survival curve here can use left-censored lives:"
+        " they refuse it too. Where no column says it, a life written as survived (`> 3600`, `3600+`) is censored and every"
+        " other one a failure",
+        "censored": "in place of `failed`, with the same keys",
+        "test_duration": "planned duration: the life of a survivor that has none of its own; absent: `test_duration_s` of"
+        " `[recording]`",
+        "count": "number of specimens that the row stands for; absent: one",
         "voltage": "a unit of voltage; absent: `voltage_setpoint_kv` of `[recording]`",
         "configuration": "absent: that of `[recording]`",
         "specimen_id": "absent: `<name of the file>-<row from 1>`",
@@ -175,7 +194,7 @@ def checked(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> dict
         raise refused(source, f"{name} is {str(entry)[:80]!r}", f"a table [{name}]")
     for key, value in entry.items():
         if key not in keys:
-            raise refused(source, f'key "{name}.{key[:80]}" is unknown', "one of " + ", ".join(keys))
+            raise unknown(source, f"{name}.{key}", [f"{name}.{k}" for k in keys])
         types = keys[key].types
         if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
             raise refused(source, f"{name}.{key} is {str(value)[:80]!r}", " or ".join(TYPE_NAMES[t] for t in types))
@@ -187,6 +206,14 @@ def choice(value: Any, key: str, allowed: tuple[str, ...], source: str) -> str:
     if value not in allowed:
         raise refused(source, f'{key} is "{str(value)[:80]}"', "one of " + ", ".join(allowed))
     return str(value)
+
+
+def unknown(source: str, key: str, known: Iterable[str]) -> RefusedError:
+    """The error for a key that does not exist, with the one that may be meant."""
+    names = sorted(known)
+    alike = difflib.get_close_matches(key, names, n=1, cutoff=0.75)
+    meant = f": did you mean {alike[0]}?" if alike else ""
+    return refused(source, f'key "{key[:80]}" is unknown{meant}', "one of " + ", ".join(names))
 
 
 def refused(source: str, problem: str, expected: str) -> RefusedError:

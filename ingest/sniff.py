@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ingest.csv_reader import WHITESPACE, Dialect
+from ingest.csv_dialect import WHITESPACE, Dialect
 from schemas.errors import RefusedError
 from schemas.quantities import QUANTITIES
 from schemas.units import ANY, conversion

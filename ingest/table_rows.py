@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.assemble import scaled_numbers, unit_of
-from ingest.columns import ColumnFile
-from ingest.mapping import FileMapping, column_label
+from ingest.columns import ColumnFile, Numbers
+from ingest.mapping import FileMapping
+from ingest.select import selected_rows
 from ingest.times import with_zone, zone_of
 from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import RefusedError
-from schemas.metadata import TableMetadata
+from schemas.metadata import RecordingMetadata, TableMetadata, check_keys
 from schemas.units import conversion
 
 MODULUS, STIFFNESS = "modulus", "stiffness"
@@ -29,6 +30,7 @@ class TableRows:
     def __init__(self, file: ColumnFile, mapping: FileMapping, where: str) -> None:
         self.file, self.mapping, self.where = file, mapping, where
         zone = zone_of(mapping.time, mapping.source)
+        check_keys(mapping.recording, RecordingMetadata, "recording", mapping.source)
         self.metadata = TableMetadata.parse(with_zone(mapping.recording, zone), where=where)
         self.problems: list[str] = list(file.problems)
         self.notes: list[str] = list(file.notes)
@@ -72,12 +74,40 @@ class TableRows:
         column = self.mapping.columns[name]
         if column.value is not None:
             return self._constant(name, canonical)
-        unit = unit_of(self.file, column, name, canonical, where=self.where)
-        found = scaled_numbers(self.file, column, name, where=self.where)
+        found, unit = self.written(name, canonical)
+        if found.bounds:
+            row = min(found.bounds)
+            raise self.refused_row(row, f'{name} is "{found.odd.get(row, "")}"', "a value, not a bound")
         if found.texts:
             self.problems.append(f'{name}: {found.texts} cells hold no number, such as "{found.example}"')
-        self._check_length(name, found.values.size)
         return conversion(unit, canonical, where=f"{self.where}: {name}").apply(found.values)[self.rows]
+
+    def written(self, name: str, canonical: str) -> tuple[Numbers, str]:
+        """A column of the whole file as its cells say, bounds included, and the unit of its values."""
+        column = self.mapping.columns[name]
+        unit = self._unit(name, canonical)
+        found = scaled_numbers(self.file, column, name, unit, where=self.where, few_are_damage=False)
+        self.notes += found.notes
+        self._check_length(name, found.numbers.values.size)
+        return found.numbers, unit
+
+    def _unit(self, name: str, canonical: str) -> str:
+        """The unit of a column; the canonical one where every number carries its own."""
+        column = self.mapping.columns[name]
+        if column.column is not None and column.unit is None and not self.file.unit(column.column):
+            found = self.file.numbers(column.column, column.index)
+            if found.units and sum(rows.size for rows in found.units.values()) == int(np.isfinite(found.values).sum()):
+                return canonical
+        return unit_of(self.file, column, name, canonical, where=self.where)
+
+    def refused_row(self, row: int, problem: str, expected: str, remedy: str = "") -> RefusedError:
+        """The error for one row of the file, counted from 0."""
+        return RefusedError(
+            f"row {row + 1} of the data: {problem}",
+            where=self.where,
+            expected=expected,
+            remedy=remedy or "Correct the row, or the mapping TOML",
+        )
 
     def numbers_or(self, name: str, canonical: str, default: float | None, count: int) -> Float:
         """A column as `numbers`, or `count` times the default (NaN for None) where it is not mapped."""
@@ -163,18 +193,8 @@ class TableRows:
         first = next((c for c in self.mapping.columns.values() if c.column is not None), None)
         if first is None or first.column is None:
             raise RefusedError("no column of the file is mapped", where=self.mapping.source or self.where)
-        keep = np.ones(len(self.file.cells(first.column, first.index)), dtype=bool)
-        for selection in self.mapping.select:
-            cells = self.file.cells(selection.column)
-            keep &= np.fromiter((any(same_cell(cell, v) for v in selection.equals) for cell in cells), bool, len(cells))
-            if not keep.any():
-                shown = ", ".join(dict.fromkeys(str(cell)[:20] for cell in list(cells)[:200]))
-                raise RefusedError(
-                    f"no row has {list(selection.equals)} in column {column_label(selection.column)}",
-                    where=self.where,
-                    expected=f"one of {shown[:200]}",
-                )
-        return keep
+        count = len(self.file.cells(first.column, first.index))
+        return selected_rows(self.file, self.mapping.select, count, self.where)
 
     def _check_length(self, name: str, found: int) -> None:
         if found != self.rows.size:
@@ -238,16 +258,6 @@ def ordered(table: TableRows, axis: Float, usable: Bool, name: str, unit: str) -
     if (order != keep).any():
         table.notes.append(f"the rows were not in the order of {name}")
     return order
-
-
-def same_cell(cell: Any, value: Any) -> bool:
-    """Whether a cell holds a value: as numbers where both are, as text without outer blanks else."""
-    if isinstance(cell, bool) or isinstance(value, bool):
-        return str(cell).strip().lower() == str(value).lower()
-    try:
-        return float(cell) == float(value)
-    except (TypeError, ValueError):
-        return str(cell).strip() == str(value).strip()
 
 
 def cell_text(cell: Any) -> str | None:

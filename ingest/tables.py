@@ -23,12 +23,16 @@ from typing import Any
 import numpy as np
 
 from ingest.columns import ColumnFile
+from ingest.lives import read_lives
 from ingest.mapping import FileMapping
-from ingest.table_rows import TableRows, cell_text, ordered, same_cell, standard_error, stiffness_scale
-from schemas.arrays import Bool, Complex, Float
+from ingest.table_rows import TableRows, cell_text, ordered, standard_error, stiffness_scale
+from schemas.arrays import Complex, Float
 from schemas.errors import RefusedError
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import TableMetadata
+
+_MOST_COPIES = 100_000
+"""Specimens that one row may stand for."""
 
 
 @dataclass(frozen=True)
@@ -78,54 +82,68 @@ class RelaxationTable:
 
 
 def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: str) -> LifetimeTable:
-    """Lives from a table. A failure at 0 counts; a row without a life, or a survivor of 0 s, is left out, a problem. Raises `RefusedError`."""
+    """Lives from a table, one for each specimen. Raises `RefusedError`, see `ingest.lives`."""
     table = TableRows(file, mapping, where)
     metadata = table.metadata
-    table.require("lifetime", "failed")
-    life = table.numbers("lifetime", "s")
-    failed = _failed(table)
-    count = life.size
+    lives = read_lives(table)
+    count = lives.life_s.size
     voltage = table.numbers_or("voltage", "kV", metadata.voltage_setpoint_kv, count)
     breakdown = table.numbers_or("breakdown_voltage", "kV", None, count)
     specimens = table.texts_or("specimen_id", None, count)
+    copies = _copies(table, count)
     fixed = {
         name: table.texts_or(name, getattr(metadata, name), count)
         for name in ("configuration", "failure_site", "failure_region")
     }
     _check_places(fixed, where)
     rows = []
-    wrong = []
     for i in range(count):
-        if not (math.isfinite(life[i]) and (life[i] > 0 or (failed[i] and life[i] == 0))):
-            wrong.append(i)
+        if math.isnan(lives.life_s[i]):
             continue
-        rows.append(
+        name = specimens[i] or f"{stem}-{table.row_numbers[i]}"
+        failed = bool(lives.failed[i])
+        rows += [
             LifetimeRow(
-                specimen_id=specimens[i] or f"{stem}-{table.row_numbers[i]}",
-                lifetime_s=float(life[i]),
-                failed=bool(failed[i]),
+                specimen_id=specimen,
+                lifetime_s=float(lives.life_s[i]),
+                failed=failed,
                 recording_id=metadata.recording_id,
                 configuration=fixed["configuration"][i],
                 campaign=metadata.campaign,
                 voltage_kv=_number_or_none(voltage[i]),
-                censored_because=None if failed[i] else "censored in the table",
+                censored_because=None if failed else "censored in the table",
                 breakdown_voltage_kv=_number_or_none(breakdown[i]),
                 failure_site=fixed["failure_site"][i],
                 failure_region=fixed["failure_region"][i],
                 test_duration_s=metadata.test_duration_s,
             )
-        )
-    if wrong:
-        table.problems.append(
-            f"{len(wrong)} of {count} rows have no life, or survived 0 s (row {table.row_numbers[wrong[0]]}: {life[wrong[0]]:g} s):"
-            " left out"
-        )
+            for specimen in (name if copies[i] == 1 else f"{name}-{k}" for k in range(1, copies[i] + 1))
+        ]
     if not rows:
         raise RefusedError(
             "no row has a life that says anything", where=where, expected="lives above 0, or failures at 0"
         )
     _check_names(rows, where)
     return LifetimeTable(metadata, tuple(rows), *table.remarks)
+
+
+def _copies(table: TableRows, count: int) -> list[int]:
+    """How many specimens each row stands for: one, or what the column `count` says."""
+    if "count" not in table.mapping.columns:
+        return [1] * count
+    found = []
+    for i, cell in enumerate(table.cells("count")):
+        try:
+            number = float(cell)
+        except (TypeError, ValueError):
+            number = math.nan
+        if not (number.is_integer() and 1 <= number <= _MOST_COPIES):
+            row = int(table.row_numbers[i]) - 1
+            raise table.refused_row(
+                row, f'the count is "{cell_text(cell) or ""}"', f"a whole number from 1 to {_MOST_COPIES}"
+            )
+        found.append(int(number))
+    return found
 
 
 def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> ResponseTable:
@@ -178,39 +196,6 @@ def relaxation_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> R
     return RelaxationTable(
         table.metadata, time[keep], value[keep] * scale, error[keep] * scale, measured_as, scale, *table.remarks
     )
-
-
-def _failed(table: TableRows) -> Bool:
-    """(n,) true for a failure, false for a life that is only known to be longer."""
-    meanings = table.mapping.columns["failed"].meanings
-    source = table.mapping.source or table.where
-    if not meanings.get("failed") and not meanings.get("censored"):
-        raise RefusedError(
-            "columns.failed does not say which values mean what",
-            where=source,
-            expected="failed_values = [1] and censored_values = [0], as this table means it",
-            remedy="Look it up at the source of the table: the convention is not the same everywhere",
-        )
-    failed = np.zeros(int(table.rows.sum()), dtype=bool)
-    for i, cell in enumerate(table.cells("failed")):
-        means = [m for m, values in meanings.items() if any(same_cell(cell, value) for value in values)]
-        if len(means) != 1:
-            both = " and ".join(m.replace("_", "-") for m in means) or "neither failed nor censored"
-            raise RefusedError(
-                f'"{cell_text(cell) or ""}" in row {table.row_numbers[i]} of the data means {both}',
-                where=table.where,
-                expected="each value in one of failed_values and censored_values",
-                remedy="Correct [columns.failed] in the mapping TOML",
-            )
-        if means[0] == "left_censored":
-            raise RefusedError(
-                f"row {table.row_numbers[i]} of the data is left-censored: its life is only known to be shorter",
-                where=table.where,
-                expected="failures and right-censored lives",
-                remedy="Survival curves from left-censored lives are not estimated here",
-            )
-        failed[i] = means[0] == "failed"
-    return failed
 
 
 def _check_places(fixed: dict[str, list[str | None]], where: str) -> None:

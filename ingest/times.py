@@ -7,24 +7,51 @@ file's own time base. Absolute times without a zone are refused unless the mappi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime, timedelta, tzinfo
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime, timedelta, tzinfo
 from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
 
+from ingest.cell_units import checked_unit, with_own_units
+from ingest.clocks import (
+    DAY,
+    LOST,
+    SECOND,
+    days_of_times,
+    duration_s,
+    has_date,
+    moment,
+    moments,
+    nanoseconds,
+    seconds_of_day,
+    utc_of_local,
+)
 from ingest.columns import ColumnFile, OwnTime
-from ingest.mapping import ColumnName, TimeMapping, column_label
+from ingest.mapping import ORIGINS, STARTED_AT, ColumnName, TimeMapping, column_label
 from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
 from schemas.metadata import instant
 from schemas.units import conversion
 
-LOST = np.iinfo(np.int64).min
-"""Stands for an instant that the file does not tell."""
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LATEST_S = 2**62 / 1e9
 """About the year 2116: later times are a wrong unit or a wrong origin."""
+_APART_S = 36 * 3600.0
+"""A clock that is further from `started_at` than a day and a zone shows another date: its epoch or format is wrong."""
+_EARLIEST_NS = 10 * 365 * DAY
+_HALF_HOUR_S = 1800.0
+_MINUTE_S = 60.0
+ELAPSED, MINUTES, TIME_OF_DAY = "elapsed", "mm:ss", "time_of_day"
+
+
+@dataclass(frozen=True)
+class Instants:
+    """(n,) instants of rows, `LOST` where a row has none; what is wrong with them, and what is worth knowing."""
+
+    time_ns: Int
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def zone_of(time: TimeMapping | None, where: str) -> tzinfo | None:
@@ -71,11 +98,6 @@ def start_ns(metadata: Mapping[str, Any], where: str) -> int:
         ) from None
 
 
-def nanoseconds(time: datetime) -> int:
-    """Unix time of an aware datetime, exact to its microsecond."""
-    return (time - _EPOCH) // timedelta(microseconds=1) * 1000
-
-
 def uniform(count: int, rate_hz: float, start: int) -> Int:
     """(count,) instants of a constant sample rate, each rounded to its own nanosecond."""
     elapsed: Int = np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
@@ -91,30 +113,253 @@ def time_column(
     *,
     source: str,
     where: str,
-) -> Int:
-    """(n,) instants of a time column; `LOST` where a row has none. Raises `RefusedError` when it cannot be read."""
-    if time.format is not None:
-        return _absolute(file.cells(column, index), time, column, source, where)
+) -> Instants:
+    """The instants of a time column. Raises `RefusedError` when it cannot be read."""
+    reading = _Reading(file, time, column, index, metadata, source, where)
+    if time.format is not None or time.date_column is not None:
+        return reading.written()
     found = file.unit(column)
     unit = time.unit or found
+    origin, is_utc = origin_of(time)
+    if unit is None and origin is not None and not is_utc:
+        unit = "d"
     if unit is None:
-        cells = file.cells(column, index)
-        if any(isinstance(cell, datetime) for cell in cells[:10]):
-            return _absolute(cells, time, column, source, where)
+        return reading.guided_by_cells()
+    return reading.numbers(checked_unit(found, unit, column_label(column, index), "s", "time", where=where))
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """One time column on its way to instants."""
+
+    file: ColumnFile
+    time: TimeMapping
+    column: ColumnName
+    index: int | None
+    metadata: Mapping[str, Any]
+    source: str
+    where: str
+
+    @property
+    def label(self) -> str:
+        return column_label(self.column, self.index)
+
+    def cells(self) -> Sequence[Any]:
+        return self.file.cells(self.column, self.index)
+
+    def guided_by_cells(self) -> Instants:
+        """Of a column without a unit: its cells say themselves that they are dates, times of day or durations."""
+        cells = self.cells()
+        first = next((cell for cell in cells if cell is not None and str(cell).strip()), "")
+        if isinstance(first, date) or moment(first, None) is not None:
+            return self.absolute(cells, None)
+        seconds = seconds_of_day(first)
+        if seconds == 0:
+            return self.elapsed(cells, None)
+        if seconds is not None and self._is_clock(seconds):
+            note = f"the times of day are those of started_at: {self.label} begins with {first}"
+            return replace(self.time_of_day(cells, None), notes=(note,))
+        if seconds is not None:
+            raise RefusedError(
+                f'time column {self.label} begins with "{str(first)[:40]}", a time of day or a time since the start',
+                where=self.source or self.where,
+                expected='format = "time_of_day" (with started_at for the date) or format = "elapsed"',
+                remedy="Add format to [time] in the mapping TOML",
+            )
         raise RefusedError(
-            "time has no unit", where=source, expected='unit = "s", or format for dates', remedy="Add it to [time]"
+            f"time column {self.label} has no unit",
+            where=self.source or self.where,
+            expected='unit = "s", or format for dates',
+            remedy="Add it to [time]",
         )
-    numbers = file.numbers(column, index)
-    if not np.isfinite(numbers.values).any():
-        shown = f', such as "{numbers.example}"' if numbers.example else ""
-        raise RefusedError(
-            f"time column {column_label(column, index)} holds no numbers{shown}",
-            where=where,
-            expected=f"times in {unit}, or format for dates as text",
+
+    def written(self) -> Instants:
+        """Of a column whose format the mapping gives."""
+        pattern = self.time.format
+        cells = self.cells()
+        if self.time.date_column is not None:
+            days = self.file.cells(self.time.date_column)
+            return self.absolute([_joined(d, t) for d, t in zip(days, cells, strict=True)], pattern or "iso")
+        if pattern in (ELAPSED, MINUTES):
+            return self.elapsed(cells, pattern)
+        if pattern == TIME_OF_DAY or not has_date(str(pattern)):
+            return self.time_of_day(cells, None if pattern == TIME_OF_DAY else pattern)
+        return self.absolute(cells, pattern)
+
+    def numbers(self, unit: str) -> Instants:
+        """Of a column of numbers, or of durations that carry their own unit."""
+        numbers = self.file.numbers(self.column, self.index)
+        if not np.isfinite(numbers.values).any():
+            shown = f', such as "{numbers.example}"' if numbers.example else ""
+            raise RefusedError(
+                f"time column {self.label} holds no numbers{shown}",
+                where=self.where,
+                expected=f"times in {unit}, or format for dates as text",
+            )
+        values = with_own_units(numbers, unit, self.label, where=self.where)
+        seconds = conversion(unit, "s", where=f"{self.where}: time").apply(values)
+        if numbers.units and self._is_clock(float(seconds[np.isfinite(seconds)][0])):
+            raise RefusedError(
+                f"time column {self.label} begins at the time of day of started_at: it may be a time of day, and a time"
+                " since the start as well",
+                where=self.source or self.where,
+                expected='format = "time_of_day" or format = "elapsed"',
+                remedy="Put it in the place of unit in [time] of the mapping TOML",
+            )
+        origin, is_utc = origin_of(self.time)
+        if origin is None:
+            return Instants(from_seconds(seconds, start_ns(self.metadata, self.where), self.where))
+        times = from_seconds(seconds + origin, 0, self.where)
+        return self.checked(times) if is_utc else self.local(times)
+
+    def absolute(self, cells: Sequence[Any], pattern: str | None) -> Instants:
+        """Of dates with times."""
+        times, zoned, wrong = moments(cells, pattern)
+        if wrong is not None:
+            raise RefusedError(
+                f'time column {self.label} holds "{str(cells[wrong])[:40]}" in row {wrong + 1} of the data',
+                where=self.where,
+                expected=f'times written as "{pattern}"' if pattern else "dates with time",
+            )
+        return self.checked(times) if zoned.any() else self.local(times)
+
+    def elapsed(self, cells: Sequence[Any], pattern: str | None) -> Instants:
+        """Of times since the start, as hours, minutes and seconds."""
+        short = pattern == MINUTES
+        seconds = [
+            seconds_of_day(c) if not isinstance(c, str) else duration_s(c, minutes=short) if c.strip() else np.nan
+            for c in cells
+        ]
+        self._check_read(seconds, cells, "mm:ss" if short else "hh:mm:ss")
+        return Instants(from_seconds(_floats(seconds), start_ns(self.metadata, self.where), self.where))
+
+    def time_of_day(self, cells: Sequence[Any], pattern: str | None) -> Instants:
+        """Of times of day, whose date is that of `started_at`."""
+        started = _started(self.metadata)
+        if started is None:
+            raise RefusedError(
+                f"time column {self.label} holds times of day and there is no started_at",
+                where=self.where,
+                expected="a date for them",
+                remedy="Give started_at in [recording], or date_column in [time], in the mapping TOML",
+            )
+        zone = zone_of(self.time, self.source) or started.tzinfo
+        if zone is None:
+            raise self._no_zone(cells[0])
+        if pattern is None:
+            seconds = [np.nan if c is None or c == "" else seconds_of_day(c) for c in cells]
+        else:
+            found = [moment(c, pattern) for c in cells]
+            seconds = [
+                (np.nan if c is None or c == "" else None) if m is None else seconds_of_day(m.time())
+                for c, m in zip(cells, found, strict=True)
+            ]
+        self._check_read(seconds, cells, pattern or "hh:mm:ss")
+        return self.local(days_of_times(_floats(seconds), started.astimezone(zone)), zone)
+
+    def local(self, naive: Int, zone: tzinfo | None = None) -> Instants:
+        """Of local times without a zone of their own."""
+        zone = zone or zone_of(self.time, self.source)
+        if zone is None:
+            raise self._no_zone(next((c for c in self.cells() if c is not None and str(c).strip()), ""))
+        started = _started(self.metadata)
+        near = None if started is None or started.tzinfo is None else nanoseconds(started)
+        times, unsure = utc_of_local(naive, zone, near)
+        found = self.checked(times)
+        if not unsure:
+            return found
+        note = "the times lie in the hour that occurs twice at the end of summer time: taken for the first"
+        return replace(found, notes=(*found.notes, note))
+
+    def checked(self, times: Int) -> Instants:
+        """Absolute times against `started_at`: another date is a wrong epoch, a step of half hours a wrong zone."""
+        known = times[times != LOST]
+        started = _started(self.metadata)
+        if not known.size:
+            return Instants(times)
+        first = int(known[0])
+        if started is None or started.tzinfo is None:
+            if not _EARLIEST_NS < first < nanoseconds(datetime.now(UTC)) + 366 * DAY:
+                raise self._wrong_date(first, "a time since 1980 that is not in the future")
+            return Instants(times)
+        apart = (first - nanoseconds(started)) * 1e-9
+        if abs(apart) > _APART_S:
+            raise self._wrong_date(first, f"times next to started_at, {started.isoformat()}")
+        steps = round(apart / _HALF_HOUR_S)
+        if steps and abs(apart - steps * _HALF_HOUR_S) <= _MINUTE_S:
+            side = "after" if steps > 0 else "before"
+            problem = f"time column {self.label} begins {abs(steps) / 2:g} h {side} started_at, as if its zone were another one"
+            return Instants(times, problems=(problem,))
+        return Instants(times)
+
+    def _wrong_date(self, first: int, expected: str) -> RefusedError:
+        shown = np.datetime_as_string(np.datetime64(first // SECOND, "s"))
+        return RefusedError(
+            f"time column {self.label} begins in {shown}Z",
+            where=self.where,
+            expected=expected,
+            remedy="Check origin, unit, format and zone of [time] in the mapping TOML, and started_at",
         )
-    seconds = conversion(unit, "s", where=f"{where}: time").apply(numbers.values)
-    start = 0 if time.origin == "unix" else start_ns(metadata, where)
-    return from_seconds(seconds, start, where)
+
+    def _no_zone(self, cell: Any) -> RefusedError:
+        return RefusedError(
+            f'time "{str(cell)[:40]}" of column {self.label} has no zone',
+            where=self.where,
+            expected="times with a zone",
+            remedy='Add zone = "Europe/Zurich" (or UTC, …) to [time] in the mapping TOML',
+        )
+
+    def _is_clock(self, seconds: float) -> bool:
+        """Whether a time of day is that of `started_at`, to the minute."""
+        started = _started(self.metadata)
+        if started is None:
+            return False
+        zone = zone_of(self.time, self.source)
+        local = started.astimezone(zone) if zone is not None and started.tzinfo is not None else started
+        of_day = 3600 * local.hour + 60 * local.minute + local.second
+        return seconds > _MINUTE_S and abs(seconds - of_day) <= _MINUTE_S
+
+    def _check_read(self, seconds: Sequence[float | None], cells: Sequence[Any], expected: str) -> None:
+        if None in seconds:
+            row = seconds.index(None)
+            raise RefusedError(
+                f'time column {self.label} holds "{str(cells[row])[:40]}" in row {row + 1} of the data',
+                where=self.where,
+                expected=f"times written as {expected}",
+                remedy="Correct format of [time] in the mapping TOML",
+            )
+
+
+def origin_of(time: TimeMapping) -> tuple[int | None, bool]:
+    """Seconds from 1970 that times count from, None for `started_at`; and whether they are UTC."""
+    if time.origin == STARTED_AT:
+        return None, True
+    if time.origin in ORIGINS:
+        return ORIGINS[time.origin]
+    found = datetime.fromisoformat(time.origin)
+    return nanoseconds(found) // SECOND, found.tzinfo is not None
+
+
+def _joined(day: Any, hour: Any) -> Any:
+    """Date and time of day of one row; as cells of a spreadsheet or as text."""
+    if isinstance(day, date):
+        of_day = seconds_of_day(hour)
+        return None if of_day is None else datetime(day.year, day.month, day.day) + timedelta(seconds=of_day)
+    return f"{day} {hour}".strip()
+
+
+def _floats(seconds: Sequence[float | None]) -> Float:
+    return np.array(seconds, dtype=np.float64)
+
+
+def _started(metadata: Mapping[str, Any]) -> datetime | None:
+    started = metadata.get("started_at")
+    if started in (None, ""):
+        return None
+    try:
+        return started if isinstance(started, datetime) else datetime.fromisoformat(str(started).strip())
+    except ValueError:
+        return None
 
 
 def own_time(own: OwnTime, metadata: Mapping[str, Any], where: str) -> Int:
@@ -138,40 +383,3 @@ def from_seconds(seconds: Float, start: int, where: str) -> Int:
     rest = np.where(finite, seconds, 0.0) - whole
     times = start + whole.astype(np.int64) * 1_000_000_000 + np.rint(rest * 1e9).astype(np.int64)
     return np.where(finite, times, LOST)
-
-
-def _absolute(cells: Sequence[Any], time: TimeMapping, column: ColumnName, source: str, where: str) -> Int:
-    zone = zone_of(time, source)
-    times = np.empty(len(cells), dtype=np.int64)
-    for row, cell in enumerate(cells):
-        found = _moment(cell, time.format)
-        if found is None:
-            if str(cell).strip():
-                raise RefusedError(
-                    f'time column {column_label(column)} holds "{str(cell)[:40]}" in row {row + 1} of the data',
-                    where=where,
-                    expected=f'times written as "{time.format}"' if time.format else "dates with time",
-                )
-            times[row] = LOST
-            continue
-        if found.tzinfo is None:
-            if zone is None:
-                raise RefusedError(
-                    f'time "{str(cell)[:40]}" has no zone',
-                    where=where,
-                    expected="times with a zone",
-                    remedy='Add zone = "Europe/Zurich" (or UTC, …) to [time] in the mapping TOML',
-                )
-            found = found.replace(tzinfo=zone)
-        times[row] = nanoseconds(found)
-    return times
-
-
-def _moment(cell: Any, pattern: str | None) -> datetime | None:
-    if isinstance(cell, datetime):
-        return cell
-    try:
-        text = str(cell).strip()
-        return datetime.fromisoformat(text) if pattern in (None, "iso") else datetime.strptime(text, str(pattern))
-    except ValueError:
-        return None

@@ -16,6 +16,8 @@ from schemas.errors import RefusedError
 
 _SIZE_LIMIT = 1 << 20
 """Largest mapping file that is read, bytes."""
+_DEPTH = 16
+_LARGEST = 10**300
 
 
 def content_hash(content: Mapping[str, Any]) -> str:
@@ -29,13 +31,28 @@ def load_toml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _SIZE_LIMIT:
             raise _refused(path.name, f"the file has {path.stat().st_size} bytes", f"at most {_SIZE_LIMIT}")
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        _check_sizes(content, path.name)
+        return content
     except UnicodeDecodeError as error:
         raise _refused(path.name, f"byte {error.start} is not UTF-8", "a TOML file in UTF-8") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # of ValueErrors, one is that of a whole number with too many digits
         raise _refused(path.name, f"not valid TOML: {error}", "a TOML file") from None
     except OSError as error:
         raise _refused(path.name, f"cannot be read: {error.strerror}", "a TOML file") from None
+
+
+def _check_sizes(content: Any, name: str) -> None:
+    """Refuses tables in tables without end, and whole numbers that no double holds."""
+    waiting = [(content, 0)]
+    while waiting:
+        value, depth = waiting.pop()
+        if depth > _DEPTH:
+            raise _refused(name, f"tables are nested more than {_DEPTH} deep", "the tables of a mapping")
+        if isinstance(value, dict | list):
+            waiting += [(v, depth + 1) for v in (value.values() if isinstance(value, dict) else value)]
+        elif isinstance(value, int) and abs(value) > _LARGEST:
+            raise _refused(name, f"a number has {value.bit_length()} bits", "numbers below 1e300")
 
 
 def _refused(source: str, problem: str, expected: str) -> RefusedError:

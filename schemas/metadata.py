@@ -8,6 +8,7 @@ the value and what was expected. A key that is not in the contract goes to `extr
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -20,6 +21,10 @@ from schemas.protocols import LOADINGS, PROTOCOL_NAMES, Protocol, protocol
 from schemas.quantities import QUANTITIES
 
 RECORDING_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}")
+OWN_KEY = "x_"
+"""Keys that begin so are the laboratory's own: nobody asks whether they are misspelt."""
+_ALIKE = 0.84
+"""Likeness (`difflib`) from which a key is asked about: a letter more, less or swapped in 12, or a missing unit."""
 _LIMIT = 10_000
 """Longest text that a key may hold, in characters."""
 
@@ -52,7 +57,7 @@ def _number(value: Any) -> float:
         raise ValueError("a number")
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError("a number with a decimal point") from None
     if not math.isfinite(number):
         raise ValueError("a finite number")
@@ -340,6 +345,34 @@ class RigConstants:
     def to_text(self) -> dict[str, str]:
         """The keys as MCAP metadata has them; `parse` reads it back."""
         return _as_text(self) | {f"{name}_noise_sd": repr(value) for name, value in self.noise_sd.items()}
+
+
+def near_miss(key: str, cls: type) -> str | None:
+    """The known key that an unknown one seems to be a misspelling of; None where it looks like none of them."""
+    if key.startswith(OWN_KEY):
+        return None
+    found = difflib.get_close_matches(key, known_keys(cls), n=1, cutoff=_ALIKE)
+    return found[0] if found else None
+
+
+def known_keys(cls: type) -> tuple[str, ...]:
+    """The names of the keys that a class of metadata has."""
+    fields = dataclasses.fields(cls)
+    noise = tuple(f"{name}_noise_sd" for name in QUANTITIES) if any(f.name == "noise_sd" for f in fields) else ()
+    return (*(f.name for f in fields if "parser" in f.metadata), *noise)
+
+
+def check_keys(given: Mapping[str, Any], cls: type, name: str, where: str) -> None:
+    """Asks about keys that are nearly those of the contract. Raises `RefusedError` for the first."""
+    known = known_keys(cls)
+    for key in given:
+        if key not in known and (meant := near_miss(key, cls)) is not None and meant not in given:
+            raise RefusedError(
+                f'key "{name}.{key[:80]}" is unknown: did you mean {meant}?',
+                where=where,
+                expected="a key of the contract, or one that looks like none of them",
+                remedy=f"Correct the mapping TOML; a key of your own may begin with {OWN_KEY}",
+            )
 
 
 def _checked(parser: Callable[[Any], Any], key: str, value: Any, where: str) -> Any:

@@ -26,6 +26,14 @@ _ODD_POWER = re.compile(r"(?:\*\*|\^)(?!\s*-?\d(?![\d.*^]))")
 """A power that is not one digit: nothing a unit needs, and a way to make the parser compute for hours."""
 
 
+_WORD = re.compile(r"[A-Z][A-Za-z]*[a-z]{3,}")
+"""A unit written out with a capital (`Newtons`, `Volt`): names of units are written small, symbols are shorter."""
+_BARE_POWER = re.compile(r"(?<=[A-Za-zµ])([23])(?![\w.])")
+"""A power as exporters write it (`N/mm2`)."""
+_RATIOS = ("dB", "dBm", "dBV", "Np", "decibel", "neper")
+_POWERS = str.maketrans({"²": "^2", "³": "^3", "⁻": "^-"})
+
+
 @dataclass(frozen=True)
 class Conversion:
     """value in the canonical unit = scale × (value in the source unit) + offset."""
@@ -73,6 +81,21 @@ _SPELLINGS = {
     "°F": "degF",
     "gf": "gram_force",
     "kgf": "kilogram_force",
+    "kp": "kilogram_force",
+    "Amps": "ampere",
+    "amps": "ampere",
+    "Deg": "deg",
+    "Grad": "deg",
+    "Sek": "s",
+    "sek": "s",
+    "Sekunden": "s",
+    "Min": "min",
+    "mins": "min",
+    "Minuten": "min",
+    "Std": "h",
+    "Stunden": "h",
+    "hrs": "h",
+    "hr": "h",
     "\u00a0": " ",
 }
 
@@ -89,9 +112,10 @@ def _registry() -> Any:
 def _spelled(unit: str) -> str:
     text = unit.strip()
     for written, meant in _SPELLINGS.items():
-        if text == written or len(written) == 1:
+        if text == written or (len(written) == 1 and not written.isascii()):
             text = text.replace(written, meant)
-    return text
+    text = text.translate(_POWERS)
+    return _BARE_POWER.sub(r"^\1", _WORD.sub(lambda word: word.group().lower(), text))
 
 
 @functools.lru_cache(maxsize=1024)
@@ -106,6 +130,10 @@ def conversion(unit: str, canonical: str, *, where: str = "") -> Conversion:
     common = _COMMON.get(canonical, {})
     if text in common:
         return Conversion(common[text])
+    if text in _RATIOS:
+        raise RefusedError(
+            f'unit "{text}" is the logarithm of a ratio', where=where, expected=f"a unit that converts to {canonical}"
+        )
     if canonical == "Hz" and not text.endswith(("Hz", "hertz")):
         raise RefusedError(
             f'unit "{text[:60]}" may mean cycles or radians per second', where=where, expected="Hz, kHz, mHz or rad/s"

@@ -78,7 +78,7 @@ REFUSED = {
     "header alone": Defect(("no rows of data",), HEAD),
     "wrong delimiter": Defect(('"t"', "not in the file", '"t;x;F"'), toml=TOML.replace('";"', '"|"')),
     "decimal point": Defect(('decimal mark ","',), GOOD.replace(",", ".")),
-    "thousands": Defect(('holds "1.234,5"', "thousands"), with_row("0,30;1.234,5;0,5")),
+    "thousands": Defect(('holds "1.234"', "thousands"), with_row("0,30;1.234;0,5")),
     "unit row contradicts": Defect(('"m"', '"mm"', "displacement"), GOOD.replace("s;mm;N", "s;m;N")),
     "unit of wrong dimension": Defect(
         ('"V"', "force", "converts to N"), GOOD.replace("mm;N", "mm;V"), TOML.replace('unit = "N"', 'unit = "V"')

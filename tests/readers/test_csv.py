@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ingest.csv_reader import Dialect, parse_csv
+from ingest.csv_dialect import Dialect
+from ingest.csv_reader import parse_csv
 from ingest.mapping import FileMapping
 from ingest.read import read_raw
 from schemas.errors import RefusedError
@@ -162,16 +163,35 @@ def test_slow_channel_in_the_same_table(tmp_path: Path) -> None:
     [
         ("1,5", {"delimiter": ";"}),
         ("1.5", {"delimiter": ";", "decimal": ","}),
-        ("1,234.5", {"delimiter": ";"}),
-        ("1.234,5", {"delimiter": ";", "decimal": ","}),
-        ("1 234", {"delimiter": ";"}),
-        ("1'234.5", {"delimiter": ";"}),
+        ("1,234", {"delimiter": ";"}),
+        ("1.234", {"delimiter": ";", "decimal": ","}),
     ],
 )
-def test_other_notation_is_refused_even_in_one_cell(tmp_path: Path, cell: str, csv: dict[str, Any]) -> None:
+def test_number_with_two_meanings_is_refused_even_in_one_cell(tmp_path: Path, cell: str, csv: dict[str, Any]) -> None:
     mapping = mapped(csv, {"column": "t", "unit": "s"}, force={"column": "F", "unit": "N"})
     with pytest.raises(RefusedError, match="thousands separators"):
         read(tmp_path / "run.csv", f"t;F\n0;1\n1;{cell}\n2;3\n".encode(), mapping)
+
+
+@pytest.mark.parametrize(
+    ("cell", "csv"),
+    [
+        ("1,234.5", {"delimiter": ";"}),
+        ("1.234,5", {"delimiter": ";", "decimal": ","}),
+        ("1 234,5", {"delimiter": ";", "decimal": ","}),
+        ("1\u202f234,5", {"delimiter": ";", "decimal": ","}),
+        ("1'234.5", {"delimiter": ";"}),
+        ("1,234,500e-3", {"delimiter": ";"}),
+        ("1,234.5", {"delimiter": ";", "thousands": ","}),
+    ],
+)
+def test_thousands_separators_are_read_where_they_have_one_meaning(
+    tmp_path: Path, cell: str, csv: dict[str, Any]
+) -> None:
+    mapping = mapped(csv, {"column": "t", "unit": "s"}, force={"column": "F", "unit": "N"})
+    raw = read(tmp_path / "run.csv", f"t;F\n0;1\n1;{cell}\n2;3\n".encode(), mapping)
+    assert raw.channels[0].values.tolist() == [1, 1234.5, 3]
+    assert any("thousands separators" in note for note in raw.notes)
 
 
 def test_column_of_text_is_refused(tmp_path: Path) -> None:

@@ -77,7 +77,10 @@ def test_example_of_the_contract(tmp_path: Path) -> None:
         ({"csv": {}, "excel": {}}, "tables of 2 formats"),
         ({"format": "docx"}, 'format is "docx"'),
         ({"kind": "recordings"}, 'kind is "recordings"'),
-        ({"columns": {"farce": {"column": "F", "unit": "N"}}}, "columns.farce is unknown"),
+        (
+            {"columns": {"farce": {"column": "F", "unit": "N"}}},
+            '"columns.farce" is unknown: did you mean columns.force?',
+        ),
         ({"columns": {"force": {"unit": "N"}}}, "columns.force has no column"),
         ({"columns": {"force": {"column": "F", "units": "N"}}}, "columns.force.units"),
         ({"columns": {"force": {"column": -1, "unit": "N"}}}, "columns.force.column is -1"),

@@ -85,9 +85,13 @@ def test_constants_from_metadata_and_value(tmp_path: Path) -> None:
 
 
 def test_rows_without_a_life_are_left_out(tmp_path: Path) -> None:
-    table = lives(tmp_path, "t,f\n1,1\n0,0\n-3,1\n,1\nx,0\n7,0\n")
-    assert [r.specimen_id for r in table.rows] == ["table-1", "table-6"]
-    assert any("4 of 6 rows have no life, or survived 0 s (row 2" in p for p in table.problems)
+    table = lives(tmp_path, "t,f\n1,1\n0,1\n,1\n7,0\n0,0\n")
+    assert [(r.specimen_id, r.lifetime_s) for r in table.rows] == [
+        ("table-1", 60.0),
+        ("table-2", 0.0),
+        ("table-4", 420.0),
+    ]
+    assert any("2 of 5 rows have no life, or survived 0 s (row 3)" in p for p in table.problems)
 
 
 def test_failures_at_once_count(tmp_path: Path) -> None:
@@ -121,7 +125,12 @@ def test_failures_at_once_count(tmp_path: Path) -> None:
             "left-censored",
         ),
         ("t,f,n\n1,1,a\n2,1,a\n", {"columns": {"specimen_id": {"column": "n"}}}, '"a" stands in two rows'),
-        ("t,f\n-1,1\n0,0\n", {}, "no row has a life that says anything"),
+        ("t,f\n,1\n0,0\n", {}, "no row has a life that says anything"),
+        ("t,f\n1,1\n-3,1\n7,0\n", {}, 'row 2 of the data: the life is "-3"'),
+        ("t,f\n1,1\nx,0\n7,0\n", {}, 'row 2 of the data: the life is "x", which is no number'),
+        ("t,f\n1,1\n,0\n7,0\n", {}, "row 2 of the data: a survivor without a life"),
+        ("t,f\n1,1\n> 3,1\n7,0\n", {}, 'row 2 of the data: the life is "> 3", and the specimen has failed'),
+        ("t,f\n1,1\n< 3,1\n7,0\n", {}, 'row 2 of the data: the life is "< 3": it is left-censored'),
         ("t,f\n1,1\n", {"columns": {"lifetime": {"column": "t", "unit": "kV"}}}, "kV"),
         ("t,f\n1,1\n", {"recording": {"recording_id": "a b"}}, "recording_id"),
         ("t,f,w\n1,1,top\n", {"columns": {"failure_site": {"column": "w"}}}, 'failure_site is "top"'),

@@ -77,7 +77,7 @@ def test_start_with_zone_is_not_moved_by_the_zone(tmp_path: Path) -> None:
 def test_missing_start_and_missing_unit_are_named(tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match="started_at is missing"):
         times(tmp_path / "run.csv", ["0", "1"], {"unit": "s"}, None)
-    with pytest.raises(RefusedError, match="time has no unit"):
+    with pytest.raises(RefusedError, match='time column "t" has no unit'):
         times(tmp_path / "run.csv", ["0", "1"], {})
 
 

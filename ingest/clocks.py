@@ -1,0 +1,150 @@
+"""Times as clocks write them: dates and times of day as text, local times through the change from summer time.
+
+Everything here is in nanoseconds of Unix time; `naive` means counted as if the local time were UTC. Which column of which
+file is read, and from what, is in `ingest.times`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, date, datetime, time, timedelta, tzinfo
+from typing import Any
+
+import numpy as np
+
+from schemas.arrays import Bool, Int
+
+LOST = np.iinfo(np.int64).min
+"""Stands for an instant that the file does not tell."""
+SECOND = 1_000_000_000
+DAY = 86_400 * SECOND
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_BUCKET = 900 * SECOND
+"""Offsets of zones from UTC change at whole quarters of an hour."""
+_DATES = re.compile(r"%[aAbBdDjmuUVwWxcyYGF]")
+_DURATION = re.compile(r"(?:(\d+):)?(\d+):([0-5]?\d(?:[.,]\d*)?)")
+
+
+def nanoseconds(moment: datetime) -> int:
+    """Unix time of an aware datetime, exact to its microsecond; of a naive one as if it were UTC."""
+    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
+    return (aware - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def has_date(pattern: str) -> bool:
+    """Whether a strptime pattern says which day it is."""
+    return pattern == "iso" or _DATES.search(pattern) is not None
+
+
+def moment(cell: Any, pattern: str | None) -> datetime | None:
+    """The time that a cell says, None where it is none in that pattern (ISO 8601 where the pattern is None or "iso")."""
+    if isinstance(cell, datetime):
+        return cell
+    if isinstance(cell, date):
+        return datetime(cell.year, cell.month, cell.day)
+    text = str(cell).strip()
+    try:
+        return datetime.fromisoformat(text) if pattern in (None, "iso") else datetime.strptime(text, str(pattern))
+    except ValueError:
+        return None
+
+
+def moments(cells: Sequence[Any], pattern: str | None) -> tuple[Int, Bool, int | None]:
+    """(n,) times of cells, naive where `zoned` is false, `LOST` where a cell is empty; and the first row that is no time."""
+    times = np.full(len(cells), LOST, dtype=np.int64)
+    zoned = np.zeros(len(cells), dtype=bool)
+    for row, cell in enumerate(cells):
+        found = moment(cell, pattern)
+        if found is not None:
+            times[row] = nanoseconds(found)
+            zoned[row] = found.tzinfo is not None
+        elif cell is not None and str(cell).strip():
+            return times, zoned, row
+    return times, zoned, None
+
+
+def seconds_of_day(cell: Any) -> float | None:
+    """Seconds since midnight of a time of day as text or cell, None where it is none."""
+    if isinstance(cell, time):
+        return 3600.0 * cell.hour + 60.0 * cell.minute + cell.second + 1e-6 * cell.microsecond
+    if isinstance(cell, timedelta):
+        return cell.total_seconds()
+    return duration_s(str(cell))
+
+
+def duration_s(text: str, *, minutes: bool = False) -> float | None:
+    """Seconds of `hh:mm:ss`, or of `mm:ss` where `minutes` says so or the seconds have decimals; None for other text."""
+    match = _DURATION.fullmatch(text.strip())
+    if match is None:
+        return None
+    hours, middle, last = match.groups()
+    if hours is None and not minutes and not re.search("[.,]", last):
+        return None
+    return 3600.0 * int(hours or 0) + 60.0 * int(middle) + float(last.replace(",", "."))
+
+
+def days_of_times(seconds: np.ndarray, started_at: datetime) -> Int:
+    """(n,) naive times of day whose first lies next to `started_at`; each step back of more than half a day is midnight."""
+    finite = np.isfinite(seconds)
+    known = seconds[finite]
+    midnight = nanoseconds(started_at.replace(hour=0, minute=0, second=0, microsecond=0, tzinfo=None))
+    local = nanoseconds(started_at.replace(tzinfo=None))
+    steps = np.diff(known)
+    day = np.concatenate(([0], np.cumsum((steps < -43_200).astype(np.int64) - (steps > 43_200))))
+    times = np.full(seconds.size, LOST, dtype=np.int64)
+    times[finite] = midnight + day * DAY + np.rint(known * 1e9).astype(np.int64)
+    if known.size:
+        first = int(times[finite][0])
+        times[finite] += DAY * round((local - first) / DAY)
+    return times
+
+
+def utc_of_local(naive: Int, zone: tzinfo, near: int | None = None) -> tuple[Int, bool]:
+    """(n,) UTC times of local ones, and whether an hour that occurs twice was told apart by nothing.
+
+    In the hour that occurs twice at the end of summer time the order of the rows says which is meant: from a step back on
+    it is the second. Where there is no step, it is the one that leaves no gap to the rows after it, else the one that is
+    nearer to `near`, else the first.
+    """
+    known = naive != LOST
+    utc = naive.copy()
+    if not known.any():
+        return utc, False
+    local = naive[known]
+    buckets, place = np.unique(local // _BUCKET, return_inverse=True)
+    first, second = (np.array([_offset(int(b) * _BUCKET, zone, fold) for b in buckets]) for fold in (0, 1))
+    early, late = local - first[place], local - second[place]
+    twice = late > early
+    chosen = early.copy()
+    unsure = False
+    for begin, end in _runs(twice):
+        back = np.flatnonzero(np.diff(local[begin:end]) < 0)
+        if back.size:
+            from_here = begin + int(back[0]) + 1
+        else:
+            gap_early = early[end] - early[end - 1] if end < local.size else None
+            if gap_early is not None:
+                second_one = gap_early >= 2700 * SECOND and early[end] >= late[end - 1]
+            elif begin > 0:
+                second_one = False
+            elif near is not None:
+                second_one = abs(late[begin] - near) < abs(early[begin] - near)
+            else:
+                second_one, unsure = False, True
+            from_here = begin if second_one else end
+        chosen[from_here:end] = late[from_here:end]
+    utc[known] = chosen
+    return utc, unsure
+
+
+def _offset(naive: int, zone: tzinfo, fold: int) -> int:
+    moment_ = (_EPOCH + timedelta(microseconds=naive // 1000)).replace(tzinfo=zone, fold=fold)
+    offset = moment_.utcoffset()
+    return 0 if offset is None else offset // timedelta(microseconds=1) * 1000
+
+
+def _runs(mask: Bool) -> list[tuple[int, int]]:
+    """Begin and end of each run of true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,0 +1,110 @@
+"""The rows of a file that a mapping selects: one of several runs, specimens or sets in one file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ingest.columns import ColumnFile, Numbers, OwnTime
+from ingest.mapping import ColumnName, Selection, column_label
+from schemas.arrays import Bool
+from schemas.errors import RefusedError
+
+
+def selected_rows(file: ColumnFile, select: Sequence[Selection], count: int, where: str) -> Bool:
+    """(count,) true for the rows that pass every selection. Raises `RefusedError` when none does."""
+    keep = np.ones(count, dtype=bool)
+    for selection in select:
+        cells = file.cells(selection.column)
+        if len(cells) != count:
+            raise RefusedError(
+                f"column {column_label(selection.column)} of [[select]] has {len(cells)} rows, others {count}",
+                where=where,
+                expected="columns of the same length",
+            )
+        keep &= np.fromiter((any(same_cell(cell, v) for v in selection.equals) for cell in cells), bool, len(cells))
+        if not keep.any():
+            shown = ", ".join(dict.fromkeys(str(cell)[:20] for cell in list(cells)[:200]))
+            raise RefusedError(
+                f"no row has {list(selection.equals)} in column {column_label(selection.column)}",
+                where=where,
+                expected=f"one of {shown[:200]}",
+            )
+    return keep
+
+
+@dataclass(frozen=True)
+class SelectedRows:
+    """A file of columns of which only the rows in `keep` (n,) are there; a `ColumnFile`."""
+
+    file: ColumnFile
+    keep: Bool
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        return self.file.problems
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return (*self.file.notes, f"{int(self.keep.sum())} of {self.keep.size} rows are selected")
+
+    def names(self) -> tuple[str, ...]:
+        return self.file.names()
+
+    def numbers(self, column: ColumnName, index: int | None = None) -> Numbers:
+        found = self.file.numbers(column, index)
+        if found.values.size != self.keep.size:
+            return found
+        place = np.cumsum(self.keep) - 1
+
+        def moved(by_row: Mapping[int, Any]) -> dict[int, Any]:
+            return {int(place[row]): value for row, value in by_row.items() if self.keep[row]}
+
+        def rows(by_name: Mapping[str, Any]) -> dict[str, Any]:
+            kept = {name: place[where[self.keep[where]]] for name, where in by_name.items()}
+            return {name: where for name, where in kept.items() if where.size}
+
+        values, empty = found.values[self.keep], found.empty[self.keep]
+        return replace(
+            found,
+            values=values,
+            empty=empty,
+            texts=int((~np.isfinite(values) & ~empty).sum()) if found.texts else 0,
+            units=rows(found.units),
+            notations=rows(found.notations),
+            bounds=moved(found.bounds),
+            odd=moved(found.odd),
+        )
+
+    def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
+        cells = self.file.cells(column, index)
+        return [c for c, kept in zip(cells, self.keep, strict=True) if kept] if len(cells) == self.keep.size else cells
+
+    def unit(self, column: ColumnName) -> str | None:
+        return self.file.unit(column)
+
+    def own_time(self, column: ColumnName) -> OwnTime | None:
+        own = self.file.own_time(column)
+        if own is None or own.elapsed_s.size != self.keep.size:
+            return own
+        return replace(own, elapsed_s=own.elapsed_s[self.keep])
+
+
+def same_cell(cell: Any, value: Any) -> bool:
+    """Whether a cell holds a value: as numbers where both are, as text without outer blanks else."""
+    if isinstance(cell, bool) or isinstance(value, bool):
+        return _as_truth(cell) == _as_truth(value)
+    try:
+        return math.isclose(float(cell), float(value), rel_tol=0.0, abs_tol=0.0)
+    except (TypeError, ValueError):
+        return str(cell).strip() == str(value).strip()
+
+
+def _as_truth(value: Any) -> str:
+    """A truth value as text; spreadsheets and arrays have 1 and 0 for it."""
+    text = str(value).strip().lower()
+    return {"1": "true", "1.0": "true", "0": "false", "0.0": "false"}.get(text, text)
