@@ -198,9 +198,13 @@ def _possible(values: Float, quantity: Quantity, unit: str, problems: list[str])
     if not count:
         return values
     example = values[int(np.argmax(impossible))]
-    text = f"{count} of {int(np.isfinite(values).sum())} values are no {quantity.name} there can be, such as {example:.4g} {quantity.unit}"
+    finite = int(np.isfinite(values).sum())
+    text = (
+        f'{count} of {finite} values in "{unit[:40]}" are no {quantity.name} there can be,'
+        f" such as {example:.4g} {quantity.unit}"
+    )
     expected = f"{quantity.least:g} to {quantity.largest:g} {quantity.unit}"
-    if 2 * count > np.isfinite(values).sum():
+    if 2 * count > finite:
         raise _Unusable(text, expected, f'Check the unit "{unit[:40]}", the column and its scale')
     problems.append(f"{quantity.name}: {text}: NULL; expected {expected}")
     return np.where(impossible, np.nan, values)

@@ -38,7 +38,7 @@ from schemas.units import conversion
 _LATEST_S = 2**62 / 1e9
 """About the year 2116: later times are a wrong unit or a wrong origin."""
 _APART_S = 36 * 3600.0
-"""A clock that is further from `started_at` than a day and a zone shows another date: its epoch or format is wrong."""
+"""A clock that is further from `started_at` than a day and a zone shows another date."""
 _EARLIEST_NS = 10 * 365 * DAY
 _HALF_HOUR_S = 1800.0
 _MINUTE_S = 60.0
@@ -154,7 +154,7 @@ class _Reading:
         if isinstance(first, date) or moment(first, None) is not None:
             return self.absolute(cells, None)
         seconds = seconds_of_day(first)
-        if seconds == 0:
+        if seconds is not None and seconds < _MINUTE_S:
             return self.elapsed(cells, None)
         if seconds is not None and self._is_clock(seconds):
             note = f"the times of day are those of started_at: {self.label} begins with {first}"
@@ -272,25 +272,28 @@ class _Reading:
         return replace(found, notes=(*found.notes, note))
 
     def checked(self, times: Int) -> Instants:
-        """Absolute times against `started_at`: another date is a wrong epoch, a step of half hours a wrong zone."""
+        """Absolute times against the calendar and `started_at`: a wrong epoch, another date, a step of half hours."""
         known = times[times != LOST]
-        started = _started(self.metadata)
         if not known.size:
             return Instants(times)
         first = int(known[0])
+        if not _EARLIEST_NS < first < nanoseconds(datetime.now(UTC)) + 366 * DAY:
+            raise self._wrong_date(first, "a time since 1980 that is not in the future")
+        started = _started(self.metadata)
         if started is None or started.tzinfo is None:
-            if not _EARLIEST_NS < first < nanoseconds(datetime.now(UTC)) + 366 * DAY:
-                raise self._wrong_date(first, "a time since 1980 that is not in the future")
             return Instants(times)
         apart = (first - nanoseconds(started)) * 1e-9
-        if abs(apart) > _APART_S:
-            raise self._wrong_date(first, f"times next to started_at, {started.isoformat()}")
+        side = "after" if apart > 0 else "before"
         steps = round(apart / _HALF_HOUR_S)
-        if steps and abs(apart - steps * _HALF_HOUR_S) <= _MINUTE_S:
-            side = "after" if steps > 0 else "before"
-            problem = f"time column {self.label} begins {abs(steps) / 2:g} h {side} started_at, as if its zone were another one"
-            return Instants(times, problems=(problem,))
-        return Instants(times)
+        if abs(apart) > _APART_S:
+            problem = f"time column {self.label} begins {abs(apart) / 86_400:.4g} d {side} started_at: one of the two is wrong"
+        elif steps and abs(apart - steps * _HALF_HOUR_S) <= _MINUTE_S:
+            problem = (
+                f"time column {self.label} begins {abs(steps) / 2:g} h {side} started_at, as if its zone were another"
+            )
+        else:
+            return Instants(times)
+        return Instants(times, problems=(problem,))
 
     def _wrong_date(self, first: int, expected: str) -> RefusedError:
         shown = np.datetime_as_string(np.datetime64(first // SECOND, "s"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Sequence
+from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -17,15 +18,24 @@ _TYPES = (
 )
 _RELATION = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
 _MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+_EPOCH = datetime(1899, 12, 30)
+_FORMATS = "".join(f'<xf numFmtId="{number}" xfId="0" applyNumberFormat="1"/>' for number in (0, 46, 47, 22))
+_STYLES = (
+    f'<?xml version="1.0"?><styleSheet xmlns="{_MAIN}"><fonts count="1"><font/></fonts><fills count="1"><fill/></fills>'
+    '<borders count="1"><border/></borders><cellStyleXfs count="1"><xf numFmtId="0"/></cellStyleXfs>'
+    f'<cellXfs count="4">{_FORMATS}</cellXfs></styleSheet>'
+)
+"""Formats by number: general, [h]:mm:ss, mm:ss.0 and a date with its time."""
 
 
 def write_xlsx(path: Path, sheets: dict[str, Sequence[Sequence[Any]]]) -> Path:
-    """A workbook of numbers and texts (None: no cell; "#N/A": an error cell)."""
+    """A workbook of numbers, texts, dates, times of day and durations (None: no cell; "#N/A": an error cell)."""
     names = list(sheets)
     relations = "".join(
         f'<Relationship Id="r{i}" Type="{_RELATION}/worksheet" Target="worksheets/s{i}.xml"/>'
         for i in range(len(names))
     )
+    relations += f'<Relationship Id="styles" Type="{_RELATION}/styles" Target="styles.xml"/>'
     listed = "".join(f'<sheet name="{escape(n)}" sheetId="{i + 1}" r:id="r{i}"/>' for i, n in enumerate(names))
     package = "http://schemas.openxmlformats.org/package/2006/relationships"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as book:
@@ -39,6 +49,7 @@ def write_xlsx(path: Path, sheets: dict[str, Sequence[Sequence[Any]]]) -> Path:
             "xl/workbook.xml", f'<workbook xmlns="{_MAIN}" xmlns:r="{_RELATION}"><sheets>{listed}</sheets></workbook>'
         )
         book.writestr("xl/_rels/workbook.xml.rels", f'<Relationships xmlns="{package}">{relations}</Relationships>')
+        book.writestr("xl/styles.xml", _STYLES)
         for i, name in enumerate(names):
             rows = "".join(
                 f'<row r="{r}">' + "".join(_cell(r, c, v) for c, v in enumerate(row)) + "</row>"
@@ -58,4 +69,11 @@ def _cell(row: int, column: int, value: Any) -> str:
         return f'<c {place} t="e"><v>{value}</v></c>'
     if isinstance(value, str):
         return f'<c {place} t="inlineStr"><is><t>{escape(value)}</t></is></c>'
+    if isinstance(value, datetime):
+        return f'<c {place} s="3"><v>{(value - _EPOCH) / timedelta(days=1)!r}</v></c>'
+    if isinstance(value, timedelta):
+        return f'<c {place} s="1"><v>{value / timedelta(days=1)!r}</v></c>'
+    if isinstance(value, time):
+        of_day = timedelta(hours=value.hour, minutes=value.minute, seconds=value.second, microseconds=value.microsecond)
+        return f'<c {place} s="2"><v>{of_day / timedelta(days=1)!r}</v></c>'
     return f"<c {place}><v>{value!r}</v></c>"

@@ -306,3 +306,18 @@ def test_uneven_sampling_in_words() -> None:
     jitter = even + np.random.default_rng(1).integers(-2_000_000, 2_000_000, even.size)
     assert "gaps" not in uneven(jitter)
     assert "uneven" in uneven(jitter)
+
+
+# --- keys that nobody knows ----------------------------------------------------------------------------------------
+
+
+def test_a_key_that_is_nearly_one_of_the_contract_is_asked_about() -> None:
+    found = check(*GOOD, film_lenght_mm=50, frequency_start=1, weather="rain", x_film_length="my own")
+    assert found.status == "damaged"
+    assert [p for p in found.problems if "did you mean film_length_mm?" in p and "film_lenght_mm" in p]
+    assert [p for p in found.problems if "did you mean frequency_start_hz?" in p]
+    assert [n for n in found.notes if "weather, x_film_length" in n]
+
+
+def test_a_key_beside_the_one_it_is_like_is_no_question() -> None:
+    assert check(*GOOD, film_width_mm=10, film_width_um=10_000).status == "ok"

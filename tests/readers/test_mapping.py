@@ -208,3 +208,29 @@ def test_rig_file_must_name_its_rig(tmp_path: Path) -> None:
     (tmp_path / "r1.toml").write_text("[clamp]\nmass = 1\n")
     with pytest.raises(RefusedError, match="clamp is a dict"):
         find_rig("r1", tmp_path / "a.mcap", rigs=tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[columns.force]\ncolumn = 1\nscale = 1" + "0" * 400,
+        "[recording]\nx = 1" + "1" * 5000,
+        ".".join(["a"] * 3000) + " = 1",
+    ],
+)
+def test_toml_that_no_computer_needs_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "run.csv.toml"
+    path.write_text(text)
+    with pytest.raises(RefusedError) as refused:
+        load_toml(path)
+    assert refused.value.where == "run.csv.toml"
+
+
+def test_keys_of_another_kind_or_format_are_errors() -> None:
+    for changes, problem in (
+        ({"columns": {"force": {"column": "F", "unit": "N", "field": "a"}}}, "columns.force.field is not used for csv"),
+        ({"format": "mcap", "select": [{"column": "run", "equals": 1}]}, "select is not used for mcap"),
+    ):
+        with pytest.raises(RefusedError) as refused:
+            FileMapping.parse({"columns": {"force": {"column": "F"}}, **changes}, stem="run", suffix=".csv")
+        assert problem in refused.value.problem

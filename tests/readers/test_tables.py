@@ -108,6 +108,69 @@ def test_failures_at_once_count(tmp_path: Path) -> None:
     assert np.isfinite(group.summary.weibull_shape.value)
 
 
+SURVIVORS = "t\n1\n> 60\n>60 min\n60+\n≥ 60\n> 1 h\n2.5\n"
+
+
+def test_survivors_as_people_write_them(tmp_path: Path) -> None:
+    """Whether a column says it or the life alone: five survived 60 min, two failed."""
+    base = {k: v for k, v in LIFE["columns"].items() if k == "lifetime"}
+    alone = read(tmp_path, SURVIVORS, {**LIFE, "columns": base})
+    cells = SURVIVORS.splitlines()
+    flagged = lives(tmp_path, "\n".join(f"{t},{f}" for t, f in zip(cells, "f1000001", strict=True)) + "\n")
+    assert isinstance(alone, LifetimeTable)
+    for table in (alone, flagged):
+        assert [r.lifetime_s for r in table.rows] == [60.0, *[3600.0] * 5, 150.0]
+        assert [r.failed for r in table.rows] == [True, *[False] * 5, True]
+    assert any("5 lives are written as survived, the others count as failures" in note for note in alone.notes)
+
+
+def test_a_survivor_without_a_life_has_that_of_its_test(tmp_path: Path) -> None:
+    text = "t,f,planned\n5,1,60\nNA,0,60\nrunning,0,20\n,0,30\n"
+    table = lives(tmp_path, text, columns={"test_duration": {"column": "planned", "unit": "min"}})
+    assert [(r.lifetime_s, r.failed) for r in table.rows] == [(300, True), (3600, False), (1200, False), (1800, False)]
+    same = lives(tmp_path, "t,f\n5,1\nNA,0\n", recording={"test_duration_s": 3600})
+    assert [r.lifetime_s for r in same.rows] == [300, 3600]
+
+
+def test_rows_that_stand_for_several_specimens(tmp_path: Path) -> None:
+    table = lives(tmp_path, "t,f,n\n1,1,2\n9,0,3\n", columns={"count": {"column": "n"}})
+    assert [(r.lifetime_s, r.failed) for r in table.rows] == [(60, True)] * 2 + [(540, False)] * 3
+    assert len({r.specimen_id for r in table.rows}) == 5
+    with pytest.raises(RefusedError, match='row 2 of the data: the count is "x"'):
+        lives(tmp_path, "t,f,n\n1,1,2\n9,0,x\n", columns={"count": {"column": "n"}})
+
+
+def test_the_flag_may_be_that_of_the_censored(tmp_path: Path) -> None:
+    columns = {"lifetime": LIFE["columns"]["lifetime"]}
+    columns["censored"] = {"column": "c", "censored_values": [1], "failed_values": [0]}
+    table = read(tmp_path, "t,c\n1,0\n2,1\n", {**LIFE, "columns": columns})
+    assert isinstance(table, LifetimeTable)
+    assert [r.failed for r in table.rows] == [True, False]
+
+
+def test_lives_with_units_of_their_own(tmp_path: Path) -> None:
+    columns = {"lifetime": {"column": "t", "unit": "h"}}
+    table = read(tmp_path, "t\n45 s\n2.5 min\n1.5 h\n2\n26:15:00\n", {**LIFE, "columns": columns})
+    assert isinstance(table, LifetimeTable)
+    assert [r.lifetime_s for r in table.rows] == pytest.approx([45, 150, 5400, 7200, 94500])
+    with pytest.raises(RefusedError, match='holds "5 m" in row 2'):
+        read(tmp_path, "t\n1\n5 m\n", {**LIFE, "columns": columns})
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"rig": {"clamp_mass_kg": 0.05}}, 'rig is not used for kind "lifetimes"'),
+        ({"time": {"column": "t", "unit": "s"}}, 'time.column is not used for kind "lifetimes"'),
+        ({"recording": {"film_lenght_mm": 5}}, '"recording.film_lenght_mm" is unknown: did you mean film_length_mm?'),
+    ],
+)
+def test_keys_without_an_effect_are_errors(tmp_path: Path, changes: dict[str, Any], problem: str) -> None:
+    with pytest.raises(RefusedError) as refused:
+        lives(tmp_path, "t,f\n1,1\n", **changes)
+    assert problem in refused.value.problem
+
+
 @pytest.mark.parametrize(
     ("text", "changes", "problem"),
     [

@@ -104,3 +104,130 @@ def test_seconds_to_nanoseconds(nanoseconds: list[int]) -> None:
     start = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp()) * 10**9
     found = from_seconds(seconds, start, "") - start
     assert np.abs(found - np.array(nanoseconds)).max() <= 128  # half a step of a double at 1e6 s
+
+
+LOCAL = START_NS - 14 * 3600 * 10**9  # midnight UTC of the day of START
+
+
+def test_hours_minutes_seconds_since_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    begin = START_NS + (23 * 3600 + 59 * 60 + 59) * 10**9
+    cells = ["23:59:59.000", "24:00:00.500", "25:00:01"]
+    assert times(path, cells, {"unit": "s"}) == [begin, begin + 1_500_000_000, begin + 3602 * 10**9]
+    assert times(path, cells, {"format": "elapsed"}) == [begin, begin + 1_500_000_000, begin + 3602 * 10**9]
+    assert times(path, ["00:00:00", "00:01:30"], {}) == [START_NS, START_NS + 90 * 10**9]
+    assert times(path, ["00:00.2", "01:30.4"], {}) == [START_NS + 200_000_000, START_NS + 90_400_000_000]
+    assert times(path, ["01:10", "01:30"], {"format": "mm:ss"}) == [START_NS + 70 * 10**9, START_NS + 90 * 10**9]
+
+
+def test_times_of_day_take_their_date_from_the_start_and_pass_midnight(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    started = "2026-03-04T23:59:58+01:00"
+    begin = int(datetime.fromisoformat(started).timestamp()) * 10**9
+    cells = ["23:59:58.0", "23:59:59.5", "00:00:01.0", "00:00:02"]
+    expected = [begin, begin + 1_500_000_000, begin + 3 * 10**9, begin + 4 * 10**9]
+    assert times(path, cells, {}, started) == expected  # the start tells that they are times of day
+    assert times(path, cells, {"format": "time_of_day"}, started) == expected
+    late = ["00:00:01.0", "00:00:02"]
+    assert times(path, late, {"format": "time_of_day"}, started) == expected[2:]
+    with pytest.raises(RefusedError, match="no started_at"):
+        times(path, cells, {"format": "%H:%M:%S.%f", "zone": "UTC"}, None)
+    with pytest.raises(RefusedError, match="a time of day or a time since the start"):
+        times(path, ["14:20:00", "14:20:01"], {}, "2026-03-01T08:00:00+00:00")
+    with pytest.raises(RefusedError, match="may be a time of day"):
+        times(path, ["14:00:00", "14:00:01"], {"unit": "s"})
+
+
+def test_date_and_time_in_two_columns(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("d,t,F\n28.02.2026,23:59:59,1\n01.03.2026,00:00:00,2\n")
+    content = {
+        "time": {"column": "t", "date_column": "d", "format": "%d.%m.%Y %H:%M:%S", "zone": "UTC"},
+        "columns": {"force": {"column": "F", "unit": "N"}},
+        "recording": {},
+    }
+    raw = read_raw(path, FileMapping.parse(content, stem="run", suffix=".csv"))
+    assert isinstance(raw, RawRecording)
+    assert raw.channels[0].time_ns.tolist() == [LOCAL - 10**9, LOCAL]
+
+
+@pytest.mark.parametrize(
+    ("cells", "time"),
+    [
+        (["46082.5", "46082.500011574074"], {"origin": "excel", "zone": "UTC"}),
+        (["46082.5", "46082.500011574074"], {"origin": "1899-12-30", "unit": "d", "zone": "UTC"}),
+        (["44620.5", "44620.500011574074"], {"origin": "excel_1904", "zone": "UTC"}),
+        (["740042.5", "740042.500011574074"], {"origin": "matlab", "zone": "UTC"}),
+        (["3855211200", "3855211201"], {"origin": "labview", "unit": "s"}),
+        (["3855211200", "3855211201"], {"origin": "1904-01-01T00:00:00Z", "unit": "s"}),
+        (["1772366400000", "1772366401000"], {"origin": "unix", "unit": "ms"}),
+        (["46082.541666666664", "46082.541678240744"], {"origin": "excel", "zone": "Europe/Zurich"}),
+    ],
+)
+def test_serial_days_and_epochs(tmp_path: Path, cells: list[str], time: dict[str, Any]) -> None:
+    noon = LOCAL + 12 * 3600 * 10**9  # 2026-03-01 12:00 UTC
+    found = times(tmp_path / "run.csv", cells, time, None)
+    assert np.abs(np.array(found) - [noon, noon + 10**9]).max() < 20_000  # a double holds a serial day to 10 µs
+
+
+@pytest.mark.parametrize(
+    ("cells", "time"),
+    [
+        (["46082.5", "46082.6"], {"origin": "unix", "unit": "d"}),  # the year 2096
+        (["12", "13"], {"origin": "unix", "unit": "s"}),  # a clock that was never set
+        (["1.7e9", "1.8e9"], {"origin": "labview", "unit": "s"}),  # 1957
+    ],
+)
+def test_a_wrong_epoch_is_refused(tmp_path: Path, cells: list[str], time: dict[str, Any]) -> None:
+    with pytest.raises(RefusedError, match="since 1980 that is not in the future"):
+        times(tmp_path / "run.csv", cells, time)
+
+
+def test_another_zone_or_day_than_the_start_is_a_problem(tmp_path: Path) -> None:
+    def problems(cell: str, zone: str = "UTC") -> tuple[str, ...]:
+        path = tmp_path / "run.csv"
+        path.write_text(f"t,F\n{cell},1\n")
+        content = {
+            "time": {"column": "t", "format": "iso", "zone": zone},
+            "columns": {"force": {"column": "F", "unit": "N"}},
+            "recording": {"started_at": START},
+        }
+        return read_raw(path, FileMapping.parse(content, stem="run", suffix=".csv")).problems
+
+    assert problems("2026-03-01 14:00:01") == ()
+    assert problems("2026-03-01 15:00:01", "Europe/Zurich") == ()
+    assert problems("2026-03-01 14:25:00") == ()
+    assert "1 h after started_at, as if its zone were another" in problems("2026-03-01 15:00:01")[0]
+    assert "31 d after started_at" in problems("2026-04-01 14:00:00")[0]
+
+
+def test_the_hour_that_occurs_twice(tmp_path: Path) -> None:
+    """Europe/Zurich goes from 03:00 summer time back to 02:00 on 2026-10-25, which is 01:00 UTC."""
+    path = tmp_path / "run.csv"
+    one = int(datetime(2026, 10, 25, 1, 0, tzinfo=UTC).timestamp()) * 10**9
+    minute = 60 * 10**9
+    time = {"format": "iso", "zone": "Europe/Zurich"}
+    day = "2026-10-25 "
+
+    def found(*clocks: str, started: str | None = None) -> list[float]:
+        return [(t - one) / minute for t in times(path, [day + c for c in clocks], time, started)]
+
+    assert found("02:58:00", "02:59:00", "02:00:00", "02:01:00", "03:00:00") == [-2, -1, 0, 1, 60]
+    assert found("01:59:00", "02:00:00", "02:59:00") == [-61, -60, -1]
+    assert found("02:58:00", "02:59:00", "03:00:00") == [58, 59, 60]  # else an hour would be missing
+    assert found("02:30:00", "02:31:00", started="2026-10-25T01:30:00+00:00") == [30, 31]
+    assert found("02:30:00", "02:31:00", started="2026-10-25T00:30:00+00:00") == [-30, -29]
+    assert found("01:59:59", "03:00:00") == pytest.approx([-60 - 1 / 60, 60])
+
+
+def test_the_unit_row_of_the_time_is_compared_too(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("t,F\nms,N\n0,1\n10,2\n")
+    content = {
+        "csv": {"unit_row": True},
+        "time": {"column": "t", "unit": "s"},
+        "columns": {"force": {"column": "F", "unit": "N"}},
+        "recording": {"started_at": START},
+    }
+    with pytest.raises(RefusedError, match='the unit row says "ms" for column "t", the mapping says "s"'):
+        read_raw(path, FileMapping.parse(content, stem="run", suffix=".csv"))

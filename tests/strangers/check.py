@@ -62,7 +62,7 @@ def _facts_by_file(expected: Mapping[str, Any], night: NightOfOne) -> dict[str, 
     if "files" in expected:
         return dict(expected["files"])
     facts = expected.get("if_accepted", expected)
-    return {name: facts for name in night.files} or {"(no file)": facts}
+    return dict.fromkeys(night.files, facts) or {"(no file)": facts}
 
 
 def _judge_file(

@@ -74,7 +74,7 @@ def run_night(folder: Path, place: Path, leave_out: Sequence[str] = ("expected.j
     shutil.copytree(folder, raw, ignore=shutil.ignore_patterns(*leave_out))
     for path in raw.rglob("*"):
         path.chmod(0o755 if path.is_dir() else 0o644)
-    data = sorted(p.name for p in raw.rglob("*") if p.is_file() and p.suffix != ".toml")
+    data = sorted(p.relative_to(raw).as_posix() for p in raw.rglob("*") if p.is_file() and p.suffix != ".toml")
     unmapped = {name: Taken(name, UNMAPPED, "", {}) for name in data}
     try:
         summary = nightly([raw], Lab(lab), jobs=0)
@@ -87,14 +87,18 @@ def run_night(folder: Path, place: Path, leave_out: Sequence[str] = ("expected.j
     night = NightOfOne({}, summary.exit_status, summary.attention, lab)
     with duckdb.connect(str(lab / "results.duckdb"), read_only=True) as connection:
         query = "SELECT source_path, recording_id, status, problem, notes, samples_path FROM recordings"
-        found = connection.execute(query).to_arrow_table().to_pylist()
-    taken = {name: _taken(row, lab) for row in found for name in [Path(row["source_path"]).name]}
+        found = connection.sql(query).to_arrow_table().to_pylist()
+    taken = {name: _taken(name, row, lab) for row in found for name in [_below(raw, row["source_path"])]}
     return NightOfOne(unmapped | taken, night.exit_status, night.attention, lab)
 
 
-def _taken(row: Mapping[str, Any], lab: Path) -> Taken:
+def _below(raw: Path, place: str) -> str:
+    return Path(place).resolve().relative_to(raw.resolve()).as_posix()
+
+
+def _taken(name: str, row: Mapping[str, Any], lab: Path) -> Taken:
     said = " ".join(str(row[key]) for key in ("problem", "notes") if row.get(key))
-    name, status = Path(row["source_path"]).name, str(row["status"])
+    status = str(row["status"])
     if not row.get("samples_path"):
         return Taken(name, status, said, row)
     with (lab / row["samples_path"]).open("rb") as file:

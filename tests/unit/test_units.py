@@ -112,3 +112,27 @@ def test_errors_survive_a_process_border() -> None:
     again = pickle.loads(pickle.dumps(refused.value))
     assert str(again) == str(refused.value)
     assert again.expected == refused.value.expected
+
+
+@pytest.mark.parametrize(
+    ("written", "canonical", "scale"),
+    [
+        ("Newtons", "N", 1.0),
+        ("Millimeters", "mm", 1.0),
+        ("Volt", "kV", 1e-3),
+        ("N/mm2", "MPa", 1.0),
+        ("N/mm²", "MPa", 1.0),
+        ("kp", "N", 9.80665),
+        ("Sekunden", "s", 1.0),
+        ("Grad", "rad", math.pi / 180),
+        ("Amps", "µA", 1e6),
+    ],
+)
+def test_units_as_drivers_and_people_write_them(written: str, canonical: str, scale: float) -> None:
+    assert conversion(written, canonical).scale == pytest.approx(scale, rel=1e-12)
+
+
+@pytest.mark.parametrize(("written", "canonical"), [("dB", "1"), ("cycles", "s"), ("H2O", "N"), ("m2", "mm")])
+def test_what_is_no_unit_of_it_is_refused(written: str, canonical: str) -> None:
+    with pytest.raises(RefusedError):
+        conversion(written, canonical)
