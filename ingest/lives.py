@@ -63,7 +63,9 @@ def read_lives(table: TableRows) -> Lives:
         elif lives[i] < 0 or not math.isfinite(lives[i]):
             raise table.refused_row(row, f"{shown}: {lives[i]:g} s", "a life not below 0")
     if blank:
-        table.problems.append(f"{len(blank)} of {lives.size} rows have no life, or survived 0 s (row {blank[0]}): left out")
+        table.problems.append(
+            f"{len(blank)} of {lives.size} rows have no life, or survived 0 s (row {blank[0]}): left out"
+        )
     filled = int((np.isnan(seconds) & ~np.isnan(lives)).sum())
     if filled:
         table.notes.append(f"{filled} survivors have no life of their own: taken as the planned duration of their test")
