@@ -80,6 +80,12 @@ def chirp_blocks(
     pieces, amplitude = _sweeps(recording, found, found.values[names[0]])
     before = rest_samples(found.values[names[0]], back=int(0.25 / (low * found.interval_s)))
     start = find_start(before, RULES.features.chirp_rest, _rests_after(pieces))
+    if not start.quiet:
+        raise NotIdentifiableError(
+            "no rest before the first sweep nor after one: nothing tells the noise",
+            where=where,
+            expected=f"at least {RULES.features.chirp_rest} samples of rest",
+        )
     rest = start.samples
     x, y = found.values[names[0]] - _rest_position(found.values[names[0]], start), found.values[names[1]]
     y = y - y[:rest].mean()
@@ -87,7 +93,7 @@ def chirp_blocks(
     # After a sweep the film still relaxes: a parabola takes that off.
     degree = 1 if start.rests else 2
     noise = [found.noise(q, v[s], degree=degree) for s in start.quiet for q, v in zip(names, (x, y), strict=True)]
-    warnings = [] if start.quiet else ["no rest: noise is taken from the other recordings of the rig"]
+    warnings: list[str] = []
     signals = Signals(
         x, y, found.interval_s, nodes, (), found.channel_factor(names[1], names[0]), noise_sd=white_sd(y, start.quiet)
     )
