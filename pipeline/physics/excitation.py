@@ -22,15 +22,22 @@ def sweep(
     taper_start_s: float = 0.0,
     taper_stop_s: float = 0.0,
 ) -> Float:
-    """A sine sweep that begins and ends at rest; zero before 0 and after `duration_s`.
-
-    The amplitude follows the frequency as `amplitude` (f/start_hz)^`exponent`, which keeps the force within the load cell
-    when the film stiffens with frequency. Half-cosine tapers at both ends remove the jumps of the velocity.
+    """A sine sweep that begins and ends at rest.
 
     Parameters
     ----------
     time_s : (n,) s
-    returns : (n,) in the unit of `amplitude`
+    start_hz, stop_hz : Hz, frequency at 0 and at `duration_s`
+    duration_s : s
+    amplitude : at the start
+    exponent : the amplitude follows the frequency as `amplitude` (f/start_hz)^`exponent`, which keeps the force within
+        the load cell when the film stiffens with frequency
+    logarithmic : equal times for equal ratios of frequency; else for equal differences
+    taper_start_s, taper_stop_s : s, half-cosine tapers, which remove the jumps of the velocity
+
+    Returns
+    -------
+    (n,) in the unit of `amplitude`; zero before 0 and after `duration_s`
     """
     t = np.clip(time_s, 0.0, duration_s)
     if logarithmic:
@@ -52,15 +59,28 @@ def sweep(
 
 
 def half_cosine(progress: Float) -> Float:
-    """A smooth rise from 0 at progress 0 to 1 at progress 1, shape as given."""
+    """A smooth rise from 0 at progress 0 (and before) to 1 at progress 1 (and after); shape of the input."""
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(progress, 0.0, 1.0)))
 
 
 def excited_lines(kind: str, count: int, rng: np.random.Generator | None = None) -> Int:
-    """Harmonic numbers up to `count` that a multisine excites.
+    """Harmonic numbers that a multisine excites.
 
-    `full`: 1, 2, 3, …; `odd`: 1, 3, 5, …; `random_odd`: the odd ones without one of each four, drawn by `rng`, so that
-    the response at the left-out lines shows odd nonlinearity and the one at even lines even nonlinearity.
+    Parameters
+    ----------
+    kind : `full`: 1, 2, 3, …; `odd`: 1, 3, 5, …; `random_odd`: the odd ones without one of each four, so that the
+        response at the left-out lines shows odd nonlinearity and the one at even lines even nonlinearity
+    count : largest harmonic number
+    rng : draws the lines that `random_odd` leaves out
+
+    Returns
+    -------
+    (lines,) ascending
+
+    Raises
+    ------
+    ValueError
+        Another kind, or `random_odd` without `rng`.
     """
     if kind == "full":
         return np.arange(1, count + 1)
@@ -76,9 +96,25 @@ def excited_lines(kind: str, count: int, rng: np.random.Generator | None = None)
 
 
 def schroeder_multisine(samples: int, lines: Int) -> Float:
-    """One period of Σ cos(2π l t + φ_k), φ_k = −π k(k−1)/N for the k-th of N lines, scaled to a largest |value| of 1.
+    """One period of a multisine of low crest factor.
 
-    The phases keep the crest factor low (Schroeder 1970). Shape (samples,).
+    Parameters
+    ----------
+    samples : of the period
+    lines : (N,) harmonic numbers, ascending
+
+    Returns
+    -------
+    (samples,), largest |value| 1
+
+    Raises
+    ------
+    ValueError
+        A line needs more samples than the period has.
+
+    Notes
+    -----
+    Σ cos(2π l t + φ_k) with φ_k = −π k(k−1)/N for the k-th line (Schroeder, 1970).
     """
     k = np.arange(1, lines.size + 1)
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
@@ -90,29 +126,54 @@ def schroeder_multisine(samples: int, lines: Int) -> Float:
 
 
 def square_root_drive(u: Float, peak_kv: float) -> Float:
-    """Voltage peak √((1 + u)/2) in kV: its square, which drives the film, has the lines of u and no others."""
+    """Voltage peak √((1 + u)/2) in kV of u within ±1: its square, which drives the film, has the lines of u and no
+    others."""
     return peak_kv * np.sqrt((1 + u) / 2)
 
 
 def raised_cosine(time_s: Float, *, frequency_hz: float, peak_to_peak: float, cycles: int) -> Float:
-    """Cycles from 0 to `peak_to_peak` and back, beginning and ending at 0 without a jump of the velocity."""
+    """Cycles from 0 to `peak_to_peak` and back, without a jump of the velocity.
+
+    Parameters
+    ----------
+    time_s : (n,) s
+    frequency_hz : Hz
+    peak_to_peak : largest value
+    cycles : how many, from time 0 on
+
+    Returns
+    -------
+    (n,) in the unit of `peak_to_peak`; 0 before and after
+    """
     t = np.clip(time_s, 0.0, cycles / frequency_hz)
     return peak_to_peak / 2 * (1 - np.cos(2 * np.pi * frequency_hz * t))
 
 
 def ramp(time_s: Float, *, start_s: float, duration_s: float, height: float) -> Float:
-    """Linear rise by `height` within `duration_s` from `start_s`, held afterwards."""
+    """Linear rise by `height` within `duration_s` s from `start_s` s, held afterwards; (n,) for (n,) s."""
     return height * np.clip((time_s - start_s) / duration_s, 0.0, 1.0)
 
 
 def triangle(time_s: Float, *, peak: float, rate: float) -> Float:
-    """Rise from 0 to `peak` at `rate` (per s), fall at the same rate, then 0."""
+    """Rise from 0 to `peak` at `rate` (per s), fall at the same rate, then 0; (n,) for (n,) s."""
     top = peak / rate
     return np.clip(peak - rate * np.abs(time_s - top), 0.0, peak)
 
 
 def pulses(time_s: Float, *, levels: tuple[float, ...], on_s: float, off_s: float, first_s: float) -> Float:
-    """Rectangles of the given levels, each `on_s` long and followed by `off_s` of 0; the first begins at `first_s`."""
+    """Rectangles that follow one another.
+
+    Parameters
+    ----------
+    time_s : (n,) s
+    levels : height of each
+    on_s, off_s : s, how long each lasts, and the 0 after it
+    first_s : s, beginning of the first
+
+    Returns
+    -------
+    (n,) in the unit of the levels
+    """
     since = time_s - first_s
     # An edge that falls on a sample belongs to that sample; a sum of decimal steps lands a hair before it.
     cycle = np.floor((since + 1e-9) / (on_s + off_s)).astype(np.int64)
@@ -122,7 +183,19 @@ def pulses(time_s: Float, *, levels: tuple[float, ...], on_s: float, off_s: floa
 
 
 def staircase(time_s: Float, *, levels: tuple[float, ...], plateau_s: float, ramp_s: float) -> Float:
-    """Plateaus of the given levels, each `plateau_s` long, joined by half-cosine ramps at the start of each plateau."""
+    """Plateaus joined by half-cosine ramps.
+
+    Parameters
+    ----------
+    time_s : (n,) s
+    levels : height of each plateau
+    plateau_s : s, how long each lasts
+    ramp_s : s, how long the ramp at its start lasts
+
+    Returns
+    -------
+    (n,) in the unit of the levels
+    """
     total = np.full_like(time_s, levels[0])
     for i in range(1, len(levels)):
         total = total + (levels[i] - levels[i - 1]) * half_cosine((time_s - i * plateau_s) / ramp_s)

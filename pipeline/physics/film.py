@@ -2,8 +2,8 @@
 
     k(jω) = k0 + Σ kᵢ jωτᵢ/(1 + jωτᵢ) + jω c_inf,      ḟᵢ = kᵢ ė − fᵢ/τᵢ        (thesis, eq 4.1 and 4.11 corrected)
 
-with the extension e of the film and the force fᵢ of an arm. Films that are held after a ramp: `held_step`. Does not belong here: how the
-parameters are found or how sure they are.
+with the extension e of the film and the force fᵢ of an arm. Films that are held after a ramp: `held_step`. Does not
+belong here: how the parameters are found or how sure they are.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def stiffnesses(models: Sequence[RelaxationModel], frequency_hz: ArrayLike) -> C
 
 @dataclass(frozen=True)
 class Shape:
-    """Which material parameters a vector θ has: [log k0] + log kᵢ + log τᵢ + [log c_inf]; bracketed ones are optional."""
+    """Which material parameters a vector θ has: [log k0] + log kᵢ + log τᵢ + [log c_inf], bracketed ones if at all."""
 
     arms: int
     spring: bool = True
@@ -160,7 +160,7 @@ class Shape:
 
 
 def arm_response(z: Complex) -> Complex:
-    """z/(1 + z), shape of the input: an arm of unit stiffness at z = jωτ; of a stretched one z = (jωτ)^β (Cole and Cole, 1941)."""
+    """z/(1 + z): an arm of unit stiffness at z = jωτ, a stretched one at z = (jωτ)^β (Cole and Cole, 1941)."""
     return np.asarray(z / (1 + z))
 
 
@@ -204,9 +204,15 @@ def stiffness_and_slopes(theta: Float, shape: Shape, omega: Float) -> tuple[Comp
 
 
 def series_share(k: Complex, other: Complex) -> Complex:
-    """k₂/(k + k₂): share of the force of a film k that reaches the ends through a film k₂ in series (thesis, section 5.2).
+    """Share of a film's force that reaches the ends through another film in series (thesis, section 5.2).
 
-    Times k it is the stiffness of both together. N/mm, broadcast shape.
+    Parameters
+    ----------
+    k, other : N/mm, stiffness of the film and of the other; they broadcast
+
+    Returns
+    -------
+    k₂/(k + k₂); times k it is the stiffness of both together
     """
     return np.asarray(other / (k + other), dtype=complex)
 
@@ -250,7 +256,8 @@ def integrate_arms(time_s: Float, extension: Float, tau: Float) -> Float:
 
     Notes
     -----
-    `arm_step` from sample to sample: f[i + 1] − decay f[i] = gain Δe is a system with two diagonals, solved in one call.
+    `arm_step` from sample to sample: f[i + 1] − decay f[i] = gain Δe is a system with two diagonals, solved in one
+    call.
     """
     decay, gain = arm_step(np.diff(time_s)[:, None] / tau)
     gain = gain * np.diff(extension)[:, None]

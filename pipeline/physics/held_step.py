@@ -1,6 +1,6 @@
-"""Films that are held after a ramp: the force over the height of the step, behind a rigid load cell or one that gives way.
+"""Films that are held after a ramp: force over the height of the step, behind a load cell that is rigid or gives way.
 
-Pure formulas of the film of `film` and the load cell of `rig`, with their derivatives. Does not belong here: data and weights.
+Pure formulas, with their derivatives. Does not belong here: data and weights.
 """
 
 from __future__ import annotations
@@ -18,10 +18,13 @@ OVER = 1e-4
 
 @dataclass(frozen=True)
 class Hold:
-    """When a held step was measured: values are means over windows after a linear ramp of duration `ramp` s (0: a jump).
+    """When a held step was measured: values are means over windows after a linear ramp.
 
-    `start` (p,) s from the end of the ramp to the start of the window, ≥ 0; `width` (p,) s of the window, 0 for a single
-    instant.
+    Parameters
+    ----------
+    start : (p,) s from the end of the ramp to the start of the window, ≥ 0
+    width : (p,) s of the window, 0 for a single instant
+    ramp : s, duration of the ramp, 0 for a jump
     """
 
     start: Float
@@ -47,8 +50,8 @@ def hold_kernel(hold: Hold, tau: Float) -> tuple[Float, Float]:
 
     Notes
     -----
-    τ/T (1 − e^{−T/τ}) for the ramp times the mean of e^{−t/τ} over the window, τ/w (1 − e^{−w/τ}) e^{−start/τ}: superposition of
-    steps (Boltzmann).
+    τ/T (1 − e^{−T/τ}) for the ramp times the mean of e^{−t/τ} over the window, τ/w (1 − e^{−w/τ}) e^{−start/τ}:
+    superposition of steps (Boltzmann).
     """
     ramp, width = hold.ramp / tau, hold.width[:, None] / tau
     start = hold.start[:, None] / tau
@@ -106,8 +109,7 @@ def series_hold_stiffness(theta: Float, shape: Shape, hold: Hold, cell: float) -
     Notes
     -----
     The series of a Maxwell-Wiechert film and a spring, k_eff(s) = cell − cell²/D(s) with D(s) = k(s) + cell, is again a
-    relaxation: its poles are the zeros s_j of D, its springs K_j = −cell²/(s_j D′(s_j)) (residues of thesis, eq 4.17 corrected without
-    mass and damping).
+    relaxation: its poles are the zeros s_j of D, its springs K_j = −cell²/(s_j D′(s_j)).
     """
     k0, k, tau, c = shape.split(theta)
     a, n = int(shape.spring), shape.arms
@@ -177,7 +179,8 @@ def series_hold_values(k0: Float, k: Float, tau: Float, c: float, hold: Hold, ce
 def _series_poles(k0: Float, k: Float, tau: Float, c: float, cell: float) -> tuple[Float, Float]:
     """Zeros (S, m) of D(s) = k(s) + cell, all negative, and 1/D′ there, of S films.
 
-    From the eigenvectors of a symmetric matrix, 1/D(s) = 1/D(∞) + Σ rⱼ/(s − sⱼ): stable however weak or close together the arms are.
+    From the eigenvectors of a symmetric matrix, 1/D(s) = 1/D(∞) + Σ rⱼ/(s − sⱼ): stable however weak or close together
+    the arms are.
     """
     count, arms = k.shape
     total = k0 + k.sum(axis=1) + cell

@@ -1,9 +1,10 @@
-"""Large strain of incompressible films: Ogden's law in plane stress, and the laws that large uniaxial cycles are fitted with.
+"""Large strain of incompressible films: Ogden's law in plane stress, and the laws of large uniaxial cycles.
 
     W = 2Y/(3α²) (λ1^α + λ2^α + λ3^α − 3),   λ3 = 1/(λ1 λ2)
 
-α = 3/2 is Carpi and Gei's law of the thesis (eq 3.13 with 8/27 for 2³/3), valid up to the inflection of the nominal stress, about λ = 3.3 for
-VHB 4910. All stresses are nominal (first Piola-Kirchhoff), per undeformed area, in the unit of Y. Does not belong here: relaxation.
+α = 3/2 is Carpi and Gei's law of the thesis (eq 3.13 with 8/27 for 2³/3), valid up to the inflection of the nominal
+stress, about λ = 3.3 for VHB 4910. All stresses are nominal (first Piola-Kirchhoff), per undeformed area, in the unit
+of Y. Does not belong here: relaxation.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ def principal_stress(
 def principal_tangent(
     l1: ArrayLike, l2: ArrayLike, young: float = 1.0, exponent: float = CARPI_GEI
 ) -> tuple[Float, Float, Float]:
-    """C11 = ∂P1/∂λ1, C22 = ∂P2/∂λ2 and C12 = C21; parameters as in `energy` (thesis, eq 3.15 and the missing off-diagonal)."""
+    """C11 = ∂P1/∂λ1, C22 = ∂P2/∂λ2 and C12 = C21; parameters as in `energy` (thesis, eq 3.15 and the missing
+    off-diagonal)."""
     a, b = np.asarray(l1, dtype=float), np.asarray(l2, dtype=float)
     factor, up, down = 2 / (3 * exponent) * young, exponent - 1, -exponent - 1
     c11 = factor * (up * a ** (up - 1) - down * a ** (down - 1) * b**-exponent)
@@ -72,7 +74,8 @@ def stress_and_tangent(gradient: Float, young: float = 1.0) -> tuple[Float, Floa
 
     Notes
     -----
-    In principal axes the shear block has (λ1P1 − λ2P2)/(λ1² − λ2²) on its diagonal and (λ2P1 − λ1P2)/(λ1² − λ2²) beside it.
+    In principal axes the shear block has (λ1P1 − λ2P2)/(λ1² − λ2²) on its diagonal and (λ2P1 − λ1P2)/(λ1² − λ2²) beside
+    it.
     """
     left, stretch, right = np.linalg.svd(gradient)
     l1, l2 = stretch[..., 0], stretch[..., 1]

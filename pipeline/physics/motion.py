@@ -1,7 +1,7 @@
 """Film and rig in time: equations of motion of a film between driven end and clamp, and their exact solution.
 
-Nothing here uses the formulas in frequency of `film` and `rig`: what one of them simulates, the other can be tested with. Belongs here: linear
-mechanics. What drives it, and what the sensors make of it, does not.
+Nothing here uses the formulas in frequency of `film` and `rig`: what one of them simulates, the other can be tested
+with. Belongs here: linear mechanics. What drives it, and what the sensors make of it, does not.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def assemble(
 
     Returns
     -------
-    System with the inputs displacement of the driven end (mm) and Maxwell force (N), which lowers the tension; outputs are the force on the
-    load cell (N, change from rest) and, with `watched`, the extension of that part (mm). Without any part the second input acts on the
-    clamp itself (a tap, with the sign of a loss of tension).
+    System with the inputs displacement of the driven end (mm) and Maxwell force (N), which lowers the tension; outputs
+    are the force on the load cell (N, change from rest) and, with `watched`, the extension of that part (mm). Without
+    any part the second input acts on the clamp itself (a tap, with the sign of a loss of tension).
 
     Raises
     ------
@@ -54,9 +54,9 @@ def assemble(
     Notes
     -----
     Part j with extension e_j and internal points q_ji: T = K_j e_j − Σ k_ji q_ji − F_A, q̇_ji = (e_j − q_ji)/τ_ji,
-    K_j = k_j0 + Σ k_ji; the tension T is common, the extensions add up to x0 − x′, and M ẍ′ = T − kL x′ − cL ẋ′ (in place of thesis,
-    eq 4.5 and 4.6, which do not close). The share of a pure dashpot in the velocity is taken into the state, so that the
-    velocity of the driven end is never needed.
+    K_j = k_j0 + Σ k_ji; the tension T is common, the extensions add up to x0 − x′, and M ẍ′ = T − kL x′ − cL ẋ′ (in
+    place of thesis, eq 4.5 and 4.6, which do not close). The share of a pure dashpot in the velocity is taken into the
+    state, so that the velocity of the driven end is never needed.
     """
     springs = [(j, k, tau) for j, part in enumerate(parts) for k, tau in _merged(part)]
     n = len(springs)
@@ -123,8 +123,8 @@ def integrate(system: StateSpace, inputs: Sequence[Float | None], interval_s: fl
 
     Notes
     -----
-    Exact for such inputs: the system is taken apart into its modes, each of which is a first-order recursion (first-order hold). Straight
-    lines lower a sine of the frequency f by (2πf h)²/12: sample finely.
+    Exact for such inputs: the system is taken apart into its modes, each of which is a first-order recursion
+    (first-order hold). Straight lines lower a sine of the frequency f by (2πf h)²/12: sample finely.
     """
     given = {i: np.asarray(u, dtype=np.float64) for i, u in enumerate(inputs) if u is not None}
     static = system.d - system.c @ np.linalg.solve(system.a, system.b)

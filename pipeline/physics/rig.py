@@ -1,6 +1,8 @@
 """Clamp and load cell: their constants, how well they are known, and what they make of a film's response.
 
-    M ẍ′ = T − kL x′ − cL ẋ′,   F = g kL x′,   T = k (x0 − x′) − F_A        (thesis, eq 4.16; sign of the inertia corrected)
+    M ẍ′ = T − kL x′ − cL ẋ′,   F = g kL x′,   T = k (x0 − x′) − F_A
+
+(thesis, eq 4.16 to 4.18 with the sign of the inertia corrected, and with damping and actuation).
 
 With the clamp's own a = 1 + (−Mω² + jωcL)/kL, a film of stiffness k(jω) shows under either loading
 
@@ -109,15 +111,15 @@ class Rig:
         return np.asarray(1 + k * self.compliance)
 
     def mechanical(self, k: Complex, clamp: Complex | float) -> Complex:
-        """G = F/x0 in N/mm that the load cell shows of a film of stiffness k N/mm (thesis, eq 4.17 corrected)."""
+        """G = F/x0 in N/mm that the load cell shows of a film of stiffness k N/mm (thesis, eq 4.19 corrected)."""
         return np.asarray(self.gain * k / self.loaded(k, clamp))
 
     def electrical(self, k: Complex, clamp: Complex | float) -> Complex:
-        """−F/F_A that the load cell shows of an actuation force, the driven end held, with a film of stiffness k N/mm."""
+        """−F/F_A that the load cell shows of an actuation force with a film of stiffness k N/mm, the driven end held."""
         return np.asarray(self.gain / self.loaded(k, clamp))
 
     def extension(self, k: Complex, clamp: Complex | float) -> Complex:
-        """(x0 − x′)/x0: share of the driven end's displacement that strains a film of stiffness k N/mm, F_A = 0."""
+        """(x0 − x′)/x0: share of the displacement that strains a film of stiffness k N/mm (thesis, eq 4.17)."""
         return np.asarray(clamp / self.loaded(k, clamp))
 
     def film_stiffness(self, response: Complex, clamp: Complex | float) -> Complex:
@@ -225,8 +227,8 @@ class RigPrior:
 
     Notes
     -----
-    Mass, stiffness and gain stay positive: nominal · exp((factor q)/nominal), which is nominal + factor q for small errors. The damping is
-    nominal + factor q.
+    Mass, stiffness and gain stay positive: nominal · exp((factor q)/nominal), which is nominal + factor q for small
+    errors. The damping is nominal + factor q.
     """
 
     nominal: Float
@@ -413,7 +415,8 @@ def tied_by_frequency(
 
     Notes
     -----
-    Conditioning in logarithms: the measurement is ln kL − ln M = 2 ln(2π f_c), with twice the relative standard deviation of the frequency.
+    Conditioning in logarithms: the measurement is ln kL − ln M = 2 ln(2π f_c), with twice the relative standard
+    deviation of the frequency.
     """
     prior = np.array([(mass_sd / mass) ** 2, (stiffness_sd / stiffness) ** 2])
     measured = (2 * frequency_sd / frequency_hz) ** 2

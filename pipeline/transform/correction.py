@@ -1,10 +1,8 @@
 """The clamp on its load cell taken out of a measured response: film stiffness, and blocked force under voltage.
 
-For display and for comparison with the thesis; a fit puts clamp and load cell into its model instead. The noise goes into
-`variance`; errors of the constants move all frequencies together and go into `systematic`. With a = 1 − Mω²/kL + jωcL/kL:
-
-    mechanical  k = a G/(1 − G/kL)          film force F + Mẍ′ + cLẋ′ over film extension x0 − F/kL
-    electrical  F_A/V² = a H + k H/kL       blocked force
+For display and for comparison with the thesis; a fit puts clamp and load cell into its model instead. The noise goes
+into `variance`; errors of the constants move all frequencies together and go into `systematic`. The equations are those
+of `pipeline.physics.rig`.
 """
 
 from __future__ import annotations
@@ -23,11 +21,11 @@ from schemas.metadata import RigConstants
 Response = TypeVar("Response", FrequencyResponse, RelaxationCurve)
 
 HIGHEST_AMPLIFICATION = 5.0
-"""Beyond it the recording holds too little about the film: near the clamp's own frequency the clamp moves with the driven
-end and the film is hardly deformed."""
+"""Beyond it the recording holds too little about the film: near the clamp's own frequency the clamp moves with the
+driven end and the film is hardly deformed."""
 LARGEST_OWN_DEFORMATION = 1.0
-"""Deformation of a machine's transducer over the specimen's beyond which the difference of the two, which is the specimen, is
-mostly the transducer: its phase error decides the loss."""
+"""Deformation of a machine's transducer over the specimen's beyond which the difference of the two, which is the
+specimen, is mostly the transducer: its phase error decides the loss."""
 LARGEST_SYSTEMATIC = 0.3
 """Relative error by the rig's constants beyond which a corrected line is not usable."""
 
@@ -45,8 +43,9 @@ def correct_mechanical(
 
     Returns
     -------
-    Response k in N/mm. `variance` is the noise alone, |∂k/∂G|² σ_G²; `systematic` (n, r) the prior of the rig's constants, fully correlated
-    over frequency; `amplification` |1 + k/(kL − Mω² + jωcL)|. Lines with an amplification above 5 are not usable.
+    Response k in N/mm. `variance` is the noise alone, |∂k/∂G|² σ_G²; `systematic` (n, r) the prior of the rig's
+    constants, fully correlated over frequency; `amplification` |1 + k/(kL − Mω² + jωcL)|. Lines with an amplification
+    above 5 are not usable.
 
     Raises
     ------
@@ -88,7 +87,8 @@ def blocked_force(
 
     Returns
     -------
-    Blocked force: flat, ε0 εr w/z, when drive, permittivity and k are right. The relative noise does not change: amplification is 1.
+    Blocked force: flat, ε0 εr w/z, when drive, permittivity and k are right. The relative noise does not change:
+    amplification is 1.
 
     Raises
     ------
@@ -116,9 +116,9 @@ def blocked_force(
 def judged_machine(response: FrequencyResponse, own_deformation: Float | None) -> FrequencyResponse:
     """A film's response that a machine corrected for its own compliance itself, with what that leaves unusable.
 
-    `own_deformation` (n,): displacement of the transducer over that of the specimen, NaN or None where unknown. The transducer is
-    a spring in series, so that `amplification` is |1 + k/kT| with |k/kT| this ratio and the phase of k. A loss below zero by
-    more than two standard errors (by anything where none is known) is no film's.
+    `own_deformation` (n,): displacement of the transducer over that of the specimen, NaN or None where unknown. The
+    transducer is a spring in series, so that `amplification` is |1 + k/kT| with |k/kT| this ratio and the phase of k. A
+    loss below zero by more than two standard errors (by anything where none is known) is no film's.
     """
     if own_deformation is not None:
         size = np.maximum(np.abs(response.value), np.finfo(float).tiny)
@@ -132,7 +132,8 @@ def judged_machine(response: FrequencyResponse, own_deformation: Float | None) -
 
 
 def calibrated(response: Response, rig: RigConstants) -> Response:
-    """The response with the calibrated gain of the force channel taken out, `rig.force_gain` (recorded over true force).
+    """The response with the calibrated gain of the force channel taken out, `rig.force_gain` (recorded over true
+    force).
 
     Doing it twice does it once: the gain that was taken out stands in `details`. The gain's own uncertainty belongs to
     `systematic`, which the corrections fill.

@@ -174,7 +174,8 @@ def test_rig_response_and_its_derivatives() -> None:
 
 
 def test_derivatives_of_the_inversions() -> None:
-    """∂k/∂G, ∂(F_A/V²)/∂H and those by mass, stiffness, damping and gain, against differences; every inversion undoes its forward model."""
+    """∂k/∂G, ∂(F_A/V²)/∂H and those by mass, stiffness, damping and gain, against differences; every inversion
+    undoes its forward model."""
     k, w, actuation = film(BAND, ACRYLATE), 2 * np.pi * BAND, 0.002
     constants = np.array([MASS, CELL, DAMPING, 1.0])
     rig = rig_of_constants(constants)

@@ -1,4 +1,5 @@
-"""From the optimum of one order to a fit with its uncertainty: covariance, intervals, rig constants, and what limits them.
+"""From the optimum of one order to a fit with its uncertainty: covariance, intervals, rig constants, and what limits
+them.
 
 Does not belong here: searching (`search`) and choosing between orders (`order`).
 """
@@ -29,14 +30,15 @@ from schemas.arrays import Float
 from schemas.numbers import pm, significant, with_unit
 
 PROFILED = 0.1
-"""Standard deviation of a logarithm from which the profile likelihood gives the limits. Up to `PARABOLIC` a standard deviation still
-describes the likelihood, but limits by it are short: with 5 % noise they hold the truth in 92 % of draws, those of the profile
-in 94 %."""
+"""Standard deviation of a logarithm from which the profile likelihood gives the limits. Up to `PARABOLIC` a standard
+deviation still describes the likelihood, but limits by it are short: with 5 % noise they hold the truth in 92 % of
+draws, those of the profile in 94 %."""
 ONE_SIDED = 0.05
-"""Share of a parameter's variance that is due to the spring of a pure dashpot, from which the same holds: 1/k ends at 0, so
-that what it does to the others goes to one side."""
+"""Share of a parameter's variance that is due to the spring of a pure dashpot, from which the same holds: 1/k ends at
+0, so that what it does to the others goes to one side."""
 MOST_PROFILED = 5
-"""Most arms of a model whose parameters get profile likelihoods: a long ladder of arms describes a curve, not springs."""
+"""Most arms of a model whose parameters get profile likelihoods: a long ladder of arms describes a curve, not
+springs."""
 CONFLICT = 3.5
 """Standard deviations between a fitted rig constant and the rig file that are worth a word."""
 CONSTANTS = {
@@ -44,7 +46,8 @@ CONSTANTS = {
     "load_cell_stiffness_n_per_mm": ("the load cell's stiffness", "N/mm", 1.0),
     "load_cell_damping_n_s_per_mm": ("the load cell's damping", "N s/mm", 1.0),
 }
-"""The constants as a rig file names them: what each is called in a sentence, its unit there, and what that is in the package's units."""
+"""The constants as a rig file names them: what each is called in a sentence, its unit there, and what that is in the
+package's units."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,8 @@ class Context:
     def _profile(
         self, solution: Solution, direction: Float, sd: float, factor: float
     ) -> tuple[float | None, float | None]:
-        """Profile limits. A pure dashpot gets its spring back for it, which may be rigid: the wider of both on either side."""
+        """Profile limits. A pure dashpot gets its spring back for it, which may be rigid: the wider of both on
+        either side."""
         observations, shape = self.observations, solution.shape
         limits = profile_limits(observations, solution, direction, sd, factor, self.bounds, self.prior)
         if not shape.dashpot or self.prior is not None:

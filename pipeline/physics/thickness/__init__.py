@@ -1,7 +1,8 @@
 """Thickness of a film that was stretched over rods, by finite elements.
 
-`ogden` is the material, `incremental` the scheme of the thesis with its errata corrected, `continuous` one hyperelastic
-problem solved by Newton's method, `layout` what electrodes on such a film would meet. Plane stress, incompressible.
+The material is Ogden's law of `hyperelastic`; `incremental` is the scheme of the thesis with its errata corrected,
+`continuous` one hyperelastic problem solved by Newton's method, `layout` what electrodes on such a film would meet.
+Plane stress, incompressible.
 
-Directions, in all four modules: x along the rods (thesis, direction 2), y across them (thesis, direction 1).
+Directions, in all modules: x along the rods (thesis, direction 2), y across them (thesis, direction 1).
 """

@@ -64,9 +64,18 @@ def q4(mesh: Any) -> Q4:
 
 
 def solve(matrix: csc_matrix, force: Float, tie: csc_matrix, prescribed: Float) -> Float:
-    """Displacement u = tie @ v + prescribed with tieᵀ (matrix u − force) = 0.
+    """Displacement in equilibrium under forces and constraints.
 
-    `tie` (m, r) maps the r free unknowns to all m: rigid rods share one unknown, held unknowns have an empty row.
+    Parameters
+    ----------
+    matrix : (m, m) stiffness
+    force : (m,) nodal forces
+    tie : (m, r) maps the r free unknowns to all m: rigid rods share one unknown, held unknowns have an empty row
+    prescribed : (m,) displacement of the held unknowns, 0 elsewhere
+
+    Returns
+    -------
+    u = tie @ v + prescribed (m,) with tieᵀ (matrix u − force) = 0
     """
     reduced = (tie.T @ matrix @ tie).tocsc()
     right = tie.T @ (force - matrix @ prescribed)

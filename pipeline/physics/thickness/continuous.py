@@ -21,10 +21,25 @@ _TOLERANCE = 1e-9
 
 
 def continuous_thickness(film: RodFilm, *, elements: int = 20_000) -> ThicknessMap:
-    """Thickness map of the continuous hyperelastic problem with at least that many elements.
+    """Thickness map of the continuous hyperelastic problem.
 
+    Parameters
+    ----------
+    film : geometry and pre-stretch
+    elements : how many at least
+
+    Returns
+    -------
+    Map of the finished film
+
+    Raises
+    ------
+    NotIdentifiableError
+        The film has no stable solution that Newton's method finds.
+
+    Notes
+    -----
     A coarse mesh takes the load in steps; its solution starts Newton's method on the fine one.
-    Raises `NotIdentifiableError` when the film has no stable solution that Newton's method finds.
     """
     coarse = _Problem(film, min(elements, 1200))
     displacement, solved = coarse.load_in_steps()

@@ -62,7 +62,8 @@ class ThicknessMap:
     corners_mm : (n, 4, 2) corners in the finished film, x along the rods, the middle of the film at 0
     thickness : (n,) λ3, thickness over undeformed thickness
     undeformed_area_mm2 : (n,) area of the element before stretching
-    smallest_stress : (n,) smaller principal nominal stress over Young's modulus; negative where a real film would wrinkle
+    smallest_stress : (n,) smaller principal nominal stress over Young's modulus; negative where a real film would
+        wrinkle
     scheme : how it was computed
     iterations : linear systems that were solved
     """

@@ -4,7 +4,8 @@ Eleven linear steps on moving nodes: ten of 0.2 of the undeformed length along t
 an element has the tangent of the Ogden law at its current deformation, pushed forward to the current shape, in place of
 eq 3.16, which is not symmetric and takes the held-width tangent for Young's modulus. A rod is a band of its diameter on
 the left and the right edge, not a single node: a point load would concentrate the deformation at that node and make the
-level of the map depend on the mesh. The level still is a result of that boundary condition; compare `relative_thickness`.
+level of the map depend on the mesh. The level still is a result of that boundary condition; compare
+`relative_thickness`.
 """
 
 from __future__ import annotations
@@ -18,10 +19,23 @@ from schemas.arrays import Float
 
 
 def incremental_thickness(film: RodFilm, *, elements: int = 20_000, steps_along: int = 10) -> ThicknessMap:
-    """Thickness map of the incremental scheme: λ3 from the product of the steps' strains (thesis, eq 3.17).
+    """Thickness map of the incremental scheme.
 
-    Boundary conditions (thesis, section 3.4.3): along the rods the left ends of the rods are pulled, the right ends are
-    fixed, all else is free; then the upper edge is moved, the lower one is fixed and the rods' ends keep their x.
+    Parameters
+    ----------
+    film : geometry and pre-stretch
+    elements : about how many
+    steps_along : linear steps in which the film is stretched along the rods
+
+    Returns
+    -------
+    Map of the finished film
+
+    Notes
+    -----
+    λ3 from the product of the steps' strains (thesis, eq 3.17). Boundary conditions (thesis, section 3.4.3): along the
+    rods the left ends of the rods are pulled, the right ends are fixed, all else is free; then the upper edge is moved,
+    the lower one is fixed and the rods' ends keep their x.
     """
     mesh = undeformed_mesh(film, elements)
     undeformed = np.asarray(mesh.p.T)

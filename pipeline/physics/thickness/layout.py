@@ -54,7 +54,23 @@ def covered(film_map: ThicknessMap, electrodes: Sequence[Rectangle]) -> Bool:
 
 
 def thin_share(film_map: ThicknessMap, electrodes: Sequence[Rectangle], limit: float) -> float:
-    """Share of the active area whose film is thinner than `limit` times the median thickness of the whole film."""
+    """Share of the active area whose film is thin.
+
+    Parameters
+    ----------
+    film_map : thickness of n elements
+    electrodes : on the finished film
+    limit : thickness over the median of the whole film below which it counts
+
+    Returns
+    -------
+    Between 0 and 1
+
+    Raises
+    ------
+    ValueError
+        No electrode lies on the film.
+    """
     under = covered(film_map, electrodes)
     area = film_map.area_mm2[under]
     if area.sum() == 0:
@@ -63,9 +79,27 @@ def thin_share(film_map: ThicknessMap, electrodes: Sequence[Rectangle], limit: f
 
 
 def hazard(film_map: ThicknessMap, electrodes: Sequence[Rectangle], exponent: float) -> Float:
-    """(n,) share of the failures expected in each element: ∝ undeformed area × E^exponent, E ∝ 1/λ3, under electrodes.
+    """Share of the failures that is expected in each element.
 
-    Flaws are bound to the material, so the undeformed area counts. The exponent is that of the inverse power law.
+    Parameters
+    ----------
+    film_map : thickness of n elements
+    electrodes : on the finished film
+    exponent : of the inverse power law of life over field
+
+    Returns
+    -------
+    (n,), sum 1
+
+    Raises
+    ------
+    ValueError
+        No electrode lies on the film.
+
+    Notes
+    -----
+    ∝ undeformed area × E^exponent, E ∝ 1/λ3, under electrodes. Flaws are bound to the material, so the undeformed area
+    counts.
     """
     under = covered(film_map, electrodes)
     weight = np.where(under, film_map.undeformed_area_mm2 * film_map.relative_thickness**-exponent, 0.0)
