@@ -131,6 +131,8 @@ class FileMapping:
     select: tuple[Selection, ...] = ()
     source: str = ""
     hash: str = ""
+    reads: str = ""
+    """Hash of what of the file is read: columns, rows and how, without the metadata. Another one is another recording."""
 
     @property
     def counts_rows_as_time(self) -> bool:
@@ -172,6 +174,7 @@ class FileMapping:
             select=_selections(content, source),
             source=source,
             hash=content_hash(content),
+            reads=content_hash({k: v for k, v in content.items() if k not in ("recording", "rig")}),
         )
 
 

@@ -184,7 +184,10 @@ _ALL: tuple[Table, ...] = (
             _r("duration_s", "s", "first to last sample"),
             _n("sample_count", "samples of all channels together"),
             _t("source_path", "file it was read from, absolute"),
-            _t("source_sha256", "SHA-256 of that file"),
+            _t(
+                "source_sha256",
+                "SHA-256 of that file; where mappings read the same bytes in different ways, further ones have # and a mark",
+            ),
             _t("samples_path", "samples Parquet, relative to the lab"),
             _t("status", "ok, damaged (usable in part), quarantined, duplicate, pending or excluded"),
             _t("problem", "what is lost, wrong or refused, and what was expected; NULL when nothing is"),

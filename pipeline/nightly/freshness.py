@@ -54,6 +54,18 @@ def hash_input(mapping_hash: str, sha256: str, rig_hash: str) -> str:
     return digest([sha256, mapping_hash, rig_hash])
 
 
+def hash_reads(source: SourceFile) -> str:
+    """Hash of what a mapping reads of a raw file (columns, rows, how), empty for a file that says it itself."""
+    if source.mapping is not None:
+        return source.mapping.reads
+    return "" if source.error is None else digest(source.error.problem)
+
+
+def plain_sha256(content: str | None) -> str | None:
+    """The SHA-256 of a file, without the mark that tells ways of reading the same bytes apart."""
+    return None if content is None else content.partition("#")[0]
+
+
 def hash_mapping(source: SourceFile) -> str:
     """Hash of a raw file's mapping; of its error where it is wrong or there is none."""
     return source.mapping.hash if source.mapping is not None else digest(str(source.error))

@@ -66,13 +66,13 @@ TABLES: Mapping[str, str] = {
         " samples_path TEXT, refusal TEXT, carried TEXT, notes TEXT, entry TEXT UNIQUE, done INTEGER"
     ),
     # Tonight's files. `size` to `inode` as the file was when it was looked at; `settled` where they are to be
-    # remembered.
+    # remembered; `reads` is a hash of what the mapping reads of the content.
     "reached": "place TEXT PRIMARY KEY",
     "looks": (
         "id INTEGER PRIMARY KEY, path TEXT, place BLOB, root BLOB, found_size INTEGER, found_mtime_ns INTEGER,"
         " format TEXT, state TEXT, url TEXT, name TEXT, version INTEGER, whole INTEGER, mapping TEXT,"
         " size INTEGER, mtime_ns INTEGER, inode INTEGER, sha256 TEXT, problem TEXT, refusal TEXT,"
-        " pending INTEGER, settled INTEGER"
+        " pending INTEGER, settled INTEGER, reads TEXT"
     ),
     # Items and what making them now would make them from, until it is found which of them are fresh.
     "expected": "item_id TEXT, stage TEXT, input_hash TEXT",

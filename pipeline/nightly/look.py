@@ -1,6 +1,7 @@
 """The night's first step: which raw files there are, which content each has, which are being written just now.
 
-A content is what is in a raw file, known by its SHA-256; several files may have the same. Does not belong here: what a
+A content is what is read of a raw file, known by its SHA-256; several files may have the same. Where mappings read the
+same bytes in different ways (other columns, other rows), each way is a content of its own. Does not belong here: what a
 content holds (`pipeline.nightly.read`), how folders are walked (`ingest.discover`).
 """
 
@@ -11,7 +12,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from ingest.discover import UNMAPPED, SourceFile, check_unchanged, discover, fil
 from ingest.paths import spell_root, spell_source
 from ingest.remote import RemoteFile, fetch, is_staged, is_url, mirror
 from pipeline.lab.lab import Lab
-from pipeline.nightly.freshness import hash_mapping
+from pipeline.nightly.freshness import hash_mapping, hash_reads, plain_sha256
 from pipeline.nightly.ledger import Ledger, split
 from schemas.errors import DealabError, LabError, PendingError, RefusedError
 
@@ -32,6 +33,8 @@ _AT_ONCE = 500
 """Files that wait to be hashed."""
 _ASKED_AT_ONCE = 1000
 """Files that are asked together whether they grow, which may take a second."""
+_MARK = 12
+"""Characters of the hash that tells ways of reading the same bytes apart."""
 _SETTLED_NS = 2_000_000_000
 """A file that changed less than this before it was hashed could change again without getting a new time. An object's
 mark changes with its content, however soon."""
@@ -110,9 +113,48 @@ def look_at_files(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledge
             remedy="`dealab inspect FILE` says what a file holds and drafts a mapping",
         )
     _hash_new(ledger, _Staging(lab.remote))
+    separate_readings(ledger)
     roots = (*(spell_root(given) for given in paths_given), *(found.url for found in mirrors))
     some_new = bool(ledger.number("SELECT EXISTS (SELECT 1 FROM looks WHERE settled)"))
     return Found(roots, some_new, tuple(unmapped), tuple(notes))
+
+
+def separate_readings(ledger: Ledger) -> None:
+    """Tells contents apart that mappings read from the same bytes in different ways, by a mark behind the SHA-256.
+
+    The way that was there first keeps the plain SHA-256, so that a mapping that changes makes no new content of its file.
+    """
+    shared = ledger.each(
+        "SELECT sha256 FROM looks WHERE sha256 IS NOT NULL GROUP BY sha256 HAVING count(DISTINCT reads) > 1"
+        " OR EXISTS (SELECT 1 FROM known WHERE source_sha256 > sha256 || '#' AND source_sha256 < sha256 || '$')"
+    )
+    for (sha256,) in list(shared):
+        looks = list(
+            ledger.each("SELECT id, path, reads FROM looks WHERE sha256 = ? ORDER BY length(path), path", [sha256])
+        )
+        known = dict(
+            ledger.each(
+                "SELECT source_sha256, source_path FROM known WHERE (source_sha256 = ? OR source_sha256 > ? AND"
+                " source_sha256 < ?) AND status NOT IN ('duplicate', 'pending')",
+                [sha256, f"{sha256}#", f"{sha256}$"],
+            )
+        )
+        plain = _choose_plain(sha256, looks, known)
+        for look, _, reads in looks:
+            marked = _mark(sha256, reads)
+            if reads != plain and (plain is not None or marked in known):
+                ledger.run("UPDATE looks SET sha256 = ? WHERE id = ?", [marked, look])
+
+
+def _choose_plain(sha256: str, looks: Sequence[tuple[int, str, str]], known: Mapping[str, str]) -> str | None:
+    """The way of reading that keeps the plain SHA-256; None where a file has it that was not looked at tonight."""
+    if sha256 in known:
+        return next((reads for _, path, reads in looks if path == known[sha256]), None)
+    return next((reads for _, _, reads in looks if _mark(sha256, reads) not in known), None)
+
+
+def _mark(sha256: str, reads: str) -> str:
+    return f"{sha256}#{reads[:_MARK]}"
 
 
 def make_source(
@@ -148,11 +190,12 @@ def _make_row(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
         *((None,) * 4 if remote is None else (remote.url, remote.name, remote.version, remote.whole)),
         hash_mapping(source),
         *(identity or (None,) * 3),
-        known[3] if known is not None and known[:3] == identity else None,
+        plain_sha256(known[3]) if known is not None and known[:3] == identity else None,
         None,
         None,
         False,
         False,
+        hash_reads(source),
     )
 
 

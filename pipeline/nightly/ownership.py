@@ -1,7 +1,7 @@
 """Who owns what: where each content lies, which recording it is, and what each row of `recordings` says.
 
-Identity is content: the same bytes again are a duplicate, the same recording id with other bytes is a conflict and the
-first stays. The first part decides about one content, one recording id or one row by pure functions. The second asks
+Identity is content and what a mapping reads of it: the same again is a duplicate, the same recording id with other
+content is a conflict and the first stays. The first part decides about one content, one recording id or one row by pure functions. The second asks
 the ledger which of them meet, in an order in which those that are decided about together stand together, so that only
 these are in memory. Does not belong here: reading files, workers, the published database.
 """
@@ -20,6 +20,7 @@ from typing import Any
 from ingest.paths import is_below
 from pipeline.lab.checks import ANALYSED
 from pipeline.lab.journal import DAMAGED, OK, PENDING, QUARANTINED, RECORDING, USABLE, make_item_id
+from pipeline.nightly.freshness import plain_sha256
 from pipeline.nightly.ledger import Ledger
 from schemas.errors import PendingError, RefusedError
 
@@ -141,11 +142,15 @@ def judge_claims(recording_id: str, claims: Sequence[Claim]) -> Verdict:
     """Gives a recording id to one of the contents that claim it.
 
     The content that has it already keeps it; among new ones the first in order. A damaged content gives way to one that
-    has replaced it in its own file.
+    has replaced it in its own file, and so does one of which the file's mapping reads other columns or rows now.
     """
     names = {one.sha256 for one in claims}
     superseded = frozenset(
-        one.sha256 for one in claims if not one.seen and one.status == DAMAGED and one.successor in names - {one.sha256}
+        one.sha256
+        for one in claims
+        if not one.seen
+        and one.successor in names - {one.sha256}
+        and (one.status == DAMAGED or plain_sha256(one.sha256) == plain_sha256(one.successor))
     )
     standing = [one for one in claims if one.sha256 not in superseded]
     owner = min(standing, key=lambda one: (not one.owns, one.order, one.sha256))

@@ -225,6 +225,45 @@ def test_a_copy_is_a_duplicate_and_changes_nothing_else(night: Any) -> None:
     assert healthy(night.lab) == []
 
 
+TWO_GROUPS = "group,t,f\nA,1.0,1\nA,2.0,0\nB,3.0,1\nB,4.0,1\nB,9.0,0\n"
+
+
+def select_group(path: Path, group: str, **more: str) -> None:
+    """A copy of the table of two groups, of which the mapping reads one."""
+    path.write_text(TWO_GROUPS)
+    path.with_name(path.name + ".toml").write_text(
+        f'kind = "lifetimes"\n[[select]]\ncolumn = "group"\nequals = "{group}"\n'
+        '[columns.lifetime]\ncolumn = "t"\nunit = "s"\n'
+        '[columns.failed]\ncolumn = "f"\nfailed_values = [1]\ncensored_values = [0]\n'
+        f'[recording]\nrecording_id = "{path.stem}"\nconfiguration = "{more.get("configuration", group)}"\n'
+    )
+
+
+def test_the_same_content_mapped_in_two_ways_is_two_recordings(night: Any) -> None:
+    """A recording is content and mapping: what is read, not which bytes it stands in."""
+    select_group(night.raw / "a.csv", "A")
+    select_group(night.raw / "b.csv", "B")
+    select_group(night.raw / "b again.csv", "B")
+    assert night().exit_status == 0
+    found = {name: status for name, status in statuses(night.lab).items() if name.endswith(".csv")}
+    assert found == {"a.csv": "ok", "b.csv": "ok", "b again.csv": "duplicate"}
+    lives = dict(select(night.lab, "SELECT recording_id, count(*) FROM lifetimes GROUP BY ALL"))
+    assert (lives["a"], lives["b"]) == (2, 3)
+    assert night().analysed == 0, "nothing has changed"
+    assert healthy(night.lab) == []
+    select_group(night.raw / "b.csv", "A", configuration="changed")
+    (night.raw / "b again.csv").unlink()
+    (night.raw / "b again.csv.toml").unlink()
+    night()
+    assert statuses(night.lab)["b.csv"] == "duplicate", "it reads now what a.csv reads"
+    (night.raw / "a.csv").unlink()
+    select_group(night.raw / "b.csv", "B", configuration="late")
+    night()
+    late = select(night.lab, "SELECT count(*), any_value(configuration) FROM lifetimes WHERE recording_id = 'b'")
+    assert late == [(3, "late")]
+    assert healthy(night.lab) == []
+
+
 def test_same_id_with_other_content_is_a_conflict_and_the_first_stays(night: Any) -> None:
     before = content(night.lab)["carried"]
     chirp(night.raw / "A-other.mcap", 5, name="P-1-chirp-0")
