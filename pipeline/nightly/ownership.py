@@ -20,7 +20,6 @@ from typing import Any
 from ingest.paths import is_below
 from pipeline.lab.checks import ANALYSED
 from pipeline.lab.journal import DAMAGED, OK, PENDING, QUARANTINED, RECORDING, USABLE, make_item_id
-from pipeline.nightly.freshness import plain_sha256
 from pipeline.nightly.ledger import Ledger
 from schemas.errors import PendingError, RefusedError
 
@@ -31,6 +30,8 @@ ITEM = f"'{make_item_id(RECORDING, '')}' || "
 ANALYSED_SQL = f"IN {ANALYSED!r}"
 HAS_CONTENT = f"source_sha256 IS NOT NULL AND status NOT IN ('{DUPLICATE}', '{PENDING}')"
 """SQL condition on known rows: they say what reading their content gave."""
+_PLAIN = "substr({}, 1, 64)"
+"""SQL for the SHA-256 of a file, without the mark that tells ways of reading it apart."""
 
 
 # --- decisions --------------------------------------------------------------------------------------------------------
@@ -142,15 +143,11 @@ def judge_claims(recording_id: str, claims: Sequence[Claim]) -> Verdict:
     """Gives a recording id to one of the contents that claim it.
 
     The content that has it already keeps it; among new ones the first in order. A damaged content gives way to one that
-    has replaced it in its own file, and so does one of which the file's mapping reads other columns or rows now.
+    has replaced it in its own file.
     """
     names = {one.sha256 for one in claims}
     superseded = frozenset(
-        one.sha256
-        for one in claims
-        if not one.seen
-        and one.successor in names - {one.sha256}
-        and (one.status == DAMAGED or plain_sha256(one.sha256) == plain_sha256(one.successor))
+        one.sha256 for one in claims if not one.seen and one.status == DAMAGED and one.successor in names - {one.sha256}
     )
     standing = [one for one in claims if one.sha256 not in superseded]
     owner = min(standing, key=lambda one: (not one.owns, one.order, one.sha256))
@@ -255,6 +252,13 @@ def collect_readings(ledger: Ledger) -> None:
     ledger.run("DELETE FROM superseded")
     ledger.run("DELETE FROM judged")
     ledger.add("readings", _list_readings(ledger))
+    # A file of which its mapping reads other columns or rows now: what was read before goes, unless a copy still reads it.
+    ledger.run(
+        "INSERT INTO superseded SELECT DISTINCT source_sha256 FROM known k WHERE EXISTS (SELECT 1 FROM looks l"
+        f" WHERE l.path = k.source_path AND l.sha256 <> k.source_sha256 AND {_PLAIN.format('l.sha256')} ="
+        f" {_PLAIN.format('k.source_sha256')}) AND NOT EXISTS (SELECT 1 FROM looks WHERE sha256 = k.source_sha256)"
+    )
+    ledger.run("DELETE FROM readings WHERE sha256 IN (SELECT sha256 FROM superseded)")
     conflicts = ledger.each(
         "SELECT recording_id, r.sha256, path, status, look IS NOT NULL, length, first,"
         f" EXISTS (SELECT 1 FROM known WHERE source_sha256 = r.sha256 AND status {ANALYSED_SQL}),"

@@ -239,29 +239,31 @@ def select_group(path: Path, group: str, **more: str) -> None:
     )
 
 
-def test_the_same_content_mapped_in_two_ways_is_two_recordings(night: Any) -> None:
+def test_the_same_content_mapped_in_two_ways_is_two_recordings(tmp_path: Path, without_pages: None) -> None:
     """A recording is content and mapping: what is read, not which bytes it stands in."""
-    select_group(night.raw / "a.csv", "A")
-    select_group(night.raw / "b.csv", "B")
-    select_group(night.raw / "b again.csv", "B")
-    assert night().exit_status == 0
-    found = {name: status for name, status in statuses(night.lab).items() if name.endswith(".csv")}
-    assert found == {"a.csv": "ok", "b.csv": "ok", "b again.csv": "duplicate"}
-    lives = dict(select(night.lab, "SELECT recording_id, count(*) FROM lifetimes GROUP BY ALL"))
-    assert (lives["a"], lives["b"]) == (2, 3)
-    assert night().analysed == 0, "nothing has changed"
-    assert healthy(night.lab) == []
-    select_group(night.raw / "b.csv", "A", configuration="changed")
-    (night.raw / "b again.csv").unlink()
-    (night.raw / "b again.csv.toml").unlink()
-    night()
-    assert statuses(night.lab)["b.csv"] == "duplicate", "it reads now what a.csv reads"
-    (night.raw / "a.csv").unlink()
-    select_group(night.raw / "b.csv", "B", configuration="late")
-    night()
-    late = select(night.lab, "SELECT count(*), any_value(configuration) FROM lifetimes WHERE recording_id = 'b'")
-    assert late == [(3, "late")]
-    assert healthy(night.lab) == []
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    for name, group in (("a.csv", "A"), ("b.csv", "B"), ("b again.csv", "B")):
+        select_group(raw / name, group)
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    assert statuses(lab) == {"a.csv": "ok", "b.csv": "ok", "b again.csv": "duplicate"}
+    lives = "SELECT recording_id, count(*), any_value(configuration) FROM lifetimes GROUP BY ALL ORDER BY ALL"
+    assert select(lab, lives) == [("a", 2, "A"), ("b", 3, "B")]
+    assert nightly([raw], lab, jobs=0).analysed == 0, "nothing has changed"
+    assert healthy(lab) == []
+    select_group(raw / "b.csv", "B", configuration="later")
+    (raw / "b again.csv").unlink()
+    (raw / "b again.csv.toml").unlink()
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    assert select(lab, lives) == [("a", 2, "A"), ("b", 3, "later")], "metadata alone make no other recording"
+    select_group(raw / "b.csv", "A", configuration="A")
+    nightly([raw], lab, jobs=0)
+    assert statuses(lab)["b.csv"] == "duplicate", "it reads now what a.csv reads"
+    select_group(raw / "b.csv", "B")
+    nightly([raw], lab, jobs=0)
+    assert statuses(lab) == {"a.csv": "ok", "b.csv": "ok"}
+    assert select(lab, lives) == [("a", 2, "A"), ("b", 3, "B")]
+    assert healthy(lab) == []
 
 
 def test_same_id_with_other_content_is_a_conflict_and_the_first_stays(night: Any) -> None:
