@@ -74,7 +74,7 @@ def _selected(file: ColumnFile, mapping: FileMapping, where: str) -> ColumnFile:
 
 
 def _without_summary(channels: tuple[RawChannel, ...], shared: _Assembly) -> tuple[RawChannel, ...]:
-    """The channels without rows at the end that hold words and no number at all: no samples, though they would count."""
+    """The channels without rows at the end that hold words and no number: no samples, though they would count."""
     sizes = {nothing.size for nothing, _ in shared.no_sample}
     if len(sizes) != 1:
         return channels
@@ -93,7 +93,7 @@ def _without_summary(channels: tuple[RawChannel, ...], shared: _Assembly) -> tup
 def scaled_numbers(
     file: ColumnFile, column: ColumnMapping, name: str, unit: str, *, where: str, few_are_damage: bool = True
 ) -> Resolved:
-    """A mapped column in `unit`, with scale and offset applied. Raises `RefusedError` when none of its cells is a number."""
+    """A mapped column in `unit`, scale and offset applied. Raises `RefusedError` when none of its cells is a number."""
     if column.column is None:
         raise RefusedError(f"{name} has no column", where=where, expected="a column of the file")
     scaled = column.scale != 1.0 or column.offset != 0.0

@@ -23,9 +23,9 @@ _UNIT_IN_NAME = re.compile(
     r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*)\)|/\s*(?P<c>[^/\s]{1,8}))\s*$", re.DOTALL
 )
 _TAKES_PREFIX = ("V", "N", "A", "F", "Pa", "Hz", "W", "J")
-"""Units that a prefix alone behind a number belongs to (`6.000k` in V); of one that has a prefix it would be a second one."""
+"""Units that a prefix alone behind a number belongs to (`6.000k` in V); one that has a prefix takes no second."""
 _FEW = 0.2
-"""A notation in fewer cells than `ALIKE` and than this share of a column is damage: a random byte makes a `-` or an `m`."""
+"""A notation in fewer cells than `ALIKE` and this share of a column is damage: a random byte makes a `-` or an `m`."""
 
 
 def name_and_unit(name: str) -> tuple[str, str]:
@@ -107,7 +107,7 @@ def resolved(
 ) -> Resolved:
     """Numbers whose cells may carry units of their own, all in `unit`.
 
-    `few_are_damage`: in a record of samples a notation that occurs once or twice is a damaged byte, and those samples are
+    `few_are_damage`: in a record of samples a notation that occurs once or twice is a damaged byte, and its samples are
     lost. `scaled`: the mapping scales the column, so that it cannot be told what a unit behind a number belongs to.
 
     Raises `RefusedError` for units that do not convert, and for bounds (`> 5`) where values are expected.

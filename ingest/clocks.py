@@ -1,7 +1,7 @@
 """Times as clocks write them: dates and times of day as text, local times through the change from summer time.
 
-Everything here is in nanoseconds of Unix time; `naive` means counted as if the local time were UTC. Which column of which
-file is read, and from what, is in `ingest.times`.
+Everything here is in nanoseconds of Unix time; `naive` means counted as if the local time were UTC. Which column of
+which file is read, and from what, is in `ingest.times`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def has_date(pattern: str) -> bool:
 
 
 def moment(cell: Any, pattern: str | None) -> datetime | None:
-    """The time that a cell says, None where it is none in that pattern (ISO 8601 where the pattern is None or "iso")."""
+    """The time that a cell says, None where it is none in that pattern (ISO 8601 where that is None or "iso")."""
     if isinstance(cell, datetime):
         return cell
     if isinstance(cell, date):
@@ -51,7 +51,7 @@ def moment(cell: Any, pattern: str | None) -> datetime | None:
 
 
 def moments(cells: Sequence[Any], pattern: str | None) -> tuple[Int, Bool, int | None]:
-    """(n,) times of cells, naive where `zoned` is false, `LOST` where a cell is empty; and the first row that is no time."""
+    """(n,) times of cells, naive where not `zoned`, `LOST` where a cell is empty; and the first row that is no time."""
     times = np.full(len(cells), LOST, dtype=np.int64)
     zoned = np.zeros(len(cells), dtype=bool)
     for row, cell in enumerate(cells):
@@ -74,7 +74,7 @@ def seconds_of_day(cell: Any) -> float | None:
 
 
 def duration_s(text: str, *, minutes: bool = False) -> float | None:
-    """Seconds of `hh:mm:ss`, or of `mm:ss` where `minutes` says so or the seconds have decimals; None for other text."""
+    """Seconds of `hh:mm:ss`, or of `mm:ss` where `minutes` says so or decimals show it; None for other text."""
     match = _DURATION.fullmatch(text.strip())
     if match is None:
         return None
@@ -85,7 +85,7 @@ def duration_s(text: str, *, minutes: bool = False) -> float | None:
 
 
 def days_of_times(seconds: np.ndarray, started_at: datetime) -> Int:
-    """(n,) naive times of day whose first lies next to `started_at`; each step back of more than half a day is midnight."""
+    """(n,) naive times of day, the first next to `started_at`; each step back of more than half a day is midnight."""
     finite = np.isfinite(seconds)
     known = seconds[finite]
     midnight = nanoseconds(started_at.replace(hour=0, minute=0, second=0, microsecond=0, tzinfo=None))
@@ -103,9 +103,9 @@ def days_of_times(seconds: np.ndarray, started_at: datetime) -> Int:
 def utc_of_local(naive: Int, zone: tzinfo, near: int | None = None) -> tuple[Int, bool]:
     """(n,) UTC times of local ones, and whether an hour that occurs twice was told apart by nothing.
 
-    In the hour that occurs twice at the end of summer time the order of the rows says which is meant: from a step back on
-    it is the second. Where there is no step, it is the one that leaves no gap to the rows after it, else the one that is
-    nearer to `near`, else the first.
+    In the hour that occurs twice at the end of summer time the order of the rows says which is meant: from a step back
+    on it is the second. Where there is no step, it is the one that leaves no gap to the rows after it, else the one that
+    is nearer to `near`, else the first.
     """
     known = naive != LOST
     utc = naive.copy()

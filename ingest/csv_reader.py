@@ -112,7 +112,7 @@ def parse_csv(
     wanted: Sequence[ColumnName] | None = None,
     keep_blank: bool = False,
 ) -> CsvFile:
-    """The columns of a text file's content; all of them where `wanted` is None. `keep_blank`: a blank line is a sample."""
+    """The columns of a text file's content, all where `wanted` is None. `keep_blank`: a blank line is a sample."""
     text, unreadable = as_utf8(content, dialect, where)
     body = _without_extras(text, dialect)
     header: list[str] = []
@@ -180,7 +180,7 @@ def _row(body: bytes, dialect: Dialect) -> tuple[list[str], bytes]:
 
 
 def _has_open_quote(line: str, dialect: Dialect) -> bool:
-    """Whether a field that begins with a quotation mark does not end in the line. One inside a field (`G"`) opens nothing."""
+    """Whether a field that begins with a quotation mark does not end here. One inside a field (`G"`) opens nothing."""
     if not dialect.quote:
         return False
     inside, at_start = False, True

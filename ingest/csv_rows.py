@@ -78,7 +78,7 @@ def parsed_rows(
 ) -> tuple[pa.Table, list[str], list[str]]:
     """The wanted columns as text, problems and notes.
 
-    `keep_blank`: a blank line is a sample that was lost, where rows are counted as time; blank lines at the end are none.
+    `keep_blank`: a blank line is a sample that was lost, where rows count as time; blank lines at the end are none.
     """
     if keep_blank:
         body = body.rstrip(b"\r\n \t")
@@ -121,8 +121,8 @@ def _parsed_one_by_one(
     """As `parsed_rows`, for a file whose rows have not all the same number of fields.
 
     Empty fields behind the last name are those of a trailing delimiter. Rows that are short by habit, always by as many
-    fields, lack those of the last columns: their cells are empty. Any other row of a wrong length is damaged: it has lost
-    its values, and where rows count as time it still counts.
+    fields, lack those of the last columns: their cells are empty. Any other row of a wrong length is damaged: it has
+    lost its values, and where rows count as time it still counts.
     """
     text = body.decode("utf-8", "replace")
     rows = list(_fields_of_lines(text, dialect))

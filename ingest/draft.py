@@ -7,8 +7,10 @@ import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from ingest.arrays import ArrayFile
+from ingest.clocks import moment
 from ingest.columns import ColumnFile
 from ingest.csv_dialect import Dialect
 from ingest.mapping import FileMapping, format_of
@@ -22,7 +24,11 @@ from schemas.units import ANY
 _CHECK = "                 # CHECK"
 _STORAGE = r"stor|^[eg]['1]|[eg]'$|^k'"
 _LOSS = r"loss|^[eg](''|\"|2)|^k''"
-_FAILED = r"cens|fail|event|status|death|broke"
+_FAILED = r"cens|fail|event|status|death|broke|^breakdown$|runout|durchschlag"
+_LIFE = r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命"
+_CONFIGURATION = r"config|group|electrode|design|layout|bauart|gruppe|^type$"
+_SPECIMEN = r"specimen|sample|probe|^id$"
+_YES = r"1|y|ja|true|bd|fail|broke|break|dead|death"
 
 
 def draft_mapping(path: Path) -> str:
@@ -30,7 +36,7 @@ def draft_mapping(path: Path) -> str:
     found = format_of(path)
     if found == "csv":
         guess = guess_text(path.read_bytes())
-        return _recording_or_table(path, _csv_lines(guess.dialect), _with_time_first(guess.columns))
+        return _recording_or_table(path, _csv_lines(guess.dialect), _with_time_first(guess.columns), guess.rows)
     if found == "excel":
         return _recording_or_table(path, *_excel(path))
     if found == "mcap":
@@ -44,21 +50,44 @@ def toml_string(text: str) -> str:
     return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
-def _recording_or_table(path: Path, format_lines: Sequence[str], columns: Sequence[GuessedColumn]) -> str:
+def _recording_or_table(
+    path: Path, format_lines: Sequence[str], columns: Sequence[GuessedColumn], rows: Sequence[Sequence[Any]]
+) -> str:
     """A table of moduli over frequency or of lives is drafted as such, anything else as a recording."""
     frequency = next((c for c in columns if c.unit in ("Hz", "rad/s", "kHz")), None)
     moduli = [c for c in columns if c.unit in ("Pa", "kPa", "MPa", "GPa", "N/mm", "N/m")]
     storage, loss = (next((c for c in moduli if re.search(p, str(c.column).lower())), None) for p in (_STORAGE, _LOSS))
     if frequency is not None and storage is not None and loss is not None:
         chosen = {"frequency": frequency, "storage": storage, "loss": loss}
-        return _table_text(path, FREQUENCY_RESPONSE, format_lines, columns, chosen)
-    failed = next((c for c in columns if re.search(_FAILED, str(c.column).lower())), None)
-    life = next((c for c in columns if c.meaning == TIME and c is not failed), None)
-    if failed is not None and life is not None:
-        voltage = next((c for c in columns if c.meaning == "voltage"), None)
-        chosen = {"lifetime": life, "failed": failed} | ({} if voltage is None else {"voltage": voltage})
-        return _table_text(path, LIFETIMES, format_lines, columns, chosen)
-    return _text(path, format_lines, columns)
+        return _table_text(path, FREQUENCY_RESPONSE, format_lines, columns, chosen, rows)
+    lives = _lives(columns)
+    return (
+        _table_text(path, LIFETIMES, format_lines, columns, lives, rows)
+        if lives
+        else _text(path, format_lines, columns, rows)
+    )
+
+
+def _lives(columns: Sequence[GuessedColumn]) -> dict[str, GuessedColumn]:
+    """The columns of a table of lives by what they are; empty where nothing says that it is one."""
+    named = next((c for c in columns if c.unit != "kV" and re.search(_LIFE, str(c.column).lower())), None)
+    failed = next((c for c in columns if c is not named and re.search(_FAILED, str(c.column).lower())), None)
+    life = named or next((c for c in columns if failed is not None and c.meaning == TIME and c is not failed), None)
+    if life is None:
+        return {}
+    found = {"lifetime": life} | ({} if failed is None else {"failed": failed})
+    for name, pattern in (("voltage", None), ("configuration", _CONFIGURATION), ("specimen_id", _SPECIMEN)):
+        column = next(
+            (
+                c
+                for c in columns
+                if c not in found.values()
+                and (c.meaning == name if pattern is None else re.search(pattern, str(c.column).lower()))
+            ),
+            None,
+        )
+        found |= {} if column is None else {name: column}
+    return found
 
 
 def _table_text(
@@ -67,19 +96,39 @@ def _table_text(
     format_lines: Sequence[str],
     columns: Sequence[GuessedColumn],
     chosen: Mapping[str, GuessedColumn],
+    rows: Sequence[Sequence[Any]],
 ) -> str:
     lines = [*_head(path, kind), *format_lines]
     for name, c in chosen.items():
         lines += ["", f"[columns.{name}]", f"column = {_column(c)}"]
         if name == "failed":
-            lines += ["failed_values = [1]", "censored_values = [0]          # CHECK: which value means what"]
-        else:
+            lines += _meanings(c, columns, rows)
+        elif name not in ("configuration", "specimen_id"):
             unit = c.unit or {"lifetime": "s", "voltage": "kV"}.get(name, "1")
             lines += [f"unit = {toml_string(unit)}{'' if c.unit else _CHECK}"]
     lines += _others([c for c in columns if c not in chosen.values()])
     lines += ["", "[recording]", 'recording_id = "{stem}"']
-    lines += [f'{"specimen_id" if kind == FREQUENCY_RESPONSE else "configuration"} = "{{stem}}"{_CHECK}']
+    if kind == FREQUENCY_RESPONSE:
+        lines += [f'specimen_id = "{{stem}}"{_CHECK}']
+    elif "configuration" not in chosen:
+        lines += [f'configuration = "{{stem}}"{_CHECK}']
     return "\n".join([*lines, ""])
+
+
+def _meanings(failed: GuessedColumn, columns: Sequence[GuessedColumn], rows: Sequence[Sequence[Any]]) -> list[str]:
+    """The values of a column of failures, as they seem to be meant: which ones depends on the table."""
+    place = failed.column if isinstance(failed.column, int) else _position(failed, columns)
+    cells = [row[place] for row in rows if place < len(row)]
+    values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in cells))[:8] or [1, 0]
+    turned = re.search("cens|runout|surv", str(failed.column).lower()) is not None
+    yes = [v for v in values if (re.match(_YES, str(v).strip().lower()) is not None) != turned]
+    shown = [", ".join(str(v) if isinstance(v, int) else toml_string(str(v)) for v in group) for group in
+             (yes, [v for v in values if v not in yes])]  # fmt: skip
+    return [f"failed_values = [{shown[0]}]", f"censored_values = [{shown[1]}]          # CHECK: which value means what"]
+
+
+def _position(column: GuessedColumn, columns: Sequence[GuessedColumn]) -> int:
+    return next(i for i, c in enumerate(columns) if c is column)
 
 
 def _head(path: Path, kind: str) -> list[str]:
@@ -101,13 +150,15 @@ def _others(columns: Sequence[GuessedColumn]) -> list[str]:
     return lines
 
 
-def _excel(path: Path) -> tuple[list[str], tuple[GuessedColumn, ...]]:
+def _excel(path: Path) -> tuple[list[str], tuple[GuessedColumn, ...], list[list[Any]]]:
     from ingest.excel_reader import sheet_names, sheet_rows
 
     names = sheet_names(path)
     sheet = max(names, key=lambda name: len(sheet_rows(path, name)))
     rows = sheet_rows(path, sheet)
-    start = next((i for i, row in enumerate(rows) if sum(isinstance(c, float | int) for c in row) > len(row) / 2), 0)
+    numbers = [sum(isinstance(c, float | int) and not isinstance(c, bool) for c in row) for row in rows]
+    usual = max(set(numbers) - {0}, key=numbers.count, default=0)
+    start = next((i for i, n in enumerate(numbers) if n and n >= usual), 0)
     above = [i for i in range(start) if any(str(c).strip() for c in rows[i])]
     header = [str(c).strip() for c in rows[above[-2]]] if len(above) > 1 else []
     units = [str(c).strip() for c in rows[above[-1]]] if len(above) > 1 else []
@@ -118,7 +169,7 @@ def _excel(path: Path) -> tuple[list[str], tuple[GuessedColumn, ...]]:
     skip = start - (len(header) > 0) - (len(units) > 0)
     lines = ["[excel]", f"sheet = {toml_string(sheet)}", f"skip_rows = {skip}"]
     lines += [f"header = {_truth(bool(header))}", f"unit_row = {_truth(bool(units))}"]
-    return lines, _with_time_first(guessed)
+    return lines, _with_time_first(guessed), rows[start:]
 
 
 def _csv_lines(dialect: Dialect) -> list[str]:
@@ -163,7 +214,12 @@ def _with_time_first(columns: Sequence[GuessedColumn]) -> tuple[GuessedColumn, .
 
 
 def _text(
-    path: Path, format_lines: Sequence[str], columns: Sequence[GuessedColumn], *, has_own_time: bool = False
+    path: Path,
+    format_lines: Sequence[str],
+    columns: Sequence[GuessedColumn],
+    rows: Sequence[Sequence[Any]] = (),
+    *,
+    has_own_time: bool = False,
 ) -> str:
     time = next((c for c in columns if c.meaning == TIME), None)
     mapped = [c for c in columns if c.meaning not in (None, TIME)]
@@ -172,12 +228,7 @@ def _text(
     started = datetime.fromtimestamp(int(path.stat().st_mtime), UTC).isoformat()
     lines = [*_head(path, RECORDING), *format_lines, ""]
     if time is not None:
-        unit = toml_string(time.unit or "s")
-        lines += [
-            "[time]",
-            f"column = {_column(time)}",
-            f"unit = {unit}{'' if time.unit else _CHECK}",
-        ]
+        lines += ["[time]", f"column = {_column(time)}", *_time_lines(time, columns, rows)]
     elif not has_own_time:
         lines += ["[time]", "sample_rate_hz = 1000.0       # CHECK: no column of times was found"]
     for c in mapped:
@@ -198,6 +249,16 @@ def _text(
         "",
     ]
     return "\n".join(lines)
+
+
+def _time_lines(time: GuessedColumn, columns: Sequence[GuessedColumn], rows: Sequence[Sequence[Any]]) -> list[str]:
+    """Unit of a column of times, or the format of dates."""
+    place = time.column if isinstance(time.column, int) else _position(time, columns)
+    cell = rows[0][place] if rows and place < len(rows[0]) else ""
+    found = None if isinstance(cell, float | int) else moment(cell, None)
+    if found is None:
+        return [f"unit = {toml_string(time.unit or 's')}{'' if time.unit else _CHECK}"]
+    return ['format = "iso"'] + ([] if found.tzinfo is not None else [f'zone = "UTC"{_CHECK}: zone of the clock'])
 
 
 def _protocol(found: set[str]) -> tuple[str, str]:

@@ -55,7 +55,7 @@ def read_lives(table: TableRows) -> Lives:
                 row,
                 f"{shown}, which is no number" if cells[i] else "a survivor without a life",
                 "how long the specimen lived or was under test",
-                "Write it into the row; for survivors, columns.test_duration or test_duration_s in the mapping TOML says it",
+                "Write it into the row; of survivors, columns.test_duration or test_duration_s in the mapping may say it",
             )
         elif math.isnan(lives[i]) or (lives[i] == 0 and not failed[i]):
             lives[i] = math.nan
@@ -72,7 +72,8 @@ def read_lives(table: TableRows) -> Lives:
     if flags is None:
         survivors = int((bounds > 0).sum())
         table.notes.append(
-            f"no column says which specimens failed: {survivors} lives are written as survived, the others count as failures"
+            f"no column says which specimens failed: {survivors} lives are written as survived, the others count as"
+            " failures"
         )
     return Lives(lives, failed)
 

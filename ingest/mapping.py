@@ -132,11 +132,11 @@ class FileMapping:
     source: str = ""
     hash: str = ""
     reads: str = ""
-    """Hash of what of the file is read: columns, rows and how, without the metadata. Another one is another recording."""
+    """Hash of what of the file is read: columns, rows and how, without metadata. Another one is another recording."""
 
     @property
     def counts_rows_as_time(self) -> bool:
-        """Whether a sample's instant follows from the number of its row: then no row may be left out before it is counted."""
+        """Whether a sample's instant follows from the number of its row: no row may be left out before it is counted."""
         return self.time is not None and self.time.sample_rate_hz is not None
 
     def columns_of_file(self) -> list[ColumnName]:

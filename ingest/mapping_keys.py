@@ -102,8 +102,8 @@ TIME: Mapping[str, Key] = {
     ),
     "format": Key(
         (str,),
-        'for times as text: "iso", a strptime pattern, "time_of_day" (the date is that of started_at, midnight may pass),'
-        ' "elapsed" (hh:mm:ss, beyond 24 h as well) or "mm:ss"',
+        'for times as text: "iso", a strptime pattern, "time_of_day" (the date is that of started_at, midnight may'
+        ' pass), "elapsed" (hh:mm:ss, beyond 24 h as well) or "mm:ss"',
     ),
     "date_column": Key(_COLUMN, "the column of dates, where column holds the time of day alone"),
     "zone": Key((str,), "for absolute times that lack theirs: an IANA name such as Europe/Berlin"),
@@ -143,13 +143,13 @@ SELECT: Mapping[str, Key] = {
 TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     LIFETIMES: {
         "lifetime": "required; a unit of time",
-        "failed": "`failed_values` and `censored_values` say which cells mean what: numbers are compared as numbers, other"
-        " cells as text, and a value in neither list refuses the table. No survival curve here can use left-censored lives:"
-        " they refuse it too. Where no column says it, a life written as survived (`> 3600`, `3600+`) is censored and every"
-        " other one a failure",
+        "failed": "`failed_values` and `censored_values` say which cells mean what: numbers are compared as numbers,"
+        " other cells as text, and a value in neither list refuses the table. No survival curve here can use"
+        " left-censored lives: they refuse it too. Where no column says it, a life written as survived (`> 3600`,"
+        " `3600+`) is censored and every other one a failure",
         "censored": "in place of `failed`, with the same keys",
-        "test_duration": "planned duration: the life of a survivor that has none of its own; absent: `test_duration_s` of"
-        " `[recording]`",
+        "test_duration": "planned duration: the life of a survivor that has none of its own; absent: `test_duration_s`"
+        " of `[recording]`",
         "count": "number of specimens that the row stands for; absent: one",
         "voltage": "a unit of voltage; absent: `voltage_setpoint_kv` of `[recording]`",
         "configuration": "absent: that of `[recording]`",

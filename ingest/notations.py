@@ -86,7 +86,8 @@ _SHARE = 0.2
 """Cells that are not understood are a notation when this many, and this share of them, are written alike: of cells that
 lost a random byte far fewer are."""
 PREFIXES: Mapping[str, float] = {
-    "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9,
+    "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
+    "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9,
 }  # fmt: skip
 """SI prefixes that stand alone behind a number."""
 THOUSANDS = "thousands separators"
@@ -273,8 +274,8 @@ def _check_understood(
 def refused_notation(example: str, number: int, count: int, row: int, column: ColumnName, where: str) -> RefusedError:
     """The error for cells that look like numbers in a notation that is not read; `row` from 0."""
     return RefusedError(
-        f'column {column_label(column)} holds "{example[:40]}" in row {row + 1} of the data; {number} of {count} cells are'
-        " written like it and are no numbers",
+        f'column {column_label(column)} holds "{example[:40]}" in row {row + 1} of the data; {number} of {count}'
+        " cells are written like it and are no numbers",
         where=where,
         expected="numbers: to leave out what is written in one way would drop values by how large they are",
         remedy="Export plain numbers; texts that stand for no value can be named in missing of the mapping TOML",

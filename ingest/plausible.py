@@ -1,7 +1,7 @@
 """Values that a quantity cannot have: marks of instruments that look like numbers, and units that are beyond belief.
 
-A few such samples are lost (NULL, a problem); where most are, the unit or the column is wrong and the channel is refused.
-Shared by all formats: it looks at canonical units, after every reader. Limits: `schemas.quantities.Quantity`.
+A few such samples are lost (NULL, a problem); where most are, the unit or the column is wrong and the channel is
+refused. Shared by all formats: it looks at canonical units, after every reader. Limits: `schemas.quantities.Quantity`.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from ingest.cell_units import name_and_unit
 from ingest.csv_dialect import WHITESPACE, Dialect
 from schemas.errors import RefusedError
 from schemas.quantities import QUANTITIES
@@ -20,12 +21,13 @@ TIME = "time"
 _SAMPLE = 1 << 18
 """Bytes of a file that are looked at."""
 _ROWS = 200
+_FEWEST, _MOST = 4, 0.7
+"""Rows of a table with words in it, and their share of all lines: fewer are a text."""
 _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
 }
 _DELIMITERS = ("\t", ";", ",", "|", WHITESPACE)
-_UNIT_IN_NAME = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*)\)|/\s*(?P<c>[^/\s]{1,8}))\s*$")
 _NAMES: tuple[tuple[str, str], ...] = (
     (TIME, r"^t$|time|zeit|elapsed|timestamp|date|时间"),
     ("leakage_current", r"current|strom|leak|^i$|电流"),
@@ -82,6 +84,8 @@ def guess_text(content: bytes) -> GuessedTable:
                 if best is None or score > best[0]:
                     best = (score, dialect, start, fields)
     if best is None or best[0] <= 0:
+        best = _with_words(lines, encoding)
+    if best is None:
         raise RefusedError("no rows of numbers are found in the text", expected="delimited columns of numbers")
     _, dialect, start, fields = best
     above = [i for i in range(start) if lines[i].strip()]
@@ -90,6 +94,31 @@ def guess_text(content: bytes) -> GuessedTable:
     dialect = replace(dialect, skip_rows=first, header=bool(header), unit_row=bool(units))
     rows = tuple(tuple(_split(line, dialect)) for line in lines[start : start + _ROWS] if line.strip())
     return GuessedTable(dialect, guess_columns(header, units, fields), rows)
+
+
+def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, int, int] | None:
+    """The dialect of a table in which words and dates stand beside numbers; None where the lines are no table."""
+    best: tuple[float, Dialect, int, int] | None = None
+    filled = [(i, line) for i, line in enumerate(lines) if line.strip()]
+    if len(filled) < _FEWEST:
+        return None
+    for delimiter in _DELIMITERS[:-1]:
+        for decimal in (".", ","):
+            dialect = Dialect(delimiter=delimiter, decimal=decimal, encoding=encoding)
+            if decimal == delimiter:
+                continue
+            rows = [(i, _split(line, dialect)) for i, line in filled]
+            widths = Counter(len(row) for _, row in rows)
+            fields, _ = max(widths.items(), key=lambda item: (item[1] * min(item[0], 8), item[0]))
+            alike = [(i, row) for i, row in rows if len(row) == fields]
+            numbers = [sum(bool(_NUMBER[decimal].fullmatch(f.strip())) for f in row) for _, row in alike]
+            start = next((i for (i, _), n in zip(alike, numbers, strict=True) if n), None)
+            share = sum(n > 0 for n in numbers) / len(filled)
+            if start is not None and fields > 1 and len(alike) >= _FEWEST and share > _MOST:
+                score = share + sum(numbers) / (fields * len(alike))
+                if best is None or score > best[0]:
+                    best = (score, dialect, start, fields)
+    return best
 
 
 def guess_encoding(content: bytes) -> str:
@@ -122,7 +151,7 @@ def guess_columns(header: Sequence[str], units: Sequence[str], fields: int) -> t
         name = header[i] if i < len(header) else ""
         if header and not name:
             continue
-        plain, inside = _name_and_unit(name)
+        plain, inside = name_and_unit(name)
         unit = (units[i] if i < len(units) else "") or inside
         meaning = guess_meaning(plain, unit)
         if meaning in taken:
@@ -199,10 +228,3 @@ def _are_units(cells: Sequence[str]) -> bool:
     filled = [c.strip("[]() ") for c in cells if c.strip("[]() ")]
     canonical = {q.unit for q in QUANTITIES.values() if q.unit != ANY} | {"s", "Hz", "MPa", "N/mm"}
     return bool(filled) and sum(any(_converts(c, u) for u in canonical) for c in filled) > len(filled) / 2
-
-
-def _name_and_unit(name: str) -> tuple[str, str]:
-    match = _UNIT_IN_NAME.match(name)
-    if match is None:
-        return name, ""
-    return match["name"], match["a"] or match["b"] or match["c"] or ""

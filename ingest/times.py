@@ -286,7 +286,8 @@ class _Reading:
         side = "after" if apart > 0 else "before"
         steps = round(apart / _HALF_HOUR_S)
         if abs(apart) > _APART_S:
-            problem = f"time column {self.label} begins {abs(apart) / 86_400:.4g} d {side} started_at: one of the two is wrong"
+            days = abs(apart) / 86_400
+            problem = f"time column {self.label} begins {days:.4g} d {side} started_at: one of the two is wrong"
         elif steps and abs(apart - steps * _HALF_HOUR_S) <= _MINUTE_S:
             problem = (
                 f"time column {self.label} begins {abs(steps) / 2:g} h {side} started_at, as if its zone were another"

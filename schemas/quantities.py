@@ -13,7 +13,7 @@ from schemas.units import ANY
 class Quantity:
     """One physical quantity: its name in files and SQL, its canonical unit and what it means.
 
-    Values below `least` or above `largest` (canonical unit) are no reading of it: limits of what exists, not of this rig.
+    Values below `least` or above `largest` (canonical unit) are no reading of it: limits of what exists, not of a rig.
     """
 
     name: str

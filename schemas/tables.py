@@ -186,7 +186,7 @@ _ALL: tuple[Table, ...] = (
             _t("source_path", "file it was read from, absolute"),
             _t(
                 "source_sha256",
-                "SHA-256 of that file; where mappings read the same bytes in different ways, further ones have # and a mark",
+                "SHA-256 of that file; where mappings read the same bytes in different ways, further ones have a mark",
             ),
             _t("samples_path", "samples Parquet, relative to the lab"),
             _t("status", "ok, damaged (usable in part), quarantined, duplicate, pending or excluded"),

@@ -122,7 +122,8 @@ def look_at_files(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledge
 def separate_readings(ledger: Ledger) -> None:
     """Tells contents apart that mappings read from the same bytes in different ways, by a mark behind the SHA-256.
 
-    The way that was there first keeps the plain SHA-256, so that a mapping that changes makes no new content of its file.
+    The way that was there first keeps the plain SHA-256, so that a mapping that changes makes no new content of its
+    file.
     """
     shared = ledger.each(
         "SELECT sha256 FROM looks WHERE sha256 IS NOT NULL GROUP BY sha256 HAVING count(DISTINCT reads) > 1"

@@ -1,9 +1,9 @@
 """Who owns what: where each content lies, which recording it is, and what each row of `recordings` says.
 
 Identity is content and what a mapping reads of it: the same again is a duplicate, the same recording id with other
-content is a conflict and the first stays. The first part decides about one content, one recording id or one row by pure functions. The second asks
-the ledger which of them meet, in an order in which those that are decided about together stand together, so that only
-these are in memory. Does not belong here: reading files, workers, the published database.
+content is a conflict and the first stays. The first part decides about one content, one recording id or one row by pure
+functions. The second asks the ledger which of them meet, in an order in which those that are decided about together
+stand together, so that only these are in memory. Does not belong here: reading files, workers, the published database.
 """
 
 from __future__ import annotations
@@ -252,7 +252,7 @@ def collect_readings(ledger: Ledger) -> None:
     ledger.run("DELETE FROM superseded")
     ledger.run("DELETE FROM judged")
     ledger.add("readings", _list_readings(ledger))
-    # A file of which its mapping reads other columns or rows now: what was read before goes, unless a copy still reads it.
+    # A file whose mapping reads other columns or rows now: what it read before goes, unless a copy still reads it.
     ledger.run(
         "INSERT INTO superseded SELECT DISTINCT source_sha256 FROM known k WHERE EXISTS (SELECT 1 FROM looks l"
         f" WHERE l.path = k.source_path AND l.sha256 <> k.source_sha256 AND {_PLAIN.format('l.sha256')} ="

@@ -15,6 +15,7 @@ from ingest.draft import toml_string
 from ingest.inspect import DAMAGED, FITS, REFUSED, UNMAPPED, inspect
 from ingest.mapping import FileMapping
 from ingest.sniff import guess_encoding, guess_meaning, guess_text
+from tests.helpers.xlsx_files import write_xlsx
 
 N = 50
 
@@ -157,3 +158,52 @@ def test_decimal_comma_is_not_split() -> None:
     guess = guess_text(b"0,5\t1,25\n0,6\t1,50\n0,7\t1,75\n")
     assert (guess.dialect.delimiter, guess.dialect.decimal) == ("\t", ",")
     assert len(guess.columns) == 2
+
+
+def test_logger_with_stamps_and_words_is_drafted(tmp_path: Path) -> None:
+    rows = [f"2026-03-01 12:00:00.{i:03d},{0.01 * i:.4f},{0.02 * i:.4f},RUN" for i in range(20)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["timestamp,displacement (mm),force (N),state", *rows, ""]))
+    draft = inspect(path).draft
+    assert draft is not None
+    found = tomllib.loads(draft)
+    assert found["time"] == {"column": "timestamp", "format": "iso", "zone": "UTC"}
+    assert found["columns"]["force"]["column"] == "force (N)"
+    started = "started_at = " + '"2026-03-01T12:00:00+00:00"'
+    lines = [started if line.startswith("started_at") else line for line in draft.splitlines()]
+    (tmp_path / "run.csv.toml").write_text("\n".join(lines))
+    assert inspect(path).verdict == FITS, inspect(path).as_text()
+
+
+def test_words_are_no_table(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "Mounted film 3, 5 mm wide.\nIt slipped at 2.5 N, tried again\nand again, twice\nThen 7 kV, held.\n"
+    )
+    assert inspect(path).draft is None
+
+
+def test_lists_of_lives_are_drafted_as_such(tmp_path: Path) -> None:
+    rows = [["Specimen", "Electrode", "Voltage [kV]", "Time to breakdown [s]", "Remark"]]
+    rows += [[f"A{i}", "grease", 6.0, 100.0 * i, "edge"] for i in range(1, 6)] + [["A6", "grease", 6.0, "> 3600", ""]]
+    write_xlsx(tmp_path / "lives.xlsx", {"Lives": rows})
+    draft = inspect(tmp_path / "lives.xlsx").draft
+    assert draft is not None
+    found = tomllib.loads(draft)
+    assert found["kind"] == "lifetimes"
+    assert {name: c["column"] for name, c in found["columns"].items()} == {
+        "lifetime": "Time to breakdown [s]",
+        "voltage": "Voltage [kV]",
+        "configuration": "Electrode",
+        "specimen_id": "Specimen",
+    }
+    (tmp_path / "lives.xlsx.toml").write_text(draft)
+    read = inspect(tmp_path / "lives.xlsx")
+    assert read.verdict == FITS
+    assert "6 rows" in read.notes
+    path = tmp_path / "list.csv"
+    path.write_text(
+        "sample,life (min),broke\n" + "".join(f"S{i},{i}.5,{'yes' if i % 3 else 'no'}\n" for i in range(1, 9))
+    )
+    failed = tomllib.loads(inspect(path).draft or "")["columns"]["failed"]
+    assert failed == {"column": "broke", "failed_values": ["yes"], "censored_values": ["no"]}

@@ -1,4 +1,4 @@
-"""Numbers as machines and people write them: each notation with its value, and what must be refused instead of dropped."""
+"""Numbers as machines and people write them: each with its value, and what must be refused instead of dropped."""
 
 from __future__ import annotations
 
