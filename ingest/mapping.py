@@ -103,6 +103,7 @@ class TimeMapping:
     format: str | None = None
     zone: str | None = None
     date_column: ColumnName | None = None
+    overrule_unit: bool = False
 
 
 @dataclass(frozen=True)
@@ -351,6 +352,7 @@ def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | N
         format=entry.get("format"),
         zone=entry.get("zone"),
         date_column=entry.get("date_column"),
+        overrule_unit=entry.get("overrule_unit", False),
     )
 
 

@@ -106,6 +106,7 @@ TIME: Mapping[str, Key] = {
         ' pass), "elapsed" (hh:mm:ss, beyond 24 h as well) or "mm:ss"',
     ),
     "date_column": Key(_COLUMN, "the column of dates, where column holds the time of day alone"),
+    "overrule_unit": Key((bool,), "true: the unit that the file itself gives (header, unit row) is wrong"),
     "zone": Key((str,), "for absolute times that lack theirs: an IANA name such as Europe/Berlin"),
 }
 CHANNEL_METADATA = ("sensor", "delay_s", "resolution", "filter_hz")

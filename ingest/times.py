@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from ingest.cell_units import checked_unit, with_own_units
+from ingest.cell_units import check_name, checked_unit, with_own_units
 from ingest.clocks import (
     DAY,
     LOST,
@@ -125,7 +125,10 @@ def time_column(
         unit = "d"
     if unit is None:
         return reading.guided_by_cells()
-    return reading.numbers(checked_unit(found, unit, column_label(column, index), "s", "time", where=where))
+    if not time.overrule_unit:
+        check_name(column, unit, "s", "time", where=where)
+        checked_unit(found, unit, column_label(column, index), "s", "time", where=where)
+    return reading.numbers(unit)
 
 
 @dataclass(frozen=True)

@@ -231,3 +231,18 @@ def test_the_unit_row_of_the_time_is_compared_too(tmp_path: Path) -> None:
     }
     with pytest.raises(RefusedError, match='the unit row says "ms" for column "t", the mapping says "s"'):
         read_raw(path, FileMapping.parse(content, stem="run", suffix=".csv"))
+
+
+def test_the_unit_in_the_name_of_the_time_is_compared_too(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("Time (ms),F\n0,1\n10,2\n")
+    columns = {"force": {"column": "F", "unit": "N"}}
+    about = {"columns": columns, "recording": {"started_at": START}}
+    time = {"column": "Time (ms)", "unit": "s"}
+    with pytest.raises(RefusedError, match='the name says "ms" for column'):
+        read_raw(path, FileMapping.parse({"time": time, **about}, stem="run", suffix=".csv"))
+    raw = read_raw(
+        path, FileMapping.parse({"time": {**time, "overrule_unit": True}, **about}, stem="run", suffix=".csv")
+    )
+    assert isinstance(raw, RawRecording)
+    assert np.diff(raw.channels[0].time_ns).tolist() == [10 * 10**9]
