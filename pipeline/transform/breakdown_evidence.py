@@ -130,7 +130,8 @@ class Witnesses:
             "planned end": self._planned(fall, life),
         }
         if fall.back is None:  # what failed in the end says nothing about a fall that came back
-            found["failure_site"] = _site(self.metadata.failure_site)
+            site = _site(self.metadata.failure_site)
+            found["failure_site"] = "" if life.raised and site == "none" else site  # it held the test, not the stairs
         return {name: outcome for name, outcome in found.items() if outcome}
 
     def _until(self, fall: Fall) -> float:

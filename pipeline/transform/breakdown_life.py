@@ -92,9 +92,12 @@ def lifetime(
 
     `broke` says whether the film broke down in the end, where that is not the same as failing the test.
     """
+    site = metadata.failure_site
+    if broke is not None and site == "none":
+        site = None  # it survived the fixed test, whatever came after
     broke = verdict.failed if broke is None else broke
     confirmed, against = verdict.channels(_CONFIRMS), verdict.channels(_SPEAKS_AGAINST)
-    contradictions = _contradictions(metadata.failure_site, verdict, broke=broke)
+    contradictions = _contradictions(site, verdict, broke=broke)
     notes = [*counts.notes, *verdict.notes, *contradictions]
     if counts.glitches >= _SERIES:
         notes.append(f"a series of {counts.glitches} glitches: a self-clearing film or a bad contact")
