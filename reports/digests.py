@@ -5,45 +5,39 @@ A digest is the sum of its rows' hashes and their number: equal digests mean equ
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from reports.results import Results
-from schemas.tables import TABLES
-
-_BY_RECORDING = (
-    "annotations",
-    "previews",
-    "distortions",
-    "step_responses",
-    "slow_changes",
-    "loop_responses",
-    "electrode_cycles",
-    "calibrations",
-)
-_BY_SPECIMEN = (
-    "model_fits",
-    "predictions",
-    "sensing_fits",
-    "controller_gains",
-    "electrode_coats",
-    "coverage_fits",
-    "electrode_migrations",
-    "force_maps",
-    "force_map_fits",
-    "diagnoses",
-    "diagnosis_candidates",
-    "diagnosis_parameters",
-    "diagnosis_blocks",
-    "diagnosis_curves",
-)
-_BY_BOTH = ("frequency_responses", "lifetimes", "discrepancies")
-_BY_CONFIGURATION = (
-    "survival_curves", "survival_summaries", "weak_regions", "lifetime_distributions", "failure_causes", "voltage_life",
-    "voltage_residuals", "electrode_layouts", "film_maps",
-)  # fmt: skip
+from schemas.tables import TABLES, Table
 
 
-def _hashed(tables: tuple[str, ...], key: str) -> str:
+def _by_recording() -> Iterator[str]:
+    """Tables whose rows belong to a recording: what its page shows, and what other pages find by recording alone."""
+    for table in _shown():
+        if "recording_id" in table.names and ("recording" in table.pages or "specimen_id" not in table.names):
+            yield table.name
+
+
+def _by_specimen() -> Iterator[str]:
+    """Tables whose rows belong to a specimen: what its page shows, and that of its campaign."""
+    for table in _shown():
+        if "specimen_id" in table.names and {"specimen", "campaign"} & set(table.pages):
+            yield table.name
+
+
+def _by_group() -> Iterator[str]:
+    """Tables of the pages of campaigns whose rows belong to neither."""
+    for table in _shown():
+        if "campaign" in table.pages and not {"recording_id", "specimen_id"} & set(table.names):
+            yield table.name
+
+
+def _shown() -> Iterator[Table]:
+    return (table for table in TABLES.values() if not table.internal and table.pages)
+
+
+def _hashed(tables: Iterable[str], key: str) -> str:
     """The hash of each row of some tables, with the item that it belongs to."""
     return "\nUNION ALL ".join(
         f"SELECT {key} AS item, hash('{name}', t) AS part FROM {name} AS t WHERE {key} IS NOT NULL" for name in tables
@@ -51,10 +45,17 @@ def _hashed(tables: tuple[str, ...], key: str) -> str:
 
 
 _SUMMED = "SELECT item, concat(sum(part), ':', count(*)) AS digest FROM"
-_BY_ITEM = f"""WITH recording AS MATERIALIZED (
-{_SUMMED} ({_hashed(("recordings", *_BY_RECORDING, *_BY_BOTH), "recording_id")}) GROUP BY item
+
+
+def _by_item() -> str:
+    """The query for the digest of every recording, specimen and campaign.
+
+    A specimen's holds those of its recordings and the outcome of its analyses, a campaign's those of its specimens.
+    """
+    return f"""WITH recording AS MATERIALIZED (
+{_SUMMED} ({_hashed(_by_recording(), "recording_id")}) GROUP BY item
 ), specimen AS MATERIALIZED (
-{_SUMMED} ({_hashed(("recordings", *_BY_SPECIMEN, *_BY_BOTH), "specimen_id")}
+{_SUMMED} ({_hashed(_by_specimen(), "specimen_id")}
 UNION ALL SELECT substr(item_id, instr(item_id, ':') + 1), hash('items', item_id, outcome, error, run_id)
     FROM items WHERE stage IN ('specimen', 'diagnosis')
 UNION ALL SELECT specimen_id, hash('recording', recording_id, digest)
@@ -78,7 +79,7 @@ class Digests:
     """Of what belongs to no one item; those of items lie in the ledger, where there are any."""
 
     results: Results
-    survival: str
+    groups: str
     control: str
     everything: str
 
@@ -88,21 +89,25 @@ class Digests:
         return "" if found is None else str(found[0])
 
 
-_WHOLE = "\nUNION ALL ".join(
-    f"SELECT '{name}' AS name, sum(hash(t)) AS rows, count(*) AS n FROM {name} AS t"
-    for name in (*(name for name, table in TABLES.items() if not table.internal), "control_points")
-)
+def _whole() -> str:
+    """The query for the digest of every table of results."""
+    return "\nUNION ALL ".join(
+        f"SELECT '{name}' AS name, sum(hash(t)) AS rows, count(*) AS n FROM {name} AS t"
+        for name in (*(name for name, table in TABLES.items() if not table.internal), "control_points")
+    )
+
+
 _FAILED = "SELECT sum(hash(item_id, error)) AS rows, count(*) AS n FROM items WHERE outcome = 'failed'"
 
 
 def digests(results: Results) -> Digests:
     """Digests of everything; those of single items go to the ledger."""
-    results.ledger.add("digests", (tuple(row.values()) for row in results.each(_BY_ITEM)))
-    whole = {row["name"]: f"{row['rows']}:{row['n']}" for row in results.rows(_WHOLE)}
+    results.ledger.add("digests", (tuple(row.values()) for row in results.each(_by_item())))
+    whole = {row["name"]: f"{row['rows']}:{row['n']}" for row in results.rows(_whole())}
     control = whole.pop("control_points")
     return Digests(
         results,
-        survival=str([whole[name] for name in (*_BY_CONFIGURATION, "survival_comparisons")]),
+        groups=str([whole[name] for name in _by_group()]),
         control=control,
         everything=str([whole, results.rows(_FAILED)]),
     )

@@ -59,7 +59,7 @@ def plan(site: Site, digests: Digests) -> Iterator[tuple[Planned, str]]:
             yield Planned(part.address, part.list, str(part.number)), digest(part.list, rows)
     for item in site.campaigns:
         rows = digests.of("campaign", item)
-        yield Planned(site.campaign_path(item), "campaign", item), digest(item, digests.survival, rows)
+        yield Planned(site.campaign_path(item), "campaign", item), digest(item, digests.groups, rows)
     for item, rows in site.ledger.each(
         "SELECT s.specimen_id, ifnull(d.digest, '') FROM specimens AS s"
         " LEFT JOIN digests AS d ON d.kind = 'specimen' AND d.item = s.specimen_id ORDER BY s.specimen_id"

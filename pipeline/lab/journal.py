@@ -14,14 +14,17 @@ import zlib
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 
 from ingest.atomic import written_whole
 from schemas.errors import LabError
 
-RECORDING, SPECIMEN, DIAGNOSIS, GROUP = "recording", "specimen", "diagnosis", "group"
+RECORDING: Final = "recording"
+SPECIMEN: Final = "specimen"
+DIAGNOSIS: Final = "diagnosis"
+GROUP: Final = "group"
 """Stages that items belong to."""
 OK, DAMAGED, QUARANTINED, PENDING, FAILED = "ok", "damaged", "quarantined", "pending", "failed"
 USABLE = (OK, DAMAGED)

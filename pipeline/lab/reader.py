@@ -114,7 +114,7 @@ class Reader:
             f'"{c.name}"' if c.name in present else f'CAST(NULL AS {c.type}) AS "{c.name}"'
             for c in self._choose_columns(name, columns)
         )
-        order = ", ".join(f'"{c}"' for c in TABLES[name].order if ordered and c in present)
+        order = ", ".join(f'"{c}"' for c in TABLES[name].key if ordered and c in present)
         condition = f"WHERE {where}" if key is None else f'WHERE "{key}" IN (SELECT unnest(?::VARCHAR[])) AND {where}'
         sort = f"ORDER BY {order}" if order else ""
         return f"SELECT {selected} FROM {name} {condition} {sort}", [] if key is None else [list(among)]

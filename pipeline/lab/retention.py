@@ -22,7 +22,7 @@ from pipeline.lab.lab import Lab
 from pipeline.lab.lock import hold_lab
 from pipeline.lab.reader import Reader
 from pipeline.lab.snapshot import Changes, Deletion, publish
-from schemas.tables import TABLES
+from schemas.tables import references
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,13 @@ class Part:
 
 @dataclass
 class Plan:
-    """What a rule takes out of a lab: rows of `recordings` that go or lose their samples, files and folders."""
+    """What a rule takes out of a lab: rows of `recordings` that go or lose their samples, files and folders.
+
+    `forgotten_specimens` are those of which no recording is left.
+    """
 
     forgotten: list[dict[str, Any]] = field(default_factory=list)
+    forgotten_specimens: list[str] = field(default_factory=list)
     bare: list[dict[str, Any]] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
     paths: list[Path] = field(default_factory=list)
@@ -72,7 +76,10 @@ def plan_removal(lab: Lab, rule: Rule, now: datetime | None = None) -> Plan:
         rows = reader.rows("recordings")
     found = Plan()
     if rule.gone:
-        found.forgotten = [row for row in rows if row["status"] in ANALYSED and row["source_present"] is False]
+        analysed = [row for row in rows if row["status"] in ANALYSED]
+        found.forgotten = [row for row in analysed if row["source_present"] is False]
+        left = {row["specimen_id"] for row in analysed if row["source_present"] is not False}
+        found.forgotten_specimens = sorted({row["specimen_id"] for row in found.forgotten} - left - {None})
         found.add("recordings whose raw file has gone: samples", list(_find_samples(lab, found.forgotten)))
     if rule.samples_days is not None:
         limit = now - timedelta(days=rule.samples_days)
@@ -113,10 +120,12 @@ def prune(lab: Lab, rule: Rule, now: datetime | None = None) -> Plan:
 
 
 def _list_deletions(found: Plan) -> Iterator[Deletion]:
-    names: list[str | None] = [row["recording_id"] for row in found.forgotten]
-    for table in TABLES.values():
-        if "recording_id" in table.names and table.name not in ("recordings", "annotations"):
-            yield Deletion(table.name, {"recording_id": names})
+    forgotten: dict[str, list[str | None]] = {
+        "recording_id": [row["recording_id"] for row in found.forgotten],
+        "specimen_id": [*found.forgotten_specimens],
+    }
+    for table, column, key in references():
+        yield Deletion(table, {column: forgotten[key]})
     yield Deletion("items", {"item_id": [make_item_id(RECORDING, row["source_sha256"]) for row in found.forgotten]})
     yield Deletion("files", {"path": [row["source_path"] for row in found.forgotten]})
     rows = [*found.forgotten, *found.bare]

@@ -294,7 +294,7 @@ def gather(parts: Iterable[Mapping[str, Rows]]) -> Iterable[dict[str, list[Rows]
 
 def _insert(connection: Any, table: Table, pieces: Sequence[Rows]) -> None:
     arrow = [piece for piece in pieces if isinstance(piece, pa.Table) and piece.num_rows]
-    order = ", ".join(f'"{name}"' for name in table.order)
+    order = ", ".join(f'"{name}"' for name in table.key)
     if arrow:
         names = ", ".join(f'"{name}"' for name in arrow[0].column_names)
         connection.register("given", pa.concat_tables(arrow))

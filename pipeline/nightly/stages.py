@@ -26,46 +26,6 @@ from pipeline.nightly.freshness import digest, hash_code
 from pipeline.nightly.ledger import Ledger
 from pipeline.nightly.workers import AnyTask, Casualty, Workers
 
-RECORDING_TABLES: Mapping[str, str] = {
-    "previews": "true",
-    "frequency_responses": "stage = 'measured'",
-    "distortions": "true",
-    "lifetimes": "true",
-    "slow_changes": "true",
-    "loop_responses": "true",
-    "electrode_cycles": "true",
-    "electrode_migrations": "true",
-    "calibrations": "true",
-    "cycle_fits": "true",
-    "cycle_curves": "true",
-    "carried": "true",
-}
-"""Tables with rows of the recording stage, by recording_id, and which of their rows these are."""
-
-SPECIMEN_TABLES: Mapping[str, str] = {
-    "frequency_responses": "stage <> 'measured'",
-    "model_fits": "coalesce(extension, '') = ''",
-    "predictions": "true",
-    "order_ladders": "true",
-    "step_responses": "true",
-    "sensing_fits": "true",
-    "controller_gains": "true",
-    "electrode_coats": "true",
-    "coverage_fits": "true",
-}
-"""Tables with rows of the specimen stage, by specimen_id, and which of their rows these are."""
-
-DIAGNOSIS_TABLES: Mapping[str, str] = {
-    "diagnoses": "true",
-    "discrepancies": "true",
-    "diagnosis_candidates": "true",
-    "diagnosis_parameters": "true",
-    "diagnosis_blocks": "true",
-    "diagnosis_curves": "true",
-    "model_fits": "coalesce(extension, '') <> ''",
-}
-"""Tables with rows of the diagnosis stage, by specimen_id, and which of their rows these are."""
-
 SPECIMEN_KINDS = frozenset({"FrequencyResponse", "RelaxationCurve", "StepAnalysis", "CycleFits", "Coat"})
 """Kinds of carried results that make a specimen worth analysing."""
 CALIBRATION_KINDS = frozenset({"TapCalibration", "WeightCalibration"})
@@ -76,33 +36,20 @@ DIAGNOSIS_KIND = "SessionFeatures"
 
 @dataclass(frozen=True)
 class Group:
-    """One analysis over many specimens: the kinds of carried results it takes, the tables it fills as a whole.
+    """One analysis over many specimens: the kinds of carried results it takes.
 
-    `mention` is the key of the metadata without which a recording tells it nothing; None: it takes no metadata.
+    `mention` is the key of the metadata without which a recording tells it nothing; None: it takes no metadata. The
+    tables that it fills as a whole say so themselves (`schemas.tables.made_by`).
     """
 
     kinds: frozenset[str]
-    tables: tuple[str, ...]
     mention: str | None = None
 
 
 GROUPS: Mapping[str, Group] = {
-    "survival": Group(
-        frozenset({"Lifetime", "LifetimeRow"}),
-        (
-            "survival_curves",
-            "survival_summaries",
-            "survival_comparisons",
-            "lifetime_distributions",
-            "failure_causes",
-            "voltage_life",
-            "voltage_residuals",
-        ),
-    ),
-    "force_maps": Group(frozenset({"ForceMapReadings"}), ("force_maps", "force_map_fits", "force_comparisons")),
-    "weak_regions": Group(
-        frozenset({"Lifetime", "LifetimeRow"}), ("weak_regions", "electrode_layouts", "film_maps"), mention="rods"
-    ),
+    "survival": Group(frozenset({"Lifetime", "LifetimeRow"})),
+    "force_maps": Group(frozenset({"ForceMapReadings"})),
+    "weak_regions": Group(frozenset({"Lifetime", "LifetimeRow"}), mention="rods"),
 }
 
 

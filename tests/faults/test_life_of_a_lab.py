@@ -93,6 +93,22 @@ def test_recordings_that_have_gone_are_forgotten(night: tuple[Path, Lab]) -> Non
     assert content(lab) == content(fresh), "as if it had never been there"
 
 
+def test_a_specimen_goes_with_the_last_of_its_recordings(night: tuple[Path, Lab]) -> None:
+    raw, lab = night
+    for path in raw.glob("P-1-*.mcap"):
+        path.unlink()
+    nightly([raw], lab, jobs=0)
+    assert select(lab, "SELECT 1 FROM model_fits WHERE specimen_id = 'P-1'")
+    prune(lab, Rule(gone=True))
+    for table in ("model_fits", "diagnoses", "diagnosis_candidates", "diagnosis_parameters"):
+        assert select(lab, f"SELECT 1 FROM {table} WHERE specimen_id = 'P-1'") == []
+    assert healthy(lab) == []
+    nightly([raw], lab, jobs=0)
+    fresh = Lab(lab.folder.with_name("fresh"))
+    nightly([raw], fresh, jobs=0)
+    assert content(lab) == content(fresh), "as if it had never been there"
+
+
 def test_copies_of_refused_files_go_and_their_reasons_stay(night: tuple[Path, Lab]) -> None:
     raw, lab = night
     assert plan_removal(lab, Rule(quarantine_days=1)).paths == []

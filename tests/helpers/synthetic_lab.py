@@ -354,7 +354,7 @@ class Story:
                 connection.execute(table.ddl())
                 if self.rows.get(name):
                     arrow = table.rows(self.rows[name])  # noqa: F841 - DuckDB finds it by name
-                    order = ", ".join(f'"{c}"' for c in table.order)
+                    order = ", ".join(f'"{c}"' for c in table.key)
                     connection.execute(f"INSERT INTO {name} SELECT * FROM arrow ORDER BY {order}")
             for view in VIEWS:
                 connection.execute(view.ddl())

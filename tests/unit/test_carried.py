@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from pipeline.analyse.carried import KINDS
 from pipeline.analyse.groups import ANALYSES
-from pipeline.nightly.stages import (
-    CALIBRATION_KINDS,
-    DIAGNOSIS_KIND,
-    DIAGNOSIS_TABLES,
-    GROUPS,
-    RECORDING_TABLES,
-    SPECIMEN_KINDS,
-    SPECIMEN_TABLES,
-)
-from schemas.tables import TABLES
+from pipeline.nightly.stages import CALIBRATION_KINDS, DIAGNOSIS_KIND, GROUPS, SPECIMEN_KINDS
 
 
 def test_names_of_kinds_are_kinds_that_are_carried() -> None:
@@ -28,12 +19,3 @@ def test_names_of_kinds_are_kinds_that_are_carried() -> None:
 
 def test_every_group_has_its_analysis() -> None:
     assert ANALYSES.keys() == GROUPS.keys()
-
-
-def test_owned_rows_can_be_found_again() -> None:
-    for table in RECORDING_TABLES:
-        assert "recording_id" in TABLES[table].names
-    for table in (*SPECIMEN_TABLES, *DIAGNOSIS_TABLES):
-        assert "specimen_id" in TABLES[table].names
-    for group in GROUPS.values():
-        assert set(group.tables) <= TABLES.keys()

@@ -1,13 +1,18 @@
-"""One definition of each table: arrow schema, DDL that DuckDB takes, comments, NULLs, the reference."""
+"""One definition of each table: arrow schema, DDL that DuckDB takes, comments, NULLs, the reference, and who makes it."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import duckdb
 import numpy as np
 import pyarrow as pa
 import pytest
 
-from schemas.tables import TABLES, reference
+from pipeline.nightly.stages import GROUPS, STAGES
+from schemas.tables import OWNERS, TABLES, reference, references
+from schemas.tables.table import MadeBy, Table, measured, real, text, texts, truth, whole, with_bounds
 
 
 @pytest.mark.parametrize("name", list(TABLES))
@@ -24,7 +29,7 @@ def test_ddl_makes_the_table_with_its_comments(name: str) -> None:
         connection.execute(f"INSERT INTO {name} SELECT * FROM rows_to_add")
     assert tuple(column for column, _ in found) == table.names
     assert all(comment and comment.strip() for _, comment in found)
-    assert set(table.order) <= set(table.names)
+    assert set(table.key) <= set(table.names)
     assert len(set(table.names)) == len(table.names)
 
 
@@ -65,3 +70,133 @@ def test_reference_names_every_column() -> None:
     for table in TABLES.values():
         assert f"### `{table.name}`" in text
         assert all(f"`{column.name}`" in text for column in table.columns)
+
+
+def test_no_name_is_taken_twice() -> None:
+    from schemas.tables import _SUBJECTS
+
+    assert len(TABLES) == sum(len(subject.TABLES) for subject in _SUBJECTS)
+
+
+def test_every_table_is_made_by_stages_that_there_are() -> None:
+    makers = [(table.name, maker) for table in TABLES.values() for maker in table.made_by]
+    assert {name for name, _ in makers} == set(TABLES)
+    assert {maker.stage for _, maker in makers} == {*STAGES, "night"}
+    assert {maker.group for _, maker in makers if maker.stage == "group"} == set(GROUPS)
+    assert not {maker.group for _, maker in makers if maker.stage != "group"} - {""}
+
+
+def test_the_rows_of_a_stage_can_be_found_again() -> None:
+    for table in TABLES.values():
+        for maker in table.made_by:
+            assert OWNERS.get(maker.stage, table.names[0]) in table.names
+
+
+def test_a_table_of_several_stages_says_which_rows_are_whose() -> None:
+    shared = [table for table in TABLES.values() if len(table.made_by) > 1]
+    assert {table.name for table in shared} == {"frequency_responses", "model_fits"}
+    with duckdb.connect() as connection:
+        for table in shared:
+            connection.execute(table.ddl())
+            column, values = {
+                "frequency_responses": ("stage", ["measured", "corrected", "averaged"]),
+                "model_fits": ("extension", [None, "", "slack"]),
+            }[table.name]
+            connection.executemany(f"INSERT INTO {table.name} ({column}) VALUES (?)", [[value] for value in values])
+            counts = [
+                connection.execute(f"SELECT count(*) FROM {table.name} WHERE {maker.where}").fetchone()
+                for maker in table.made_by
+            ]
+            assert sum(count for (count,) in counts if count) == len(values), "every row is one stage's"
+            assert all(count for (count,) in counts if count)
+
+
+def test_what_refers_to_recordings() -> None:
+    found = set(references())
+    assert {key for _, _, key in found} == {"recording_id", "specimen_id"}
+    assert all(key in TABLES["recordings"].names and column in TABLES[table].names for table, column, key in found)
+    silent = {t.name for t in TABLES.values() if "recording_id" in t.names} - {table for table, _, _ in found}
+    assert silent == {"recordings", "annotations"}, "annotations outlive their recording"
+
+
+@dataclass(frozen=True)
+class Estimated:
+    value: float
+    sd: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Result:
+    name: str
+    size: Estimated | None
+    limits: Estimated
+    count: np.int64
+    found: bool
+    warnings: Sequence[str]
+    parts: Sequence[str] = ()
+
+
+TOY = Table(
+    "toy",
+    "a table for tests",
+    (
+        text("name", "name"),
+        *measured("size", "mm", "size"),
+        *with_bounds("limits", "", "limits"),
+        whole("count", "count"),
+        truth("found", "found"),
+        text("warnings", "warnings"),
+        texts("parts", "parts"),
+        real("double", "mm", "twice the size"),
+    ),
+    key=("name",),
+    made_by=(MadeBy("night"),),
+    pages=(),
+)
+
+
+def test_objects_become_rows_by_the_names_of_their_members() -> None:
+    size = Estimated(2.0, 0.1, 1.8, float("inf"))
+    results = (
+        Result("a", size, size, np.int64(3), True, ("one", "two"), ("p", "q")),
+        Result("b", None, size, np.int64(0), False, ()),
+    )
+    table = TOY.from_objects(results, double=lambda one: None if one.size is None else 2 * one.size.value)
+    assert table.schema == TOY.arrow_schema
+    first, second = table.to_pylist()
+    assert first == {
+        "name": "a", "size": 2.0, "size_sd": 0.1, "size_lower": 1.8, "size_upper": None, "limits": 2.0,
+        "limits_lower": 1.8, "limits_upper": None, "count": 3, "found": True, "warnings": "one; two",
+        "parts": ["p", "q"], "double": 4.0,
+    }  # fmt: skip
+    assert [second[n] for n in ("size", "size_sd", "size_upper", "warnings", "parts", "double")] == [None] * 4 + [
+        [],
+        None,
+    ]
+    assert TOY.from_objects((), double=1.0).num_rows == 0
+
+
+def test_no_column_is_left_empty_by_mistake() -> None:
+    size = Estimated(2.0, 0.1, 1.8, 2.2)
+    result = Result("a", size, size, np.int64(3), True, ())
+    with pytest.raises(KeyError, match="Result has nothing for the column double of toy"):
+        TOY.from_objects([result])
+    with pytest.raises(KeyError, match="toy has no column"):
+        TOY.from_objects([result], double=1.0, triple=2.0)
+    assert TOY.from_objects([result], double=None)["double"].to_pylist() == [None]
+
+
+def test_infinity_is_null_in_rows_objects_and_arrays_alike() -> None:
+    values = [1.0, np.inf, -np.inf, np.nan]
+    wanted = [1.0, None, None, None]
+    table = TABLES["survival_curves"]
+    assert table.arrays(4, upper_95=np.array(values))["upper_95"].to_pylist() == wanted
+    assert table.rows([{"upper_95": value} for value in values])["upper_95"].to_pylist() == wanted
+
+
+def test_parts_are_stacked() -> None:
+    part = TABLES["calibrations"].rows([{"value": 1.0}])
+    assert TABLES["calibrations"].stacked([part, part])["value"].to_pylist() == [1.0, 1.0]
+    assert TABLES["calibrations"].stacked([]) == TABLES["calibrations"].empty()

@@ -1,0 +1,152 @@
+"""Models of the film: Maxwell-Wiechert models, ladders of orders, large cycles, predictions."""
+
+from __future__ import annotations
+
+from schemas.tables.table import RECORDING_ID, SPECIMEN_ID, MadeBy, Table, real, text, truth, whole, with_sd
+
+ARMS = 8
+"""Most arms of a stored relaxation model."""
+
+TABLES: tuple[Table, ...] = (
+    Table(
+        "model_fits",
+        "Maxwell-Wiechert models, a row per specimen, loading, method and order",
+        (
+            SPECIMEN_ID,
+            text("loading", "mechanical, electrical or joint"),
+            text(
+                "method", "forward (rig inside the model), corrected (divided response) or time_domain (large cycles)"
+            ),
+            whole("model_order", "number of arms, pure dashpots included"),
+            *with_sd("k0_n_per_mm", "N/mm", "main spring"),
+            *(
+                c
+                for i in range(1, ARMS + 1)
+                for c in (
+                    *with_sd(
+                        f"k{i}_n_per_mm",
+                        "N/mm",
+                        f"spring of arm {i}, longest relaxation first; NULL for a pure dashpot",
+                    ),
+                    *with_sd(f"c{i}_n_s_per_mm", "N s/mm", f"damper of arm {i}"),
+                )
+            ),
+            real(
+                "magnitude_error_n_per_mm",
+                "N/mm",
+                "mean | |k_model| - |k_measured| | over the usable lines (thesis, eq 4.14)",
+            ),
+            real("phase_error_deg", "deg", "mean |arg(k_model/k_measured)| over the usable lines (thesis, eq 4.14)"),
+            *with_sd("clamp_mass_kg", "kg", "fitted clamp mass"),
+            *with_sd("load_cell_stiffness_n_per_mm", "N/mm", "fitted load-cell stiffness"),
+            *with_sd("load_cell_damping_n_s_per_mm", "N s/mm", "fitted load-cell damping"),
+            *with_sd("force_per_voltage_squared_n_per_kv2", "N/kV^2", "fitted actuation force over voltage squared"),
+            text("extension", "mechanisms in the model; empty for the plain one"),
+            whole("frequency_lines", "complex values fitted"),
+            real("reduced_chi2", "", "chi-squared over degrees of freedom"),
+            real("bic", "", "Bayesian information criterion, -2 ln L + p ln N"),
+            truth("selected", "this row's order is the chosen one for specimen, loading and method"),
+            text(
+                "warnings", "what limits the fit: active bounds, unresolved arms, positivity; empty when nothing does"
+            ),
+            real("order_p_value", "", "p of this order against the next: small means that the next is needed"),
+            real("held_out_error", "SD of the noise", "root mean square error on recordings left out"),
+            real("frequency_low_hz", "Hz", "lowest fitted frequency"),
+            real("frequency_high_hz", "Hz", "highest fitted frequency"),
+            real("positivity_chi2", "", "chi-squared per line of the best relaxation of any order"),
+            real("modulus_mpa", "MPa", "k0 times stretched length over stretched area"),
+            text("covariance", "covariance of the parameters at the solution, JSON {names, matrix}"),
+            text("intervals", "95 % limits, JSON {parameter: {lower, upper, method}}; null: no limit on that side"),
+            text("choices", "order that each rule would choose, JSON {test, bic, held_out}"),
+            text("spread", "differences between the recordings, JSON {gain_sd, relative_sd, gains}; NULL for none"),
+        ),
+        key=("specimen_id", "loading", "method", "extension", "model_order"),
+        made_by=(
+            MadeBy("specimen", where="coalesce(extension, '') = ''"),
+            MadeBy("diagnosis", where="coalesce(extension, '') <> ''"),
+        ),
+        pages=("index", "campaign", "specimen", "control"),
+    ),
+    Table(
+        "order_ladders",
+        "responses over many decades: what each number of arms reaches, a row per specimen and number",
+        (
+            SPECIMEN_ID,
+            whole("model_order", "number of arms asked for"),
+            whole("resolved_arms", "arms that the data carry of them, a pure dashpot included"),
+            real("relative_error", "", "root mean square of |model/measured - 1| over all lines and times"),
+            real("r_squared_storage", "", "coefficient of determination of the real part; NULL without responses"),
+            real("r_squared_loss", "", "coefficient of determination of the imaginary part; NULL without responses"),
+            real("r_squared_relaxation", "", "coefficient of determination of relaxation in time; NULL without curves"),
+            real("order_p_value", "", "p of this number against one more: small means that one more is needed"),
+        ),
+        key=("specimen_id", "model_order"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "cycle_fits",
+        "a large load-unload cycle as an equilibrium stress with relaxation branches,"
+        " a row per recording, law and order",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            text("law", "equilibrium stress: non-affine (crosslinks and entanglements)"),
+            truth(
+                "law_given",
+                "the recording's metadata give the law's parameters; false: fitted with the branches",
+            ),
+            whole("model_order", "number of branches asked for"),
+            real("rmse_kpa", "kPa", "root mean square error of the nominal stress over the whole cycle"),
+            real("relative_rmse", "", "the same over the largest stress"),
+            real(
+                "held_out_rmse_kpa",
+                "kPa",
+                "root mean square error on the last part of the cycle, after a fit to the rest",
+            ),
+            real("held_out_from_s", "s", "where that part begins, since the recording's first sample"),
+            real(
+                "residual_correlation", "", "correlation of neighbouring residuals: near 1 it is no noise that is left"
+            ),
+            whole("samples", "samples fitted"),
+            truth("selected", "the order chosen for this law, by the error on the part left out"),
+            text("equilibrium", "parameters of the law, moduli in kPa, JSON"),
+            text("branches", "JSON list of {gamma_kpa, tau_s, eta_kpa_s} with _sd (null: not resolved), longest first"),
+            text("warnings", "what limits the fit"),
+        ),
+        key=("recording_id", "law_given", "model_order"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "cycle_curves",
+        "measured and modelled nominal stress of a large cycle, thinned for the pages",
+        (
+            RECORDING_ID,
+            truth("law_given", "as in cycle_fits"),
+            whole("model_order", "number of branches asked for"),
+            real("time_s", "s", "since the recording's first sample"),
+            real("stretch", "", "length over undeformed length"),
+            real("measured_kpa", "kPa", "measured nominal stress"),
+            real("modelled_kpa", "kPa", "modelled nominal stress"),
+        ),
+        key=("recording_id", "law_given", "model_order", "time_s"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "predictions",
+        "the model of one loading or protocol against recordings of another",
+        (
+            SPECIMEN_ID,
+            text("fitted_on", "what the model was fitted on"),
+            text("predicted", "what it was asked to predict"),
+            real("magnitude_error", "unit of the response", "mean absolute error of the magnitude"),
+            real("phase_error_deg", "deg", "mean absolute error of the phase"),
+            real("relative_error", "", "root mean square of |error|/|measured|"),
+        ),
+        key=("specimen_id", "fitted_on", "predicted"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen",),
+    ),
+)

@@ -1,0 +1,81 @@
+"""What was measured: recordings, who took them out and why, their envelopes."""
+
+from __future__ import annotations
+
+from schemas.tables.table import (
+    CONFIGURATION,
+    RECORDING_ID,
+    MadeBy,
+    Table,
+    instant,
+    real,
+    text,
+    truth,
+    whole,
+)
+
+TABLES: tuple[Table, ...] = (
+    Table(
+        "recordings",
+        "one row per file that was found as a recording or refused as one",
+        (
+            text("recording_id", "identity of the recording; NULL where a refused file's cannot be read"),
+            text("campaign", "the campaign"),
+            text("specimen_id", "the specimen"),
+            text("material", "the film's material"),
+            CONFIGURATION,
+            text("protocol", "kind of test"),
+            text("loading", "mechanical, electrical, calibration or other"),
+            text("rig_id", "the rig"),
+            text("operator", "who measured"),
+            instant("started_at", "start of the test, UTC"),
+            real("duration_s", "s", "first to last sample"),
+            whole("sample_count", "samples of all channels together"),
+            text("source_path", "file it was read from, absolute"),
+            text(
+                "source_sha256",
+                "SHA-256 of that file; where mappings read the same bytes in different ways, further ones have a mark",
+            ),
+            text("samples_path", "samples Parquet, relative to the lab"),
+            text("status", "ok, damaged (usable in part), quarantined, duplicate, pending or excluded"),
+            text("problem", "what is lost, wrong or refused, and what was expected; NULL when nothing is"),
+            text("notes", "what is worth knowing and no fault: jitter, gaps"),
+            text("kind", "recording, lifetimes or frequency_response"),
+            text("metadata", "all keys of the recording and its rig, JSON"),
+            text("software_version", "version that read it"),
+            text("run_id", "run in which it came in or last changed"),
+            truth("source_present", "the source file was still there in the last run that looked for it"),
+        ),
+        key=("started_at", "recording_id", "source_path"),
+        made_by=(MadeBy("night"),),
+        pages=("index", "campaign", "specimen", "recording", "control"),
+    ),
+    Table(
+        "annotations",
+        "recordings taken out of the analysis or back in, by whom and why",
+        (
+            text("recording_id", "the recording"),  # which may have been forgotten since
+            text("action", "exclude or include"),
+            text("why", "the reason given"),
+            text("author", "who"),
+            instant("at", "when, UTC"),
+        ),
+        key=("at", "recording_id"),
+        made_by=(MadeBy("night"),),
+        pages=("index", "specimen", "recording"),
+    ),
+    Table(
+        "previews",
+        "envelope of each channel for the pages, at most 2000 points",
+        (
+            RECORDING_ID,
+            text("quantity", "the channel"),
+            real("time_s", "s", "since the recording's first sample"),
+            real("low", "canonical unit", "least value in the interval that begins here"),
+            real("high", "canonical unit", "largest value in that interval"),
+        ),
+        key=("recording_id", "quantity", "time_s"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen", "recording"),
+    ),
+)
