@@ -1,4 +1,6 @@
 """From checked recordings to tables: which transform and which fit for which protocol, and what to do when one fails.
 
-Thin: the science is in `pipeline.transform` and `pipeline.fit`, the rows are made in `pipeline.tabulate`. No files here.
+Thin: the science is in `pipeline.transform` and `pipeline.fit`. Results become rows by the names of their members
+(`schemas.tables`); where a table is laid out otherwise than its results, the analysis that makes them says how. No
+files here.
 """

@@ -1,7 +1,7 @@
 """Records that say something without a session: which of a recording's samples the diagnosis gets.
 
-A large cycle shows no response over frequency, a system of another kind has no film: neither belongs into the simulation of a
-specimen's session.
+A large cycle shows no response over frequency, a system of another kind has no film: neither belongs into the simulation
+of a specimen's session.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from schemas.protocols import OTHER
 from schemas.recording import Recording
 
 _OF_CYCLE, _OF_SYSTEM = 700, 8192
-"""Samples that are asked: of a cycle, which is smooth, so many of all; of a system so many on end, where its output is largest."""
+"""Samples that are asked: of a cycle, which is smooth, every so many; of a system so many on end, where its output is
+largest."""
 _EVEN = 0.01
 """Share of an interval by which the sampling of a system may err."""
 

@@ -34,7 +34,13 @@ class Analysis:
     def attempt(
         self, what: str, step: Callable[Given, Value], /, *args: Given.args, **options: Given.kwargs
     ) -> Value | None:
-        """The step's value for the arguments; None where it cannot be had, which is then noted. Nothing but a lack of memory escapes."""
+        """The step's value for the arguments; None where it cannot be had, which is then noted.
+
+        Raises
+        ------
+        MemoryError
+            Memory ends. No other error escapes.
+        """
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("default", RuntimeWarning)

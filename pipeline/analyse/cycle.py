@@ -1,27 +1,40 @@
-"""A large load-unload cycle as stretch and nominal stress over time, whatever the machine gave."""
+"""A large load-unload cycle as stretch and nominal stress over time, whatever the machine gave, and its fits."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.fit.relaxation.metrics import Geometry
-from pipeline.fit.relaxation.time_domain import CycleFits, fit_cycle
+from pipeline.fit.relaxation.time_domain import HELD_OUT, CycleFit, CycleFits, fit_cycle
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 from schemas.recording import Channel, Recording
+from schemas.tables import TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 MOST_SAMPLES = 1000
-"""Samples that are fitted; of more, equally spaced ones are taken: a cycle is smooth, and its law is exact between them."""
+"""Samples that are fitted; of more, equally spaced ones: a cycle is smooth, and its law is exact between them."""
+MOST_POINTS = 400
+"""Points of a curve that are kept for the pages."""
 _KPA_PER_MPA = 1000.0
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """One cycle, (m,) s, stretch and nominal stress in kPa, and its fits: on the law that the recording gives, where it does, and
-    with the law fitted."""
+    """One cycle and its fits.
+
+    Parameters
+    ----------
+    time_s, stretch, stress : (m,) s since the recording's first sample, stretch, nominal stress in kPa
+    fits : on the law that the recording gives, where it does, and with the law fitted
+    """
 
     time_s: Float
     stretch: Float
@@ -49,6 +62,57 @@ def cycle_fits(recording: Recording) -> Cycle:
         for law in laws
     )
     return Cycle(time, stretch, stress, fits)
+
+
+def cycle_tables(cycle: Cycle) -> dict[str, pa.Table]:
+    """Tables `cycle_fits` and `cycle_curves` of one cycle."""
+    good = np.isfinite(cycle.time_s) & np.isfinite(cycle.stretch) & np.isfinite(cycle.stress)
+    time, stretch, stress = cycle.time_s[good], cycle.stretch[good], cycle.stress[good]
+    fits, curves = TABLES["cycle_fits"], TABLES["cycle_curves"]
+    shown = np.unique(np.linspace(0, time.size - 1, min(time.size, MOST_POINTS)).astype(int))
+    return {
+        "cycle_fits": fits.stacked(_fit_rows(group, time) for group in cycle.fits),
+        "cycle_curves": curves.stacked(
+            curves.arrays(
+                shown.size,
+                recording_id=group.recording_id,
+                law_given=group.fixed,
+                model_order=fit.order,
+                time_s=time[shown],
+                stretch=stretch[shown],
+                measured_kpa=stress[shown],
+                modelled_kpa=group.stress(fit, time, stretch)[shown],
+            )
+            for group in cycle.fits
+            for fit in group.fits
+        ),
+    }
+
+
+def _fit_rows(group: CycleFits, time_s: Float) -> pa.Table:
+    """Rows of the fits on one law; `time_s` (m,) are the times of the cycle's samples."""
+    return TABLES["cycle_fits"].from_objects(
+        group.fits,
+        recording_id=group.recording_id,
+        specimen_id=group.specimen_id,
+        law=group.law,
+        law_given=group.fixed,
+        model_order=lambda fit: fit.order,
+        rmse_kpa=lambda fit: fit.rmse,
+        held_out_rmse_kpa=lambda fit: fit.held_out_rmse,
+        held_out_from_s=time_s[0] + (1 - HELD_OUT) * (time_s[-1] - time_s[0]),
+        residual_correlation=lambda fit: fit.correlation,
+        selected=lambda fit: fit.order == group.selected_order,
+        equilibrium=lambda fit: json.dumps(dict(fit.equilibrium)),
+        branches=lambda fit: json.dumps(_branches(fit)),
+        warnings=lambda fit: "; ".join(dict.fromkeys((*fit.warnings, *group.warnings))),
+    )
+
+
+def _branches(fit: CycleFit) -> list[dict[str, float | None]]:
+    names = ("gamma_kpa", "gamma_kpa_sd", "tau_s", "tau_s_sd", "eta_kpa_s", "eta_kpa_s_sd")
+    columns = (fit.gamma, fit.gamma_sd, fit.tau, fit.tau_sd, fit.eta, fit.eta_sd)
+    return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
 
 
 def given_law(about: RecordingMetadata) -> dict[str, float] | None:

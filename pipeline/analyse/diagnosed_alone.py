@@ -19,7 +19,9 @@ from schemas.metadata import RecordingMetadata
 
 
 def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Comparison] | None:
-    """The diagnosis of a specimen whose records can be asked alone: one large cycle, or those of a system; None for others.
+    """The diagnosis of a specimen whose records can be asked alone: one large cycle, or those of a system.
+
+    None for others.
 
     Raises `NotIdentifiableError` where the records do not carry it.
     """

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.diagnosed_alone import diagnosed_alone
+from pipeline.analyse.diagnosis_tables import comparison_tables, diagnosis_tables, undiagnosed_tables
 from pipeline.analyse.inputs import Measured
-from pipeline.analyse.rows.diagnoses import comparison_tables, diagnosis_tables, undiagnosed_tables
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.encode import unpack

@@ -4,33 +4,33 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ingest.samples import preview
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
-from pipeline.analyse.cycle import cycle_fits
-from pipeline.analyse.rows.calibrations import calibration_table
-from pipeline.analyse.rows.cycles import cycle_tables
-from pipeline.analyse.rows.lifetimes import lifetime_table
-from pipeline.analyse.rows.recordings import joined, preview_table, recording_row, table_row
-from pipeline.analyse.rows.responses import distortion_table, response_table
-from pipeline.analyse.rows.self_sensing import loop_table, migration_tables, slow_table
+from pipeline.analyse.cycle import cycle_fits, cycle_tables
+from pipeline.analyse.description import joined, recording_row, table_row
+from pipeline.analyse.responses import distortion_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.tables import relaxation_of, response_of
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
 from pipeline.fit.sensing.migration import migration
 from pipeline.transform.breakdown import detect_breakdown
-from pipeline.transform.calibration import calibrate
+from pipeline.transform.calibration import Calibration, TapCalibration, calibrate
 from pipeline.transform.capacitance_cycles import capacitance_cycles
 from pipeline.transform.coats import measure_coat
 from pipeline.transform.force_map import measure_force_map
 from pipeline.transform.loop import measure_loop
 from pipeline.transform.respond import respond
-from pipeline.transform.step import measure_steps
+from pipeline.transform.step import StepAnalysis, measure_steps
 from schemas.errors import NotIdentifiableError
+from schemas.metadata import RecordingMetadata
 from schemas.protocols import CALIBRATION, ELECTRICAL, OTHER
 from schemas.recording import Recording
+from schemas.tables import TABLES
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -94,7 +94,7 @@ def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Ana
     analysis = Analysis()
     if isinstance(table, LifetimeTable):
         analysis.carry(*table.rows)
-        analysis.add({"lifetimes": lifetime_table(table.rows)})
+        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects(table.rows)})
     elif isinstance(table, RelaxationTable):
         analysis.carry(relaxation_of(table))
     else:
@@ -106,12 +106,15 @@ def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Ana
 
 def _draw_previews(recording: Recording) -> pa.Table:
     """The envelopes of all channels over the time since the recording's first sample."""
-    envelopes = {}
+    table = TABLES["previews"]
+    parts = []
     for quantity, channel in recording.channels.items():
         time_s, low, high = preview(channel)
         if time_s.size:
-            envelopes[quantity] = (time_s + (channel.time_ns[0] - recording.start_ns) * 1e-9, low, high)
-    return preview_table(recording.metadata.recording_id, envelopes)
+            since = time_s + (channel.time_ns[0] - recording.start_ns) * 1e-9
+            about = {"recording_id": recording.metadata.recording_id, "quantity": quantity}
+            parts.append(table.arrays(time_s.size, **about, time_s=since, low=low, high=high))
+    return table.stacked(parts)
 
 
 def _calibration(analysis: Analysis, recording: Recording) -> None:
@@ -122,11 +125,31 @@ def _calibration(analysis: Analysis, recording: Recording) -> None:
         analysis.add({"calibrations": calibration_table(recording.metadata.recording_id, result)})
 
 
+def calibration_table(recording_id: str, found: Calibration) -> pa.Table:
+    """Two rows of `calibrations`: frequency and damping of a tapped clamp, gain and offset of a weighed force channel."""
+    if isinstance(found, TapCalibration):
+        repeats, prefix = found.taps, "loaded_" if found.extra_mass_kg else ""
+        values = (
+            (f"{prefix}clamp_frequency_hz", "Hz", found.frequency_hz, found.frequency_sd),
+            (f"{prefix}damping_ratio", "", found.damping_ratio, found.damping_ratio_sd),
+        )
+    else:
+        repeats = found.plateaus
+        values = (
+            ("force_gain", "", found.gain, found.gain_sd),
+            ("force_offset_n", "N", found.offset_n, found.offset_sd),
+        )
+    about = {"recording_id": recording_id, "repeats": repeats, "warnings": "; ".join(found.warnings) or None}
+    return TABLES["calibrations"].rows(
+        {**about, "quantity": quantity, "unit": unit, "value": value, "sd": sd} for quantity, unit, value, sd in values
+    )
+
+
 def _life(analysis: Analysis, recording: Recording) -> None:
     life = analysis.attempt("breakdown", detect_breakdown, recording)
     if life is not None:
         analysis.carry(life)
-        analysis.add({"lifetimes": lifetime_table([life])})
+        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects([life])})
         if life.contradiction:
             analysis.problems.append(f"breakdown: {life.contradiction}")
         if life.undecided:
@@ -138,13 +161,23 @@ def _steps(analysis: Analysis, recording: Recording) -> None:
     if found is not None:
         analysis.carry(found)
         analysis.note(found.warnings)
-        analysis.add({"slow_changes": slow_table(recording.metadata, found)})
+        _slow_changes(analysis, recording.metadata, found)
     if recording.metadata.controller == "closed":
         loop = analysis.attempt("closed loop", measure_loop, recording)
         if loop is not None:
             analysis.carry(loop)
             analysis.note(loop.warnings)
-            analysis.add({"loop_responses": loop_table(loop)})
+            analysis.add({"loop_responses": TABLES["loop_responses"].from_objects([loop])})
+
+
+def _slow_changes(analysis: Analysis, about: RecordingMetadata, found: StepAnalysis) -> None:
+    changes = {"force": found.force_change, "capacitance": found.capacitance_change}
+    for quantity, change in changes.items():
+        if change is not None:
+            rows = TABLES["slow_changes"].from_objects(
+                [change], recording_id=about.recording_id, specimen_id=about.specimen_id, quantity=quantity
+            )
+            analysis.add({"slow_changes": rows})
 
 
 def _coat(analysis: Analysis, recording: Recording) -> None:
@@ -164,7 +197,7 @@ def _cycle(analysis: Analysis, recording: Recording) -> None:
     found = analysis.attempt("cycle", cycle_fits, recording)
     if found is not None:
         analysis.carry(found.fits[0])
-        analysis.add(cycle_tables(found.fits, found.time_s, found.stretch, found.stress))
+        analysis.add(cycle_tables(found))
 
 
 def _responses(analysis: Analysis, recording: Recording) -> None:
@@ -186,6 +219,21 @@ def _responses(analysis: Analysis, recording: Recording) -> None:
 
 def _migration(analysis: Analysis, recording: Recording, frequency_hz: float) -> None:
     cycles = analysis.attempt("capacitance by cycle", capacitance_cycles, recording, frequency_hz)
-    if cycles is not None:
-        onset = analysis.attempt("electrode migration", migration, cycles)
-        analysis.add(migration_tables(cycles, onset))
+    if cycles is None:
+        return
+    size = np.abs(cycles.harmonics)
+    rows = TABLES["electrode_cycles"].arrays(
+        cycles.cycle.size,
+        recording_id=cycles.recording_id,
+        specimen_id=cycles.specimen_id,
+        cycle=cycles.cycle,
+        mean_pf=cycles.mean_pf,
+        amplitude_pf=cycles.amplitude_pf,
+        distortion=cycles.distortion,
+        second_harmonic=size[:, 0],
+        third_harmonic=size[:, 1] if size.shape[1] > 1 else None,
+    )
+    analysis.add({"electrode_cycles": rows})
+    onset = analysis.attempt("electrode migration", migration, cycles)
+    if onset is not None:
+        analysis.add({"electrode_migrations": TABLES["electrode_migrations"].from_objects([onset])})

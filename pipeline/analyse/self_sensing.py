@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured, all_of
-from pipeline.analyse.rows.self_sensing import coverage_tables, gains_table, sensing_table
-from pipeline.analyse.rows.steps import step_table
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.results import SpecimenFits
 from pipeline.fit.sensing.coverage import FEWEST_COATS, fit_coverage
 from pipeline.fit.sensing.gains import propose_gains
-from pipeline.fit.sensing.self_sensing import creep_modulus, fit_sensing
+from pipeline.fit.sensing.self_sensing import SensingFit, creep_modulus, fit_sensing
 from pipeline.fit.sensing.wrinkling import wrinkling
 from pipeline.fit.weighted import Estimate
 from pipeline.transform.coats import Coat
 from pipeline.transform.loop import LoopResponse
 from pipeline.transform.step import StepAnalysis, StepResponse
 from schemas.metadata import RecordingMetadata
+from schemas.tables import TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 def analyse_self_sensing(
@@ -29,15 +32,12 @@ def analyse_self_sensing(
 ) -> None:
     """Steps of all recordings, the sensing fit and electrode coverage; `forward` is the specimen's mechanical model."""
     _steps(analysis, specimen_id, recordings, forward)
-    analysis.add({"controller_gains": gains_table(propose_gains(all_of(LoopResponse, recordings)))})
-    coats = all_of(Coat, recordings)
-    if coats:
-        fit = analysis.attempt("coverage", fit_coverage, coats) if len(coats) >= FEWEST_COATS else None
-        analysis.add(coverage_tables(coats, fit))
+    _gains(analysis, recordings)
+    _coats(analysis, all_of(Coat, recordings))
 
 
 def _steps(analysis: Analysis, specimen_id: str, recordings: Sequence[Measured], forward: SpecimenFits | None) -> None:
-    """Wrinkling shows only from one voltage to the next, so the open-loop steps of all recordings are marked together."""
+    """Rows of all steps. Wrinkling shows only from one voltage to the next: the open-loop ones are marked together."""
     stepped = [one for one in recordings if one.of(StepAnalysis)]
     if not stepped or not isinstance(about := stepped[0].metadata, RecordingMetadata):
         return
@@ -50,13 +50,47 @@ def _steps(analysis: Analysis, specimen_id: str, recordings: Sequence[Measured],
         onset = judged[1]
         steps = [own if _closed(one) else [next(marked) for _ in own] for one, own in zip(stepped, steps, strict=True)]
     for one, own in zip(stepped, steps, strict=True):
-        analysis.add({"step_responses": step_table(one.recording_id, own, specimen_id)})
+        rows = TABLES["step_responses"].from_objects(own, recording_id=one.recording_id, specimen_id=specimen_id)
+        analysis.add({"step_responses": rows})
     if any(step.capacitance_step_pf is not None for own in steps for step in own):
         modulus = _mechanical_modulus(forward, about, steps)
         common = [found.common_sd for one in stepped for found in one.of(StepAnalysis) if found.steps]
         fit = analysis.attempt("self-sensing", fit_sensing, steps, about, modulus, float(np.median(common)))
         if fit is not None:
             analysis.add({"sensing_fits": sensing_table(specimen_id, replace(fit, wrinkling_onset_kv=onset))})
+
+
+def sensing_table(specimen_id: str, fit: SensingFit) -> pa.Table:
+    """The row of `sensing_fits` of one specimen; warnings are empty, not NULL, where there are none."""
+    return TABLES["sensing_fits"].from_objects(
+        [fit],
+        specimen_id=specimen_id,
+        force_per_capacitive_strain_n=fit.force_per_capacitive_strain,
+        warnings="; ".join(fit.warnings),
+    )
+
+
+def _gains(analysis: Analysis, recordings: Sequence[Measured]) -> None:
+    """Gains for the specimen's controller, from the closed loops that were tried."""
+    proposals = propose_gains(all_of(LoopResponse, recordings))
+    rows = TABLES["controller_gains"].from_objects(
+        proposals,
+        recording_id=lambda one: one.best and one.best.recording_id,
+        proportional_gain=lambda one: one.best and one.best.proportional_gain,
+        integral_gain=lambda one: one.best and one.best.integral_gain,
+        gentle_recording_id=lambda one: one.gentle and one.gentle.recording_id,
+    )
+    analysis.add({"controller_gains": rows})
+
+
+def _coats(analysis: Analysis, coats: Sequence[Coat]) -> None:
+    """Capacitance after each coat of electrode, and how coats cover the region, where there are enough of them."""
+    rows = TABLES["electrode_coats"].from_objects(coats, capacitance_pf_sd=lambda coat: coat.capacitance_sd_pf)
+    analysis.add({"electrode_coats": rows})
+    if len(coats) >= FEWEST_COATS:
+        fit = analysis.attempt("coverage", fit_coverage, coats)
+        if fit is not None:
+            analysis.add({"coverage_fits": TABLES["coverage_fits"].from_objects([fit])})
 
 
 def _closed(recording: Measured) -> bool:
@@ -66,7 +100,10 @@ def _closed(recording: Measured) -> bool:
 def _mechanical_modulus(
     forward: SpecimenFits | None, about: RecordingMetadata, steps: Sequence[Sequence[StepResponse]]
 ) -> Estimate | None:
-    """Modulus that the mechanical model gives a film that creeps as the capacitance does; None without model or sizes."""
+    """Modulus that the mechanical model gives a film that creeps as the capacitance does.
+
+    None without model or sizes.
+    """
     geometry = Geometry.of(about)
     courses = [
         (step.end_s - step.start_s, step.capacitance_instant_fraction, step.capacitance_mean_fraction)

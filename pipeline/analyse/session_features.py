@@ -30,8 +30,14 @@ class Alone:
 
 @dataclass(frozen=True)
 class SessionFeatures:
-    """`content` as `pipeline.diagnose.features.encode` packs it; empty where `refused` says why there is none. `alone`: the record itself,
-    where it says something without a session."""
+    """What the diagnosis gets of a recording.
+
+    Parameters
+    ----------
+    content : as `pipeline.diagnose.features.encode` packs it; empty where there is none
+    refused : why there is none
+    alone : the record itself, where it says something without a session
+    """
 
     content: str
     refused: str = ""

@@ -9,9 +9,8 @@ import numpy as np
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
-from pipeline.analyse.rows.fits import fit_tables
-from pipeline.analyse.rows.ladders import ladder_table
-from pipeline.analyse.rows.responses import AVERAGED, CORRECTED, response_table
+from pipeline.analyse.model_fits import model_fits_table
+from pipeline.analyse.responses import AVERAGED, CORRECTED, response_table
 from pipeline.analyse.self_sensing import analyse_self_sensing
 from pipeline.fit.relaxation.damaged import weighed
 from pipeline.fit.relaxation.electrical import fit_electrical, fit_joint
@@ -28,6 +27,7 @@ from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
 from schemas.arrays import Complex, Float
 from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.tables import TABLES
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,17 @@ def analyse_specimen(
     remarks = {MECHANICAL: mechanical.remarks, ELECTRICAL: electrical.remarks}
     both = (*mechanical.remarks, *electrical.remarks)
     fits = [replace(fit, warnings=(*fit.warnings, *remarks.get(fit.loading, both))) for fit in fits]
-    analysis.add(fit_tables(fits, made, _best_cycle(analysis, recordings)))
+    analysis.add({"model_fits": model_fits_table(fits, _best_cycle(analysis, recordings))})
+    analysis.add({"predictions": TABLES["predictions"].from_objects(made)})
     analyse_self_sensing(analysis, specimen_id, recordings, forward)
     return analysis
 
 
 def rig_of(recording: Measured, calibrations: Sequence[Measured]) -> RigConstants | None:
-    """The rig's constants for a recording, with what was on the clamp, sharpened by the calibrations made before; None for a table."""
+    """The rig's constants for a recording, with what was on the clamp, sharpened by the calibrations made before.
+
+    None for a table.
+    """
     about = recording.metadata
     if not isinstance(about, RecordingMetadata):
         return None
@@ -215,7 +219,8 @@ def _ladder(
         relaxation_rig=[rig for _, rig in curves],
     )
     if rungs is not None:
-        analysis.add(ladder_table(specimen_id, rungs))
+        rows = TABLES["order_ladders"].from_objects(rungs, specimen_id=specimen_id)
+        analysis.add({"order_ladders": rows})
 
 
 def _blocked(analysis: Analysis, electrical: _Responses, forward: SpecimenFits | None) -> None:

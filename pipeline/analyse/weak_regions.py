@@ -4,17 +4,30 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
-from pipeline.analyse.rows.weak_regions import weak_region_tables
-from pipeline.fit.survival.weak_regions import check_layout, compare_regions, electrodes, on_grid
+from pipeline.fit.survival.weak_regions import (
+    THIN,
+    FilmGrid,
+    LayoutCheck,
+    RegionShare,
+    check_layout,
+    compare_regions,
+    electrodes,
+    on_grid,
+)
 from pipeline.physics.thickness.continuous import continuous_thickness
 from pipeline.physics.thickness.film import RodFilm, ThicknessMap
 from pipeline.physics.thickness.incremental import incremental_thickness
 from schemas.errors import NotIdentifiableError
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import RecordingMetadata
+from schemas.tables import TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 ELEMENTS = 3000
 """Elements of a film. Against 32 000 the shares of the regions and of the rods change by 0.007 at most, that of thin film
@@ -56,6 +69,29 @@ def _configuration(analysis: Analysis, configuration: str, members: Sequence[Mea
     ]
     grids = [on_grid(one, layout) for one in (continuous, incremental)]
     analysis.add(weak_region_tables(configuration, shares, checks, grids))
+
+
+def weak_region_tables(
+    configuration: str, shares: Sequence[RegionShare], checks: Sequence[LayoutCheck], grids: Sequence[FilmGrid]
+) -> dict[str, pa.Table]:
+    """Tables `weak_regions`, `electrode_layouts` and `film_maps` of one configuration."""
+    regions, layouts, maps = (TABLES[name] for name in ("weak_regions", "electrode_layouts", "film_maps"))
+    return {
+        "weak_regions": regions.from_objects(
+            shares,
+            configuration=configuration,
+            predicted_share=lambda share: share.predicted,
+            predicted_share_lower=lambda share: share.predicted_range[0],
+            predicted_share_upper=lambda share: share.predicted_range[1],
+            observed_share=lambda share: share.observed,
+            observed_share_lower=lambda share: share.observed_interval and share.observed_interval[0],
+            observed_share_upper=lambda share: share.observed_interval and share.observed_interval[1],
+        ),
+        "electrode_layouts": layouts.from_objects(checks, configuration=configuration, thickness_limit=THIN),
+        "film_maps": maps.stacked(
+            maps.arrays(grid.x_mm.size, configuration=configuration, **vars(grid)) for grid in grids
+        ),
+    }
 
 
 def rod_film(about: RecordingMetadata) -> RodFilm:

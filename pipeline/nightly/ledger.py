@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.analyse.rows.recordings import joined
+from pipeline.analyse.description import joined
 from pipeline.lab.journal import Outcome, entry_name
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import open_published

@@ -20,7 +20,7 @@ from ingest.discover import SourceFile
 from ingest.paths import is_below, spell_source
 from ingest.quarantine import quarantine, release
 from ingest.remote import forget, staged
-from pipeline.analyse.rows.recordings import as_json, recordings_rows
+from pipeline.analyse.description import as_json, recordings_rows
 from pipeline.lab.journal import (
     DAMAGED,
     DIAGNOSIS,

@@ -20,7 +20,7 @@ from ingest.discover import SourceFile, with_mapping
 from ingest.paths import is_there, spell_source
 from ingest.remote import staged
 from pipeline.analyse.analysis import Analysis
-from pipeline.analyse.rows.recordings import recordings_table, refused_row
+from pipeline.analyse.description import recordings_table, refused_row
 from pipeline.lab.inputs import split_kinds
 from pipeline.lab.journal import (
     DAMAGED,

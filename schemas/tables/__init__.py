@@ -60,7 +60,7 @@ def made_by(stage: StageName, group: str = "") -> Mapping[str, str]:
 
 
 def references() -> Iterator[tuple[str, str, str]]:
-    """Every column that refers to recordings: its table, its name, and the column of `recordings` that has its values."""
+    """Every column that refers to recordings: its table, its name, the column of `recordings` that has its values."""
     for table in TABLES.values():
         for column in table.columns:
             if column.refers_to:

@@ -131,7 +131,7 @@ class Table:
             [{n: _plain(row.get(n)) for n in self.names} for row in rows], schema=self.arrow_schema
         )
 
-    def from_objects(self, objects: Iterable[Any], **columns: Any) -> pa.Table:
+    def from_objects(self, objects: Iterable[Any], **members: Any) -> pa.Table:
         """An arrow table from objects, such as frozen dataclasses, a row each.
 
         Parameters
@@ -139,39 +139,40 @@ class Table:
         objects : each column takes the member of its name. A member that is an estimate gives its `value`, and its
             `sd`, `lower` and `upper` to the columns `<name>_sd`, `<name>_lower` and `<name>_upper`. Several texts are
             joined with "; " where the column holds one; none are NULL. NaN is NULL
-        columns : what columns take that have no such member: a function of the object, or one value for all rows
+        members : what the objects lack or call otherwise, by the column's name: a function of the object, or one value
+            for all rows
 
         Raises
         ------
         KeyError
-            A key of `columns` is no column, or a column has neither a member nor an entry in `columns`: no column is
-            left NULL by mistake.
+            A key of `members` is no column, or neither the object nor `members` has anything for a column: no column
+            is left NULL by mistake.
         """
         import pyarrow as pa
 
-        self._refuse_unknown(columns)
-        rows = [{c.name: self._value(c, one, columns) for c in self.columns} for one in objects]
+        self._refuse_unknown(members)
+        rows = [{c.name: self._value(c, one, members) for c in self.columns} for one in objects]
         return pa.Table.from_pylist(rows, schema=self.arrow_schema)
 
-    def _value(self, column: Column, one: Any, given: Mapping[str, Any]) -> Any:
-        if column.name in given:
-            value = given[column.name]
-            value = value(one) if callable(value) else value
-        else:
-            value = self._member(column.name, one)
+    def _value(self, column: Column, one: Any, members: Mapping[str, Any]) -> Any:
+        """What a column takes from an object, fit for arrow."""
+
+        def member(name: str) -> Any:
+            if name not in members:
+                return getattr(one, name, _MISSING)
+            return members[name](one) if callable(members[name]) else members[name]
+
+        value = member(column.name)
+        if value is _MISSING:
+            name, _, part = column.name.rpartition("_")
+            estimate = member(name) if part in ("sd", "lower", "upper") else _MISSING
+            value = None if estimate is None else getattr(estimate, part, _MISSING)
+            if value is _MISSING or (estimate is not None and not hasattr(estimate, "value")):
+                raise KeyError(f"{type(one).__name__} has nothing for the column {column.name} of {self.name}")
+        value = getattr(value, "value", value)
         if column.type == TEXT and isinstance(value, tuple | list):
             value = "; ".join(value) or None
         return _plain(value)
-
-    def _member(self, name: str, one: Any) -> Any:
-        if hasattr(one, name):
-            return getattr(getattr(one, name), "value", getattr(one, name))
-        whole, _, part = name.rpartition("_")
-        if part in ("sd", "lower", "upper") and hasattr(one, whole):
-            estimate = getattr(one, whole)
-            if estimate is None or (hasattr(estimate, "value") and hasattr(estimate, part)):
-                return getattr(estimate, part, None)
-        raise KeyError(f"{type(one).__name__} has nothing for the column {name} of {self.name}")
 
     def arrays(self, length: int, **columns: Any) -> pa.Table:
         """An arrow table of `length` rows from arrays or scalars by column. Absent columns, NaN and infinity are NULL.
@@ -210,6 +211,10 @@ class Table:
         unknown = set(names) - set(self.names)
         if unknown:
             raise KeyError(f"{self.name} has no column {sorted(unknown)}")
+
+
+_MISSING = object()
+"""Stands for a member that an object lacks; None is a value."""
 
 
 def _plain(value: Any) -> Any:

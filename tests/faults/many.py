@@ -18,7 +18,7 @@ from typing import Any
 import pipeline.nightly.night
 import pipeline.nightly.workers
 from pipeline import Lab
-from pipeline.analyse.rows.recordings import recordings_table
+from pipeline.analyse.description import recordings_table
 from pipeline.commands.show.status import describe_lab
 from pipeline.lab.journal import OK, Freshness, Outcome, write_entry
 from pipeline.nightly.derive import DerivedTask

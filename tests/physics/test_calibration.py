@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pipeline.analyse.rows.calibrations import calibration_table
+from pipeline.analyse.recording import calibration_table
 from pipeline.physics.rig import RigPrior
 from pipeline.transform.calibration import TapCalibration, calibrate, sharpen
 from schemas.errors import NotIdentifiableError

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pipeline.analyse.cycle import cycle_fits
-from pipeline.analyse.rows.cycles import cycle_tables
-from pipeline.analyse.rows.fits import fit_tables
+from pipeline.analyse.cycle import Cycle, cycle_fits, cycle_tables
+from pipeline.analyse.model_fits import model_fits_table
 from pipeline.fit.relaxation.time_domain import fit_cycle
 from pipeline.physics.film import integrate_arms
 from pipeline.physics.hyperelastic import LAWS, NEO_HOOKEAN, NON_AFFINE, OGDEN
@@ -68,7 +67,7 @@ def test_two_branches_and_the_law_are_recovered() -> None:
     one = fits.fits[0]
     assert one.correlation > 0.9
     assert any("discrepancy" in w for w in one.warnings)
-    row = fit_tables([], cycles=[fits])["model_fits"].to_pylist()[1]
+    row = model_fits_table([], [fits]).to_pylist()[1]
     assert row["method"] == "time_domain"
     assert row["selected"]
     assert row["k1_n_per_mm"] == pytest.approx(0.030, rel=0.03)
@@ -107,7 +106,7 @@ def test_a_ramp_gives_no_negative_moduli_and_says_what_it_cannot_tell() -> None:
 def test_all_orders_on_the_same_cycle_reach_the_tables() -> None:
     stress = 12.0 * (STRETCH - STRETCH**-2) + 30 * overstress(5.0)
     fits = fit_cycle(TIME, STRETCH, stress, law=NEO_HOOKEAN, orders=(1, 2), recording_id="r", specimen_id="s")
-    tables = cycle_tables([fits], TIME + 5.0, STRETCH, stress)
+    tables = cycle_tables(Cycle(TIME + 5.0, STRETCH, stress, (fits,)))
     rows, curves = (tables[name].to_pylist() for name in ("cycle_fits", "cycle_curves"))
     assert [(r["recording_id"], r["law_given"], r["model_order"]) for r in rows] == [("r", False, 1), ("r", False, 2)]
     assert sum(r["selected"] for r in rows) == 1

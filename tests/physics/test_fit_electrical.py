@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.analyse.rows.fits import fit_tables
 from pipeline.fit.relaxation.electrical import fit_electrical, fit_joint
 from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.fit.relaxation.predict import predict, predict_response
 from pipeline.fit.relaxation.results import SpecimenFits
 from schemas.errors import NotIdentifiableError
+from schemas.tables import TABLES
 from tests.physics.fit_truth import (
     ACRYLATE,
     BAND,
@@ -120,7 +120,7 @@ def test_prediction_of_the_electrical_response_has_no_shape_parameter(mechanical
     assert given.magnitude_error == pytest.approx(0.1 * np.mean(np.abs(h)), rel=0.1)
     first = mechanical_fit.of_order(1)
     assert np.allclose(predict_response(first, data, rig(1.03), 1.0).shape, (100,))
-    rows = fit_tables([], [found])["predictions"].to_pylist()
+    rows = TABLES["predictions"].from_objects([found]).to_pylist()
     assert rows[0]["predicted"] == "electrical"
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.analyse.rows.ladders import ladder_table
 from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.fit.relaxation.ladder import ladder, wants_ladder
+from schemas.tables import TABLES
 from tests.physics.fit_truth import ACRYLATE, BAND, film, relaxation_curve, response
 
 WIDE = np.logspace(-4, 4, 80)
@@ -39,7 +39,7 @@ def test_curves_in_time_have_their_own_share() -> None:
     assert rung.r_squared_storage is None
     assert rung.r_squared_loss is None
     assert rung.r_squared_relaxation > 0.99
-    (row,) = ladder_table("s", (rung,))["order_ladders"].to_pylist()
+    (row,) = TABLES["order_ladders"].from_objects((rung,), specimen_id="s").to_pylist()
     assert (row["specimen_id"], row["model_order"], row["r_squared_loss"]) == ("s", 2, None)
     assert row["r_squared_relaxation"] == rung.r_squared_relaxation
 

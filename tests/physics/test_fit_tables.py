@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.analyse.rows.fits import fit_tables
+from pipeline.analyse.model_fits import model_fits_table
 from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.transform.correction import correct_mechanical
@@ -18,7 +18,7 @@ def test_rows_of_all_orders() -> None:
     data = response(BAND, mechanical(BAND, film(BAND, ACRYLATE)), np.random.default_rng(seed=0))
     forward = fit_specimen([data], rig(1.03), geometry=Geometry(70.0, 35.7))
     corrected = fit_corrected(correct_mechanical(data, rig(1.03)))
-    rows = fit_tables([forward, corrected])["model_fits"].to_pylist()
+    rows = model_fits_table([forward, corrected]).to_pylist()
     assert [(r["method"], r["model_order"]) for r in rows] == [
         (m, n) for m in ("forward", "corrected") for n in (1, 2, 3)
     ]
@@ -45,7 +45,7 @@ def test_rows_of_all_orders() -> None:
 def test_pure_dashpot_has_no_spring_and_its_damper() -> None:
     value = film(SLOW_BAND, (STACK[0], STACK[1][:2], STACK[2][:2])) + 2j * np.pi * SLOW_BAND * 0.05
     fits = fit_specimen([response(SLOW_BAND, value, np.random.default_rng(seed=1), relative=0.01)])
-    row = fit_tables([fits])["model_fits"].to_pylist()[2]
+    row = model_fits_table([fits]).to_pylist()[2]
     if fits.of_order(3).model.c_inf == 0:
         assert row["k3_n_per_mm_sd"] is None
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.analyse.rows.responses import AVERAGED, distortion_table, response_table
+from pipeline.analyse.responses import AVERAGED, distortion_table, response_table
 from pipeline.transform.respond import RecordingResponse, respond
 from pipeline.transform.response import STIFFNESS, Distortion, FrequencyResponse
 from pipeline.transform.sampling import fill_short_gaps, sample

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from pipeline.analyse.rows.lifetimes import lifetime_table
-from pipeline.analyse.rows.survival import survival_tables
+from pipeline.analyse.survival import survival_tables
 from pipeline.fit.survival.groups import SurvivalGroup, SurvivalResults, survival_group
 from pipeline.fit.survival.tests import EXACT_PERMUTATION, FISHER, LOG_RANK
 from schemas.lifetimes import END_OF_TEST, LifetimeRow
 from schemas.tables import TABLES
+from schemas.views import VIEWS
 
 SHAPE_1, MEAN_1 = 1.2, 39.0
 SHAPE_2, SCALE_2 = 5.0, 224.0
@@ -226,7 +226,7 @@ def test_voltage_law_of_a_configuration() -> None:
 
 def test_tables_and_sql(results: SurvivalResults) -> None:
     rows = campaign(3)
-    tables = {"lifetimes": lifetime_table(rows)} | survival_tables(results)
+    tables = {"lifetimes": TABLES["lifetimes"].from_objects(rows)} | survival_tables(results)
     database = duckdb.connect()
     for name, table in tables.items():
         assert table.schema == TABLES[name].arrow_schema
@@ -256,14 +256,19 @@ def test_tables_and_sql(results: SurvivalResults) -> None:
     assert all(table.num_rows == 0 for table in empty.values())
 
 
-def test_docstring_sql_runs(results: SurvivalResults) -> None:
-    import pipeline.analyse.rows.survival as module
-
+def test_survival_at_a_time_is_said_up_to_the_end_of_the_follow_up(results: SurvivalResults) -> None:
     database = duckdb.connect()
-    for name, table in survival_tables(results).items():
-        database.register(name, table)
-    text = module.__doc__ or ""
-    statements = [part for part in text.split("\n\n") if part.strip().startswith(("SELECT", "WITH"))]
-    assert len(statements) == 2
-    for statement in statements:
-        assert len(database.sql(statement).fetchall()) == 3
+    curves = survival_tables(results)["survival_curves"]
+    database.register("survival_curves", curves)
+    (view,) = (view for view in VIEWS if view.name == "survival_at")
+    database.execute(view.ddl())
+    ends: dict[str, float] = {}
+    for curve in curves.to_pylist():
+        ends[curve["configuration"]] = max(ends.get(curve["configuration"], 0.0), curve["time_s"])
+    for time in (60, 1e6):
+        found = {row[0]: row[3] for row in database.sql(f"SELECT * FROM survival_at({time})").fetchall()}
+        assert len(found) == 3
+        for configuration, survival in found.items():
+            before = [c for c in curves.to_pylist() if c["configuration"] == configuration and c["time_s"] <= time]
+            last = before[-1]["survival"]
+            assert survival == (None if time > ends[configuration] and last > 0 else last)

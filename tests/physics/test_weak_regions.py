@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.analyse.rows.weak_regions import weak_region_tables
+from pipeline.analyse.weak_regions import weak_region_tables
 from pipeline.fit.survival.weak_regions import check_layout, compare_regions, electrodes, on_grid
 from pipeline.physics.thickness.continuous import continuous_thickness
 from pipeline.physics.thickness.film import RodFilm

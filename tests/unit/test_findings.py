@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from pipeline import Lab
-from pipeline.analyse.rows.diagnoses import diagnosis_tables, undiagnosed_tables
+from pipeline.analyse.diagnosis_tables import diagnosis_tables, undiagnosed_tables
 from pipeline.commands.show.diagnoses import describe_diagnoses
 from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import UsageError
 from schemas.mechanisms import severity
-from tests.unit.test_tabulate_diagnoses import FIRST, NAMED, SECOND
+from tests.unit.test_diagnosis_tables import FIRST, NAMED, SECOND
 
 
 def renamed(name: str, **more: Any) -> Mapping[str, Any]:
@@ -28,9 +28,10 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
     """Four specimens, one of each verdict but unknown, and one that could not be asked."""
     folder = tmp_path_factory.mktemp("told")
     names = ("S-1", "S-2", "S-3", "S-4", "S-5")
+    measured = [(f"{n}-r", n) for n in names] + [("r-1", "S-1"), ("r-2", "S-1")]
     recordings = [
-        {"recording_id": f"{n}-r", "specimen_id": n, "status": "ok", "source_path": f"/raw/{n}", "source_sha256": n}
-        for n in names
+        {"recording_id": r, "specimen_id": n, "status": "ok", "source_path": f"/raw/{r}", "source_sha256": r}
+        for r, n in measured
     ]
     close = {"verdict": "ambiguous", "mechanisms": ("slack",), "also_possible": ("strain_stiffening",)}
     quiet = {"verdict": "none", "mechanisms": (), "extension": None, "held_out": None, "next_recording": None}

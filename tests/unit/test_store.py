@@ -15,7 +15,7 @@ import pytest
 from ingest.atomic import written_whole
 from pipeline.analyse.carried import carried_table, results_of
 from pipeline.analyse.carry import Codec
-from pipeline.analyse.rows.recordings import recordings_rows
+from pipeline.analyse.description import recordings_rows
 from pipeline.lab import snapshot as publishing
 from pipeline.lab.checks import find_violations
 from pipeline.lab.journal import Freshness, Outcome, list_entries, read_outcome, read_tables, write_entry

@@ -33,7 +33,7 @@ class Rung:
     number against one more.
     """
 
-    order: int
+    model_order: int
     resolved_arms: int
     relative_error: float
     r_squared_storage: float | None
@@ -76,7 +76,7 @@ def _rung(fit: RelaxationFit, films: Sequence[FrequencyResponse], relaxations: S
     curves = [_in_time(fit, curve) for curve in relaxations]
     squares = np.concatenate([np.abs(m / v - 1) ** 2 for m, v in (*pairs, *curves)] or [np.array([np.nan])])
     return Rung(
-        order=fit.order,
+        model_order=fit.order,
         resolved_arms=fit.resolved_arms,
         relative_error=float(np.sqrt(np.mean(squares))),
         r_squared_storage=_explained([(m.real, v.real) for m, v in pairs]),

@@ -1,7 +1,7 @@
 """What an identification yields: estimates with intervals, a fit per order, and the choice between the orders.
 
 Frozen values only. How they are computed is in `relaxation` and `electrical`; rows of the tables are made in
-`pipeline.analyse.rows.fits`.
+`pipeline.analyse.model_fits`.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Belongs here: which rows can be used and what is wrong with the others, grouping, and the collection of all results with
 their warnings. A row that contradicts itself is named, never averaged away. Does not belong here: the statistics
-themselves (`survival` and its siblings) and tables (`pipeline.analyse.rows.survival`).
+themselves (`survival` and its siblings) and tables (`pipeline.analyse.survival`).
 """
 
 from __future__ import annotations

@@ -1,21 +1,20 @@
-"""Rows of a diagnosis: verdict, discrepancies, causes, the extended model, how far the film moved, what the figures show."""
+"""Rows of a diagnosis: verdict, discrepancies, causes, the extended model, how far the film moved."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.diagnose.features.kinds import FeatureBlock, RecordingFeatures
+from pipeline.analyse.diagnosis_residuals import residual_tables
+from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.results import Diagnosis, Extension, Residuals
+from pipeline.diagnose.results import Diagnosis, Extension
 from pipeline.diagnose.single.comparison import Comparison, RankedModel
 from pipeline.physics.film import RelaxationModel
-from schemas.arrays import Float
 from schemas.protocols import MECHANICAL
 from schemas.tables import ARMS, TABLES
 
@@ -23,61 +22,27 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-_SHOWN_BLOCKS, _SHOWN_PER_KIND, _SHOWN_VALUES = 24, 4, 3000
-"""Blocks that are kept for figures: the most telling, some of each kind, and not more values than this."""
-_LEAST_SHOWN = 1e-12
 _PARAMETERS = ("k0", *(f"k{i}" for i in range(1, ARMS + 1)), *(f"tau{i}" for i in range(1, ARMS + 1)), "c_inf")
 
 
 def diagnosis_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures]) -> dict[str, pa.Table]:
     """Arrow tables of one specimen's diagnosis. `features` (in any order) are those it was made from."""
-    shown = list(_blocks(diagnosis, features))
     specimen = {"specimen_id": diagnosis.specimen_id}
     tables = {
         "diagnoses": TABLES["diagnoses"].rows([_diagnosis_row(diagnosis)]),
-        "discrepancies": TABLES["discrepancies"].rows(
-            {
-                **specimen,
-                "recording_id": d.recording_id or None,
-                "where_found": d.where_found,
-                "chi2": d.chi2,
-                "degrees_of_freedom": d.degrees_of_freedom,
-                "p_value": d.p_value,
-                "statement": d.statement,
-            }
-            for d in diagnosis.discrepancies
+        "discrepancies": TABLES["discrepancies"].from_objects(
+            diagnosis.discrepancies, recording_id=lambda found: found.recording_id or None, **specimen
         ),
-        "diagnosis_candidates": TABLES["diagnosis_candidates"].rows(
-            {
-                **specimen,
-                "mechanism": c.mechanism,
-                "likelihood_ratio": c.likelihood_ratio,
-                "bic": c.bic,
-                "probability": c.probability,
-                "severity": c.severity,
-                "severity_sd": c.severity_sd,
-                "gain": c.gain,
-                "explained": c.explained,
-                "form": c.variant or None,
-                "equation": c.equation,
-            }
-            for c in diagnosis.candidates
+        "diagnosis_candidates": TABLES["diagnosis_candidates"].from_objects(
+            diagnosis.candidates,
+            gain_lower=None,
+            gain_upper=None,
+            held_out_error=None,
+            form=lambda candidate: candidate.variant or None,
+            **specimen,
         ),
-        "diagnosis_blocks": TABLES["diagnosis_blocks"].rows(
-            {
-                **specimen,
-                "recording_id": b.recording_id,
-                "kind": b.kind,
-                "block": b.label,
-                "position": b.position,
-                "feature_count": b.size,
-                "plain_rms": b.rms(b.plain),
-                "extended_rms": b.rms(b.extended) if diagnosis.extension is not None else None,
-            }
-            for b in shown
-        ),
-        "diagnosis_curves": _curves(diagnosis, shown),
         "diagnosis_parameters": TABLES["diagnosis_parameters"].rows(_parameters(diagnosis)),
+        **residual_tables(diagnosis, features),
     }
     if diagnosis.extension is not None and diagnosis.extension.severities:
         tables["model_fits"] = TABLES["model_fits"].rows([_fit_row(diagnosis, diagnosis.extension)])
@@ -252,101 +217,3 @@ def _film(film: RelaxationModel) -> dict[str, float]:
     if film.c_inf <= 0:
         values.pop("c_inf", None)
     return values
-
-
-@dataclass(frozen=True)
-class _Block:
-    """A block of features with what both models say of it; (n,) each. `source` has its covariates, where it is known."""
-
-    recording_id: str
-    kind: str
-    label: str
-    position: int
-    measured: Float
-    plain: Float
-    extended: Float
-    sd: Float
-    frequency_hz: Float
-    time_s: Float
-    source: FeatureBlock | None
-
-    @property
-    def size(self) -> int:
-        return self.measured.size
-
-    def rms(self, simulated: Float) -> float:
-        """Root mean square residual in SD of the noise."""
-        return float(np.sqrt(np.mean(((self.measured - simulated) / np.maximum(self.sd, _LEAST_SHOWN)) ** 2)))
-
-    @property
-    def telling(self) -> float:
-        """χ² of the plain model beyond the noise, and what the extension takes off it."""
-        plain, extended = self.rms(self.plain) ** 2, self.rms(self.extended) ** 2
-        return self.size * (max(plain - 1, 0.0) + max(plain - extended, 0.0))
-
-
-def _blocks(d: Diagnosis, features: Sequence[RecordingFeatures]) -> Iterator[_Block]:
-    known = {r.recording_id: r for r in features}
-    for residuals in d.residuals:
-        source = known.get(residuals.recording_id)
-        yield from _blocks_of(residuals, source.blocks if source is not None else ())
-
-
-def _blocks_of(r: Residuals, sources: Sequence[FeatureBlock]) -> Iterator[_Block]:
-    pairs = list(zip(r.kind.tolist(), r.label.tolist(), strict=True))
-    by_name = {(b.kind, b.label): b for b in sources}
-    for position, (kind, label) in enumerate(dict.fromkeys(pairs)):
-        rows = np.array([pair == (kind, label) for pair in pairs])
-        source = by_name.get((kind, label))
-        yield _Block(
-            r.recording_id, kind, label, position, r.measured[rows], r.plain[rows], r.extended[rows], r.sd[rows],
-            r.frequency_hz[rows], r.time_s[rows], source if source is not None and source.size == rows.sum() else None,
-        )  # fmt: skip
-
-
-def _chosen(blocks: Sequence[_Block]) -> list[_Block]:
-    """The blocks to keep for figures, in their own order: the most telling, and of each kind some."""
-    ranked = sorted(range(len(blocks)), key=lambda i: (-blocks[i].telling, i))
-    wanted = set(ranked[:_SHOWN_BLOCKS])
-    of_kind: dict[str, int] = {}
-    for i in ranked:
-        of_kind[blocks[i].kind] = of_kind.get(blocks[i].kind, 0) + 1
-        if of_kind[blocks[i].kind] <= _SHOWN_PER_KIND or blocks[i].size <= _SHOWN_PER_KIND:
-            wanted.add(i)
-    kept, values = set(), 0
-    for i in ranked:
-        if i in wanted and values + blocks[i].size <= _SHOWN_VALUES:
-            kept.add(i)
-            values += blocks[i].size
-    return [b for i, b in enumerate(blocks) if i in kept]
-
-
-def _curves(d: Diagnosis, blocks: Sequence[_Block]) -> pa.Table:
-    """Values of the blocks that are kept for figures, one below the other."""
-    kept = _chosen(blocks)
-    parts = [_columns(b, extended=d.extension is not None) for b in kept]
-    joined = {name: np.concatenate([p[name] for p in parts]) for name in (parts[0] if parts else ())}
-    return TABLES["diagnosis_curves"].arrays(sum(b.size for b in kept), specimen_id=d.specimen_id, **joined)
-
-
-def _columns(b: _Block, *, extended: bool) -> dict[str, NDArray[Any]]:
-    nothing = np.full(b.size, np.nan)
-    source = b.source
-    half = b.size // 2
-    is_complex = source is not None and source.is_complex
-    return {
-        "recording_id": np.full(b.size, b.recording_id),
-        "kind": np.full(b.size, b.kind),
-        "block": np.full(b.size, b.label),
-        "position": np.arange(b.size),
-        "component": np.where(np.arange(b.size) < half, "real", "imaginary") if is_complex else np.full(b.size, ""),
-        "frequency_hz": b.frequency_hz,
-        "amplitude": nothing if source is None else source.amplitude,
-        "voltage_kv": nothing if source is None else source.voltage_kv,
-        "cycle": nothing if source is None else source.cycle,
-        "time_s": b.time_s,
-        "measured": b.measured,
-        "plain": b.plain,
-        "extended": b.extended if extended else nothing,
-        "sd": b.sd,
-    }

@@ -1,4 +1,4 @@
-"""Rows of `model_fits` and `predictions`."""
+"""Rows of `model_fits`: models of responses, and those of large cycles as the same springs and dampers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pipeline.fit.relaxation.predict import Prediction
 from pipeline.fit.relaxation.results import MECHANICAL, TIME_DOMAIN, Estimate, RelaxationFit, SpecimenFits
 from pipeline.fit.relaxation.time_domain import CycleFit, CycleFits
 from schemas.tables import ARMS, TABLES
@@ -22,33 +21,14 @@ _PLAIN = (
 )
 
 
-def fit_tables(
-    fits: Sequence[SpecimenFits],
-    predictions: Sequence[Prediction] = (),
-    cycles: Sequence[CycleFits] = (),
-    *,
-    extension: str = "",
-) -> dict[str, pa.Table]:
-    """Arrow tables. `extension` names the mechanisms in the models, empty for the plain ones."""
-    rows = [_row(group, fit, extension) for group in fits for fit in group.fits]
+def model_fits_table(fits: Sequence[SpecimenFits], cycles: Sequence[CycleFits] = ()) -> pa.Table:
+    """Rows for the fits of one specimen, every order of each; extended models have theirs with the diagnosis."""
+    rows = [_row(group, fit) for group in fits for fit in group.fits]
     rows += [_cycle_row(group, fit) for group in cycles for fit in group.fits]
-    return {
-        "model_fits": TABLES["model_fits"].rows(rows),
-        "predictions": TABLES["predictions"].rows(
-            {
-                "specimen_id": p.specimen_id,
-                "fitted_on": p.fitted_on,
-                "predicted": p.predicted,
-                "magnitude_error": p.magnitude_error,
-                "phase_error_deg": p.phase_error_deg,
-                "relative_error": p.relative_error,
-            }
-            for p in predictions
-        ),
-    }
+    return TABLES["model_fits"].rows(rows)
 
 
-def _row(group: SpecimenFits, fit: RelaxationFit, extension: str) -> dict[str, Any]:
+def _row(group: SpecimenFits, fit: RelaxationFit) -> dict[str, Any]:
     size = fit.shape.size
     row: dict[str, Any] = {
         "specimen_id": group.specimen_id,
@@ -57,7 +37,7 @@ def _row(group: SpecimenFits, fit: RelaxationFit, extension: str) -> dict[str, A
         "model_order": fit.order,
         "magnitude_error_n_per_mm": fit.magnitude_error,
         "phase_error_deg": fit.phase_error_deg,
-        "extension": extension,
+        "extension": "",
         "frequency_lines": fit.lines,
         "reduced_chi2": fit.reduced_chi2,
         "bic": fit.bic,
@@ -118,9 +98,9 @@ def _cycle_row(group: CycleFits, fit: CycleFit) -> dict[str, Any]:
         "held_out_error": None,
         "warnings": _sentences(
             (
-                f"time-domain fit with {group.law} equilibrium stress, {'given' if group.fixed else 'fitted'}; as a 1 mm cube; "
-                f"root mean square error {fit.rmse:.4g} kPa ({100 * fit.relative_rmse:.2g} % of the peak), on the part left "
-                f"out {fit.held_out_rmse:.4g} kPa",
+                f"time-domain fit with {group.law} equilibrium stress, {'given' if group.fixed else 'fitted'}; as a 1 mm"
+                f" cube; root mean square error {fit.rmse:.4g} kPa ({100 * fit.relative_rmse:.2g} % of the peak), on the"
+                f" part left out {fit.held_out_rmse:.4g} kPa",
                 *fit.warnings,
                 *group.warnings,
             )

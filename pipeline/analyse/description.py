@@ -1,4 +1,4 @@
-"""Rows of `recordings` and `previews`."""
+"""What the table `recordings` says of a recording, of a table that stands instead of some, and of a refused file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from schemas.arrays import Float
 from schemas.metadata import RECORDING_ID, RecordingMetadata, TableMetadata
 from schemas.recording import Recording
 from schemas.tables import TABLES
@@ -76,7 +75,7 @@ def recordings_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
 
 
 def recordings_rows(table: pa.Table) -> list[dict[str, Any]]:
-    """Rows of `recordings` as dictionaries. Times come as whole microseconds: arrow's own way to them imports pandas."""
+    """Rows of `recordings` as dictionaries. Times come by whole microseconds: arrow's own way imports pandas."""
     import pyarrow as pa
 
     times = [f.name for f in table.schema if pa.types.is_timestamp(f.type)]
@@ -87,22 +86,6 @@ def recordings_rows(table: pa.Table) -> list[dict[str, Any]]:
             since = whole[name][i]
             row[name] = None if since is None else _EPOCH + timedelta(microseconds=since)
     return rows
-
-
-def preview_table(
-    recording_id: str,
-    envelopes: Mapping[str, tuple[Float, Float, Float]],
-) -> pa.Table:
-    """Rows of `previews` from (time since the recording's first sample, low, high) by quantity."""
-    import pyarrow as pa
-
-    parts = [
-        TABLES["previews"].arrays(
-            time.size, recording_id=recording_id, quantity=quantity, time_s=time, low=low, high=high
-        )
-        for quantity, (time, low, high) in envelopes.items()
-    ]
-    return pa.concat_tables(parts) if parts else TABLES["previews"].empty()
 
 
 def joined(texts: Sequence[str]) -> str | None:

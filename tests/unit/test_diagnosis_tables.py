@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from pipeline.analyse.rows.diagnoses import diagnosis_tables, undiagnosed_tables
+from pipeline.analyse.diagnosis_tables import diagnosis_tables, undiagnosed_tables
 from pipeline.diagnose.features.kinds import FeatureBlock, RecordingFeatures
 from pipeline.diagnose.results import (
     Candidate,

@@ -1,1 +1,0 @@
-"""From results (frozen dataclasses) to rows of the contract's tables (arrow). Nothing is computed here."""
