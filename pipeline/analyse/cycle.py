@@ -71,8 +71,8 @@ def cycle_tables(cycle: Cycle) -> dict[str, pa.Table]:
     fits, curves = TABLES["cycle_fits"], TABLES["cycle_curves"]
     shown = np.unique(np.linspace(0, time.size - 1, min(time.size, MOST_POINTS)).astype(int))
     return {
-        "cycle_fits": fits.stacked(_fit_rows(group, time) for group in cycle.fits),
-        "cycle_curves": curves.stacked(
+        "cycle_fits": fits.stack(_fit_rows(group, time) for group in cycle.fits),
+        "cycle_curves": curves.stack(
             curves.arrays(
                 shown.size,
                 recording_id=group.recording_id,

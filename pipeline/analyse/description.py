@@ -38,8 +38,8 @@ def recording_row(recording: Recording) -> dict[str, Any]:
         "duration_s": recording.duration_s,
         "sample_count": recording.sample_count,
         "status": recording.status,
-        "problem": joined(recording.problems),
-        "notes": joined(recording.notes),
+        "problem": join_texts(recording.problems),
+        "notes": join_texts(recording.notes),
         "kind": "recording",
         "metadata": as_json({"recording": recording.metadata.to_text(), "rig": recording.rig.to_text()}),
     }
@@ -50,8 +50,8 @@ def table_row(about: TableMetadata, kind: str, problems: Sequence[str], notes: S
     return {
         **_described(about),
         "status": "damaged" if problems else "ok",
-        "problem": joined(problems),
-        "notes": joined(notes),
+        "problem": join_texts(problems),
+        "notes": join_texts(notes),
         "kind": kind,
         "metadata": as_json({"recording": about.to_text()}),
     }
@@ -88,7 +88,7 @@ def recordings_rows(table: pa.Table) -> list[dict[str, Any]]:
     return rows
 
 
-def joined(texts: Sequence[str]) -> str | None:
+def join_texts(texts: Sequence[str]) -> str | None:
     """Several problems or notes as one text; NULL for none."""
     return "; ".join(texts) or None
 

@@ -35,7 +35,7 @@ def residual_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures])
             plain_rms=lambda one: one.rms(one.plain),
             extended_rms=lambda one: one.rms(one.extended) if extended else None,
         ),
-        "diagnosis_curves": curves.stacked(
+        "diagnosis_curves": curves.stack(
             _curve(diagnosis.specimen_id, block, extended=extended) for block in _chosen(blocks)
         ),
     }

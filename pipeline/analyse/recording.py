@@ -11,7 +11,7 @@ from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.cycle import cycle_fits, cycle_tables
-from pipeline.analyse.description import joined, recording_row, table_row
+from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.responses import distortion_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.tables import relaxation_of, response_of
@@ -49,9 +49,11 @@ def analyse_content(
     else:
         row = table_row(content.metadata, kind, content.problems, content.notes)
         analysis = analyse_table(content)
-    notes = joined([row["notes"], *analysis.notes] if row["notes"] else analysis.notes)
+    notes = join_texts([row["notes"], *analysis.notes] if row["notes"] else analysis.notes)
     failed = [failure.splitlines()[0] for failure in analysis.failures]
-    problem = joined([p for p in (row["problem"], *analysis.problems, *(f"analysis failed: {f}" for f in failed)) if p])
+    problem = join_texts(
+        [p for p in (row["problem"], *analysis.problems, *(f"analysis failed: {f}" for f in failed)) if p]
+    )
     return {**row, "notes": notes, "problem": problem}, analysis
 
 
@@ -114,7 +116,7 @@ def _draw_previews(recording: Recording) -> pa.Table:
             since = time_s + (channel.time_ns[0] - recording.start_ns) * 1e-9
             about = {"recording_id": recording.metadata.recording_id, "quantity": quantity}
             parts.append(table.arrays(time_s.size, **about, time_s=since, low=low, high=high))
-    return table.stacked(parts)
+    return table.stack(parts)
 
 
 def _calibration(analysis: Analysis, recording: Recording) -> None:

@@ -18,13 +18,13 @@ MEASURED, CORRECTED, AVERAGED = "measured", "corrected", "averaged"
 
 def response_table(responses: Iterable[FrequencyResponse], stage: str = MEASURED) -> pa.Table:
     """Rows of `frequency_responses` for responses of one stage."""
-    return TABLES["frequency_responses"].stacked(_response_rows(response, stage) for response in responses)
+    return TABLES["frequency_responses"].stack(_response_rows(response, stage) for response in responses)
 
 
 def distortion_table(recording_id: str, distortions: Iterable[Distortion]) -> pa.Table:
     """Rows of `distortions` for the distortions of one recording."""
     table = TABLES["distortions"]
-    return table.stacked(
+    return table.stack(
         table.arrays(
             one.frequency_hz.size,
             recording_id=recording_id,

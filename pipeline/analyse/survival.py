@@ -46,7 +46,7 @@ def survival_tables(results: SurvivalResults) -> dict[str, pa.Table]:
         "voltage_life": [_law(configuration, law) for configuration, law in results.voltage_life],
         "voltage_residuals": [_residuals(configuration, law) for configuration, law in results.voltage_life],
     }
-    return {name: TABLES[name].stacked(parts) for name, parts in made.items()}
+    return {name: TABLES[name].stack(parts) for name, parts in made.items()}
 
 
 def _law(configuration: str | None, law: VoltageLife) -> pa.Table:

@@ -88,7 +88,7 @@ def weak_region_tables(
             observed_share_upper=lambda share: share.observed_interval and share.observed_interval[1],
         ),
         "electrode_layouts": layouts.from_objects(checks, configuration=configuration, thickness_limit=THIN),
-        "film_maps": maps.stacked(
+        "film_maps": maps.stack(
             maps.arrays(grid.x_mm.size, configuration=configuration, **vars(grid)) for grid in grids
         ),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from schemas.tables import TABLES, references
+from schemas.tables import TABLES, find_references
 
 STATUSES = ("ok", "damaged", "quarantined", "duplicate", "pending", "excluded")
 ANALYSED = ("ok", "damaged", "excluded")
@@ -37,7 +37,7 @@ CHECKS: Mapping[str, str] = {
 
 def _references() -> Iterator[tuple[str, str]]:
     """The same for every column that refers to recordings: no row speaks of what no analysed recording has."""
-    for table, column, key in references():
+    for table, column, key in find_references():
         yield (
             f"{table}: every {column} is an analysed recording's",
             f"SELECT DISTINCT {column} FROM {table} WHERE {column} IS NOT NULL AND {column} NOT IN "

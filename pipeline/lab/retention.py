@@ -22,7 +22,7 @@ from pipeline.lab.lab import Lab
 from pipeline.lab.lock import hold_lab
 from pipeline.lab.reader import Reader
 from pipeline.lab.snapshot import Changes, Deletion, publish
-from schemas.tables import references
+from schemas.tables import find_references
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def _list_deletions(found: Plan) -> Iterator[Deletion]:
         "recording_id": [row["recording_id"] for row in found.forgotten],
         "specimen_id": [*found.forgotten_specimens],
     }
-    for table, column, key in references():
+    for table, column, key in find_references():
         yield Deletion(table, {column: forgotten[key]})
     yield Deletion("items", {"item_id": [make_item_id(RECORDING, row["source_sha256"]) for row in found.forgotten]})
     yield Deletion("files", {"path": [row["source_path"] for row in found.forgotten]})

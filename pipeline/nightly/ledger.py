@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.analyse.description import joined
+from pipeline.analyse.description import join_texts
 from pipeline.lab.journal import Outcome, entry_name
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import open_published
@@ -241,7 +241,7 @@ def _make_row(outcome: Outcome, done: bool) -> tuple[Any, ...]:
         *(facts.get(name) for name in ("recording_id", "specimen_id", "rig_id", "status", "problem", "samples_path")),
         None if refusal is None else json.dumps(refusal),
         ",".join(sorted(facts.get("carried", ()))),
-        joined(facts.get("notes", ())),
+        join_texts(facts.get("notes", ())),
         entry_name(outcome.item_id),
         done,
     )

@@ -46,7 +46,7 @@ from pipeline.nightly.stages import (
     Night,
 )
 from schemas.errors import DealabError, RefusedError
-from schemas.tables import OWNERS, StageName, made_by
+from schemas.tables import OWNERS, StageName, find_rows_made_by
 from schemas.version import software_version
 
 _KEYS_AT_ONCE = 10_000
@@ -161,17 +161,17 @@ def _list_deletions(night: Night, found: Found) -> Iterator[Deletion]:
         " WHERE r.source_path = k.source_path AND r.source_sha256 IS k.source_sha256 AND NOT r.changed)"
     )
     yield from _delete_in_parts("recordings", ("source_path", "source_sha256"), gone)
-    for table, where in made_by(RECORDING).items():
+    for table, where in find_rows_made_by(RECORDING).items():
         yield from _delete_in_parts(table, (OWNERS[RECORDING],), each(named, ["recording_id"]), where)
     stages: tuple[StageName, ...] = (SPECIMEN, DIAGNOSIS)
     for stage in stages:
         begin = len(make_item_id(stage, ""))
-        for table, where in made_by(stage).items():
+        for table, where in find_rows_made_by(stage).items():
             specimens = ((item[begin:],) for (item,) in each(named, [stage]))
             yield from _delete_in_parts(table, (OWNERS[stage],), specimens, where)
     for name in GROUPS:
         if ledger.row("SELECT 1 FROM going WHERE name = ?", [make_item_id(GROUP, name)]) is not None:
-            yield from (Deletion(table) for table in made_by(GROUP, name))
+            yield from (Deletion(table) for table in find_rows_made_by(GROUP, name))
     yield from _delete_in_parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
     yield from _delete_in_parts("files", ("path",), ((path,) for path in _list_files_gone(night, found)))
     yield Deletion("annotations")

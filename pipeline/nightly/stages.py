@@ -39,7 +39,7 @@ class Group:
     """One analysis over many specimens: the kinds of carried results it takes.
 
     `mention` is the key of the metadata without which a recording tells it nothing; None: it takes no metadata. The
-    tables that it fills as a whole say so themselves (`schemas.tables.made_by`).
+    tables that it fills as a whole say so themselves (`schemas.tables.find_rows_made_by`).
     """
 
     kinds: frozenset[str]

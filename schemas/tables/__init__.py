@@ -25,7 +25,17 @@ from schemas.tables import (
 from schemas.tables.fits import ARMS
 from schemas.tables.table import OWNERS, Column, StageName, Table
 
-__all__ = ["ARMS", "OWNERS", "TABLES", "Column", "StageName", "Table", "made_by", "reference", "references"]
+__all__ = [
+    "ARMS",
+    "OWNERS",
+    "TABLES",
+    "Column",
+    "StageName",
+    "Table",
+    "find_references",
+    "find_rows_made_by",
+    "reference",
+]
 
 _SUBJECTS = (
     recordings,
@@ -43,7 +53,7 @@ _SUBJECTS = (
 TABLES: dict[str, Table] = {table.name: table for subject in _SUBJECTS for table in subject.TABLES}
 
 
-def made_by(stage: StageName, group: str = "") -> Mapping[str, str]:
+def find_rows_made_by(stage: StageName, group: str = "") -> Mapping[str, str]:
     """The tables with rows of a stage, and which of their rows these are, a condition in SQL.
 
     Parameters
@@ -59,7 +69,7 @@ def made_by(stage: StageName, group: str = "") -> Mapping[str, str]:
     }
 
 
-def references() -> Iterator[tuple[str, str, str]]:
+def find_references() -> Iterator[tuple[str, str, str]]:
     """Every column that refers to recordings: its table, its name, the column of `recordings` that has its values."""
     for table in TABLES.values():
         for column in table.columns:
@@ -72,7 +82,18 @@ def reference() -> str:
     parts = []
     for table in TABLES.values():
         parts.append(f"### `{table.name}`\n{table.meaning[0].upper()}{table.meaning[1:]}.\n")
+        parts.append(f"{_origin(table)}\n")
         parts.append("| column | type | unit | meaning |\n|---|---|---|---|")
         parts += [f"| `{c.name}` | {c.type} | {c.unit} | {c.meaning.replace('|', '&#124;')} |" for c in table.columns]
         parts.append("")
     return "\n".join(parts)
+
+
+def _origin(table: Table) -> str:
+    """Key, makers and pages of a table in one line."""
+    makers = (
+        f"{maker.group or maker.stage}{'' if maker.where == 'true' else f' (`{maker.where}`)'}"
+        for maker in table.made_by
+    )
+    key = ", ".join(f"`{name}`" for name in table.key)
+    return f"Key: {key}. Made by: {', '.join(makers)}. Pages: {', '.join(table.pages) or 'none'}."

@@ -7,12 +7,12 @@ from schemas.tables.table import (
     SPECIMEN_ID,
     MadeBy,
     Table,
-    measured,
     real,
     text,
     whole,
     with_bounds,
     with_sd,
+    with_uncertainty,
 )
 
 TABLES: tuple[Table, ...] = (
@@ -35,9 +35,9 @@ TABLES: tuple[Table, ...] = (
         (
             SPECIMEN_ID,
             whole("coats", "most coats measured"),
-            *measured("full_pf", "pF", "capacitance of the covered region"),
-            *measured("first_share", "", "share that the first coat covers"),
-            *measured("coats_to_cover", "", "coats that cover 99 %"),
+            *with_uncertainty("full_pf", "pF", "capacitance of the covered region"),
+            *with_uncertainty("first_share", "", "share that the first coat covers"),
+            *with_uncertainty("coats_to_cover", "", "coats that cover 99 %"),
             text("form", "likeliest form of the rise; the numbers are averages over three"),
             text("warnings", "what limits the fit"),
         ),

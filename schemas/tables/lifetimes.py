@@ -37,7 +37,9 @@ TABLES: tuple[Table, ...] = (
             text("failure_region", "left, centre or right"),
             text("warnings", "contradictions and what could not be decided"),
             truth("decided", "the record tells a breakdown from other causes; false: see evidence and warnings"),
-            real("probability_failed", "", "that a breakdown made the voltage fall in the end; NULL where nothing fell"),
+            real(
+                "probability_failed", "", "that a breakdown made the voltage fall in the end; NULL where nothing fell"
+            ),
             real("probability_switched_off", "", "that the end of the test or the operator did"),
             real("probability_supply", "", "that the supply sagged or tripped"),
             real("probability_monitor", "", "that only the monitor lost the voltage"),

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-from schemas.tables.table import RECORDING_ID, SPECIMEN_ID, MadeBy, Table, measured, real, text, truth, whole, with_sd
+from schemas.tables.table import (
+    RECORDING_ID,
+    SPECIMEN_ID,
+    MadeBy,
+    Table,
+    real,
+    text,
+    truth,
+    whole,
+    with_sd,
+    with_uncertainty,
+)
 
 TABLES: tuple[Table, ...] = (
     Table(
@@ -67,17 +78,21 @@ TABLES: tuple[Table, ...] = (
         (
             SPECIMEN_ID,
             text("sensing_region", "separate, or active: one region actuates and senses"),
-            *measured("force_per_capacitive_strain_n", "N", "slope of force against capacitive strain"),
+            *with_uncertainty("force_per_capacitive_strain_n", "N", "slope of force against capacitive strain"),
             real("r_squared", "", "of that line; NULL for one level of voltage"),
-            *measured("nonlinearity", "", "departure of a parabola from the line at the largest strain, as a share"),
-            *measured("modulus_mpa", "MPa", "modulus that the slope implies"),
+            *with_uncertainty(
+                "nonlinearity", "", "departure of a parabola from the line at the largest strain, as a share"
+            ),
+            *with_uncertainty("modulus_mpa", "MPa", "modulus that the slope implies"),
             *with_sd("mechanical_modulus_mpa", "MPa", "modulus of the mechanical model for the same creep"),
-            *measured("modulus_ratio", "", "modulus_mpa over mechanical_modulus_mpa"),
-            *measured("sensitivity", "", "change of capacitive strain per stretch of the active region"),
+            *with_uncertainty("modulus_ratio", "", "modulus_mpa over mechanical_modulus_mpa"),
+            *with_uncertainty("sensitivity", "", "change of capacitive strain per stretch of the active region"),
             real("predicted_sensitivity", "", "the same from the geometry"),
-            *measured("drift_pf_per_hour", "pF/h", "drift of the capacitance at given force"),
-            *measured("wrinkling_onset_kv", "kV", "voltage above which the film wrinkles; NULL where none was seen"),
-            *measured("force_exponent", "", "exponent of the force step in the voltage; 2 for Maxwell stress"),
+            *with_uncertainty("drift_pf_per_hour", "pF/h", "drift of the capacitance at given force"),
+            *with_uncertainty(
+                "wrinkling_onset_kv", "kV", "voltage above which the film wrinkles; NULL where none was seen"
+            ),
+            *with_uncertainty("force_exponent", "", "exponent of the force step in the voltage; 2 for Maxwell stress"),
             whole("steps", "steps in the fit"),
             text("warnings", "what limits the fit"),
         ),

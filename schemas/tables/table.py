@@ -197,7 +197,7 @@ class Table:
                 fields.append(pa.array(values, kind.type, from_pandas=True))
         return pa.Table.from_arrays(fields, schema=self.arrow_schema)
 
-    def stacked(self, parts: Iterable[pa.Table]) -> pa.Table:
+    def stack(self, parts: Iterable[pa.Table]) -> pa.Table:
         """The rows of all parts, one below the other; an empty table for none."""
         import pyarrow as pa
 
@@ -288,7 +288,7 @@ def with_bounds(name: str, unit: str, meaning: str) -> tuple[Column, Column, Col
     )
 
 
-def measured(name: str, unit: str, meaning: str) -> tuple[Column, ...]:
+def with_uncertainty(name: str, unit: str, meaning: str) -> tuple[Column, ...]:
     """Value, standard deviation and 95 % limits."""
     value, lower, upper = with_bounds(name, unit, meaning)
     return value, real(f"{name}_sd", unit, f"standard deviation of {name}"), lower, upper

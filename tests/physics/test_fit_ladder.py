@@ -7,6 +7,7 @@ import pytest
 
 from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.fit.relaxation.ladder import ladder, wants_ladder
+from pipeline.fit.relaxation.order import LEVEL
 from schemas.tables import TABLES
 from tests.physics.fit_truth import ACRYLATE, BAND, film, relaxation_curve, response
 
@@ -24,7 +25,8 @@ def test_enough_is_the_number_of_arms_that_there_are() -> None:
     rungs = ladder(given, orders=(1, 2, 4, 8, 10))
     error = np.array([r.relative_error for r in rungs])
     assert np.all(np.diff(error) < 1e-3)
-    assert [r.enough for r in rungs] == [False, False, False, True, True]
+    needed = [r.order_p_value is None or r.order_p_value < LEVEL for r in rungs]
+    assert needed == [True, True, True, False, False]
     eight = rungs[3]
     assert eight.relative_error == pytest.approx(0.01, rel=0.15)  # the noise
     assert eight.r_squared_storage == pytest.approx(1.0, abs=1e-3)

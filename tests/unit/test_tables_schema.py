@@ -11,8 +11,8 @@ import pyarrow as pa
 import pytest
 
 from pipeline.nightly.stages import GROUPS, STAGES
-from schemas.tables import OWNERS, TABLES, reference, references
-from schemas.tables.table import MadeBy, Table, measured, real, text, texts, truth, whole, with_bounds
+from schemas.tables import OWNERS, TABLES, find_references, reference
+from schemas.tables.table import MadeBy, Table, real, text, texts, truth, whole, with_bounds, with_uncertainty
 
 
 @pytest.mark.parametrize("name", list(TABLES))
@@ -70,6 +70,11 @@ def test_reference_names_every_column() -> None:
     for table in TABLES.values():
         assert f"### `{table.name}`" in text
         assert all(f"`{column.name}`" in text for column in table.columns)
+    assert (
+        "Key: `specimen_id`, `recording_id`, `quantity`, `stage`, `frequency_hz`."
+        " Made by: recording (`stage = 'measured'`), specimen (`stage <> 'measured'`)."
+        " Pages: index, campaign, specimen, recording."
+    ) in text
 
 
 def test_no_name_is_taken_twice() -> None:
@@ -112,7 +117,7 @@ def test_a_table_of_several_stages_says_which_rows_are_whose() -> None:
 
 
 def test_what_refers_to_recordings() -> None:
-    found = set(references())
+    found = set(find_references())
     assert {key for _, _, key in found} == {"recording_id", "specimen_id"}
     assert all(key in TABLES["recordings"].names and column in TABLES[table].names for table, column, key in found)
     silent = {t.name for t in TABLES.values() if "recording_id" in t.names} - {table for table, _, _ in found}
@@ -143,7 +148,7 @@ TOY = Table(
     "a table for tests",
     (
         text("name", "name"),
-        *measured("size", "mm", "size"),
+        *with_uncertainty("size", "mm", "size"),
         *with_bounds("limits", "", "limits"),
         whole("count", "count"),
         truth("found", "found"),
@@ -198,5 +203,5 @@ def test_infinity_is_null_in_rows_objects_and_arrays_alike() -> None:
 
 def test_parts_are_stacked() -> None:
     part = TABLES["calibrations"].rows([{"value": 1.0}])
-    assert TABLES["calibrations"].stacked([part, part])["value"].to_pylist() == [1.0, 1.0]
-    assert TABLES["calibrations"].stacked([]) == TABLES["calibrations"].empty()
+    assert TABLES["calibrations"].stack([part, part])["value"].to_pylist() == [1.0, 1.0]
+    assert TABLES["calibrations"].stack([]) == TABLES["calibrations"].empty()

@@ -41,11 +41,6 @@ class Rung:
     r_squared_relaxation: float | None
     order_p_value: float | None
 
-    @property
-    def enough(self) -> bool:
-        """One more arm is no significant gain."""
-        return self.order_p_value is not None and self.order_p_value >= LEVEL
-
 
 def wants_ladder(fits: SpecimenFits) -> bool:
     """The data reach over many decades, and the highest order that was fitted is rejected against the next."""
