@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.results import NAMED, NONE
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import DELAY, Oscillator, SystemRecord, make_linear
+from pipeline.diagnose.single.oscillator_fit import find_linear_start
 from pipeline.diagnose.single.system_discrepancies import list_system_discrepancies
 from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
+from schemas.errors import NotIdentifiableError
 
 Float = NDArray[np.float64]
 Force = Callable[[float, float, float], tuple[float, float]]
@@ -201,3 +204,47 @@ def test_the_linear_oscillator_is_exact() -> None:
     for simulated, by in zip(found, (0.0, 0.4 * INTERVAL_S), strict=True):
         exact = (response * np.exp(1j * wave * (t - by))).real
         np.testing.assert_allclose(simulated, exact, atol=2e-3 * abs(response))
+
+
+def _noisy(size: int, spike: float, seed: int = 1) -> SystemRecord:
+    """White noise through a low pass of 0.1 s, sampled every 10 ms, with one spike in the input."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(size)
+    y = lfilter([0.1], [1, -0.9], u) + 1e-3 * rng.standard_normal(size)
+    u[size // 3] += spike
+    return SystemRecord("record", u, y, 0.01)
+
+
+@pytest.mark.parametrize("size", [2, 3, 40, 127])
+def test_too_few_samples_are_said_so(size: int) -> None:
+    with pytest.raises(NotIdentifiableError, match=f"the records have {size} samples"):
+        ask_system([_noisy(size, 0.0)])
+
+
+@pytest.mark.parametrize("spike", [50.0, 1e6, 1e9])
+def test_a_spike_sends_the_linear_start_nowhere(spike: float) -> None:
+    record = _noisy(2000, spike)
+    omega, ratio, _ = find_linear_start([record])
+    lowest, highest = 2 * np.pi / (2000 * 0.01), np.pi / 0.01
+    assert 0.49 * lowest < omega < 2.01 * highest
+    assert 1e-4 <= ratio <= 3.0
+
+
+def test_a_system_that_remembers_longer_than_its_record_is_not_asked() -> None:
+    record = _noisy(2000, 0.0)
+    ringing = replace(record, output=np.sin(2 * np.pi * 0.06 * np.arange(2000) * 0.01))
+    with pytest.raises(NotIdentifiableError, match="remembers its start"):
+        ask_system([ringing])
+
+
+def test_a_system_without_a_resonance_is_simulated() -> None:
+    """A low pass of first order, 1/(1 + jω 0.1 s), which is the limit of a damped resonance: sines by their formula."""
+    rng = np.random.default_rng(5)
+    t = np.arange(2000) * 0.01
+    omegas, phases = 2 * np.pi * np.arange(0.1, 8, 0.1), rng.uniform(0, 2 * np.pi, 79)
+    waves = np.exp(1j * (np.outer(t, omegas) + phases))
+    u, y = waves.sum(axis=1).real, (waves / (1 + 0.1j * omegas)).sum(axis=1).real
+    record = SystemRecord("record", u, y + 1e-3 * rng.standard_normal(t.size), 0.01)
+    question = ask_system([record])
+    misfit = np.sqrt(np.mean((question.plain.whole - question.measured) ** 2))
+    assert misfit < 0.1 * np.std(question.measured)

@@ -31,6 +31,8 @@ PARAMETERS = 11
 
 _FORGOTTEN = 1e-4
 """Share of a start that a run-in may leave."""
+_SHORTEST = 64
+"""Samples of the shortest stretches that run side by side."""
 _TURN = 0.4
 """Most radians of the reference frequency that one step of Runge and Kutta takes."""
 
@@ -63,6 +65,20 @@ def make_linear(damping: float, gain: float) -> Float:
     return start
 
 
+def memory_s(angular_frequency: float, damping: float) -> float:
+    """Seconds after which an oscillator of that w and δ has forgotten where it started: by the slower of its two poles."""
+    ratio = damping / 2
+    return float(-np.log(_FORGOTTEN) / angular_frequency / (ratio - np.sqrt(max(ratio**2 - 1, 0.0))))
+
+
+def count_steps(records: Sequence[SystemRecord], angular_frequency: float, damping: float) -> float:
+    """Steps of Runge and Kutta that a simulation of the records takes, run-in included."""
+    interval = records[0].interval_s
+    run_in = memory_s(angular_frequency, damping) / interval
+    length = min(max(r.input.size for r in records), max(run_in, _SHORTEST))
+    return (run_in + length) * max(1.0, angular_frequency * interval / _TURN)
+
+
 class Oscillator:
     """Simulation of records of one system.
 
@@ -75,11 +91,11 @@ class Oscillator:
         interval = records[0].interval_s
         self.records = tuple(records)
         self.amplitude, self.angular_frequency = amplitude, angular_frequency
-        self.run_in = int(np.ceil(-np.log(_FORGOTTEN) * 2 / damping / angular_frequency / interval))
+        self.run_in = int(np.ceil(memory_s(angular_frequency, damping) / interval))
         self._steps = max(1, int(np.ceil(angular_frequency * interval / _TURN)))
         self._h = angular_frequency * interval / self._steps
         longest = max(r.input.size for r in records)
-        self._length = min(longest, max(self.run_in, 64))
+        self._length = min(longest, max(self.run_in, _SHORTEST))
         stretches = [self._stretches(r) for r in records]
         self._count = [s.shape[1] for s in stretches]
         self._input: Float = np.concatenate(stretches, axis=1)

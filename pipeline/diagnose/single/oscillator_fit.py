@@ -55,6 +55,9 @@ _LINES = 3000
 """Strongest spectral lines by which a linear start is found."""
 _FREQUENCIES, _RATIOS = 160, np.geomspace(3e-3, 3.0, 9)
 """Frequencies and damping ratios of the grid of linear starts."""
+_LEAST_RATIO, _LARGEST_RATIO = 1e-4, 3.0
+"""Damping ratios that a linear start may have. Beyond 3 an oscillator is a low pass of first order, whose second pole is
+a hundred times the first and more: records do not tell how much, and steps that the first one needs do not follow it."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,9 @@ def find_linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, fl
     """Angular frequency in rad/s, damping ratio and gain of y″ + 2ζω y′ + ω² y = g u, from spectra under a window of
     Hann.
 
-    The response error |Y − g U/D|² on a grid of ω and ζ, with the best g of each, and on from its least.
+    The response error |Y − g U/D|² on a grid of ω and ζ, with the best g of each, and on from its least. Beyond half the
+    lowest and twice the highest frequency of the records every ω does the same to them: a spike, which excites all
+    frequencies alike, or a system without a resonance would send it to nothing or without end.
     """
     w, u, y = (np.concatenate(part) for part in zip(*(_compute_spectra(r) for r in records), strict=True))
     strongest = np.argsort(np.abs(y))[-_LINES:]
@@ -193,9 +198,10 @@ def find_linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, fl
         g = float(np.vdot(of_one, y).real / np.vdot(of_one, of_one).real)
         return g, float(np.sum(np.abs(y - g * of_one) ** 2))
 
+    lowest, highest = float(w.min()) / 2, float(w.max()) * 2
     grid = [
         (gain(omega, ratio)[1], omega, ratio)
-        for omega in np.geomspace(w.min() / 2, w.max() * 2, _FREQUENCIES)
+        for omega in np.geomspace(lowest, highest, _FREQUENCIES)
         for ratio in _RATIOS
     ]
     _, omega, ratio = min(grid)
@@ -203,6 +209,7 @@ def find_linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, fl
         lambda x: gain(float(np.exp(x[0])), float(np.exp(x[1])))[1],
         np.log([omega, ratio]),
         method="Nelder-Mead",
+        bounds=np.log([(lowest, highest), (_LEAST_RATIO, _LARGEST_RATIO)]),
         options={"initial_simplex": np.log([omega, ratio]) + np.array([[0, 0], [0.05, 0], [0, 0.5]])},
     )
     omega, ratio = np.exp(found.x)

@@ -79,6 +79,7 @@ def _collect_details(
         could_not_ask=(
             "This is no film in a rig: it is simulated as one resonance, and asked for what bends it",
             f"The noise of the output, {question.sd:.2g} {unit}, is {question.noise}",
+            *(f"{name}: its model has no finite simulation of these records" for name in question.without),
         ),
         unexplained=(describe_what_stays(words, best.whole - question.measured, question.sd, unit),),
     )

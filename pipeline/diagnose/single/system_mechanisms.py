@@ -49,7 +49,9 @@ from pipeline.diagnose.single.oscillator import (
     STIFFNESS,
     Oscillator,
     SystemRecord,
+    count_steps,
     make_linear,
+    memory_s,
 )
 from pipeline.diagnose.single.oscillator_fit import (
     Fit,
@@ -61,6 +63,7 @@ from pipeline.diagnose.single.oscillator_fit import (
 )
 from pipeline.diagnose.single.system_parts import estimate_noise_sd, split_in_two
 from schemas.arrays import Bool, Float, Int
+from schemas.errors import NotIdentifiableError
 
 _LINEAR = (STIFFNESS, DAMPING, GAIN)
 _DRAWN = 200
@@ -123,6 +126,7 @@ class SystemQuestion:
     names, times : of all records, and (n,) s
     measured_outputs : (n,) per record as compared
     simulations : the plain model's first
+    without : mechanisms, in words, whose models have no finite simulation and are left out
     """
 
     measured: Float
@@ -139,6 +143,7 @@ class SystemQuestion:
     times: tuple[Float, ...]
     measured_outputs: tuple[Float, ...]
     simulations: tuple[Simulated, ...]
+    without: tuple[str, ...] = ()
 
 
 Report = Callable[[Float, float, float], Mapping[str, Float]]
@@ -271,7 +276,17 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
     ----------
     records : all with one sampling interval
     sd : standard deviation of the noise of one output, where the caller knows it, for instance from periods that repeat
+
+    Raises
+    ------
+    NotIdentifiableError : records too short, or a resonance that they do not tell
     """
+    samples = sum(r.input.size for r in records)
+    if samples < RULES.single.shortest:
+        raise NotIdentifiableError(
+            f"the records have {samples} samples",
+            expected=f"at least {RULES.single.shortest} to say what bends a resonance",
+        )
     oscillator, start = _start_plain(records)
     measured_outputs = tuple(_centre_output(oscillator, r) for r in records)
     measured = join_compared(oscillator, measured_outputs)
@@ -291,12 +306,19 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
     for owner, fit in zip(owners, fit_all(oscillator, measured, problems), strict=True):
         if owner not in fits or fit.cost < fits[owner].cost:
             fits[owner] = fit
+    finite = [all(np.isfinite(fits[number, fold].cost) for fold in range(3)) for number in range(1 + len(MECHANISMS))]
+    if not finite[0]:
+        raise NotIdentifiableError(
+            "a single resonance has no finite simulation of the records",
+            expected="a system that one resonance resembles",
+        )
     decay = 2 / start[DAMPING] / oscillator.angular_frequency / records[0].interval_s
     memory = int(max(RULES.single.memory * decay, measured.size / _BLOCKS, 1))
     known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
+    tried = [(number, term) for number, term in enumerate((None, *MECHANISMS)) if finite[number]]
     found = [
         _try_model(term, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
-        for number, term in enumerate((None, *MECHANISMS))
+        for number, term in tried
     ]
     compared = tuple(oscillator.compared(r) for r in records)
     louder, quieter = np.flatnonzero(loud), np.flatnonzero(~loud)
@@ -319,16 +341,21 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
         measured_outputs=measured_outputs,
         simulations=tuple(
             Simulated(model.mechanism, fits[number, 0].records, compared, fits[number, 0].parameters)
-            for number, model in enumerate(found)
+            for (number, _), model in zip(tried, found, strict=True)
         ),
+        without=tuple(term.variant for number, term in enumerate((None, *MECHANISMS)) if term and not finite[number]),
     )
 
 
 def _start_plain(records: Sequence[SystemRecord]) -> tuple[Oscillator, Float]:
-    """The oscillator in units of the linear fit to everything, and its parameters (PARAMETERS,)."""
+    """The oscillator in units of the linear fit to everything, and its parameters (PARAMETERS,).
+
+    Raises `NotIdentifiableError` where the records do not tell a resonance.
+    """
     amplitude = max(float(np.abs(r.output - (0 if r.from_rest else r.output.mean())).max()) for r in records)
     omega, ratio, gain = find_linear_start(records)
     for _ in range(2):
+        _check_memory(records, omega, _SAFETY * 2 * ratio)
         oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * ratio)
         start = make_linear(damping=2 * ratio, gain=gain / omega**2)
         measured = join_compared(oscillator, [_centre_output(oscillator, r) for r in records])
@@ -340,6 +367,26 @@ def _start_plain(records: Sequence[SystemRecord]) -> tuple[Oscillator, Float]:
         ratio, gain = float(theta[DAMPING]) / 2 / frequency, float(theta[GAIN]) * omega**2
         omega *= frequency
     return oscillator, theta
+
+
+def _check_memory(records: Sequence[SystemRecord], omega: float, damping: float) -> None:
+    """Raises `NotIdentifiableError` where a system remembers longer than its records last, or takes too long to simulate."""
+    last = sum(r.input.size for r in records) * records[0].interval_s
+    memory = memory_s(omega, damping)
+    found = f"the best single resonance, {omega / (2 * np.pi):.3g} Hz with a damping ratio of {damping / 2:.2g},"
+    if memory > RULES.single.run_in * last and not all(r.periodic for r in records):
+        raise NotIdentifiableError(
+            f"{found} remembers its start for {memory:.3g} s and the records last {last:.3g} s",
+            expected="records that outlast it, or one steady period (period_s)",
+            remedy="Look for spikes in the input and output, which fit no resonance",
+        )
+    steps = count_steps(records, omega, damping)
+    if steps > RULES.single.most_steps:
+        raise NotIdentifiableError(
+            f"{found} takes {steps:.3g} steps to simulate",
+            expected=f"at most {RULES.single.most_steps}",
+            remedy="Look for spikes in the input and output, which fit no resonance",
+        )
 
 
 def _centre_output(oscillator: Oscillator, record: SystemRecord) -> Float:
