@@ -118,8 +118,29 @@ def scaled_numbers(
         raise RefusedError(
             f"columns.{name}: scale {column.scale}, offset {column.offset}", where=where, expected="a scale but 0"
         )
+    _check_scaled_once(numbers, column, name, where)
     values = Conversion(column.scale, column.offset).apply(numbers.values)
     return replace(found, numbers=replace(numbers, values=values))
+
+
+def _check_scaled_once(numbers: Numbers, column: ColumnMapping, name: str, where: str) -> None:
+    """Refuses a mapping that does what the file has asked for already, and numbers that may have a scale nobody knows."""
+    if numbers.doubtful and not column.says_scale:
+        raise RefusedError(
+            f"column {column.label} for {name} holds whole numbers beside {', '.join(numbers.doubtful)}, which may be"
+            " their scale",
+            where=where,
+            expected="scale and offset in the mapping (scale = 1 where the numbers stand as they are meant)",
+            remedy=f"Add scale to [columns.{name}] in the mapping TOML",
+        )
+    own = numbers.unpacked
+    if own is not None and column.scale != 1.0 and math.isclose(column.scale, own.scale, rel_tol=1e-6):
+        raise RefusedError(
+            f"columns.{name}: scale {column.scale:g} is that of the file itself, which is applied already",
+            where=where,
+            expected="a scale beside the file's own, or none",
+            remedy=f"Take scale and offset out of [columns.{name}] in the mapping TOML",
+        )
 
 
 def unit_of(file: ColumnFile, column: ColumnMapping, name: str, canonical: str, *, where: str) -> str:
@@ -194,7 +215,11 @@ def _times(column: ColumnMapping, count: int, shared: _Assembly) -> Int:
                 expected="[time] with column or sample_rate_hz",
                 remedy="Add it to the mapping TOML",
             )
-        return own_time(own, shared.metadata, shared.where)
+        elapsed = time is not None and time.is_elapsed
+        found = own_time(own, shared.metadata, column.label, shared.where, elapsed=elapsed)
+        shared.problems += found.problems
+        shared.notes += found.notes
+        return found.time_ns
     time = time or TimeMapping(unit="s")
     if column.time is None and time.sample_rate_hz is not None:
         key: object = count

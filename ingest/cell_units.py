@@ -24,6 +24,24 @@ _UNIT_IN_NAME = re.compile(
 )
 _TAKES_PREFIX = ("V", "N", "A", "F", "Pa", "Hz", "W", "J")
 """Units that a prefix alone behind a number belongs to (`6.000k` in V); one that has a prefix takes no second."""
+_MEASURED = (
+    "N",
+    "mm",
+    "kV",
+    "pF",
+    "µA",
+    "degC",
+    "kPa",
+    "bar",
+    "s",
+    "Hz",
+    "rad",
+    "N/mm",
+    "mm/N",
+    "mm/s/N",
+    "mm/s^2/N",
+    "1",
+)
 _FEW = 0.2
 """A notation in fewer cells than `ALIKE` and this share of a column is damage: a random byte makes a `-` or an `m`."""
 
@@ -39,9 +57,19 @@ def name_and_unit(name: str) -> tuple[str, str]:
 def plain_unit(text: str | None) -> str | None:
     """A unit without the brackets that exporters put around it."""
     text = (text or "").strip()
-    while len(text) > 1 and text[0] + text[-1] in _BRACKETS:
+    while len(text) > 1 and text[0] + text[-1] in _BRACKETS and _enclose(text):
         text = text[1:-1].strip()
     return text or None
+
+
+def _enclose(text: str) -> bool:
+    """Whether the first and the last character are a pair of brackets, and not the first and last of several."""
+    depth = 0
+    for character in text[:-1]:
+        depth += (character == text[0]) - (character == text[-1])
+        if not depth:
+            return False
+    return True
 
 
 def same_unit(one: str, other: str, canonical: str) -> bool | None:
@@ -57,7 +85,7 @@ def same_unit(one: str, other: str, canonical: str) -> bool | None:
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit of anything that is measured here."""
-    for canonical in ("N", "mm", "kV", "pF", "µA", "degC", "kPa", "bar", "s", "Hz", "rad", "N/mm", "1"):
+    for canonical in _MEASURED:
         try:
             conversion(text, canonical)
         except RefusedError:
@@ -113,7 +141,7 @@ def resolved(
     Raises `RefusedError` for units that do not convert, and for bounds (`> 5`) where values are expected.
     """
     values, lost = numbers.values, np.zeros(numbers.values.size, dtype=bool)
-    notes = []
+    notes = [f"{name}: {note}" for note in numbers.notes]
     for how, rows in numbers.notations.items():
         if few_are_damage and how != THOUSANDS and _are_few(rows, values.size):
             lost[rows] = True

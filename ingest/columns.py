@@ -11,11 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-
 from ingest.mapping import ColumnName, column_label
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import RefusedError
+from schemas.units import Conversion
 
 CELL_LIMIT = 1 << 28
 """Most numbers that one column or array may hold (2 GiB of doubles)."""
@@ -30,6 +29,9 @@ class Numbers:
     Of cells that are no plain numbers: `units` says which rows carry a unit of their own, their values as they stand
     there; `notations` which rows are written in which way; `bounds` which are only known to be above (1) or below (−1);
     `odd` how they are written, for messages. Rows count from 0.
+
+    Of packed numbers: `unpacked` is what the file itself says to be done to its raw numbers, and was done; `doubtful`
+    names attributes that may be a scale as well. `notes` is what is worth knowing.
     """
 
     values: Float
@@ -40,6 +42,9 @@ class Numbers:
     notations: Mapping[str, Int] = field(default_factory=dict)
     bounds: Mapping[int, int] = field(default_factory=dict)
     odd: Mapping[int, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    unpacked: Conversion | None = None
+    doubtful: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,9 @@ class ColumnFile(Protocol):
 
     def own_time(self, column: ColumnName) -> OwnTime | None:
         """The time base that the file itself gives the column, None when it gives none."""
+
+    def own_frequency(self, column: ColumnName) -> Float | None:
+        """(n,) frequencies in Hz that the file itself gives the column, None when it gives none."""
 
 
 def named_column(names: Sequence[str], column: ColumnName, where: str) -> int:
@@ -119,30 +127,3 @@ def missing_column(names: Sequence[str], column: ColumnName, where: str) -> Refu
         expected=f"one of its columns: {shown}",
         remedy="Correct the column in the mapping TOML",
     )
-
-
-def numbers_from_array(array: Any, column: ColumnName, index: int | None, where: str) -> Numbers:
-    """One column of a numeric array; a matrix needs `index`. Raises `RefusedError` for anything else."""
-    values = np.asarray(array)
-    label = column_label(column, index)
-    if values.dtype.kind not in "biuf":
-        raise RefusedError(f"{label} holds {values.dtype}, not numbers", where=where, expected="real numbers")
-    if values.ndim == 2 and 1 in values.shape and index is None:
-        values = values.reshape(-1)
-    if values.ndim == 2 and index is not None:
-        if index >= values.shape[1]:
-            raise RefusedError(
-                f"{label}: the matrix has {values.shape[1]} columns",
-                where=where,
-                expected=f"index 0 to {values.shape[1] - 1}",
-            )
-        values = values[:, index]
-    if values.ndim != 1:
-        shape = " × ".join(map(str, values.shape)) or "one number"
-        raise RefusedError(
-            f"{label} is {shape}",
-            where=where,
-            expected="one column of numbers",
-            remedy="Give index, the column of the matrix from 0, in the mapping TOML",
-        )
-    return Numbers(np.array(values, dtype=np.float64), np.zeros(values.shape, dtype=bool))

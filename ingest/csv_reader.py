@@ -22,6 +22,7 @@ from ingest.csv_dialect import UNREADABLE, WHITESPACE, Dialect, as_utf8, wrong_e
 from ingest.csv_rows import checked_end, cut_reason, parsed_rows
 from ingest.mapping import ColumnName, FileMapping, column_label
 from ingest.notations import read_column
+from schemas.arrays import Float
 from schemas.errors import RefusedError
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
@@ -83,6 +84,9 @@ class CsvFile:
         return self.units[position] if position < len(self.units) else None
 
     def own_time(self, column: ColumnName) -> OwnTime | None:
+        return None
+
+    def own_frequency(self, column: ColumnName) -> Float | None:
         return None
 
     def _text(self, column: ColumnName, index: int | None) -> pa.Array:

@@ -19,6 +19,7 @@ from ingest.clocks import seconds_of_day
 from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column
 from ingest.mapping import ColumnName, FileMapping
 from ingest.notations import read_cell, read_column
+from schemas.arrays import Float
 from schemas.errors import RefusedError
 
 _INFLATED_LIMIT = 1 << 29
@@ -79,6 +80,9 @@ class SheetFile:
         return self.units[position] or None if self.units else None
 
     def own_time(self, column: ColumnName) -> OwnTime | None:
+        return None
+
+    def own_frequency(self, column: ColumnName) -> Float | None:
         return None
 
 

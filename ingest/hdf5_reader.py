@@ -1,22 +1,28 @@
 """HDF5 and MATLAB v7.3 through h5py, an optional extra. A column is the path of a dataset, `/` between its parts.
 
-MATLAB v7.3 keeps its matrices transposed; they are given back as MATLAB shows them, with `.` between structure and
-field. A dataset's attribute `unit` or `units` is its unit. Does not belong here: MATLAB v5 (`ingest.matlab_reader`).
+A field of a table (a compound dataset) is `dataset/field`. MATLAB v7.3 keeps its matrices transposed; they are given back
+as MATLAB shows them, with `.` between structure and field. What the file holds is listed in `ingest.hdf5_tree`; how
+packed numbers are read is in `ingest.packing`. Does not belong here: MATLAB v5 (`ingest.matlab_reader`).
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from ingest.apart import Apart
-from ingest.arrays import ArrayFile
+from ingest.arrays import ArrayFile, Held
 from ingest.columns import CELL_LIMIT
 from ingest.mapping import FileMapping
 from schemas.errors import MissingExtraError, RefusedError
+
+if TYPE_CHECKING:
+    from ingest.hdf5_tree import Listed
+
+_DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, OverflowError)
+"""What h5py raises for damaged files."""
 
 
 def read_hdf5(path: Path, mapping: FileMapping, *, matlab: bool = False) -> ArrayFile:
@@ -30,55 +36,52 @@ def read_hdf5(path: Path, mapping: FileMapping, *, matlab: bool = False) -> Arra
             remedy="Install it: pip install dealab[hdf5]",
         ) from None
     parsed = Apart(path)
-    found = parsed(_datasets, path)
+    found = parsed(_listed, path)
     separator = "." if matlab else "/"
     return ArrayFile(
         where=path.name,
-        arrays={
-            name.replace("/", separator): functools.partial(parsed, _dataset, path, name, matlab) for name in found
+        held={
+            name.replace("/", separator): Held(
+                functools.partial(parsed, _read, path, name, listed, matlab),
+                listed.shape,
+                listed.unit,
+                listed.packing,
+                listed.refusal,
+                listed.remedy,
+            )
+            for name, listed in found.items()
         },
         separator=separator,
         root=mapping.options.get("root", ""),
         transpose=mapping.options.get("transpose", False),
-        units={name.replace("/", separator): unit for name, unit in found.items() if unit is not None},
     )
 
 
-def _datasets(path: Path) -> dict[str, str | None]:
-    """Names of all datasets and their units."""
+def _listed(path: Path) -> dict[str, Listed]:
     import h5py
 
-    found: dict[str, str | None] = {}
-
-    def visit(name: str | bytes, item: Any) -> None:
-        # a name that is no UTF-8 comes as bytes; no mapping can name it
-        if isinstance(item, h5py.Dataset) and isinstance(name, str) and not name.startswith("#"):
-            unit = item.attrs.get("unit", item.attrs.get("units"))
-            text = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
-            found[name] = str(text) if isinstance(text, str) else None
+    from ingest.hdf5_tree import list_arrays
 
     try:
         with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
+            return list_arrays(file)
+    except _DAMAGED as error:
         raise _unreadable(path, error) from None
-    return found
 
 
-def _dataset(path: Path, name: str, matlab: bool) -> Any:
+def _read(path: Path, name: str, listed: Listed, matlab: bool) -> Any:
     import h5py
 
+    from ingest.hdf5_tree import read_array
+
+    if math.prod(listed.shape) > CELL_LIMIT:
+        raise RefusedError(
+            f"dataset {name} has {math.prod(listed.shape)} values", where=path.name, expected=f"at most {CELL_LIMIT}"
+        )
     try:
         with h5py.File(path, "r") as file:
-            dataset = file[name]
-            if dataset.size is None or dataset.size > CELL_LIMIT:
-                raise RefusedError(
-                    f"dataset {name} has {dataset.size} values", where=path.name, expected=f"at most {CELL_LIMIT}"
-                )
-            if dataset.dtype.kind == "O":
-                return np.asarray(dataset.asstr()[()]) if h5py.check_string_dtype(dataset.dtype) else dataset[()]
-            return dataset[()].T if matlab else dataset[()]
-    except (OSError, RuntimeError, KeyError, ValueError, MemoryError) as error:
+            return read_array(file, listed, matlab=matlab)
+    except _DAMAGED as error:
         raise _unreadable(path, error) from None
 
 

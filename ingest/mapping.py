@@ -63,13 +63,15 @@ class ColumnMapping:
 
     `metadata` holds the channel's own keys (`sensor`, `delay_s`, `resolution`, `filter_hz`) as text, as MCAP has them.
     `value` stands for a column that is the same in every row (tables only); `meanings` says which cell values mean
-    failed, censored and left-censored (column `failed` of lifetime tables only).
+    failed, censored and left-censored (column `failed` of lifetime tables only). `says_scale`: the mapping gives a scale
+    or offset, be it 1 or 0.
     """
 
     column: ColumnName | None
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
+    says_scale: bool = False
     index: int | None = None
     field: str | None = None
     time: ColumnName | None = None
@@ -100,6 +102,8 @@ class TimeMapping:
     unit: str | None = None
     sample_rate_hz: float | None = None
     origin: str = "started_at"
+    is_elapsed: bool = False
+    """Whether the mapping itself says that times count from started_at, also those that the file gives."""
     format: str | None = None
     zone: str | None = None
     date_column: ColumnName | None = None
@@ -190,7 +194,10 @@ def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping
 
     own = path.name + _OWN
     if there(own):
-        return FileMapping.parse(load_toml(path.with_name(own)), stem=_stem(path), suffix=path.suffix, source=own)
+        content = load_toml(path.with_name(own))
+        if "match" in content:
+            raise refused(own, "match is not used in the mapping of a single file", "only keys that have an effect")
+        return FileMapping.parse(content, stem=_stem(path), suffix=path.suffix, source=own)
     if not there(FOLDER_FILE):
         return None
     shared = path.with_name(FOLDER_FILE)
@@ -301,6 +308,7 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         unit=entry.get("unit"),
         scale=float(entry.get("scale", 1.0)),
         offset=float(entry.get("offset", 0.0)),
+        says_scale="scale" in entry or "offset" in entry,
         index=entry.get("index"),
         field=entry.get("field"),
         time=entry.get("time"),
@@ -314,18 +322,56 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
 
 def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, source: str) -> None:
     """Refuses keys that are known and that this kind of file does not use: to ignore them would mislead."""
+    if kind == IGNORE:
+        return
+    time = table(content, "time", source)
+    columns = {name: c for name, c in table(content, "columns", source).items() if isinstance(c, dict)}
     unused = []
-    if kind not in (RECORDING, IGNORE):
+    if kind == RECORDING:
+        unused += [f"time.{key}" for key in time if key not in _used_of_time(time, chosen)]
+    else:
         unused += ["rig"] if content.get("rig") else []
-        unused += [f"time.{key}" for key in table(content, "time", source) if key != "zone"]
+        unused += [f"time.{key}" for key in time if key != "zone"]
+        unused += [f"columns.{n}.{key}" for n, c in columns.items() for key in c if key in _unused_of_table(n, c)]
     if chosen == "mcap":
         unused += ["select"] if content.get("select") else []
     else:
-        columns = table(content, "columns", source)
-        unused += [f"columns.{n}.field" for n, c in columns.items() if isinstance(c, dict) and "field" in c]
+        unused += [f"columns.{n}.field" for n, c in columns.items() if "field" in c]
     if unused:
         what = f"{chosen} files" if kind == RECORDING else f'kind "{kind}"'
+        if unused[0].startswith("time.") and kind == RECORDING:
+            what = "times that the mapping takes from there"
         raise refused(source, f"{unused[0]} is not used for {what}", "only keys that have an effect")
+    alone = [n for n, c in columns.items() if c.get("overrule_unit") and "unit" not in c]
+    if alone:
+        raise refused(source, f"columns.{alone[0]} has overrule_unit without unit", "the unit that is right beside it")
+
+
+def _used_of_time(time: Mapping[str, Any], chosen: str | None) -> Container[str]:
+    """The keys of [time] that have an effect beside those that say where the times are."""
+    if "sample_rate_hz" in time:
+        return ("sample_rate_hz", "zone", "column")  # with column it is refused for that
+    if "column" in time:
+        return TIME if chosen != "mcap" else [key for key in TIME if key != "index"]
+    if time.get("origin") is None:
+        return TIME  # refused for lacking both
+    return ("zone", "origin") if time["origin"] == STARTED_AT else ("zone",)
+
+
+_WORDS = ("failed", "censored", "configuration", "specimen_id", "failure_site", "failure_region")
+"""Columns of tables that hold words, and so have no unit."""
+
+
+def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
+    """The keys of a table's column that have no effect."""
+    unused: list[str] = []
+    if name in (*_WORDS, "count"):
+        unused += ["unit", "scale", "offset", "overrule_unit"]
+    if name not in ("failed", "censored"):
+        unused += ["failed_values", "censored_values", "left_censored_values"]
+    if "value" in column:
+        unused += ["index", "overrule_unit"]
+    return unused
 
 
 def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | None:
@@ -348,7 +394,8 @@ def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | N
         index=entry.get("index"),
         unit=entry.get("unit"),
         sample_rate_hz=None if rate is None else float(rate),
-        origin=_origin(entry.get("origin", "started_at"), source),
+        origin=_origin(entry.get("origin", STARTED_AT), source),
+        is_elapsed=entry.get("origin") == STARTED_AT,
         format=entry.get("format"),
         zone=entry.get("zone"),
         date_column=entry.get("date_column"),

@@ -160,11 +160,13 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
         "failure_region": "absent: that of `[recording]`",
     },
     FREQUENCY_RESPONSE: {
-        "frequency": "required; Hz or rad/s, the two are told apart",
-        "storage": "required with `loss`, or magnitude and phase; N/mm (stiffness) or MPa (modulus)",
+        "frequency": "Hz or rad/s, the two are told apart; required but of UFF, whose sets have their own",
+        "storage": "required with `loss`, or magnitude and phase, or response; N/mm (stiffness) or MPa (modulus)",
         "loss": "see storage",
-        "magnitude": "required with `phase`, or storage and loss; N/mm or MPa",
+        "magnitude": "required with `phase`, or storage and loss, or response; N/mm or MPa",
         "phase": "deg or rad; a lossy material has a positive phase",
+        "response": "in place of both pairs: complex numbers as e^{jωt}; N/mm or MPa, or what they are computed from:"
+        " m/N (compliance), m/s/N (mobility), m/s²/N (accelerance) and their inverses",
         "standard_error": "√E|Δ|² of both components together, in the unit of storage or magnitude",
         "temperature": "of the row",
         "displacement": "amplitude of the specimen's deformation",

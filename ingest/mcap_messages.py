@@ -2,7 +2,8 @@
 
 A mapping's `column` is the topic, its `field` the key inside a message, with dots for deeper keys and numbers for
 places in a list. The time of a sample is the message's log time, unless the mapping's time names a field (of the same
-topic). A topic of `dealab.SampleBlock`s is mapped without a field.
+topic). Messages that the file has in another order are put into that of their log times. A topic of
+`dealab.SampleBlock`s is mapped without a field.
 
 Does not belong here: the record layout (ingest.mcap_scan), decoding (ingest.mcap_decoders), scaling, units and times (ingest.assemble).
 """
@@ -10,6 +11,8 @@ Does not belong here: the record layout (ingest.mcap_scan), decoding (ingest.mca
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,70 +20,121 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ingest.array_numbers import as_double, numbers_from_cells
 from ingest.columns import Numbers, OwnTime, missing_column
 from ingest.mapping import ColumnMapping, ColumnName, FileMapping, TimeMapping
 from ingest.mcap_blocks import BlockCollector, Samples, is_block_schema
 from ingest.mcap_decoders import LARGEST_MESSAGE, Decoder, decoder
 from ingest.mcap_records import Channel, Schema
 from ingest.mcap_scan import scan
-from schemas.arrays import Int
+from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
+
+_MOST_STEPS = 10_000
+"""Places where time runs back that are looked at."""
+_FEWEST_OUTSIDE = 10
+_FEW_STEPS = 0.05
+"""Where time runs back in fewer places than this share, messages that follow each other are a sample apart."""
+_CROWDED = 1.5
+"""Messages of two stretches that lie upon each other are twice as many as their time has place for."""
 
 
 @dataclass
 class _Column:
-    """One field of a topic's messages, a value or a gap for each message."""
+    """One field of a topic's messages: a number for each message, NaN where it has none, and texts by message."""
 
     path: tuple[str, ...]
     get: Callable[[Any], Any]
-    cells: list[str] | None
+    keep_cells: bool
     values: array[float] = field(default_factory=lambda: array("d"))
     empty: bytearray = field(default_factory=bytearray)
-    texts: int = 0
-    example: str = ""
+    texts: dict[int, str] = field(default_factory=dict)
+    cells: list[str] = field(default_factory=list)
 
     def take(self, message: Any) -> None:
-        value = self.get(message)
-        if self.cells is not None:
+        self._take(self.get(message))
+
+    def take_nothing(self) -> None:
+        """A message that could not be decoded: a sample that was lost."""
+        self._take(None)
+
+    def _take(self, value: Any) -> None:
+        if self.keep_cells:
             self.cells.append("" if value is None else str(value)[:64])
-        number = float("nan")
-        if value is not None:
-            try:
-                number = float(value) if isinstance(value, int | float) else number
-            except OverflowError:
-                number = float("inf")
-            if not isinstance(value, int | float):
-                self.texts += 1
-                self.example = self.example or str(value)[:40]
-        self.values.append(number)
+        if value is None or isinstance(value, int | float):
+            self.values.append(math.nan if value is None else as_double(value))
+        else:
+            self.texts[len(self.values)] = str(value)[:64]
+            self.values.append(math.nan)
         self.empty.append(value is None)
 
 
 class _FieldCollector:
-    """The mapped fields of one topic."""
+    """The mapped fields of one topic, a row for each message in the order of the file."""
 
-    def __init__(self, decoder: Decoder, columns: Mapping[str, tuple[str, ...]], keep_cells: bool) -> None:
+    def __init__(
+        self, decoder: Decoder, columns: Mapping[str, tuple[str, ...]], *, keep_cells: bool, keep_lost: bool
+    ) -> None:
         self._decoder = decoder
-        self.columns = {n: _Column(p, decoder.getter(p), [] if keep_cells else None) for n, p in columns.items()}
+        self._keep_lost = keep_lost
+        self.columns = {n: _Column(p, decoder.getter(p), keep_cells) for n, p in columns.items()}
         self.log_times = array("q")
         self.undecoded = 0
         self.fields: Sequence[str] = ()
 
     def add(self, content: memoryview, log_time: int, sequence: int) -> None:
-        """Takes one message; one that cannot be decoded is counted."""
+        """Takes one message; one that cannot be decoded is counted, and a row without values where rows are time."""
         try:
             if len(content) > LARGEST_MESSAGE or log_time >= 2**63:
                 raise ValueError("too long, or recorded after the year 2262")
             message = self._decoder.decode(content)
         except ValueError:
             self.undecoded += 1
+            if self._keep_lost:
+                self.log_times.append(min(log_time, 2**63 - 1))
+                for column in self.columns.values():
+                    column.take_nothing()
             return
-        if not self.log_times:
-            self.fields = self._decoder.fields(message)
         self.log_times.append(log_time)
+        if not self.fields:
+            self.fields = self._decoder.fields(message)
         for column in self.columns.values():
             column.take(message)
+
+    @functools.cached_property
+    def order(self) -> Int | None:
+        """Positions of the messages in the order of their times, None where they stand in it; see `time_order`."""
+        return time_order(np.array(self.log_times, dtype=np.int64))
+
+
+def time_order(time_ns: Int) -> Int | None:
+    """Positions that sort (n,) instants, None where they ascend already or where a clock that was set back explains it.
+
+    Writers with several threads, and those that sort by topic, leave messages in any order, and sorted they are as far
+    apart as ever. After a clock was set back two stretches of the test lie upon each other: sorted, their messages are
+    closer than the usual interval, and no order of theirs is right.
+    """
+    steps = np.diff(time_ns)
+    if (steps >= 0).all():
+        return None
+    order: Int = np.argsort(time_ns, kind="stable")
+    interleaved = np.diff(time_ns[order])
+    moved = np.flatnonzero(steps < 0)
+    overlap = np.zeros(interleaved.size, dtype=bool)
+    for i in moved[:_MOST_STEPS]:
+        first, last = np.searchsorted(time_ns[order], (time_ns[i + 1], time_ns[i]))
+        overlap[first:last] = True
+    outside = interleaved[~overlap]
+    if outside.size >= _FEWEST_OUTSIDE:
+        usual = float(np.median(outside))
+    elif moved.size < _FEW_STEPS * steps.size:
+        usual = float(np.median(steps[steps > 0]))
+    else:
+        return order
+    crowded = float(overlap.sum()) * usual > _CROWDED * float(interleaved[overlap].sum()) + 2 * usual
+    return None if crowded else order
 
 
 class MessageColumns:
@@ -137,7 +191,12 @@ class MessageColumns:
         if is_block_schema(channel, schema) and not any(columns.values()):
             self._collectors[topic] = BlockCollector()
             return self._collectors[topic]
-        self._collectors[topic] = _FieldCollector(decoder(channel, schema, where), columns, self._keep_cells)
+        self._collectors[topic] = _FieldCollector(
+            decoder(channel, schema, where),
+            columns,
+            keep_cells=self._keep_cells,
+            keep_lost=self.mapping.counts_rows_as_time,
+        )
         return self._collectors[topic]
 
     @property
@@ -150,7 +209,12 @@ class MessageColumns:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        return tuple(f"{topic}: {note}" for topic, samples in self._samples.items() for note in samples.notes)
+        unordered = tuple(
+            f"{topic}: messages are not in the order of their log times; sorted"
+            for topic, collector in self._collectors.items()
+            if isinstance(collector, _FieldCollector) and collector.order is not None
+        )
+        return (*unordered, *(f"{topic}: {note}" for topic, s in self._samples.items() for note in s.notes))
 
     def names(self) -> tuple[str, ...]:
         return (*self._collectors, *self._others)
@@ -161,7 +225,7 @@ class MessageColumns:
             values = self._block_samples(topic, collector).values
             return Numbers(values, np.zeros(values.shape, dtype=bool))
         found = collector.columns[str(column)]
-        empty = np.frombuffer(bytes(found.empty), dtype=bool)
+        empty = self._in_order(collector, np.frombuffer(bytes(found.empty), dtype=bool))
         if empty.all():
             raise RefusedError(
                 f'no message of {topic[:80]} has the field "{".".join(found.path)[:80]}"',
@@ -169,13 +233,22 @@ class MessageColumns:
                 expected="one of " + ", ".join(f[:80] for f in collector.fields) if collector.fields else "",
                 remedy="Correct field in the mapping TOML",
             )
-        return Numbers(np.array(found.values), empty, found.texts, found.example)
+        values = self._in_order(collector, np.array(found.values))
+        if not found.texts:
+            return Numbers(values, empty)
+        cells = values.astype(object)
+        place = self._in_order(collector, np.arange(values.size))
+        for row in np.flatnonzero(np.isin(place, list(found.texts))):
+            cells[row] = found.texts[int(place[row])]
+        cells[empty] = None
+        return numbers_from_cells(cells.tolist(), column, self._where)
 
     def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
         _, collector = self._collector(column)
         if isinstance(collector, BlockCollector):
             return list(self.numbers(column).values)
-        return collector.columns[str(column)].cells or []
+        found = np.array(collector.columns[str(column)].cells, dtype=object)
+        return list(self._in_order(collector, found).tolist())
 
     def unit(self, column: ColumnName) -> str | None:
         return self._units.get(self._collector(column)[0])
@@ -185,15 +258,29 @@ class MessageColumns:
         if isinstance(collector, BlockCollector):
             times: Int = self._block_samples(topic, collector).time_ns
         else:
-            times = np.array(collector.log_times, dtype=np.int64)
+            times = self._in_order(collector, np.array(collector.log_times, dtype=np.int64))
         start = int(times[0]) if times.size else 0
         return OwnTime(np.asarray((times - start) * 1e-9, dtype=np.float64), start)
+
+    def own_frequency(self, column: ColumnName) -> Float | None:
+        return None
+
+    @property
+    def last_ns(self) -> int:
+        """The latest log time of all messages that were taken; 0 where there are none."""
+        found = [c.log_times for c in self._collectors.values() if isinstance(c, _FieldCollector)]
+        return max((max(times) for times in found if times), default=0)
 
     def _collector(self, column: ColumnName) -> tuple[str, _FieldCollector | BlockCollector]:
         for topic, names in self._topics.items():
             if column in names and topic in self._collectors:
                 return topic, self._collectors[topic]
         raise missing_column(self.names(), column, self._where)
+
+    @staticmethod
+    def _in_order(collector: _FieldCollector, rows: NDArray[Any]) -> NDArray[Any]:
+        """Rows in the order of the messages' log times."""
+        return rows if collector.order is None else rows[collector.order]
 
     def _block_samples(self, topic: str, collector: BlockCollector) -> Samples:
         if topic not in self._samples:

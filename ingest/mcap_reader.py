@@ -92,6 +92,13 @@ def _mapped(path: Path, mapping: FileMapping) -> RawRecording:
     found = scan(path, columns.choose, _METADATA)
     if not found.message_count:
         raise _nothing(path, found.problems, {})
+    if mapping.counts_rows_as_time and found.lost_before(columns.last_ns):
+        raise RefusedError(
+            "messages were lost with damaged chunks, and the mapping counts messages as time: all later ones would be early",
+            where=path.name,
+            expected="times in the file",
+            remedy="Leave sample_rate_hz out of the mapping TOML: the log times of the messages are used then",
+        )
     recording, rig = _merged(found, mapping)
     raw = assemble(columns, dataclasses.replace(columns.mapping, recording=recording, rig=rig), where=path.name)
     # the columns' own problems are complete only now that all have been read

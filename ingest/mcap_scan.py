@@ -76,6 +76,11 @@ class Scan:
     message_count: int = 0
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    losses: tuple[Loss, ...] = ()
+
+    def lost_before(self, time_ns: int) -> bool:
+        """Whether a damaged chunk was lost that may hold messages from before an instant."""
+        return any(loss.first_ns is None or loss.first_ns < time_ns for loss in self.losses)
 
 
 def scan(path: Path, choose: Choose, wanted_metadata: tuple[str, ...]) -> Scan:
@@ -134,6 +139,7 @@ class _Scanner:
         if self._loose_messages:
             indexed = self._summary.chunks if self._summary is not None else []
             self._take_loose_messages(bool(self._chunks or self._losses or indexed))
+        self._found.losses = tuple(self._losses)
         self._tell_losses()
         if self._summary is not None:
             self._compare(self._summary)

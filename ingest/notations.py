@@ -80,7 +80,7 @@ _NUMBER = re.compile(
     rf"(?P<sign>[+-]?)(?P<body>\d[\d.,'’{_BLANKS}]*\d|\d|[.,]\d+)(?P<point>[.,]?)"
     rf"(?P<exponent>[eEdD][+-]?\d{{1,3}}|[+-]\d{{3}})?(?P<unit>[{_BLANKS}]*[^\d{_BLANKS}.,'’+-][^\d]{{0,11}}\d?)?"
 )
-_LIKE_A_NUMBER = re.compile(r"[-+(<>≥≤]?\s*[.,]?\d")
+_LIKE_A_NUMBER = re.compile(r"[^\w\s]{0,3}\s*[.,]?\d")
 ALIKE = 3
 _SHARE = 0.2
 """Cells that are not understood are a notation when this many, and this share of them, are written alike: of cells that

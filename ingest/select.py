@@ -11,7 +11,7 @@ import numpy as np
 
 from ingest.columns import ColumnFile, Numbers, OwnTime
 from ingest.mapping import ColumnName, Selection, column_label
-from schemas.arrays import Bool
+from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
 
 
@@ -92,6 +92,10 @@ class SelectedRows:
         if own is None or own.elapsed_s.size != self.keep.size:
             return own
         return replace(own, elapsed_s=own.elapsed_s[self.keep])
+
+    def own_frequency(self, column: ColumnName) -> Float | None:
+        own = self.file.own_frequency(column)
+        return own if own is None or own.size != self.keep.size else own[self.keep]
 
 
 def same_cell(cell: Any, value: Any) -> bool:

@@ -6,12 +6,14 @@ What the columns of each kind mean is in `ingest.tables`.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ingest.assemble import scaled_numbers, unit_of
+from ingest.cell_units import plain_unit
 from ingest.columns import ColumnFile, Numbers
 from ingest.mapping import FileMapping
 from ingest.select import selected_rows
@@ -22,6 +24,17 @@ from schemas.metadata import RecordingMetadata, TableMetadata, check_keys
 from schemas.units import conversion
 
 MODULUS, STIFFNESS = "modulus", "stiffness"
+_RESPONSES: Mapping[str, tuple[str, bool, int]] = {
+    "MPa": (MODULUS, False, 0),
+    "N/mm": (STIFFNESS, False, 0),
+    "1/MPa": (MODULUS, True, 0),
+    "mm/N": (STIFFNESS, True, 0),
+    "mm/s/N": (STIFFNESS, True, 1),
+    "mm/s^2/N": (STIFFNESS, True, 2),
+    "N*s/mm": (STIFFNESS, False, 1),
+    "N*s^2/mm": (STIFFNESS, False, 2),
+}
+"""Units of complex responses: what they become, whether by inversion, and by which power of jω."""
 
 
 class TableRows:
@@ -57,8 +70,8 @@ class TableRows:
                 remedy="Add it to the mapping TOML",
             )
 
-    def one_of(self, *pairs: tuple[str, str]) -> tuple[str, str]:
-        """The one pair whose columns are both mapped; `RefusedError` when none or several are."""
+    def one_of(self, *pairs: tuple[str, ...]) -> tuple[str, ...]:
+        """The one set of columns that are all mapped; `RefusedError` when none or several are."""
         found = [pair for pair in pairs if all(name in self.mapping.columns for name in pair)]
         if len(found) != 1:
             raise RefusedError(
@@ -132,8 +145,44 @@ class TableRows:
 
     def elastic(self, name: str) -> tuple[Float, str]:
         """A column in MPa or N/mm, and which of the two its unit makes it."""
-        canonical = self._of_one("MPa", "N/mm", name, "a modulus (such as MPa) or a stiffness (such as N/mm)")
+        canonical = self._of_one(("MPa", "N/mm"), name, "a modulus (such as MPa) or a stiffness (such as N/mm)")
         return self.numbers(name, canonical), MODULUS if canonical == "MPa" else STIFFNESS
+
+    def response(self, frequency_hz: Float) -> tuple[Complex, str]:
+        """The column `response` of complex numbers as a modulus in MPa or a stiffness in N/mm, and which of the two.
+
+        Its unit says what it is: a modulus, a stiffness or what follows from one by powers of jω and inversion. With
+        x ~ e^{jωt} a velocity is jω x and an acceleration (jω)² x.
+        """
+        column = self.mapping.columns["response"]
+        if column.column is None:
+            raise RefusedError("response has no column", where=self.where, expected="a column of complex numbers")
+        values = np.asarray(self.file.cells(column.column, column.index))
+        if values.dtype.kind != "c":
+            raise RefusedError(
+                f"column {column.label} for response holds no complex numbers",
+                where=self.where,
+                expected="complex numbers",
+                remedy="Map storage and loss, or magnitude and phase, in the mapping TOML",
+            )
+        self._check_length("response", values.size)
+        expected = "a modulus, a stiffness, a compliance, a mobility or an accelerance (such as MPa, N/mm, m/N, m/s/N)"
+        canonical = self._of_one(tuple(_RESPONSES), "response", expected)
+        unit = unit_of(self.file, column, "response", canonical, where=self.where)
+        change = conversion(unit, canonical, where=f"{self.where}: response")
+        found: Complex = (values.astype(np.complex128) * column.scale + column.offset)[self.rows] * change.scale
+        measured_as, is_inverse, power = _RESPONSES[canonical]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            found = (2j * math.pi * frequency_hz) ** power * (1 / found if is_inverse else found)
+        if is_inverse or power:
+            self.notes.append(f'the response is in "{unit}": the stiffness is computed from it')
+        return np.where(np.isfinite(found), found, complex(math.nan, math.nan)), measured_as
+
+    def own_frequency(self, name: str) -> Float | None:
+        """(n,) frequencies in Hz of the selected rows where the file gives them to a column, None where it does not."""
+        column = self.mapping.columns[name].column
+        own = None if column is None else self.file.own_frequency(column)
+        return None if own is None or own.size != self.rows.size else own[self.rows]
 
     def ratio(self, above: str, below: str) -> Float | None:
         """One column over another, lengths or angles, NaN where it does not exist; None where neither is mapped."""
@@ -141,7 +190,7 @@ class TableRows:
         if not given:
             return None
         self.require(above, below)
-        units = [self._of_one("mm", "rad", name, "a length (such as mm) or an angle (such as rad)") for name in given]
+        units = [self._of_one(("mm", "rad"), name, "a length (such as mm) or an angle (such as rad)") for name in given]
         if units[0] != units[1]:
             raise RefusedError(
                 f"{above} is in {units[0]}, {below} in {units[1]}",
@@ -153,13 +202,13 @@ class TableRows:
             found = np.abs(self.numbers(above, units[0]) / self.numbers(below, units[1]))
         return np.where(np.isfinite(found), found, math.nan)
 
-    def _of_one(self, first: str, second: str, name: str, expected: str) -> str:
-        """That of two canonical units which a column's unit converts to."""
+    def _of_one(self, canonicals: tuple[str, ...], name: str, expected: str) -> str:
+        """That of several canonical units which a column's unit converts to."""
         column = self.mapping.columns[name]
         unit = column.unit or (None if column.column is None else self.file.unit(column.column)) or ""
-        for canonical in (first, second):
+        for canonical in canonicals:
             try:
-                conversion(unit.strip(" []()"), canonical)
+                conversion(plain_unit(unit) or "", canonical)
             except RefusedError:
                 continue
             return canonical
@@ -236,14 +285,17 @@ def standard_error(table: TableRows, measured_as: str, count: int) -> Float:
     return error
 
 
-def ordered(table: TableRows, axis: Float, usable: Bool, name: str, unit: str) -> NDArray[np.intp]:
-    """Positions of the usable rows in ascending order."""
+def ordered(
+    table: TableRows, axis: Float, usable: Bool, name: str, unit: str, *, left_out: Bool | None = None
+) -> NDArray[np.intp]:
+    """Positions of the usable rows in ascending order. Rows that are `left_out` are no loss."""
     usable = usable & np.isfinite(axis)
-    lost = int(usable.size - usable.sum())
-    if lost == usable.size:
+    unusable = ~usable if left_out is None else ~usable & ~left_out
+    lost = int(unusable.sum())
+    if not usable.any():
         raise RefusedError("no row holds numbers above 0", where=table.where, expected=f"{name} and value in each row")
     if lost:
-        row = table.row_numbers[np.flatnonzero(~usable)[0]]
+        row = table.row_numbers[np.flatnonzero(unusable)[0]]
         table.problems.append(f"{lost} of {usable.size} rows lack a number (first: row {row} of the data): left out")
     keep = np.flatnonzero(usable)
     order = keep[np.argsort(axis[keep], kind="stable")]

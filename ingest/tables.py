@@ -149,27 +149,20 @@ def _copies(table: TableRows, count: int) -> list[int]:
 def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> ResponseTable:
     """A frequency response from a table. Rows without a number are left out, a problem. Raises `RefusedError`."""
     table = TableRows(file, mapping, where)
-    table.require("frequency")
-    pair = table.one_of(("storage", "loss"), ("magnitude", "phase"))
-    frequency = table.numbers("frequency", "Hz")
-    first, measured_as = table.elastic(pair[0])
-    if pair[0] == "storage":
-        second, same = table.elastic("loss")
-        if same != measured_as:
-            raise RefusedError(
-                f"storage is a {measured_as}, loss a {same}", where=where, expected="units of the same dimension"
-            )
-        value: Complex = first.astype(np.complex128)
-        value.imag = second
+    chosen = table.one_of(("storage", "loss"), ("magnitude", "phase"), ("response",))
+    frequency = _frequency(table, chosen[0])
+    if chosen[0] == "response":
+        value, measured_as = table.response(frequency)
     else:
-        phase = table.numbers("phase", "rad")
-        with np.errstate(invalid="ignore", over="ignore"):  # rows without a finite value are left out below
-            value = first * np.exp(1j * phase)
+        value, measured_as = _of_parts(table, chosen)
     scale = stiffness_scale(table.metadata, measured_as, where)
     error = standard_error(table, measured_as, frequency.size)
     temperature = table.numbers("temperature", "degC") if "temperature" in mapping.columns else None
     own = table.ratio("transducer_displacement", "displacement")
-    keep = ordered(table, frequency, np.isfinite(value) & (frequency > 0), "frequency", "Hz")
+    at_rest = (frequency == 0) & ("frequency" not in mapping.columns)  # the axis of an analyser begins there
+    if at_rest.any():
+        table.notes.append("the line at 0 Hz is left out")
+    keep = ordered(table, frequency, np.isfinite(value) & (frequency > 0), "frequency", "Hz", left_out=at_rest)
     table.note_signs(value[keep])
     return ResponseTable(
         table.metadata,
@@ -182,6 +175,33 @@ def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> Res
         *table.remarks,
         own_deformation=None if own is None else own[keep],
     )
+
+
+def _frequency(table: TableRows, name: str) -> Float:
+    """The frequencies of the rows: the column of that name, else those that the file gives the column of values."""
+    if "frequency" not in table.mapping.columns:
+        own = table.own_frequency(name)
+        if own is not None:
+            return own
+    table.require("frequency")
+    return table.numbers("frequency", "Hz")
+
+
+def _of_parts(table: TableRows, chosen: tuple[str, ...]) -> tuple[Complex, str]:
+    """A complex modulus or stiffness from its two columns, and which of the two it is."""
+    first, measured_as = table.elastic(chosen[0])
+    if chosen[0] == "magnitude":
+        phase = table.numbers("phase", "rad")
+        with np.errstate(invalid="ignore", over="ignore"):  # rows without a finite value are left out below
+            return first * np.exp(1j * phase), measured_as
+    second, same = table.elastic("loss")
+    if same != measured_as:
+        raise RefusedError(
+            f"storage is a {measured_as}, loss a {same}", where=table.where, expected="units of the same dimension"
+        )
+    value: Complex = first.astype(np.complex128)
+    value.imag = second
+    return value, measured_as
 
 
 def relaxation_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> RelaxationTable:

@@ -275,38 +275,8 @@ class _Reading:
         return replace(found, notes=(*found.notes, note))
 
     def checked(self, times: Int) -> Instants:
-        """Absolute times against the calendar and `started_at`: a wrong epoch, another date, a step of half hours."""
-        known = times[times != LOST]
-        if not known.size:
-            return Instants(times)
-        first = int(known[0])
-        if not _EARLIEST_NS < first < nanoseconds(datetime.now(UTC)) + 366 * DAY:
-            raise self._wrong_date(first, "a time since 1980 that is not in the future")
-        started = _started(self.metadata)
-        if started is None or started.tzinfo is None:
-            return Instants(times)
-        apart = (first - nanoseconds(started)) * 1e-9
-        side = "after" if apart > 0 else "before"
-        steps = round(apart / _HALF_HOUR_S)
-        if abs(apart) > _APART_S:
-            days = abs(apart) / 86_400
-            problem = f"time column {self.label} begins {days:.4g} d {side} started_at: one of the two is wrong"
-        elif steps and abs(apart - steps * _HALF_HOUR_S) <= _MINUTE_S:
-            problem = (
-                f"time column {self.label} begins {abs(steps) / 2:g} h {side} started_at, as if its zone were another"
-            )
-        else:
-            return Instants(times)
-        return Instants(times, problems=(problem,))
-
-    def _wrong_date(self, first: int, expected: str) -> RefusedError:
-        shown = np.datetime_as_string(np.datetime64(first // SECOND, "s"))
-        return RefusedError(
-            f"time column {self.label} begins in {shown}Z",
-            where=self.where,
-            expected=expected,
-            remedy="Check origin, unit, format and zone of [time] in the mapping TOML, and started_at",
-        )
+        """Absolute times against the calendar and `started_at`; see `check_calendar`."""
+        return check_calendar(times, f"time column {self.label}", self.metadata, self.where)
 
     def _no_zone(self, cell: Any) -> RefusedError:
         return RefusedError(
@@ -369,10 +339,47 @@ def _started(metadata: Mapping[str, Any]) -> datetime | None:
         return None
 
 
-def own_time(own: OwnTime, metadata: Mapping[str, Any], where: str) -> Int:
-    """(n,) instants of a time base that the file itself gives; its start is the recording's where it has none."""
-    start = own.start_ns if own.start_ns is not None else start_ns(metadata, where)
-    return from_seconds(own.elapsed_s, start, where)
+def own_time(own: OwnTime, metadata: Mapping[str, Any], label: str, where: str, *, elapsed: bool = False) -> Instants:
+    """The instants of a time base that the file itself gives.
+
+    Its start is the recording's where it has none, or where `elapsed` says that its own counts for nothing.
+    """
+    if own.start_ns is None or elapsed:
+        return Instants(from_seconds(own.elapsed_s, start_ns(metadata, where), where))
+    return check_calendar(
+        from_seconds(own.elapsed_s, own.start_ns, where), f"the file's time of {label}", metadata, where
+    )
+
+
+def check_calendar(times: Int, label: str, metadata: Mapping[str, Any], where: str) -> Instants:
+    """Absolute times against the calendar and `started_at`: a wrong epoch, another date, a step of half hours.
+
+    Raises `RefusedError` for times that are not since 1980 or lie in the future.
+    """
+    known = times[times != LOST]
+    if not known.size:
+        return Instants(times)
+    first = int(known[0])
+    if not _EARLIEST_NS < first < nanoseconds(datetime.now(UTC)) + 366 * DAY:
+        raise RefusedError(
+            f"{label} begins in {np.datetime_as_string(np.datetime64(first // SECOND, 's'))}Z",
+            where=where,
+            expected="a time since 1980 that is not in the future",
+            remedy="Check origin, unit, format and zone of [time] in the mapping TOML, and started_at",
+        )
+    started = _started(metadata)
+    if started is None or started.tzinfo is None:
+        return Instants(times)
+    apart = (first - nanoseconds(started)) * 1e-9
+    side = "after" if apart > 0 else "before"
+    steps = round(apart / _HALF_HOUR_S)
+    if abs(apart) > _APART_S:
+        problem = f"{label} begins {abs(apart) / 86_400:.4g} d {side} started_at: one of the two is wrong"
+    elif steps and abs(apart - steps * _HALF_HOUR_S) <= _MINUTE_S:
+        problem = f"{label} begins {abs(steps) / 2:g} h {side} started_at, as if its zone were another"
+    else:
+        return Instants(times)
+    return Instants(times, problems=(problem,))
 
 
 def from_seconds(seconds: Float, start: int, where: str) -> Int:

@@ -1,7 +1,8 @@
 """Universal files (UFF, data sets of type 58) through pyuff, an optional extra.
 
 A column is the number of a type-58 set from 0, or its first description line where only one set has it. The set's own
-abscissa is its time where the mapping gives none; its ordinate's label is its unit.
+abscissa is its time, or the frequency of a response, where the mapping gives none; its labels are its unit. Responses are
+complex, as e^{jωt}. Data sets of other types (meshes, modes) are left out.
 """
 
 from __future__ import annotations
@@ -14,12 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from ingest.columns import Numbers, OwnTime, named_column, numbers_from_array
+from ingest.array_numbers import numbers_from_array
+from ingest.columns import Numbers, OwnTime, named_column
 from ingest.mapping import ColumnName, FileMapping
+from schemas.arrays import Float
 from schemas.errors import MissingExtraError, RefusedError
+from schemas.units import conversion
 
 _FUNCTION = 58
-_TIME_RESPONSE = 1
+_TIME_RESPONSE, _FREQUENCY_RESPONSE = 1, 4
+_TYPES = {
+    0: "general", 1: "a time response", 2: "an auto spectrum", 3: "a cross spectrum", 4: "a frequency response",
+    5: "a transmissibility", 6: "a coherence", 7: "an auto correlation", 8: "a cross correlation",
+    9: "a power spectral density", 10: "an energy spectral density", 12: "a spectrum", 24: "a shock response spectrum",
+    27: "an order function",
+}  # fmt: skip
+"""Function types of the standard's record 6."""
+_ACCELERATION = 12
+_NO_LABEL = ("", "NONE")
 
 
 @dataclass(frozen=True)
@@ -35,27 +48,58 @@ class UffFile:
         return tuple(str(s.get("id1", "")).strip() for s in self.sets)
 
     def numbers(self, column: ColumnName, index: int | None = None) -> Numbers:
-        return numbers_from_array(self._set(column)["data"], column, index, self.where)
+        found = self._set(column)
+        if np.iscomplexobj(found["data"]):
+            raise self._wrong_kind(column, int(found.get("func_type", 0)), _TIME_RESPONSE)
+        return numbers_from_array(found["data"], column, index, self.where)
 
     def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
-        return list(self.numbers(column, index).values)
+        return list(np.asarray(self._set(column)["data"]).tolist())
 
     def unit(self, column: ColumnName) -> str | None:
-        label = str(self._set(column).get("ordinate_axis_units_lab", "")).strip()
-        return label if label and label.upper() != "NONE" else None
+        found = self._set(column)
+        above, below = _unit(found, "ordinate"), _unit(found, "orddenom")
+        if above is None or below is None or int(found.get("func_type", 0)) != _FREQUENCY_RESPONSE:
+            return above
+        return f"({above})/({below})"
 
     def own_time(self, column: ColumnName) -> OwnTime | None:
         found = self._set(column)
-        if int(found.get("func_type", 0)) != _TIME_RESPONSE:
-            raise RefusedError(
-                f"set {column} has function type {found.get('func_type')}",
-                where=self.where,
-                expected="type 1, a time response",
-            )
-        return OwnTime(np.asarray(found["x"], dtype=np.float64), None)
+        elapsed = self._axis(column, found, _TIME_RESPONSE, "s")
+        return OwnTime(elapsed, None)
+
+    def own_frequency(self, column: ColumnName) -> Float | None:
+        return self._axis(column, self._set(column), _FREQUENCY_RESPONSE, "Hz")
+
+    def _axis(self, column: ColumnName, found: Mapping[str, Any], wanted: int, canonical: str) -> Float:
+        """The abscissa of a set of the wanted function type, in a canonical unit."""
+        kind = int(found.get("func_type", 0))
+        if kind != wanted:
+            raise self._wrong_kind(column, kind, wanted)
+        unit = _unit(found, "abscissa") or canonical
+        change = conversion(unit, canonical, where=f"{self.where}: abscissa of set {column}")
+        return change.apply(np.asarray(found["x"], dtype=np.float64))
+
+    def _wrong_kind(self, column: ColumnName, kind: int, wanted: int) -> RefusedError:
+        return RefusedError(
+            f"set {column} has function type {kind}, {_TYPES.get(kind, 'of another kind')}",
+            where=self.where,
+            expected=f"type {wanted}, {_TYPES[wanted]}",
+            remedy='Map it with kind = "frequency_response" and [columns.response]'
+            if kind == _FREQUENCY_RESPONSE
+            else "",
+        )
 
     def _set(self, column: ColumnName) -> Mapping[str, Any]:
         return self.sets[named_column(self.names(), column, self.where)]
+
+
+def _unit(found: Mapping[str, Any], axis: str) -> str | None:
+    """The unit of an axis; of an acceleration `g` is the earth's and no gram."""
+    label = str(found.get(f"{axis}_axis_units_lab", "")).strip()
+    if label.upper() in _NO_LABEL:
+        return None
+    return "g_0" if label == "g" and int(found.get(f"{axis}_spec_data_type", 0)) == _ACCELERATION else label
 
 
 def read_uff(path: Path, mapping: FileMapping) -> UffFile:
@@ -73,8 +117,8 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             file = pyuff.UFF(str(path))
-            numbers = [i for i, kind in enumerate(file.get_set_types()) if int(kind) == _FUNCTION]
-            sets = tuple(file.read_sets(i) for i in numbers)
+            kinds = [int(kind) for kind in file.get_set_types()]
+            sets = tuple(file.read_sets(i) for i, kind in enumerate(kinds) if kind == _FUNCTION)
     except Exception as error:  # pyuff raises bare Exception and whatever its parser meets in a damaged file
         raise RefusedError(
             f"the file cannot be read as UFF: {str(error)[:200] or type(error).__name__}",
@@ -82,6 +126,27 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
             expected="a whole universal file",
             remedy="Copy the file again, or export it anew",
         ) from None
+    others = sorted(set(kinds) - {_FUNCTION})
+    shown = ", ".join(map(str, others))
     if not sets:
-        raise RefusedError("the file has no data set of type 58", where=path.name, expected="time responses")
-    return UffFile(path.name, sets)
+        raise RefusedError(
+            "the file has no data set of type 58" + (f"; it has sets of type {shown}" if others else ""),
+            where=path.name,
+            expected="time responses or frequency responses",
+        )
+    read = [_checked(found, i) for i, found in enumerate(sets)]
+    return UffFile(
+        path.name,
+        tuple(found for found, _ in read),
+        tuple(problem for _, problem in read if problem),
+        (f"data sets of type {shown} are left out",) if others else (),
+    )
+
+
+def _checked(found: Mapping[str, Any], number: int) -> tuple[Mapping[str, Any], str]:
+    """A set with as many values as it says, and what is wrong where it has fewer."""
+    count, values, x = int(found.get("num_pts", 0)), np.asarray(found["data"]), np.asarray(found["x"])
+    size = min(values.size, x.size)
+    if size < count:
+        return {**found, "data": values[:size], "x": x[:size]}, f"set {number} has {size} of {count} values: it is cut"
+    return {**found, "data": values[:count], "x": x[:count]}, ""

@@ -26,8 +26,8 @@ _ODD_POWER = re.compile(r"(?:\*\*|\^)(?!\s*-?\d(?![\d.*^]))")
 """A power that is not one digit: nothing a unit needs, and a way to make the parser compute for hours."""
 
 
-_WORD = re.compile(r"[A-Z][A-Za-z]*[a-z]{3,}")
-"""A unit written out with a capital (`Newtons`, `Volt`): names of units are written small, symbols are shorter."""
+_WORD = re.compile(r"[A-Z][A-Za-z]*[a-z]{3,}|[A-Z]{5,}")
+"""A unit written out with capitals (`Newtons`, `VOLTS`): names of units are written small, symbols are shorter."""
 _BARE_POWER = re.compile(r"(?<=[A-Za-zµ])([23])(?![\w.])")
 """A power as exporters write it (`N/mm2`)."""
 _RATIOS = ("dB", "dBm", "dBV", "Np", "decibel", "neper")
@@ -82,6 +82,20 @@ _SPELLINGS = {
     "gf": "gram_force",
     "kgf": "kilogram_force",
     "kp": "kilogram_force",
+    "deg C": "degC",
+    "Deg C": "degC",
+    "DEG C": "degC",
+    "DegC": "degC",
+    "degrees C": "degC",
+    "degrees Celsius": "degC",
+    "Degrees Celsius": "degC",
+    "Grad Celsius": "degC",
+    "KV": "kV",
+    "KN": "kN",
+    "Bar": "bar",
+    "BAR": "bar",
+    "PSI": "psi",
+    "mSec": "ms",
     "Amps": "ampere",
     "amps": "ampere",
     "Deg": "deg",

@@ -28,8 +28,8 @@ _NAMED_BY = {
     "mcap": "topic of a channel; the native format needs no mapping",
     "csv": "name in the header, or number from 0",
     "excel": "name in the header, or number from A = 0",
-    "matlab": "variable, or `structure.field`; `index` is the column of a matrix",
-    "hdf5": "path of a dataset, `group/dataset`; `index` is the column of a matrix",
+    "matlab": "variable, `structure.field`, or `ch(2).data` of a structure array; `index` is the column of a matrix",
+    "hdf5": "path of a dataset, `group/dataset`, or `dataset/field` of a table; `index` is the column of a matrix",
     "tdms": "`group/channel`, or the channel where `[tdms]` has the group",
     "uff": "number of the data set (type 58) from 0, or its first description line",
 }
