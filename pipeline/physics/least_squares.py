@@ -1,40 +1,129 @@
-"""Nonlinear least squares within bounds: Levenberg's and Marquardt's method, made for cheap, smooth, redundant simulations.
+r"""Nonlinear least squares within bounds: the one search behind relaxation fits, diagnoses and oscillator fits.
 
-The residual's Jacobian is taken by forward differences and brought up to date by secants while steps go well. Belongs here: the search
-alone.
+*Problem.* Find x (P,) that makes
+
+    χ²(x) = Σ r_m(x)²,   low ≤ x ≤ high
+
+least, for residuals r (M,) that are smooth in x and best counted in standard deviations. Entries with equal bounds
+stay where they are. What is known of x beforehand is more rows of the residual (`with_prior`), an equation between
+entries a linear change of variables (`tie`).
+
+*Step.* With the Jacobian J (M, P), the gradient g = Jᵀr and D the diagonal of JᵀJ, Levenberg's and Marquardt's step
+solves
+
+    (JᵀJ + μ D) δ = −g
+
+over the entries that are free. D is the scale of Marquardt [2] and Moré [3]: the step does not depend on the entries'
+units. A step with an entry longer than `Options.longest` is shortened as a whole, for entries are logarithms or are
+scaled to their range, and no quadratic form describes anything that far away.
+
+*Damping.* After Marquardt [2] with unequal factors: a step that lowers χ² is taken and divides μ by `ease`; one that
+does not is forgotten and multiplies μ by `stiffen`, so that the next success does not lead straight back to a step
+that failed [4].
+
+*Bounds.* An entry that lies at a bound which the gradient pushes it against is held; the others step without it, and
+what a step carries beyond a bound is put onto it. For a small enough step, which damping ends in, that is a descent
+(Bertsekas' projection [5], for least squares [6]); no residual is ever asked for outside.
+
+*Jacobian.* Either the problem gives it with each residual, or it is taken by forward differences of all entries in
+one evaluation (backward at an upper bound). A search that begins with a Jacobian from nearby lets Broyden's secants
+[7] bring it up to date, and takes differences anew where a step falls by less or more than that Jacobian promised.
+
+*Stop.* A fall of χ² below `fall`, or below `share` of χ², ends a search (`converged`); so does a step that fails
+while it promises no more, or that is `still`. −g·δ, what a step promises, is the fall of the quadratic model but for a
+term of μ that vanishes at the end. A search also ends, not converged, after `most` steps and at a damping of
+`hopeless`. χ² never rises, and nothing is raised: what does not converge says so.
+
+*Side by side.* Searches of one kind go step by step together, so that one evaluation serves all of them; each takes
+the steps that it would take alone. In a race, those that are behind after so many rounds are dropped where they are.
+
+*scipy.* `tests/benchmarks/bench_least_squares.py` has this search and `scipy.optimize.least_squares` on every use, in
+one run. scipy's has no secants, no evaluation of several problems in one call and no race, and its steps cost more
+than a residual of a few hundred rows. From far starts with a whole Jacobian at every step it is as quick as this one,
+and goes on where a bent valley makes this one stop.
+
+References
+----------
+1. K. Levenberg, "A method for the solution of certain non-linear problems in least squares", Quart. Appl. Math. 2
+   (1944) 164.
+2. D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11 (1963) 431.
+3. J. J. Moré, "The Levenberg–Marquardt algorithm: implementation and theory", Lecture Notes in Math. 630 (1978) 105.
+4. M. K. Transtrum, J. P. Sethna, "Improvements to the Levenberg–Marquardt algorithm for nonlinear least-squares
+   minimization", arXiv:1201.5885 (2012).
+5. D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints", SIAM J. Control
+   Optim. 20 (1982) 221.
+6. C. Kanzow, N. Yamashita, M. Fukushima, "Levenberg–Marquardt methods with strong local convergence properties for
+   solving nonlinear equations with convex constraints", J. Comput. Appl. Math. 172 (2004) 375.
+7. C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math. Comp. 19 (1965) 577.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from schemas.arrays import Bool, Float, Int
+from schemas.arrays import Float, Int
 
-Residuals = Callable[[Float], Float]
+Residuals: TypeAlias = Callable[[Float], Float]
 """Residuals (B, M) of several x (B, P)."""
+Evaluate: TypeAlias = Callable[[Float, Int], tuple[Float, Float | None]]
+"""Residuals (K, M) and Jacobians (K, M, P) of points (K, P) of the problems (K,); None: Jacobians are to be taken by
+differences."""
 
-_DIFFERENCE, _CENTRAL = 1e-4, 3e-4
-_ENOUGH = 0.02
-"""Fall of χ² that ends a search: far below what statistics can tell."""
-_RIDGE = 1e-10
-_STILL, _HOPELESS = 1e-7, 1e7
-_KEPT = (0.4, 1.6)
-"""Fall over promised fall within which old columns are good enough."""
-_STRAIGHT = (0.8, 1.25)
-"""Fall over promised fall within which a step says well enough what has changed of the columns that are renewed as a search goes."""
 DAMPING, LEAST_DAMPING = 1e-3, 1e-9
-_MOST_STEP = 1.5
-"""Longest step of one entry: entries are logarithms or scaled to their range."""
+_RIDGE = 1e-10
+"""Relative to the diagonal of JᵀJ: what a direction without information counts for in a covariance."""
+_FORWARD, _CENTRAL = 1e-4, 3e-4
+
+
+@dataclass(frozen=True)
+class Options:
+    """When a search ends, and how far it steps.
+
+    Parameters
+    ----------
+    fall, share : fall of χ² that is not worth another step, and the same as a share of χ². The default is far
+        below what statistics can tell: residuals are in standard deviations
+    most : trial steps
+    still : longest entry of a failing step at which a search ends
+    damping : μ to begin with, relative to what the data say of each entry alone
+    ease, stiffen : what μ is divided by after a step that is taken, and multiplied by after one that is not
+    least, hopeless : μ below which it does not fall, and above which a search ends
+    longest : most that a step changes an entry by
+    curvature : least diagonal of JᵀJ that damping is relative to: an entry without any influence stays
+    difference : step of the forward differences
+    race : pairs of rounds and how many searches, those of least χ², go on after that
+    kept, straight : fall over promised fall within which columns are good enough, and within which a secant says well
+        enough what has changed of the columns that are renewed as a search goes
+    thorough : whether the end is confirmed with a Jacobian of its own where secants were used
+    """
+
+    fall: float = 0.02
+    share: float = 0.0
+    most: int = 25
+    still: float = 1e-7
+    damping: float = DAMPING
+    ease: float = 5.0
+    stiffen: float = 10.0
+    least: float = LEAST_DAMPING
+    hopeless: float = 1e7
+    longest: float = 1.5
+    curvature: float = 1e-9
+    difference: float = _FORWARD
+    race: tuple[tuple[int, int], ...] = ()
+    kept: tuple[float, float] = (0.4, 1.6)
+    straight: tuple[float, float] = (0.8, 1.25)
+    thorough: bool = True
 
 
 @dataclass(frozen=True)
 class Solution:
     """Where a search ended.
 
-    x : (P,) entries; residual (M,); jacobian (M, P) of the residual there
+    x : (P,) entries; residual (M,); jacobian (M, P) of the residual there, or where the last step began
     chi2 : sum of squares; converged: whether the last fall was below the tolerance
     """
 
@@ -65,112 +154,78 @@ def minimise(
     thorough: bool = True,
     damping: float = DAMPING,
 ) -> Solution:
-    """Least sum of squares of the residuals (M,) from `start` within `low` … `high` (P,); entries with equal bounds stay.
+    """The least sum of squares of one problem, with Jacobians by differences and secants.
 
+    Parameters
+    ----------
+    residuals : (B, M) of several x (B, P)
     start : entries (P,), or where an earlier search of the same residuals ended, to go on from
-    jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed as the search goes, all of them where a
-        step fails. Without, all are renewed at every step. `thorough`: the end is confirmed with a Jacobian of its own.
-    damping : to begin with, relative to what the data say of each entry alone
-    Never fails: a search that does not converge says so.
+    low, high : bounds (P,); entries with equal bounds stay
+    most, thorough, damping : as in `Options`
+    jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed as the search goes, all of
+        them where a step fails. Without, all are renewed at every step
+
+    Returns
+    -------
+    Where the search ended. It never fails: one that does not converge says so.
     """
-    columns = _Columns(residuals, high)
-    everything = np.flatnonzero(low < high)
-    moves = everything[everything >= moving]
-    lent = isinstance(start, Solution) or jacobian is not None
-    if isinstance(start, Solution):
-        if not np.isfinite(start.chi2):
-            return start
-        x, r, chi2, own = start.x, start.residual, start.chi2, start.jacobian.copy()
-    else:
-        x = np.clip(start, low, high)
-        r = residuals(x[None])[0]
-        chi2 = float(r @ r)
-        own = np.zeros((r.size, x.size)) if jacobian is None else jacobian.copy()
-        if not np.isfinite(chi2):
-            return Solution(x, r, np.zeros_like(own), np.inf, False)
-        own = columns.renewed(own, x, r, moves if lent else everything)
-    fresh, behind, converged = not lent, False, False
-    for _ in range(most):
-        gradient = own.T @ r
-        free = everything[~_held(x, gradient, low, high)[everything]]
-        if free.size == 0:
-            converged = True
-            break
-        move = _step(own, gradient, free, damping)
-        promised = -float(move @ gradient)
-        trial = np.clip(x + move, low, high)
-        new = residuals(trial[None])[0]
-        value = float(new @ new)
-        if np.isfinite(value) and value < chi2:
-            fall = chi2 - value
-            if lent and moves.size:
-                own += _secant(own, trial - x, new - r)
-            x, r, chi2 = trial, new, value
-            damping = max(damping / 5, LEAST_DAMPING)
-            behind = lent
-            if fall < _ENOUGH and (fresh or not thorough):
-                converged = True
-                break
-            fresh = not lent or fall < _ENOUGH or not _KEPT[0] * promised < fall < _KEPT[1] * promised
-            if fresh or not _STRAIGHT[0] * promised < fall < _STRAIGHT[1] * promised:
-                own, behind = columns.renewed(own, x, r, everything if fresh else moves), False
-        elif not fresh:
-            if promised < _ENOUGH and not thorough:
-                converged = True
-                break
-            own, fresh, behind = columns.renewed(own, x, r, everything), True, False
-        elif promised < _ENOUGH or float(np.abs(move).max()) < _STILL:
-            # What is promised that little and does not come is the end as well.
-            converged = True
-            break
-        else:
-            damping *= 10
-            if damping > _HOPELESS:
-                break
-    if behind:
-        own = columns.renewed(own, x, r, moves)
-    return Solution(x, r, own, chi2, converged)
+    options = Options(most=most, thorough=thorough, damping=damping)
+    search = _Search(start, low, high, options, jacobian, moving)
+    _go_together([search], lambda points, _: (residuals(points), None), ())
+    return search.solution
 
 
-def _secant(jacobian: Float, move: Float, change: Float) -> Float:
-    """(M, P) least change of a Jacobian with which a step (P,) changes the residual as it did (Broyden 1965)."""
-    return np.outer(change - jacobian @ move, move / (move @ move))
+def minimise_each(
+    evaluate: Evaluate, starts: Sequence[Float], low: Float, high: Float, options: Options | None = None
+) -> list[Solution]:
+    """The least sums of squares of several problems side by side, or of one from several starts.
+
+    Parameters
+    ----------
+    evaluate : residuals (K, M), and Jacobians (K, M, P) or None, of points (K, P) that belong to the problems
+        (K,), numbers into `starts`
+    starts : B starts (P,)
+    low, high : bounds (P,) of all problems, or (B, P) of each
+    options : see there
+
+    Returns
+    -------
+    Where each search ended, in the order of the starts.
+    """
+    options = options or Options()
+    shape = len(starts), len(starts[0]) if len(starts) else 0
+    lows, highs = np.broadcast_to(low, shape), np.broadcast_to(high, shape)
+    searches = [_Search(x, a, b, options) for x, a, b in zip(starts, lows, highs, strict=True)]
+    _go_together(searches, evaluate, options.race)
+    return [search.solution for search in searches]
 
 
-def _held(x: Float, gradient: Float, low: Float, high: Float) -> Bool:
-    return np.asarray(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
+def with_prior(evaluate: Evaluate, mean: Float, root: Float) -> Evaluate:
+    """The same problem with what is known of x: rows root (Q, P) @ (x − mean), in standard deviations."""
+
+    def known(points: Float, problems: Int) -> tuple[Float, Float | None]:
+        residual, jacobian = evaluate(points, problems)
+        residual = np.concatenate([residual, (points - mean) @ root.T], axis=1)
+        if jacobian is not None:
+            jacobian = np.concatenate([jacobian, np.broadcast_to(root, (len(points), *root.shape))], axis=1)
+        return residual, jacobian
+
+    return known
 
 
-def _step(jacobian: Float, gradient: Float, free: Int, damping: float) -> Float:
-    part = jacobian[:, free]
-    normal = part.T @ part
-    diagonal = np.maximum(np.diag(normal), 1e-9)
-    move = np.zeros(gradient.size)
-    move[free] = -np.linalg.solve(normal + damping * np.diag(diagonal), gradient[free])
-    longest = float(np.abs(move).max())
-    return move * (_MOST_STEP / longest) if longest > _MOST_STEP else move
+def tie(evaluate: Evaluate, origin: Float, directions: Float) -> Evaluate:
+    """The problem over u (Q,) for x = origin (P,) + directions (P, Q) @ u."""
 
+    def tied(points: Float, problems: Int) -> tuple[Float, Float | None]:
+        residual, jacobian = evaluate(origin + points @ directions.T, problems)
+        return residual, None if jacobian is None else jacobian @ directions
 
-@dataclass(frozen=True)
-class _Columns:
-    """Forward differences of residuals, backward at an upper bound."""
-
-    residuals: Residuals
-    high: Float
-
-    def renewed(self, jacobian: Float, x: Float, at: Float, places: Int) -> Float:
-        """The Jacobian (M, P) with some columns taken anew, in place."""
-        if places.size:
-            step = np.where(x[places] + _DIFFERENCE <= self.high[places], _DIFFERENCE, -_DIFFERENCE)
-            moved = np.tile(x, (places.size, 1))
-            moved[np.arange(places.size), places] += step
-            jacobian[:, places] = ((self.residuals(moved) - at) / step[:, None]).T
-        return jacobian
+    return tied
 
 
 def central(residuals: Residuals, x: Float, low: Float, high: Float) -> Float:
-    """(M, P) Jacobian by central differences of residuals (B, M) of several x (B, P): what is projected off must not leave its own
-    error behind."""
+    """(M, P) Jacobian by central differences of residuals (B, M) of several x (B, P): what is projected off must not leave
+    its own error behind."""
     step = _CENTRAL * np.eye(x.size)[:, low < high].T
     up, down = np.minimum(x + step, high), np.maximum(x - step, low)
     seen = residuals(np.concatenate([up, down]))
@@ -178,3 +233,178 @@ def central(residuals: Residuals, x: Float, low: Float, high: Float) -> Float:
     columns = np.zeros((seen.shape[1], x.size))
     columns[:, low < high] = ((seen[: len(up)] - seen[len(up) :]) / np.maximum(width, 1e-300)[:, None]).T
     return columns
+
+
+_Answer: TypeAlias = tuple[Float, Float | None]
+_Asking: TypeAlias = Generator[Float, _Answer, None]
+"""A search, or a part of one, that asks for residuals: it yields points (K, P) and is sent their residuals and
+Jacobians."""
+
+
+def _go_together(searches: Sequence[_Search], evaluate: Evaluate, race: Sequence[tuple[int, int]]) -> None:
+    """All searches to their ends, with one evaluation a round of what they ask for."""
+    running = {number: search.run() for number, search in enumerate(searches)}
+    asked = {number: points for number, run in running.items() if (points := next(run, None)) is not None}
+    places = dict(race)
+    rounds = 0
+    while asked:
+        numbers, counts = list(asked), [len(points) for points in asked.values()]
+        residual, jacobian = evaluate(np.concatenate(list(asked.values())), np.repeat(numbers, counts))
+        asked, first = {}, 0
+        for number, count in zip(numbers, counts, strict=True):
+            mine = slice(first, first + count)
+            first += count
+            try:
+                asked[number] = running[number].send((residual[mine], None if jacobian is None else jacobian[mine]))
+            except StopIteration:
+                continue
+        rounds += 1
+        if rounds in places:
+            ahead = sorted(range(len(searches)), key=lambda number: searches[number].chi2)[: places[rounds]]
+            asked = {number: points for number, points in asked.items() if number in ahead}
+
+
+class _Search:
+    """One search: where it is, how it steps, and what it asks for."""
+
+    def __init__(
+        self,
+        start: Float | Solution,
+        low: Float,
+        high: Float,
+        options: Options,
+        lent: Float | None = None,
+        moving: int = 0,
+    ) -> None:
+        self.low, self.high, self.options = low, high, options
+        self.everything = np.flatnonzero(low < high)
+        self.moving = self.everything[self.everything >= moving]
+        self.damping = options.damping
+        self.converged = False
+        self.begun = isinstance(start, Solution)
+        if isinstance(start, Solution):
+            self.x, self.residual, self.chi2, self.jacobian = start.x, start.residual, start.chi2, start.jacobian.copy()
+        else:
+            self.x, self.residual, self.chi2 = np.clip(start, low, high), np.zeros(0), np.inf
+            self.jacobian = np.zeros((0, self.x.size)) if lent is None else lent.copy()
+        self.lent = self.begun or lent is not None
+        self.fresh = not self.lent
+        """Whether no secant and no lent column is in the Jacobian."""
+        self.behind = False
+        """Whether the columns that are renewed as the search goes are not those of where it is."""
+
+    @property
+    def solution(self) -> Solution:
+        """Where the search is."""
+        return Solution(self.x, self.residual, self.jacobian, self.chi2, self.converged)
+
+    @property
+    def enough(self) -> float:
+        """Fall of χ² that is not worth another step."""
+        return max(self.options.fall, self.options.share * self.chi2)
+
+    def run(self) -> _Asking:
+        """The search from its start to its end."""
+        if not self.begun:
+            yield from self._begin()
+        if not np.isfinite(self.chi2):
+            return
+        for _ in range(self.options.most):
+            gradient = self.jacobian.T @ self.residual
+            free = self._free(gradient)
+            if free.size == 0:
+                self.converged = True
+                break
+            move = self._step(gradient, free)
+            promised = -float(move @ gradient)
+            trial = np.clip(self.x + move, self.low, self.high)
+            residual, jacobian = yield trial[None]
+            chi2 = float(residual[0] @ residual[0])
+            if np.isfinite(chi2) and chi2 < self.chi2:
+                yield from self._take(trial, residual[0], chi2, promised, None if jacobian is None else jacobian[0])
+            else:
+                yield from self._refuse(move, promised)
+            if self.converged or self.damping > self.options.hopeless:
+                break
+        if self.behind:
+            yield from self._renew(self.moving)
+
+    def _begin(self) -> _Asking:
+        residual, jacobian = yield self.x[None]
+        self.residual, self.chi2 = residual[0], float(residual[0] @ residual[0])
+        if not self.lent:
+            self.jacobian = np.zeros((self.residual.size, self.x.size))
+        if not np.isfinite(self.chi2):
+            self.jacobian, self.chi2 = np.zeros_like(self.jacobian), np.inf
+        elif jacobian is not None:
+            self.jacobian = jacobian[0]
+        else:
+            yield from self._renew(self.moving if self.lent else self.everything)
+
+    def _free(self, gradient: Float) -> Int:
+        """Entries that no bound holds."""
+        held = ((self.x <= self.low) & (gradient > 0)) | ((self.x >= self.high) & (gradient < 0))
+        return self.everything[~held[self.everything]]
+
+    def _step(self, gradient: Float, free: Int) -> Float:
+        """(P,) the damped step."""
+        part = self.jacobian[:, free]
+        normal = part.T @ part
+        diagonal = np.maximum(np.diag(normal), self.options.curvature)
+        move = np.zeros(gradient.size)
+        move[free] = -np.linalg.solve(normal + self.damping * np.diag(diagonal), gradient[free])
+        longest = float(np.abs(move).max())
+        return move * (self.options.longest / longest) if longest > self.options.longest else move
+
+    def _take(self, trial: Float, residual: Float, chi2: float, promised: float, jacobian: Float | None) -> _Asking:
+        """On to a point of lower χ², and the Jacobian there."""
+        fall, enough = self.chi2 - chi2, self.enough
+        if jacobian is not None:
+            self.jacobian = jacobian
+        elif self.lent and self.moving.size:
+            self.jacobian += _secant(self.jacobian, trial - self.x, residual - self.residual)
+        self.x, self.residual, self.chi2 = trial, residual, chi2
+        self.damping = max(self.damping / self.options.ease, self.options.least)
+        self.behind = self.lent
+        if fall < enough and (self.fresh or not self.options.thorough):
+            self.converged = True
+        elif jacobian is None:
+            self.fresh = not self.lent or fall < enough or not _within(fall, promised, self.options.kept)
+            if self.fresh or not _within(fall, promised, self.options.straight):
+                yield from self._renew(self.everything if self.fresh else self.moving)
+
+    def _refuse(self, move: Float, promised: float) -> _Asking:
+        """A step that did not lower χ²: the end, or old columns are to blame, or it was too long."""
+        little = promised < self.enough
+        if not self.fresh and not (little and not self.options.thorough):
+            self.fresh = True
+            yield from self._renew(self.everything)
+        elif little or float(np.abs(move).max()) < self.options.still:
+            # What is promised that little and does not come is the end as well.
+            self.converged = True
+        else:
+            self.damping *= self.options.stiffen
+
+    def _renew(self, places: Int) -> _Asking:
+        """Columns of the Jacobian taken anew by differences, backward at an upper bound."""
+        self.behind = False
+        if places.size:
+            step = _forward(self.x[places], self.high[places], self.options.difference)
+            moved = np.tile(self.x, (places.size, 1))
+            moved[np.arange(places.size), places] += step
+            seen, _ = yield moved
+            self.jacobian[:, places] = ((seen - self.residual) / step[:, None]).T
+
+
+def _forward(x: Float, high: Float, size: float) -> Float:
+    """Steps of forward differences, backward at an upper bound."""
+    return np.where(x + size <= high, size, -size)
+
+
+def _within(fall: float, promised: float, limits: tuple[float, float]) -> bool:
+    return limits[0] * promised < fall < limits[1] * promised
+
+
+def _secant(jacobian: Float, move: Float, change: Float) -> Float:
+    """(M, P) least change of a Jacobian with which a step (P,) changes the residual as it did."""
+    return np.outer(change - jacobian @ move, move / (move @ move))

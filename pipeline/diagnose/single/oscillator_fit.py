@@ -28,7 +28,8 @@ from pipeline.diagnose.single.oscillator import (
     Oscillator,
     SystemRecord,
 )
-from schemas.arrays import Bool, Complex, Float
+from pipeline.physics.least_squares import Options, minimise_each
+from schemas.arrays import Bool, Complex, Float, Int
 
 _BOUNDS = {
     STIFFNESS: (0.05, 20.0),
@@ -44,13 +45,12 @@ _BOUNDS = {
     DELAY: (-6.0, 6.0),
 }
 """Least and largest value of each parameter, in the units of `oscillator`."""
-_LOWER, _UPPER = np.array([_BOUNDS[i] for i in range(PARAMETERS)]).T
-_STEP = 1e-5
+LOWER, UPPER = np.array([_BOUNDS[i] for i in range(PARAMETERS)]).T
+DIFFERENCE = 1e-5
 """Step of derivatives."""
-_ROUNDS = 20
-"""Rounds of a fit at most."""
-_STILL = 1e-5
-"""Relative fall of the sum of squares that ends a fit."""
+_OPTIONS = Options(fall=0.0, share=1e-5, most=20, longest=np.inf)
+"""Residuals are in units of what was measured, whose noise nobody knows: ends are told by shares. A gain may have any
+unit and size."""
 _LINES = 3000
 """Strongest spectral lines by which a linear start is found."""
 _FREQUENCIES, _RATIOS = 160, np.geomspace(3e-3, 3.0, 9)
@@ -67,6 +67,12 @@ class Problem:
     start: Float
     free: tuple[int, ...]
     fitted: Bool
+
+    def at(self, entries: Float) -> Float:
+        """(PARAMETERS,) with what is free at its entries (P,)."""
+        theta = self.start.copy()
+        theta[list(self.free)] = entries[: len(self.free)]
+        return theta
 
 
 @dataclass(frozen=True)
@@ -87,18 +93,10 @@ class Fit:
     records: tuple[Float, ...]
 
 
-@dataclass(frozen=True)
-class _State:
-    fit: Fit
-    damping: float
-    proposed: Float
-    done: bool
-
-
 def clip_parameters(parameters: Float) -> Float:
     """(…, PARAMETERS) within what a fit may reach; rates that are none stay so."""
     none = np.isneginf(parameters)
-    return np.where(none, parameters, np.clip(parameters, _LOWER, _UPPER))
+    return np.where(none, parameters, np.clip(parameters, LOWER, UPPER))
 
 
 def join_compared(oscillator: Oscillator, of_records: Sequence[Float]) -> Float:
@@ -108,77 +106,52 @@ def join_compared(oscillator: Oscillator, of_records: Sequence[Float]) -> Float:
 
 
 def fit_all(oscillator: Oscillator, measured: Float, problems: Sequence[Problem]) -> list[Fit]:
-    """All fits, by the method of Levenberg and Marquardt within bounds. measured : (M,)"""
-    states = [
-        _State(Fit(p, p.start, np.zeros(0), np.zeros((0, 0)), np.inf, ()), 1e-3, p.start, False) for p in problems
-    ]
-    for _ in range(_ROUNDS):
-        turn = [i for i, s in enumerate(states) if not s.done]
-        if not turn:
-            break
-        found = _evaluated(oscillator, measured, [(states[i].fit.problem, states[i].proposed) for i in turn])
-        for i, fit in zip(turn, found, strict=True):
-            states[i] = _next(states[i], fit, measured)
-    return [s.fit for s in states]
+    """All fits within bounds, side by side. measured : (M,)"""
+    size = float(np.sqrt(np.mean(measured**2))) or 1.0
+    starts = np.zeros((len(problems), max(len(p.free) for p in problems)))
+    low, high = starts.copy(), starts.copy()
+    for number, problem in enumerate(problems):
+        rows, own = list(problem.free), slice(len(problem.free))
+        starts[number, own], low[number, own], high[number, own] = problem.start[rows], LOWER[rows], UPPER[rows]
+
+    def evaluate(points: Float, numbers: Int) -> tuple[Float, Float]:
+        """Residuals (K, M) over the size of what was measured, 0 where nothing is fitted, and Jacobians (K, M, P)."""
+        asked = [problems[i] for i in numbers]
+        found = _simulate(oscillator, asked, points)
+        residual, jacobian = (
+            np.zeros((len(points), measured.size)),
+            np.zeros((len(points), measured.size, points.shape[1])),
+        )
+        for i, (problem, one) in enumerate(zip(asked, found, strict=True)):
+            fitted = problem.fitted
+            residual[i, fitted] = (one.simulated - measured)[fitted] / size
+            jacobian[i, fitted, : len(problem.free)] = one.jacobian[fitted] / size
+            if not np.isfinite(jacobian[i]).all():
+                residual[i] = np.inf
+        return residual, jacobian
+
+    ends = minimise_each(evaluate, list(starts), low, high, _OPTIONS)
+    found = _simulate(oscillator, problems, np.array([end.x for end in ends]))
+    return [replace(fit, cost=end.chi2 * size**2) for fit, end in zip(found, ends, strict=True)]
 
 
-def _evaluated(oscillator: Oscillator, measured: Float, asked: Sequence[tuple[Problem, Float]]) -> list[Fit]:
-    """Values and derivatives at the proposed parameters, by one run."""
-    columns = []
-    for problem, theta in asked:
-        columns.append(theta)
-        for row in problem.free:
-            columns.append(theta + _STEP * (np.arange(PARAMETERS) == row))
+def _simulate(oscillator: Oscillator, problems: Sequence[Problem], entries: Float) -> list[Fit]:
+    """Values and derivatives of problems at what is free (K, P), by one run."""
+    points = [problem.at(x) for problem, x in zip(problems, entries, strict=True)]
+    columns: list[Float] = []
+    for problem, theta in zip(problems, points, strict=True):
+        columns += [theta, *(theta + DIFFERENCE * (np.arange(PARAMETERS) == row) for row in problem.free)]
     by_record = oscillator(np.array(columns).T)
     everything = join_compared(oscillator, by_record)
     found, first = [], 0
-    for problem, theta in asked:
+    for problem, theta in zip(problems, points, strict=True):
         own = slice(first, first + 1 + len(problem.free))
-        records = tuple(values[first] for values in by_record)
-        first = own.stop
         with np.errstate(over="ignore", invalid="ignore"):
-            jacobian = (everything[own][1:] - everything[own][0]).T / _STEP
-            cost = float(np.sum((everything[own][0] - measured)[problem.fitted] ** 2))
-        usable = np.isfinite(cost) and np.isfinite(jacobian[problem.fitted]).all()
-        found.append(Fit(problem, theta, everything[own][0], jacobian, cost if usable else np.inf, records))
+            jacobian = (everything[own][1:] - everything[own][0]).T / DIFFERENCE
+        records = tuple(values[first] for values in by_record)
+        found.append(Fit(problem, theta, everything[own][0], jacobian, np.inf, records))
+        first = own.stop
     return found
-
-
-def _next(state: _State, tried: Fit, measured: Float) -> _State:
-    """The state after a trial: taken over where it is better, and the next proposal."""
-    before = state.fit
-    better = tried.cost < before.cost
-    if not better and not np.isfinite(before.cost):
-        return replace(state, fit=tried, done=True)
-    fit = tried if better else before
-    fall = (before.cost - tried.cost) / tried.cost if better and np.isfinite(before.cost) else np.inf
-    damping = state.damping * (0.1 if better else 10.0)
-    proposed, promised = _step(fit, measured, damping)
-    return _State(fit, damping, proposed, fall < _STILL or promised < _STILL)
-
-
-def _step(fit: Fit, measured: Float, damping: float) -> tuple[Float, float]:
-    """(PARAMETERS,) next proposal, and the relative fall of the sum of squares that it promises.
-
-    What a bound holds is left at it, and the rest steps without it.
-    """
-    fitted, rows = fit.problem.fitted, np.array(fit.problem.free)
-    jacobian, residual = fit.jacobian[fitted], (fit.simulated - measured)[fitted]
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    normal, gradient = (jacobian / scale).T @ (jacobian / scale), (jacobian / scale).T @ residual
-    moving = np.ones(rows.size, dtype=bool)
-    theta = fit.parameters.copy()
-    while moving.any():
-        part = normal[np.ix_(moving, moving)] + damping * np.eye(int(moving.sum()))
-        wanted = fit.parameters[rows[moving]] - np.linalg.solve(part, gradient[moving]) / scale[moving]
-        theta[rows[moving]] = np.clip(wanted, _LOWER[rows[moving]], _UPPER[rows[moving]])
-        held = wanted != theta[rows[moving]]
-        if not held.any():
-            break
-        moving[np.flatnonzero(moving)[held]] = False
-    change = (theta[rows] - fit.parameters[rows]) * scale
-    return theta, -float(change @ (2 * gradient + normal @ change)) / fit.cost
 
 
 def find_linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, float]:

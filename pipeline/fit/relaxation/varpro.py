@@ -1,7 +1,8 @@
 """Variable projection: search over the relaxation times with the springs found by NNLS inside.
 
-The columns of the linear problem are smooth functions of log τ. They are tabulated once, compressed to the few directions that
-the data can tell apart, and interpolated by a cubic spline, so that a step costs microseconds whatever the number of data.
+The columns of the linear problem are smooth functions of log τ. They are tabulated once, compressed to the few
+directions that the data can tell apart, and interpolated by a cubic spline, so that a step costs microseconds whatever
+the number of data.
 The result starts the forward fit (`forward`), which is exact. Does not belong here: where to start (`starts`).
 """
 
@@ -14,6 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
 
+from pipeline.physics.least_squares import Options, minimise_each
 from schemas.arrays import Bool, Float, Int
 
 FAST, SLOW = 300.0, 30.0
@@ -21,12 +23,8 @@ FAST, SLOW = 300.0, 30.0
 COMPRESSION = 1e-9
 MERGE = 0.1
 """Arms closer than this in log τ cannot be told apart."""
-ITERATIONS = 40
-ENOUGH = 1e-2
-"""Fall of the sum of squares that is not worth another step: the forward fit goes on from here."""
-RACE = {5: 4, 12: 2}
-"""After so many steps only so many of the starts go on."""
-LARGEST_STEP = 1.5
+SEARCH = Options(fall=1e-3, share=1e-7, most=60, race=((6, 4), (13, 2)))
+"""The forward fit goes on from where a search ends: after five steps four of the starts go on, after twelve two."""
 RIDGE = 1e-13
 
 
@@ -84,10 +82,7 @@ class LinearProblem:
         return ((c[0] * d + c[1]) * d + c[2]) * d + c[3], (3 * c[0] * d + 2 * c[1]) * d + c[2]
 
     def search(self, starts: list[tuple[Float, bool]]) -> list[Candidate]:
-        """Levenberg-Marquardt over log τ within the bounds from several starts (log τ, with dashpot) at once.
-
-        Kaufman's Jacobian: the derivative of the columns, less what the active columns can take up.
-        """
+        """The optima over log τ within the bounds from several starts (log τ, with dashpot) side by side."""
         if not starts:
             return []
         count, arms = len(starts), max(max(t.size for t, _ in starts), 1)
@@ -97,76 +92,55 @@ class LinearProblem:
         for i, (start, dashpot) in enumerate(starts):
             t[i, : start.size] = np.minimum(np.maximum(start, self.low), self.high)
             present[i, 1 : 1 + start.size], present[i, -1] = True, dashpot
-        state = _State(self, t, present)
-        damping = np.full(count, 1e-3)
-        running = np.asarray(present[:, 1:-1].any(axis=1))
-        for iteration in range(ITERATIONS):
-            if iteration in RACE:
-                behind = np.argsort(state.cost)[RACE[iteration] :]
-                running[behind] = False
-            rows = np.flatnonzero(running)
-            if not rows.size:
-                break
-            step = state.step(rows, damping[rows])
-            trial_t = np.minimum(np.maximum(state.t[rows] + step, self.low), self.high)
-            trial = _State(self, trial_t, present[rows])
-            fall = state.cost[rows] - trial.cost
-            better = fall > 0
-            state.take(rows[better], trial, better)
-            damping[rows] = np.where(better, np.maximum(damping[rows] / 5, 1e-9), damping[rows] * 6)
-            done = better & (fall < ENOUGH + 1e-7 * trial.cost) | (damping[rows] > 1e5)
-            running[rows[done]] = False
-        found = []
-        for i in range(count):
+        low, high = (np.where(present[:, 1:-1], bound, t) for bound in (self.low, self.high))
+
+        def evaluate(points: Float, problems: Int) -> tuple[Float, Float]:
+            found = self.project(points, present[problems])
+            return found.residual, found.jacobian
+
+        found = minimise_each(evaluate, list(t), low, high, SEARCH)
+        ends = self.project(np.array([one.x for one in found]), present)
+        candidates = []
+        for i, one in enumerate(found):
             used = present[i, 1:-1]
-            order = np.argsort(-state.t[i, used])
-            k = state.x[i, 1:-1][used][order]
-            cost = float(state.cost[i] + self.rest)
-            found.append(Candidate(state.t[i, used][order], k, float(state.x[i, 0]), float(state.x[i, -1]), cost))
-        return found
+            order = np.argsort(-one.x[used])
+            x = ends.coefficients[i]
+            k = x[1:-1][used][order]
+            candidates.append(Candidate(one.x[used][order], k, float(x[0]), float(x[-1]), one.chi2 + self.rest))
+        return candidates
+
+    def project(self, log_tau: Float, present: Bool) -> Projection:
+        """Springs ≥ 0 at their best for relaxation times log τ (S, n), where only some columns are `present`
+        (S, n + 2)."""
+        arms, slopes = self.columns(log_tau)
+        matrix = np.empty((len(log_tau), log_tau.shape[1] + 2, self.target.size))
+        matrix[:, 0], matrix[:, 1:-1], matrix[:, -1] = self.ends[0], arms, self.ends[1]
+        matrix *= present[:, :, None]
+        x = _non_negative(matrix, self.target)
+        residual = np.einsum("spr,sp->sr", matrix, x) - self.target
+        return Projection(matrix, slopes * x[:, 1:-1, None], x, residual)
 
 
-class _State:
-    """Several points of the search at once: log τ (S, n), coefficients (S, n + 2), residuals (S, r), costs (S,)."""
+@dataclass(frozen=True)
+class Projection:
+    """Several linear problems solved: columns `matrix` (S, n + 2, r) of spring, arms and dashpot, derivatives
+    `slopes` (S, n, r) of their sum by log τ at given springs, coefficients (S, n + 2) ≥ 0, residuals (S, r)."""
 
-    def __init__(self, problem: LinearProblem, t: Float, present: Bool) -> None:
-        self.t, self.present, self.target = t, present, problem.target
-        arms, self.slopes = problem.columns(t)
-        count = t.shape[0]
-        self.matrix = np.empty((count, t.shape[1] + 2, problem.target.size))
-        self.matrix[:, 0], self.matrix[:, 1:-1], self.matrix[:, -1] = problem.ends[0], arms, problem.ends[1]
-        self.matrix *= present[:, :, None]
-        self.x = _non_negative(self.matrix, problem.target)
-        self.residual = np.einsum("spr,sp->sr", self.matrix, self.x) - problem.target
-        self.cost = np.einsum("sr,sr->s", self.residual, self.residual)
+    matrix: Float
+    slopes: Float
+    coefficients: Float
+    residual: Float
 
-    def step(self, rows: Int, damping: Float) -> Float:
-        """Steps (rows, n) of log τ."""
-        slope = self.slopes[rows] * self.x[rows, 1:-1, None]
-        active = self.matrix[rows] * (self.x[rows] > 0)[:, :, None]
-        gradient = np.einsum("snr,sr->sn", slope, self.residual[rows])
-        cross = slope @ active.transpose(0, 2, 1)
-        gram = active @ active.transpose(0, 2, 1)
-        size = np.einsum("spp->sp", gram)
-        scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1)), 1.0)
-        gram = gram * scale[:, :, None] * scale[:, None, :] + np.eye(gram.shape[1]) * np.where(
-            size > 0, RIDGE, 1.0
-        ).reshape(*size.shape, 1)
-        cross = cross * scale[:, None, :]
-        hessian = slope @ slope.transpose(0, 2, 1) - cross @ np.linalg.solve(gram, cross.transpose(0, 2, 1))
-        fixed = (self.x[rows, 1:-1] == 0) | ~self.present[rows, 1:-1]
-        gradient[fixed] = 0.0
-        diagonal = np.maximum(np.einsum("snn->sn", slope @ slope.transpose(0, 2, 1)), 1e-300)
-        own = np.maximum(np.einsum("snn->sn", hessian), 1e-9 * diagonal)
-        hessian = hessian * ~(fixed[:, :, None] | fixed[:, None, :])
-        hessian += np.eye(own.shape[1]) * (damping[:, None] * own + np.where(fixed, 1.0, 1e-9 * diagonal))[:, :, None]
-        step = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
-        return np.asarray(np.minimum(np.maximum(step, -LARGEST_STEP), LARGEST_STEP))
-
-    def take(self, rows: Int, other: _State, chosen: Bool) -> None:
-        """Replaces the rows by the chosen rows of another state."""
-        for name in ("t", "x", "residual", "cost", "matrix", "slopes"):
-            getattr(self, name)[rows] = getattr(other, name)[chosen]
+    @property
+    def jacobian(self) -> Float:
+        """(S, r, n) of the residual by log τ after Kaufman (1975): the derivative of the columns, less what the active
+        columns take up."""
+        active = self.matrix * (self.coefficients > 0)[:, :, None]
+        size = np.sqrt(np.einsum("spr,spr->sp", active, active))
+        active = active / np.where(size > 0, size, 1.0)[:, :, None]
+        gram = active @ active.transpose(0, 2, 1) + np.eye(active.shape[1]) * np.where(size > 0, RIDGE, 1.0)[:, :, None]
+        taken_up = np.linalg.solve(gram, active @ self.slopes.transpose(0, 2, 1))
+        return np.asarray(self.slopes.transpose(0, 2, 1) - active.transpose(0, 2, 1) @ taken_up)
 
 
 def _non_negative(matrix: Float, target: Float) -> Float:
