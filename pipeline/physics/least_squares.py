@@ -30,7 +30,8 @@ one evaluation (backward at an upper bound). A search that begins with a Jacobia
 [7] bring it up to date, and takes differences anew where a step falls by less or more than that Jacobian promised.
 
 *Stop.* A fall of χ² below `fall`, or below `share` of χ², ends a search (`converged`); so does a step that fails
-while it promises no more, or that is `still`. −g·δ, what a step promises, is the fall of the quadratic model but for a
+while it promises no more, or that is `still`. Where the problem gives the Jacobian, a step that promises no more and is
+not damped more than the first one is not even tried. −g·δ, what a step promises, is the fall of the quadratic model but for a
 term of μ that vanishes at the end. A search also ends, not converged, after `most` steps and at a damping of
 `hopeless`. χ² never rises, and nothing is raised: what does not converge says so.
 
@@ -291,6 +292,8 @@ class _Search:
         self.lent = self.begun or lent is not None
         self.fresh = not self.lent
         """Whether no secant and no lent column is in the Jacobian."""
+        self.exact = False
+        """Whether the problem itself gives the Jacobian."""
         self.behind = False
         """Whether the columns that are renewed as the search goes are not those of where it is."""
 
@@ -318,6 +321,9 @@ class _Search:
                 break
             move = self._step(gradient, free)
             promised = -float(move @ gradient)
+            if self.exact and promised < self.enough and self.damping <= self.options.damping:
+                self.converged = True
+                break
             trial = np.clip(self.x + move, self.low, self.high)
             residual, jacobian = yield trial[None]
             chi2 = float(residual[0] @ residual[0])
@@ -338,7 +344,7 @@ class _Search:
         if not np.isfinite(self.chi2):
             self.jacobian, self.chi2 = np.zeros_like(self.jacobian), np.inf
         elif jacobian is not None:
-            self.jacobian = jacobian[0]
+            self.jacobian, self.exact = jacobian[0], True
         else:
             yield from self._renew(self.moving if self.lent else self.everything)
 
