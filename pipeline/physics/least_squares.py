@@ -30,9 +30,9 @@ one evaluation (backward at an upper bound). A search that begins with a Jacobia
 [7] bring it up to date, and takes differences anew where a step falls by less or more than that Jacobian promised.
 
 *Stop.* A fall of χ² below `fall`, or below `share` of χ², ends a search (`converged`); so does a step that fails
-while it promises no more, or that is `still`. Where the problem gives the Jacobian, a step that promises no more and is
-not damped more than the first one is not even tried. −g·δ, what a step promises, is the fall of the quadratic model but for a
-term of μ that vanishes at the end. A search also ends, not converged, after `most` steps and at a damping of
+while it promises no more, or that is `still`. Where the problem gives the Jacobian, such a step is not even tried
+unless it is damped more than the first one was. −g·δ, what a step promises, is the fall of the quadratic model but for
+a term of μ that vanishes at the end. A search also ends, not converged, after `most` steps and at a damping of
 `hopeless`. χ² never rises, and nothing is raised: what does not converge says so.
 
 *Side by side.* Searches of one kind go step by step together, so that one evaluation serves all of them; each takes

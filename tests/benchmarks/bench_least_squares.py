@@ -38,8 +38,8 @@ from pipeline.physics.least_squares import Options, Solution, minimise, tie, wit
 from pipeline.simulate.campaign import simulate
 from pipeline.simulate.plan import load_campaign
 from schemas.arrays import Float, Int
+from tests.helpers.fit_truth import ACRYLATE, BAND, SILICONE, STACK, film, mechanical, response, rig
 from tests.helpers.truth_rig import KINDS, compact_session
-from tests.physics.fit_truth import ACRYLATE, BAND, SILICONE, STACK, film, mechanical, response, rig
 
 TITLE = "Least squares: our search and scipy's, on the searches of fits and diagnoses"
 OURS, METHODS = "ours", ("trf", "dogbox")

@@ -17,7 +17,7 @@ from pipeline.fit.relaxation.damaged import weighed
 from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.transform.response import FrequencyResponse
 from schemas.metadata import RecordingMetadata
-from tests.physics.fit_truth import ACRYLATE, BAND, electrical, electrical_response, film, mechanical, response, rig
+from tests.helpers.fit_truth import ACRYLATE, BAND, electrical, electrical_response, film, mechanical, response, rig
 
 Complex = NDArray[np.complex128]
 CUT = "the file ends within a chunk"

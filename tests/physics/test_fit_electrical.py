@@ -13,7 +13,7 @@ from pipeline.fit.relaxation.predict import predict, predict_response
 from pipeline.fit.relaxation.results import SpecimenFits
 from schemas.errors import NotIdentifiableError
 from schemas.tables import TABLES
-from tests.physics.fit_truth import (
+from tests.helpers.fit_truth import (
     ACRYLATE,
     BAND,
     MASS,

@@ -12,7 +12,7 @@ from pipeline.physics.film import RelaxationModel, Shape, arm_step, series_share
 from pipeline.physics.held_step import Hold, hold_stiffness, series_hold_stiffness, series_hold_values
 from pipeline.physics.rig import Rig, rig_of_constants, rig_prior
 from schemas.metadata import RigConstants
-from tests.physics.fit_truth import (
+from tests.helpers.fit_truth import (
     ACRYLATE,
     BAND,
     CELL,

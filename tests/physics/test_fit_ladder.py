@@ -9,7 +9,7 @@ from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.fit.relaxation.ladder import ladder, wants_ladder
 from pipeline.fit.relaxation.order import LEVEL
 from schemas.tables import TABLES
-from tests.physics.fit_truth import ACRYLATE, BAND, film, relaxation_curve, response
+from tests.helpers.fit_truth import ACRYLATE, BAND, film, relaxation_curve, response
 
 WIDE = np.logspace(-4, 4, 80)
 TAUS = np.logspace(-4, 3, 8)

@@ -10,7 +10,7 @@ from pipeline.fit.relaxation.identify import fit_specimen
 from pipeline.fit.relaxation.order import arc_length, bic, choose, tail_probability
 from pipeline.fit.relaxation.reference import find_reference
 from pipeline.fit.relaxation.search import Search
-from tests.physics.fit_truth import BAND, SILICONE, film, response
+from tests.helpers.fit_truth import BAND, SILICONE, film, response
 
 
 @pytest.mark.parametrize("length", [1.0, 3.0, 6.0])

@@ -14,7 +14,7 @@ from pipeline.transform.correction import correct_mechanical
 from pipeline.transform.response import OUTPUT_PER_INPUT
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
-from tests.physics.fit_truth import (
+from tests.helpers.fit_truth import (
     ACRYLATE,
     BAND,
     CELL,

@@ -14,7 +14,7 @@ from pipeline.fit.relaxation.reference import find_reference
 from pipeline.fit.relaxation.search import Search
 from pipeline.fit.relaxation.varpro import LinearProblem, _non_negative, bounds, merged
 from pipeline.physics.film import Shape
-from tests.physics.fit_truth import (
+from tests.helpers.fit_truth import (
     ACRYLATE,
     BAND,
     STACK,

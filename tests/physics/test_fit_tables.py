@@ -11,7 +11,7 @@ from pipeline.analyse.model_fits import model_fits_table
 from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.transform.correction import correct_mechanical
-from tests.physics.fit_truth import ACRYLATE, BAND, SLOW_BAND, STACK, film, mechanical, response, rig
+from tests.helpers.fit_truth import ACRYLATE, BAND, SLOW_BAND, STACK, film, mechanical, response, rig
 
 
 def test_rows_of_all_orders() -> None:
