@@ -94,7 +94,7 @@ def _make_parser(wanted: str | None) -> argparse.ArgumentParser:
         "SQL and reports out.",
         epilog="examples:\n  dealab nightly raw/\n  dealab sql --examples\n  dealab inspect run7.csv\n\n"
         "exit status: 0 all done, 1 could not do it, 2 wrong usage, "
-        "3 done, but some recordings were refused or are damaged",
+        "3 done, but some recordings were refused or are damaged, 4 done, but some recordings led to no result",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")

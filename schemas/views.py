@@ -66,7 +66,7 @@ ORDER BY configuration, voltage_kv""",
     ),
     View(
         "needs_attention",
-        "recordings that were refused, are damaged or are waiting, and analyses that failed, with the reason",
+        "recordings that were refused, are damaged, are waiting or led to no result, and analyses that failed, with the reason",
         """
 SELECT 'recording' AS what, recording_id AS name, status, problem, source_path, source_present, run_id
 FROM recordings
@@ -75,6 +75,10 @@ UNION ALL
 SELECT stage, item_id, outcome, split_part(error, chr(10), 1), NULL, NULL, run_id
 FROM items
 WHERE outcome = 'failed'
+UNION ALL
+SELECT 'recording', recording_id, 'without result', what_was_missing, source_path, NULL, NULL
+FROM without_result
+WHERE status <> 'quarantined'
 ORDER BY ALL""",
     ),
     View(
@@ -165,6 +169,7 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
         "What was refused, and why?",
         "SELECT source_path, problem FROM recordings WHERE status = 'quarantined'",
     ),
+    ("Which recordings led to no result, and what was missing?", "SELECT * FROM without_result"),
     ("What needs attention?", "SELECT what, name, status, problem FROM needs_attention"),
     ("What came in last night?", "SELECT * FROM tonight"),
     ("Was last night like the night before?", "SELECT * FROM nights LIMIT 2"),

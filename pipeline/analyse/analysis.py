@@ -21,13 +21,20 @@ Value = TypeVar("Value")
 class Analysis:
     """Rows by table, results that later stages take in full, and what could not be done.
 
-    `notes` say what the data could not carry (no fault of anyone); `problems` what somebody has to look at; `failures` are
-    unexpected errors with their tracebacks, `summary` line first.
+    Parameters
+    ----------
+    tables : rows by table, in pieces
+    carried : results for the later stages
+    notes : what the data could not carry, which is no fault of anyone, and what is worth knowing
+    missing : of the notes those that say why a step has no value
+    problems : what somebody has to look at
+    failures : unexpected errors with their tracebacks, `summary` line first
     """
 
     tables: dict[str, list[pa.Table]] = field(default_factory=dict)
     carried: list[Any] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
 
@@ -46,7 +53,8 @@ class Analysis:
                 warnings.simplefilter("default", RuntimeWarning)
                 value = step(*args, **options)
         except DealabError as error:
-            self.notes.append(f"{what}: {error}")
+            self.missing.append(f"{what}: {error}")
+            self.notes.append(self.missing[-1])
             return None
         except MemoryError:
             raise

@@ -12,7 +12,7 @@ from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.cycle import cycle_fits, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
-from pipeline.analyse.responses import distortion_table, response_table
+from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.tables import relaxation_of, response_of
 from pipeline.diagnose.features.encode import pack
@@ -98,7 +98,9 @@ def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Ana
         analysis.carry(*table.rows)
         analysis.add({"lifetimes": TABLES["lifetimes"].from_objects(table.rows)})
     elif isinstance(table, RelaxationTable):
-        analysis.carry(relaxation_of(table))
+        curve = relaxation_of(table)
+        analysis.carry(curve)
+        analysis.add({"relaxation_curves": relaxation_table(curve)})
     else:
         response = response_of(table)
         analysis.carry(response)
@@ -215,6 +217,7 @@ def _responses(analysis: Analysis, recording: Recording) -> None:
         )
         if found.relaxation is not None:
             analysis.carry(found.relaxation)
+            analysis.add({"relaxation_curves": relaxation_table(found.relaxation)})
         if recording.metadata.protocol == "cyclic" and "capacitance" in recording.channels:
             _migration(analysis, recording, float(found.responses[0].frequency_hz[0]))
 

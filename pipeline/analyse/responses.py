@@ -1,4 +1,4 @@
-"""Rows of `frequency_responses` and `distortions`."""
+"""Rows of `frequency_responses`, `relaxation_curves` and `distortions`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import Distortion, FrequencyResponse
 from schemas.tables import TABLES
 
@@ -19,6 +20,23 @@ MEASURED, CORRECTED, AVERAGED = "measured", "corrected", "averaged"
 def response_table(responses: Iterable[FrequencyResponse], stage: str = MEASURED) -> pa.Table:
     """Rows of `frequency_responses` for responses of one stage."""
     return TABLES["frequency_responses"].stack(_response_rows(response, stage) for response in responses)
+
+
+def relaxation_table(curve: RelaxationCurve) -> pa.Table:
+    """Rows of `relaxation_curves`."""
+    return TABLES["relaxation_curves"].arrays(
+        curve.time_s.size,
+        recording_id=curve.recording_id,
+        specimen_id=curve.specimen_id,
+        quantity=curve.quantity,
+        time_s=curve.time_s,
+        value=curve.stiffness,
+        standard_error=np.sqrt(curve.variance),
+        usable=curve.usable,
+        unusable_because=[why or None for why in curve.unusable_because],
+        ramp_s=curve.ramp_s,
+        step=curve.step,
+    )
 
 
 def distortion_table(recording_id: str, distortions: Iterable[Distortion]) -> pa.Table:

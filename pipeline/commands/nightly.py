@@ -17,8 +17,12 @@ def run(arguments: Namespace) -> int:
     summary = nightly(
         arguments.raw, lab, jobs=arguments.jobs, rigs=arguments.rigs, cluster=arguments.cluster, track=track
     )
-    for line in (*summary.notes, *summary.attention):
+    for line in (*summary.notes, *summary.attention, *summary.without_result):
         print(make_safe(line), file=sys.stderr)
+    if summary.without_result:
+        number = len(summary.without_result)
+        led = "1 recording or table" if number == 1 else f"{number} recordings and tables"
+        print(f"dealab: {led} led to no result; what was missing is said above", file=sys.stderr)
     if summary.report_problem is not None:
         print(f"dealab: the report could not be written: {make_safe(summary.report_problem)}", file=sys.stderr)
     print(summary.paragraph())

@@ -19,6 +19,7 @@ import pyarrow as pa
 from ingest.atomic import flush
 from pipeline.lab.checks import find_violations
 from pipeline.lab.lab import Lab
+from schemas import without_result
 from schemas.control import REMEMBER
 from schemas.errors import LabError
 from schemas.tables import TABLES, Table
@@ -314,6 +315,8 @@ def _insert(connection: Any, table: Table, pieces: Sequence[Rows]) -> None:
 def _finish(connection: Any) -> dict[str, int]:
     """Books what the run changed, writes everything into the one file, returns the number of rows of each table."""
     connection.execute(REMEMBER)
+    for statement in without_result.STATEMENTS:
+        connection.execute(statement)
     rows = {name: connection.execute(f"SELECT count(*) FROM {name}").fetchone()[0] for name in TABLES}
     connection.execute("CHECKPOINT")
     return rows

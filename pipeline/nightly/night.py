@@ -33,6 +33,7 @@ from pipeline.nightly.publish import (
     count_results,
     discard_work,
     list_attention,
+    list_without_result,
     publish_night,
 )
 from pipeline.nightly.read import adopt_journal, include_recordings, read_contents
@@ -45,8 +46,16 @@ from schemas.errors import DealabError
 class Summary:
     """How a night went, for the terminal, an e-mail and the exit status.
 
-    `attention` names every file that was refused or is damaged and every analysis that failed, with its reason;
-    `report_problem` says why the pages could not be written.
+    Parameters
+    ----------
+    run_id, seconds : number of the run, and how long it took
+    counts : of its files
+    analysed : results that were made
+    missing : known recordings whose file has gone
+    attention : every file that was refused or is damaged and every analysis that failed, with its reason
+    without_result : every recording or table in the lab that was taken in and led to no result, with what was missing
+    notes : what was passed over
+    report_problem : why the pages could not be written
     """
 
     run_id: str
@@ -55,15 +64,19 @@ class Summary:
     analysed: int
     missing: int
     attention: tuple[str, ...]
+    without_result: tuple[str, ...]
     notes: tuple[str, ...]
     report_problem: str | None = None
 
     @property
     def exit_status(self) -> int:
-        """0 all done, 1 the report could not be written, 3 some recordings were refused, are damaged or failed."""
+        """How it ended: 0 all done, 1 the report could not be written, 3 some recordings were refused, are damaged or
+        failed; 4 none of these, but some recordings or tables led to no result."""
         if self.report_problem is not None:
             return 1
-        return 3 if self.attention else 0
+        if self.attention:
+            return 3
+        return 4 if self.without_result else 0
 
     def paragraph(self) -> str:
         """The night in a few sentences."""
@@ -85,6 +98,9 @@ class Summary:
         ]
         if also:
             parts.append(", ".join(also))
+        if self.without_result:
+            number = len(self.without_result)
+            parts.append(f"{number} {'recording' if number == 1 else 'recordings'} led to no result")
         done = f"{self.analysed} results made again" if self.analysed else "nothing had to be done again"
         return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {self.seconds:.1f} s."
 
@@ -169,6 +185,7 @@ def _summarise(night: Night, found: Found, seconds: float, problem: str | None) 
         count_results(night),
         count_missing(night),
         list_attention(night),
+        list_without_result(night),
         (*found.notes, *(f"{path}: no mapping, passed over" for path in found.unmapped)),
         problem,
     )

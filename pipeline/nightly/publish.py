@@ -125,6 +125,13 @@ def list_attention(night: Night) -> tuple[str, ...]:
     return (*files, *(f"failed: {item}: {reason}" for item, reason in list_failures(night).items()))
 
 
+def list_without_result(night: Night) -> tuple[str, ...]:
+    """Every recording or table in the published lab that was taken in and led to no result, with what was missing."""
+    with open_published(night.lab.database) as reader:
+        rows = [] if reader is None else reader.rows("without_result", where=f"status <> '{QUARANTINED}'")
+    return tuple(f"no result: {row['source_path']}: {row['what_was_missing']}" for row in rows)
+
+
 def count_results(night: Night) -> int:
     """How many results the night made, or took over from a killed one."""
     return night.ledger.number("SELECT count(*) FROM outcomes WHERE done")

@@ -186,6 +186,7 @@ class RecordingTask:
             "samples_path": found.samples,
             "refusal": None if problem is None else problem.as_dict(),
             "carried": sorted({type(result).__name__ for result in found.analysis.carried}),
+            "notes": found.analysis.missing,
         }
         made_from = "" if problem is not None and problem.transient else self._hash_input(found.rig_id)
         freshness = Freshness(made_from, self.code_version, self.settings_hash)

@@ -10,8 +10,11 @@ from reports.figures.svg import Drawing
 from schemas.arrays import Float
 
 
-def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str) -> Markup:
-    """Force over strain (n,) N/mm against the time since the step (n,) s, the model (n,) and what is off it below."""
+def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str, unit: str = "N/mm") -> Markup:
+    """Force over displacement (n,) against the time since the step (n,) s, the model (n,) and what is off it below.
+
+    Without a unit it is output over input of a system of another kind.
+    """
     drawing = Drawing(WIDE, 344 if model is not None else 262)
     x = logarithmic(time, margin=0.03)
     drawn = (stiffness,) if model is None else (stiffness, model)
@@ -19,7 +22,7 @@ def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str) 
     if model is not None:
         upper.curve(time, model, MODEL, 1.8)
     upper.dots(time, stiffness, INK, 4.2)
-    title = "Force over displacement, N/mm"
+    title = f"Force over displacement, {unit}" if unit else "Output over input"
     if model is None:
         upper.axes(title, "Time since the step, s")
         return drawing.image(alt)

@@ -49,6 +49,7 @@ TABLES: tuple[Table, ...] = (
         key=("started_at", "recording_id", "source_path"),
         made_by=(MadeBy("night"),),
         pages=("index", "campaign", "specimen", "recording", "control"),
+        tells_input=True,
     ),
     Table(
         "annotations",
@@ -63,6 +64,7 @@ TABLES: tuple[Table, ...] = (
         key=("at", "recording_id"),
         made_by=(MadeBy("night"),),
         pages=("index", "specimen", "recording"),
+        tells_input=True,
     ),
     Table(
         "previews",
@@ -77,5 +79,20 @@ TABLES: tuple[Table, ...] = (
         key=("recording_id", "quantity", "time_s"),
         made_by=(MadeBy("recording"),),
         pages=("specimen", "recording"),
+        tells_input=True,
+    ),
+    Table(
+        "without_result",
+        "every recording or table that led to no result, and what was missing; refused files as well",
+        (
+            text("recording_id", "the recording; NULL where a refused file's id cannot be read"),
+            text("source_path", "file it was read from, absolute"),
+            text("status", "ok, damaged (usable in part) or quarantined"),
+            text("what_was_missing", "why there is no result, and what was expected", required=True),
+        ),
+        key=("source_path", "recording_id"),
+        made_by=(MadeBy("night"),),
+        pages=("index", "specimen", "recording"),
+        tells_input=True,
     ),
 )

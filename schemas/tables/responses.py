@@ -41,6 +41,27 @@ TABLES: tuple[Table, ...] = (
         pages=("index", "campaign", "specimen", "recording"),
     ),
     Table(
+        "relaxation_curves",
+        "response to a step that is held: the change of the output over the step, as means over windows of time",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            text("quantity", "stiffness_n_per_mm, or output_per_input for a system of another kind"),
+            real("time_s", "s", "time since the ramp of the step began, mean of the window"),
+            real(
+                "value", "unit of quantity", "change of the output over the height of the step; the load cell included"
+            ),
+            real("standard_error", "unit of quantity", "its standard error, without what all windows share"),
+            truth("usable", "not disturbed by the ringing of the clamp"),
+            text("unusable_because", "why usable is false"),
+            real("ramp_s", "s", "duration of the ramp"),
+            real("step", "input unit", "height of the step"),
+        ),
+        key=("recording_id", "time_s"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen", "recording"),
+    ),
+    Table(
         "distortions",
         "harmonics and lines that a linear system would leave empty",
         (

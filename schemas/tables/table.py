@@ -80,6 +80,7 @@ class Table:
     made_by : the stages that make its rows
     pages : the kinds of pages that show its rows; such a page is made again when they change
     internal : bookkeeping, no result
+    tells_input : what came in and how it was read; such rows are no result of a recording
     """
 
     name: str
@@ -89,6 +90,7 @@ class Table:
     made_by: tuple[MadeBy, ...]
     pages: tuple[Page, ...]
     internal: bool = False
+    tells_input: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ def describe_lab(lab: Lab) -> str:
         lines += _count_recordings(reader, list_excluded(annotations))
         for title, found in (
             ("Needs attention", _list_attention(reader)),
+            ("No result from", _list_without_result(reader)),
             ("Out of the analysis", _list_exclusions(annotations, published)),
             ("The file has gone, the results stay", _list_gone(reader)),
             ("Not fresh, made again by the next nightly over its files", _list_stale(lab, reader)),
@@ -89,6 +90,12 @@ def _list_attention(reader: Reader) -> Iterator[str]:
         yield f"{row['status']}: {row['source_path']}{gone}: {row['problem']}"
     for row in reader.rows("items", ("item_id", "error"), where="outcome = 'failed'"):
         yield f"failed: {row['item_id']}: {(row['error'] or 'no reason given').splitlines()[0]}"
+
+
+def _list_without_result(reader: Reader) -> Iterator[str]:
+    """What was taken in and led to nothing; refused files need attention, and stand there."""
+    for row in reader.rows("without_result", where="status <> 'quarantined'"):
+        yield f"{row['recording_id']}: {row['source_path']}: {row['what_was_missing']}"
 
 
 def _list_exclusions(annotations: Sequence[Annotation], published: int) -> Iterator[str]:

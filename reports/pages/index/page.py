@@ -57,7 +57,7 @@ def page(site: Site) -> Page:
     ]
     return Page(
         title=_night(run) if run else "No run yet",
-        heading=headline(standings, survival, counts),
+        heading=headline(standings, survival, counts, trouble.count_without_result(site)),
         bar=site.bar("", INDEX),
         when=_night(run) if run else "",
         sub=_sub(run, counts),
@@ -131,25 +131,39 @@ def tally(run: Record | None, counts: dict[tuple[str, bool], int]) -> tuple[Coun
     ]
     if run is not None and run["failed"]:
         entries.append((run["failed"], "✕ failed", "refused"))
+    if run is not None and run.get("without_result"):
+        entries.append((run["without_result"], "▲ without a result", "damaged"))
     return tuple(Count(whole(n), text, kind if n else "") for n, text, kind in entries)
 
 
 def headline(
-    standings: Sequence[Brief], survival: Sequence[tuple[str, lives.Lives]], counts: dict[tuple[str, bool], int]
+    standings: Sequence[Brief],
+    survival: Sequence[tuple[str, lives.Lives]],
+    counts: dict[tuple[str, bool], int],
+    silent: int = 0,
 ) -> str:
-    """The finding of the night: specimens to look at first, then lifetimes, then what came in."""
+    """The finding of the night: specimens to look at first, then lifetimes, then what came in.
+
+    Parameters
+    ----------
+    standings : of the specimens
+    survival : of the campaigns
+    counts : files by status, those of the last run apart
+    silent : recordings and tables that were taken in and led to no result
+    """
     alarms = sum(s.alarm for s in standings)
     fine = len(standings) - alarms
     total = sum(counts.values())
+    also = f"; {counted(silent, 'recording')} led to no result" if silent else ""
     if alarms:
         need = "needs a look" if alarms == 1 else "need a look"
         rest = f"; {counted(fine, 'behaves', 'behave')} as simulated" if fine else ""
-        return capital(f"{counted(alarms, 'specimen')} {need}{rest}")
+        return capital(f"{counted(alarms, 'specimen')} {need}{rest}{also}")
     clear = next((lives.headline(x) for _, x in survival if _clear(x)), "")
     if standings and clear:
         return capital(f"{_all(len(standings))} as simulated; {clear[:1] + clear[1:]}")
     if standings:
-        return capital(f"{_all(len(standings))} as simulated")
+        return capital(f"{_all(len(standings))} as simulated{also}")
     if clear:
         return capital(clear)
     if not total:
@@ -159,7 +173,11 @@ def headline(
         files = "the one file was" if total == 1 else f"all {word(total)} files were"
         return f"Nothing could be used: {files} refused"
     usable = sum(n for (status, _), n in counts.items() if status in ("ok", "damaged"))
-    return capital(f"{counted(usable, 'recording')}, no model fitted yet")
+    if silent == usable:
+        return capital(
+            f"no result: {'the one recording' if usable == 1 else f'all {word(usable)} recordings'} led to none"
+        )
+    return capital(f"{counted(usable, 'recording')}, no model fitted yet{also}")
 
 
 def _all(count: int) -> str:
@@ -185,6 +203,8 @@ def _sub(run: Record | None, counts: dict[tuple[str, bool], int]) -> Piece:
         parts.append(f"done, some recordings were {' or '.join(bad)}")
     elif run["failed"]:
         parts.append("done, some items failed")
+    elif run["without_result"]:
+        parts.append(f"done, {counted(run['without_result'], 'recording')} led to no result")
     else:
         parts.append("all done")
     return separated(parts)

@@ -47,6 +47,9 @@ def section(site: Site) -> Section:
     failed = _failed_table(site)
     if failed is not None:
         blocks.append(failed)
+    silent = _without_result_table(site)
+    if silent is not None:
+        blocks.append(silent)
     if counts.get("excluded"):
         table = listing.taken_out(site, "$item = $item AND r.status = 'excluded'", "all", root="")
         if table:
@@ -65,6 +68,7 @@ def section(site: Site) -> Section:
         (refused, "refused"),
         (damaged, "damaged"),
         (broken, "analysis failed" if broken == 1 else "analyses failed"),
+        (count_without_result(site), "without a result"),
     )
     heading = joined([f"{word(n)} {what}" for n, what in counted_ if n])
     return Section("trouble", capital(heading) or "Files that were not taken in", "Refused and damaged", tuple(blocks))
@@ -117,6 +121,31 @@ def _damaged_table(site: Site, total: int) -> Table:
     )  # fmt: skip
     heads = (Head("Recording"), Head("What is missing", "text"), Head("What was kept"))
     return Table("Damaged", heads, rows, query.shown(), _of(total, _REFUSED_SHOWN, "used in part"))
+
+
+def count_without_result(site: Site) -> int:
+    """How many recordings and tables were taken in and led to no result."""
+    query = Query("SELECT count(*) AS number FROM without_result WHERE status <> 'quarantined'")
+    return int(site.results.rows(query)[0]["number"])
+
+
+def _without_result_table(site: Site) -> Table | None:
+    """What was taken in and led to no result, with what was missing."""
+    query = Query(
+        "SELECT recording_id, source_path, what_was_missing\nFROM without_result\nWHERE status <> 'quarantined'\n"
+        f"ORDER BY source_path, recording_id\nLIMIT {_REFUSED_SHOWN}"
+    )
+    found = site.results.rows(query)
+    if not found:
+        return None
+    rows = []
+    for r in found:
+        why, remedy = reason(r["what_was_missing"])
+        rows.append(Row((site.recording(r["recording_id"], ""), flow(tag("damaged", "no result"), " ", why), remedy)))
+    heads = (Head("Recording or table"), Head("What was missing", "text"), Head("What to do", "text"))
+    note = _of(count_without_result(site), _REFUSED_SHOWN, "taken in, and no analysis has a result from them")
+    below = flow("One that never will is taken out with ", code("dealab exclude RECORDING --why TEXT"), ".")
+    return Table("Led to no result", heads, tuple(rows), query.shown(), note, below=below)
 
 
 _FAILED_SQL = """SELECT item_id, stage, split_part(error, chr(10), 1) AS error, run_id

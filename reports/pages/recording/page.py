@@ -81,7 +81,7 @@ def page(site: Site, recording: str) -> Page:
         bar=site.bar("../", f"Recording {short(recording, 24)}"),
         when=site.when(row["run_id"]),
         crumbs=_crumbs(site, row),
-        lede=_lede(row),
+        lede=_lede(row, _missing(draft)),
         sub=_sub(site, row),
         opening=tuple(notes),
         sections=tuple(p for p in parts if p is not None),
@@ -137,7 +137,19 @@ def _kind(row: Row) -> str:
     return protocol(row["protocol"], row["loading"])
 
 
-def _lede(row: Row) -> Piece:
+def _missing(draft: Draft) -> str | None:
+    """What was missing for any result; None where there is one."""
+    query = Query(
+        "SELECT what_was_missing FROM without_result WHERE recording_id = $recording AND status <> 'quarantined'",
+        {"recording": draft.item},
+    )
+    found = draft.results.rows(query)
+    return found[0]["what_was_missing"] if found else None
+
+
+def _lede(row: Row, missing: str | None) -> Piece:
+    if missing:
+        return flow("No result: ", short(missing, 500))
     if row["problem"]:
         return flow(f"{'Damaged' if row['status'] == 'damaged' else 'Problem'}: ", short(row["problem"], 500))
     return flow("Worth knowing: ", short(row["notes"], 500)) if row["notes"] else ""

@@ -19,7 +19,7 @@ from reports.results import Query
 from reports.results import Row as Record
 from reports.site import stated_rig
 from schemas.arrays import Float
-from schemas.numbers import NBSP, compact, percent, significant
+from schemas.numbers import NBSP, compact, percent, significant, with_unit
 
 _POINTS = 48
 """Points drawn, spaced by equal ratios of time."""
@@ -31,12 +31,24 @@ _SETTLED = 1.0
 
 @dataclass(frozen=True)
 class Course:
-    """Force over displacement (n,) N/mm as recorded, at n times in s after the middle of the ramp, and by the model."""
+    """What follows a step, as recorded and by the model.
+
+    Parameters
+    ----------
+    recording : its id
+    time : (n,) s after the middle of the ramp
+    stiffness : (n,) force over displacement, or output over input of a system of another kind
+    model : (n,) the same by the model, None without one
+    unit : N/mm; "" for a system of another kind
+    made_from : what the points are
+    """
 
     recording: str
     time: Float
     stiffness: Float
     model: Float | None
+    unit: str = "N/mm"
+    made_from: str = "from the recording's envelope"
 
     @property
     def off(self) -> float | None:
@@ -46,7 +58,7 @@ class Course:
 
 def of_recording(draft: Draft, row: Record) -> Section | None:
     """The relaxation of one recording; the model stands on the page of its specimen."""
-    course = _course(draft, row, None) if _relaxes(row) else None
+    course = (_course(draft, row, None) if _relaxes(row) else None) or _stored(draft, row, None)
     if course is None:
         return None
     return Section("relaxation", _heading([course]), "Relaxation", (_figure(draft, course, "relaxation"),))
@@ -55,7 +67,8 @@ def of_recording(draft: Draft, row: Record) -> Section | None:
 def of_specimen(draft: Draft, recordings: Sequence[Record], chosen: Record | None) -> Section | None:
     """The relaxations of a specimen beside its model."""
     found = [r for r in recordings if _relaxes(r) and r["status"] in ("ok", "damaged")][:_DRAWN]
-    courses = [c for c in (_course(draft, r, chosen) for r in found) if c is not None]
+    drawn = (_course(draft, r, chosen) or _stored(draft, r, chosen) for r in found)
+    courses = [c for c in drawn if c is not None]
     if not courses:
         return None
     figures = [_figure(draft, c, f"relaxation_{i}") for i, c in enumerate(courses, 1)]
@@ -69,8 +82,10 @@ def _relaxes(row: Record) -> bool:
 
 def _heading(courses: Sequence[Course]) -> str:
     first = courses[0]
-    falls = f"{significant(first.stiffness[0], 2)} to {significant(first.stiffness[-1], 2)}{NBSP}N/mm"
+    falls = f"{significant(first.stiffness[0], 2)} to {with_unit(significant(first.stiffness[-1], 2), first.unit)}"
     until = f"{significant(float(first.time[0]), 1)} to {significant(float(first.time[-1]), 2)}{NBSP}s"
+    if not first.unit:
+        return f"After the step the output over the input goes from {falls} in {until}"
     off = [c.off for c in courses if c.off is not None]
     text = f"The film relaxes from {falls} in {until}"
     return f"{text}; the model follows to {percent(max(off))}" if off else text
@@ -80,17 +95,42 @@ def _figure(draft: Draft, course: Course, name: str) -> Figure:
     who = short(course.recording, 40)
     words = f"{compact(course.time[0], 1)} to {compact(course.time[-1], 2)}{NBSP}s after the step"
     off = "" if course.off is None else f", the model off by {percent(course.off)} (root mean square)"
-    columns: dict[str, Any] = {"time_s": course.time, "stiffness_n_per_mm": course.stiffness}
+    value = "stiffness_n_per_mm" if course.unit else "output_per_input"
+    columns: dict[str, Any] = {"time_s": course.time, value: course.stiffness}
     if course.model is not None:
         columns["model_n_per_mm"] = course.model
     return Figure(
-        relaxation(course.time, course.stiffness, course.model, alt=f"Stress relaxation of {who}, {words}{off}."),
+        relaxation(
+            course.time, course.stiffness, course.model, unit=course.unit, alt=f"Relaxation of {who}, {words}{off}."
+        ),
         flow(
-            bold("Relaxation."), f" {who}: {words}{off}. Points: from the recording's envelope; line: the model with the"
-            " load cell in series; not drawn while the ramp lasts.",
+            bold("Relaxation."),
+            f" {who}: {words}{off}. Points: {course.made_from}; line: the model with the load cell in"
+            " series; not drawn while the ramp lasts.",
         ),
         draft.data(name, columns),
     )  # fmt: skip
+
+
+def _stored(draft: Draft, row: Record, fit: Record | None) -> Course | None:
+    """What the analysis found after the step, where the preview shows too little of it: no rest, another system."""
+    query = Query(
+        "SELECT time_s, value, ramp_s, quantity FROM relaxation_curves WHERE recording_id = $item AND usable ORDER BY time_s",
+        {"item": row["recording_id"] or ""},
+    )
+    data = draft.results.columns(query)
+    if data["time_s"].size < 2:
+        return None
+    time, value = data["time_s"].astype(float), data["value"].astype(float)
+    ramp, film = float(data["ramp_s"][0]), data["quantity"][0] == "stiffness_n_per_mm"
+    later = time > ramp / 2
+    since = time[later] - ramp / 2
+    expected = None
+    if film and fit is not None:
+        constants = rig(fit, stated_rig([row]))
+        expected = model(fit, since, ramp, None if constants is None else constants.load_cell_stiffness)
+    windows = "means over windows of time"
+    return Course(row["recording_id"], since, value[later], expected, "N/mm" if film else "", windows)
 
 
 def _course(draft: Draft, row: Record, fit: Record | None) -> Course | None:

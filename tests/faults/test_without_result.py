@@ -1,0 +1,87 @@
+"""A recording or table that led to no result is told: a row, a line on the index and in the status, an exit status."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import Lab
+from pipeline.commands.show.status import describe_lab
+from pipeline.lab.annotations import annotate
+from pipeline.nightly.night import nightly
+from tests.faults.lab_state import healthy, select
+from tests.helpers.small_lab import about, life, write
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+ROWS = "SELECT recording_id, status, what_was_missing FROM without_result ORDER BY source_path"
+
+
+def still(path: Path) -> Path:
+    """A step of displacement that never comes: noise on both channels."""
+    noise = np.random.default_rng(5)
+    channels = {"displacement": ("mm", noise.normal(0, 1e-3, 4000)), "force": ("N", noise.normal(0, 1e-3, 4000))}
+    return write(path, about(path.stem, "step", "mechanical", "P-9", 0), 100.0, channels)
+
+
+def test_a_night_without_a_result_is_not_all_done(tmp_path: Path) -> None:
+    lab = Lab(tmp_path / "lab")
+    (tmp_path / "raw").mkdir()
+    still(tmp_path / "raw" / "still.mcap")
+    summary = nightly([tmp_path / "raw"], lab, jobs=0)
+    assert summary.attention == ()
+    assert summary.exit_status == 4
+    assert len(summary.without_result) == 1
+    assert "1 recording led to no result" in summary.paragraph()
+    ((name, status, missing),) = select(lab, ROWS)
+    assert (name, status) == ("still", "ok")
+    assert "holds no step above its noise" in missing
+    index = (lab.reports / "index.html").read_text(encoding="utf-8")
+    assert "all done" not in index
+    assert "holds no step above its noise" in index
+    assert "no result" in index.lower()
+    told = describe_lab(lab)
+    assert "No result from:" in told
+    assert "holds no step above its noise" in told
+    assert select(lab, "SELECT without_result FROM runs") == [(1,)]
+    assert healthy(lab) == []
+
+
+def test_what_leads_to_a_result_later_is_no_longer_told(tmp_path: Path) -> None:
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    still(raw / "still.mcap")
+    life(raw / "L-1.mcap", 1)
+    (raw / "torn.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(200))
+    summary = nightly([raw], lab, jobs=0)
+    assert summary.exit_status == 3, "a refused file goes first"
+    rows = select(lab, ROWS)
+    assert [row[:2] for row in rows] == [("still", "ok"), (None, "quarantined")]
+    assert rows[1][2] == select(lab, "SELECT problem FROM recordings WHERE status = 'quarantined'")[0][0]
+    assert len(summary.without_result) == 1, "the refused file is told with its reason already"
+
+    (raw / "torn.mcap").unlink()
+    annotate(lab, "still", "exclude", "the step was never made")
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    assert "still" not in {name for name, *_ in select(lab, ROWS)}
+
+
+def test_a_step_of_another_system_leads_to_its_response(tmp_path: Path) -> None:
+    """Output 2 V after a step of 1 V, falling by 0.5 V with 3 s: in the database and drawn on the recording's page."""
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    t = np.arange(4000) / 100.0
+    noise = np.random.default_rng(6).normal(0, 1e-3, t.size)
+    since = np.clip(t - 5.0, 0, None)
+    answer = np.where(t < 5.0, 0.0, 2.0 - 0.5 * (1 - np.exp(-since / 3.0))) + noise
+    channels = {"input": ("V", np.where(t < 5.0, 0.0, 1.0)), "output": ("V", answer)}
+    write(raw / "other.mcap", about("other", "step", "other", "X-1", 0), 100.0, channels)
+    summary = nightly([raw], lab, jobs=0)
+    assert summary.without_result == ()
+    rows = select(lab, "SELECT time_s, value FROM relaxation_curves WHERE usable ORDER BY time_s")
+    time, value = np.array(rows).T
+    np.testing.assert_allclose(value, 2.0 - 0.5 * (1 - np.exp(-time / 3.0)), atol=0.01)
+    page = (lab.reports / "recordings" / "other.html").read_text(encoding="utf-8")
+    assert "the output over the input goes from" in page
