@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ingest.mapping import ColumnMapping, FileMapping, TimeMapping
 from ingest.select import SelectedRows, selected_rows
 from ingest.times import own_time, start_ns, time_column, uniform, with_zone, zone_of
 from schemas.arrays import Bool, Float, Int
+from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants, check_keys
 from schemas.quantities import QUANTITIES
@@ -35,6 +37,7 @@ class _Assembly:
     times: dict[object, Int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    assumptions: list[Assumption] = field(default_factory=list)
     no_sample: list[tuple[Bool, Bool]] = field(default_factory=list)
     """Of each channel: rows without a number, and those of them that hold a text."""
 
@@ -49,10 +52,16 @@ def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecord
     check_keys(mapping.rig, RigConstants, "rig", mapping.source)
     file = _selected(file, mapping, where)
     shared = _Assembly(file, mapping, where, with_zone(mapping.recording, zone))
+    started = shared.metadata.get("started_at")
+    if zone is not None and isinstance(started, datetime) and started.tzinfo is zone:
+        shared.assumptions.append(_assume_zone(mapping))
     channels = tuple(_channel(quantity, column, shared) for quantity, column in mapping.columns.items())
     if mapping.counts_rows_as_time:
         channels = _without_summary(channels, shared)
     if "started_at" not in shared.metadata and channels:
+        shared.assumptions.append(
+            Assumption("start of the recording", "its first sample", "no started_at", "the order of the recordings")
+        )
         first = min(int(c.time_ns[0]) for c in channels if c.time_ns.size)
         shared.metadata["started_at"] = np.datetime_as_string(np.datetime64(first // 1000, "us"), timezone="UTC")
     return RawRecording(
@@ -61,6 +70,18 @@ def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecord
         channels=channels,
         problems=(*file.problems, *dict.fromkeys(shared.problems)),
         notes=(*file.notes, *dict.fromkeys(shared.notes)),
+        assumptions=tuple(dict.fromkeys(shared.assumptions)),
+    )
+
+
+def _assume_zone(mapping: FileMapping) -> Assumption:
+    """The zone that the mapping gives to times without one."""
+    zone = (mapping.time.zone if mapping.time is not None else None) or "that of started_at"
+    return Assumption(
+        "time zone",
+        zone,
+        "the times in the file have none; the mapping gives it",
+        "started_at and the order of recordings",
     )
 
 
@@ -226,6 +247,14 @@ def _times(column: ColumnMapping, count: int, shared: _Assembly) -> Int:
         if key not in shared.times:
             start = start_ns(shared.metadata, shared.where)
             shared.times[key] = uniform(count, time.sample_rate_hz, start)
+            shared.assumptions.append(
+                Assumption(
+                    "times of the samples",
+                    f"one every 1/{time.sample_rate_hz:g} s, no row missing",
+                    "the mapping gives a sample rate and no time column",
+                    "frequencies, relaxation times, lives",
+                )
+            )
         return shared.times[key]
     source, index = (column.time, None) if column.time is not None else (time.column, time.index)
     key = (source, index)
@@ -237,5 +266,7 @@ def _times(column: ColumnMapping, count: int, shared: _Assembly) -> Int:
         )
         shared.problems += found.problems
         shared.notes += found.notes
+        if found.zone_given:
+            shared.assumptions.append(_assume_zone(shared.mapping))
         shared.times[key] = found.time_ns
     return shared.times[key]

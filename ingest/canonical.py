@@ -81,7 +81,7 @@ def canonical(
     for quantity in _FORCES:
         if quantity in channels and rig.load_cell_range_n is not None:
             _check_range(channels[quantity], rig.load_cell_range_n, quantity in required, problems, where)
-    recording = Recording(metadata, rig, channels, source)
+    recording = Recording(metadata, rig, channels, source, assumptions=raw.assumptions)
     notes += sampling_notes(channels)
     _note_clock(recording, notes)
     return replace(recording, problems=tuple(dict.fromkeys(problems)), notes=tuple(dict.fromkeys(notes)))

@@ -15,6 +15,7 @@ import numpy as np
 from ingest.select import same_cell
 from ingest.table_rows import TableRows, cell_text
 from schemas.arrays import Bool, Float
+from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
 from schemas.units import conversion
 
@@ -69,12 +70,22 @@ def read_lives(table: TableRows) -> Lives:
     filled = int((np.isnan(seconds) & ~np.isnan(lives)).sum())
     if filled:
         table.notes.append(f"{filled} survivors have no life of their own: taken as the planned duration of their test")
+        table.assumptions.append(
+            Assumption(
+                f"life of {filled} survivors",
+                "the planned duration of their test",
+                "they have no life of their own in the table",
+                "survival",
+            )
+        )
     if flags is None:
         survivors = int((bounds > 0).sum())
         table.notes.append(
             f"no column says which specimens failed: {survivors} lives are written as survived, the others count as"
             " failures"
         )
+        because = "no column says which specimens failed"
+        table.assumptions.append(Assumption("lives that are not written as survived", "failures", because, "survival"))
     return Lives(lives, failed)
 
 

@@ -19,6 +19,7 @@ from ingest.mapping import FileMapping
 from ingest.select import selected_rows
 from ingest.times import with_zone, zone_of
 from schemas.arrays import Bool, Complex, Float, Int
+from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
 from schemas.metadata import RecordingMetadata, TableMetadata, check_keys
 from schemas.units import conversion
@@ -47,6 +48,7 @@ class TableRows:
         self.metadata = TableMetadata.parse(with_zone(mapping.recording, zone), where=where)
         self.problems: list[str] = list(file.problems)
         self.notes: list[str] = list(file.notes)
+        self.assumptions: list[Assumption] = []
         self.rows = self._selected()
 
     @property

@@ -27,6 +27,7 @@ from ingest.lives import read_lives
 from ingest.mapping import FileMapping
 from ingest.table_rows import TableRows, cell_text, ordered, standard_error, stiffness_scale
 from schemas.arrays import Complex, Float
+from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import TableMetadata
@@ -43,6 +44,7 @@ class LifetimeTable:
     rows: tuple[LifetimeRow, ...]
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class ResponseTable:
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     own_deformation: Float | None = None
+    assumptions: tuple[Assumption, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,7 @@ class RelaxationTable:
     scale: float
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
 
 def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: str) -> LifetimeTable:
@@ -124,7 +128,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
             "no row has a life that says anything", where=where, expected="lives above 0, or failures at 0"
         )
     _check_names(rows, where)
-    return LifetimeTable(metadata, tuple(rows), *table.remarks)
+    return LifetimeTable(metadata, tuple(rows), *table.remarks, tuple(table.assumptions))
 
 
 def _copies(table: TableRows, count: int) -> list[int]:
@@ -174,6 +178,7 @@ def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> Res
         scale,
         *table.remarks,
         own_deformation=None if own is None else own[keep],
+        assumptions=tuple(table.assumptions),
     )
 
 
@@ -214,7 +219,14 @@ def relaxation_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> R
     error = standard_error(table, measured_as, time.size)
     keep = ordered(table, time, np.isfinite(value) & (time > 0), "time", "s")
     return RelaxationTable(
-        table.metadata, time[keep], value[keep] * scale, error[keep] * scale, measured_as, scale, *table.remarks
+        table.metadata,
+        time[keep],
+        value[keep] * scale,
+        error[keep] * scale,
+        measured_as,
+        scale,
+        *table.remarks,
+        assumptions=tuple(table.assumptions),
     )
 
 

@@ -47,11 +47,19 @@ ELAPSED, MINUTES, TIME_OF_DAY = "elapsed", "mm:ss", "time_of_day"
 
 @dataclass(frozen=True)
 class Instants:
-    """(n,) instants of rows, `LOST` where a row has none; what is wrong with them, and what is worth knowing."""
+    """Instants of rows.
+
+    Parameters
+    ----------
+    time_ns : (n,) Unix time, `LOST` where a row has none
+    problems, notes : what is wrong with them, and what is worth knowing
+    zone_given : the file's times have no zone of their own
+    """
 
     time_ns: Int
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    zone_given: bool = False
 
 
 def zone_of(time: TimeMapping | None, where: str) -> tzinfo | None:
@@ -268,7 +276,7 @@ class _Reading:
         started = _started(self.metadata)
         near = None if started is None or started.tzinfo is None else nanoseconds(started)
         times, unsure = utc_of_local(naive, zone, near)
-        found = self.checked(times)
+        found = replace(self.checked(times), zone_given=True)
         if not unsure:
             return found
         note = "the times lie in the hour that occurs twice at the end of summer time: taken for the first"

@@ -217,7 +217,7 @@ class Page:
     crumbs: tuple[Link, ...] = ()
     lede: Piece = ""
     sub: Piece = ""
-    opening: tuple[Block, ...] = ()
+    opening: tuple[Block | Fold, ...] = ()
     provenance: tuple[Block | Fold, ...] = ()
     provenance_heading: str = "Provenance"
     files: dict[str, str] = field(default_factory=dict)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from schemas.arrays import Float, Int
+from schemas.assumptions import Assumption
 from schemas.metadata import RecordingMetadata, RigConstants
 
 
@@ -29,7 +30,8 @@ class RawChannel:
 class RawRecording:
     """What a reader found in a file.
 
-    `problems` says what is lost or wrong (the recording is then `damaged`); `notes` what is merely worth knowing.
+    `problems` says what is lost or wrong (the recording is then `damaged`); `notes` what is merely worth knowing;
+    `assumptions` what the reader had to take for granted.
     """
 
     metadata: Mapping[str, Any]
@@ -37,6 +39,7 @@ class RawRecording:
     channels: tuple[RawChannel, ...]
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,7 @@ class Recording:
     source: Source | None = None
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
     @property
     def status(self) -> str:

@@ -10,6 +10,7 @@ from ingest.samples import preview
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
 from pipeline.analyse.cycle import cycle_fits, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
@@ -46,9 +47,12 @@ def analyse_content(
     if isinstance(content, Recording):
         row, analysis = recording_row(content), analyse_recording(content)
         analysis.add({"previews": _draw_previews(content)})
+        assumed = find_assumptions(content)
     else:
         row = table_row(content.metadata, kind, content.problems, content.notes)
         analysis = analyse_table(content)
+        assumed = find_table_assumptions(content)
+    analysis.add({"assumptions": assumption_table(content.metadata, assumed)})
     notes = join_texts([row["notes"], *analysis.notes] if row["notes"] else analysis.notes)
     failed = [failure.splitlines()[0] for failure in analysis.failures]
     problem = join_texts(

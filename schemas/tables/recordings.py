@@ -82,6 +82,22 @@ TABLES: tuple[Table, ...] = (
         tells_input=True,
     ),
     Table(
+        "assumptions",
+        "what the results of a recording or table rest on that nothing says: one row per assumption and recording",
+        (
+            RECORDING_ID,
+            text("specimen_id", "the specimen; NULL for a table of many", refers_to="specimen_id"),
+            text("what", "what is assumed", required=True),
+            text("value", "the value that it is taken to have, with its unit", required=True),
+            text("because", "what is missing, or why it cannot be known"),
+            text("touches", "results that rest on it"),
+        ),
+        key=("recording_id", "what"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen", "recording"),
+        tells_input=True,
+    ),
+    Table(
         "without_result",
         "every recording or table that led to no result, and what was missing; refused files as well",
         (

@@ -22,6 +22,10 @@ START_NS = int(datetime.fromisoformat(START).timestamp()) * 10**9
 
 
 def times(path: Path, cells: list[str], time: dict[str, Any], started: Any = START) -> list[int]:
+    return raw_of(path, cells, time, started).channels[0].time_ns.tolist()
+
+
+def raw_of(path: Path, cells: list[str], time: dict[str, Any], started: Any = START) -> RawRecording:
     path.write_text("t,F\n" + "".join(f"{c},{i}.5\n" for i, c in enumerate(cells)))
     content = {
         "time": {"column": "t", **time},
@@ -30,7 +34,7 @@ def times(path: Path, cells: list[str], time: dict[str, Any], started: Any = STA
     }
     raw = read_raw(path, FileMapping.parse(content, stem="run", suffix=".csv", source="run.csv.toml"))
     assert isinstance(raw, RawRecording)
-    return raw.channels[0].time_ns.tolist()
+    return raw
 
 
 def test_elapsed_units(tmp_path: Path) -> None:
@@ -246,3 +250,18 @@ def test_the_unit_in_the_name_of_the_time_is_compared_too(tmp_path: Path) -> Non
     )
     assert isinstance(raw, RawRecording)
     assert np.diff(raw.channels[0].time_ns).tolist() == [10 * 10**9]
+
+
+def test_what_is_assumed_of_times_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+
+    def assumed(cells: list[str], time: dict[str, Any], started: Any = START) -> dict[str, str]:
+        return {one.what: one.value for one in raw_of(path, cells, time, started).assumptions}
+
+    zurich = {"format": "%d.%m.%Y %H:%M:%S", "zone": "Europe/Zurich"}
+    begins = {"start of the recording": "its first sample"}
+    assert assumed(["0", "1"], {"unit": "s"}) == {}
+    assert assumed(["0", "1"], {"unit": "s", "zone": "Europe/Zurich"}) == {}, "no time of the file needs the zone"
+    assert assumed(["01.03.2026 15:00:00"], zurich, None) == {"time zone": "Europe/Zurich", **begins}
+    assert assumed(["0", "1"], {"unit": "s", "zone": "UTC"}, "2026-03-01T15:00:00") == {"time zone": "UTC"}
+    assert assumed(["2026-03-01T15:00:00+01:00"], {"format": "iso"}, None) == begins

@@ -28,7 +28,7 @@ from reports.csvfile import Column
 from reports.figures.recording import COLUMNS, Envelope, channels
 from reports.figures.responses import Lines, spectrum
 from reports.names import short, visible
-from reports.pages import listing
+from reports.pages import assumed, listing
 from reports.pages.draft import Draft
 from reports.pages.recording import calibrating
 from reports.pages.specimen import distorted, relaxing
@@ -71,7 +71,7 @@ def page(site: Site, recording: str) -> Page:
         calibrating.of_recording(draft) if _has(draft, "calibrations") else None,
         _metadata(row),
     ]
-    notes: list[Block] = []
+    notes: list[Block | Fold] = [*assumed.blocks(site, "recording_id", recording)]
     excluded = listing.taken_out(site, "a.recording_id = $item", recording) if _has(draft, "annotations") else None
     if excluded:
         notes.append(excluded)

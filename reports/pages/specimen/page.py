@@ -7,7 +7,7 @@ from reports.blocks import Link, Page, Piece, Section, Text, flow, name, separat
 from reports.evidence import Standing, choice, measured, told, unasked
 from reports.figures.curves import Rig, rig
 from reports.names import short
-from reports.pages import listing
+from reports.pages import assumed, listing
 from reports.pages.draft import Draft
 from reports.pages.recording import calibrating
 from reports.pages.specimen import (
@@ -96,7 +96,7 @@ def page(site: Site, specimen: str) -> Page:
         crumbs=(Link("Last night", "../index.html"), *crumbs, Link("Specimen")),
         lede=findings.lede(standing),
         sub=_sub(standing, used, metadata),
-        opening=(*(Text(r) for r in findings.remarks(standing) if standing.alarm and not standing.diagnosis), *opening),
+        opening=(*(Text(r) for r in findings.remarks(standing) if standing.alarm and not standing.diagnosis), *opening, *assumed.blocks(site, "specimen_id", specimen)),
         sections=tuple(sections),
         provenance=(*site.provenance(run_id), listing.files(used, f"{capital(digits(len(used), 'recording'))}: files and SHA-256")),
         files=draft.files,
