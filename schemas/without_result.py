@@ -17,8 +17,8 @@ _BY_SPECIMEN = {"ForceMapReadings": "force_maps"}
 def _find_given() -> Iterator[str]:
     """Queries for the ids of recordings that led to something."""
     for table in TABLES.values():
-        if "recording_id" in table.names and not table.internal and not table.tells_input:
-            yield f"SELECT recording_id FROM {table.name}"
+        if "recording_id" in table.names and not table.internal and table.result_where != "false":
+            yield f"SELECT recording_id FROM {table.name} WHERE {table.result_where}"
     for kind, name in _BY_SPECIMEN.items():
         yield (
             f"SELECT recording_id FROM carried JOIN recordings USING (recording_id) WHERE carried.kind = '{kind}'"

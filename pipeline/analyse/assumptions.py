@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
+from pipeline.diagnose.features.reduce import reducible
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.physics.rig import missing_constants, rig_prior
 from schemas.assumptions import Assumption
@@ -51,6 +52,7 @@ def find_assumptions(recording: Recording) -> tuple[Assumption, ...]:
         found += _about_voltage(about, recording.rig, channels)
     if _uses_rig(about):
         found += _about_rig(recording.rig)
+    found += _about_unused(recording)
     return tuple(found)
 
 
@@ -184,6 +186,22 @@ def _about_voltage(about: RecordingMetadata, rig: RigConstants, channels: Collec
     if about.rods is not None and about.electrode_gap_mm is None:
         because = "no electrode_gap_mm"
         yield Assumption("electrodes over the rods", "one over all of the film", because, "weak_regions")
+
+
+def _about_unused(recording: Recording) -> Iterator[Assumption]:
+    """Channels that no analysis of this kind of recording takes: what they show is taken to make no difference."""
+    about, channels = recording.metadata, recording.channels
+    kind = about.definition()
+    used = {*kind.optional, *next(given for given in kind.required if set(given) <= channels.keys())}
+    if reducible(about.protocol, about.loading):
+        used.add("temperature")
+    for name in sorted(channels.keys() - used):
+        yield Assumption(
+            f"channel {name}",
+            "not used",
+            f"no analysis of {about.loading} {about.protocol} recordings takes it",
+            "every result, if what it shows matters",
+        )
 
 
 def _uses_rig(about: RecordingMetadata) -> bool:

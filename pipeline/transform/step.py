@@ -18,6 +18,7 @@ from pipeline.transform.step_levels import (
     FEWEST_RESTS,
     Course,
     SlowChange,
+    baseline_misfit,
     course,
     final_level,
     noise_memory,
@@ -30,6 +31,10 @@ from schemas.recording import Recording
 
 _STILL_FADING = 0.01
 """Share of a step that goes in the second half of the rest after it, from which on a rest counts as too short."""
+_MOST_MOVED = 0.25
+"""Share of a force step from which what the load may have moved beside it is no slow change of the film: over the steps
+of the demonstration it is 0.06 at most, with staircases as high as the step 0.36 and more."""
+_MOVES = "the load itself moves"
 INSTANT_S = 0.1
 """Delay after the voltage has reached 90 % at which the instant fraction is read."""
 
@@ -139,6 +144,11 @@ def measure_steps(recording: Recording) -> StepAnalysis:
             continue
         pulled = course(*tension, phase, force_change, force_memory)
         step = _force_step(number, phase, final_level(*volts, phase).value, pulled)
+        rest_from = phases[number - 2].off if number > 1 else float(tension[0][0])
+        last = -steps[-1].force_step_n if steps and math.isfinite(steps[-1].force_step_n) else 0.0
+        left = 0.0 if force_change is None or pulled is None else force_change.unrecovered * (pulled.step - last)
+        moved = baseline_misfit(*tension, phase, rest_from, force_change, force_memory, left)
+        step = _refuse_moved(step, moved)
         if clean is not None:
             found = course(*clean, phase, capacitance_change, capacitance_memory)
             step = _with_capacitance(step, phase, found, spikes_by_phase[number - 1])
@@ -152,6 +162,9 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         warnings.append(
             f"fewer than {FEWEST_RESTS} rest levels: slow relaxation and drift cannot be told from the step"
         )
+    refused = sum(any(_MOVES in warning for warning in step.warnings) for step in steps)
+    if refused:
+        warnings.append(f"the force of {refused} of {len(steps)} steps is refused: {_MOVES} beside them")
     whole = _recovered(steps, force_change, capacitance_change)
     return StepAnalysis(tuple(whole), force_change, capacitance_change, tuple(warnings))
 
@@ -211,6 +224,27 @@ def _force_step(number: int, phase: Edges, volts: float, course: Course | None) 
         empty, force_rest_n=course.rest, force_step_n=-course.step, force_step_sd_n=course.step_sd, warnings=()
     )
     return _with_dynamics(step, course, phase)
+
+
+def _refuse_moved(step: StepResponse, moved: float) -> StepResponse:
+    """The step without its force where the load itself may have moved by `moved` N over it, much of the step."""
+    if not math.isfinite(step.force_step_n) or moved < _MOST_MOVED * abs(step.force_step_n):
+        return step
+    text = (
+        f"{_MOVES} by up to {moved:.2g} N over this step, and no slow change describes it: the force of the"
+        f" step, {step.force_step_n:.2g} N if it did not, is refused"
+    )
+    return replace(
+        step,
+        force_step_n=math.nan,
+        force_step_sd_n=math.nan,
+        force_instant_fraction=None,
+        rise_time_s=None,
+        overshoot_percent=None,
+        settling_time_s=None,
+        recovery_time_s=None,
+        warnings=(*step.warnings, text),
+    )
 
 
 def _with_dynamics(step: StepResponse, course: Course, phase: Edges) -> StepResponse:

@@ -252,3 +252,47 @@ def course(t: Float, x: Float, phase: Edges, slow: SlowChange | None, memory: fl
         kernel = np.ones(width) / width
         y = np.convolve(np.pad(y, (width // 2, width - 1 - width // 2), mode="edge"), kernel, mode="valid")
     return Course(rest.value, step, sd, t[during] - phase.on, y, relative / math.sqrt(width))
+
+
+def baseline_misfit(
+    t: Float, x: Float, phase: Edges, rest_from: float, slow: SlowChange | None, memory: float, explained: float = 0.0
+) -> float:
+    """What a channel's level may have moved over one step beside it that the slow change does not account for.
+
+    Parameters
+    ----------
+    t, x : (n,) s and values of the channel
+    phase : of the step
+    rest_from : s, when the rest before it began
+    slow : slow change of the channel, None where there are too few rests for one
+    memory : correlation of the noise from one sample to the next
+    explained : how much of the change from the rest before to the rest after is what the film has not recovered
+
+    Returns
+    -------
+    In the unit of the channel, not negative: the larger of two. By how much the rest level after the step is another
+    than before it, of which without a slow change one half falls into the step; and how far the level runs in the
+    second half of these rests, over the time from one level to the other. What noise explains is 0.
+    """
+    steady = x if slow is None else x - slow.at(t)
+    before, final = rest_level(t, steady, phase, memory), final_level(t, steady, phase, memory)
+    spans = [((rest_from + phase.on) / 2, phase.on - 0.01)]
+    moved = [0.0]
+    if phase.has_fall and phase.off_end - phase.off > 2 * LEVEL_S:
+        after = level(t, steady, phase.off, phase.off_end - 0.01, LEVEL_S, memory)
+        change = _beyond_noise(after.value - before.value - explained, math.hypot(after.sd, before.sd))
+        moved.append(change if slow is not None else change / 2)
+        spans.append(((phase.off + phase.off_end) / 2, phase.off_end - 0.01))
+    for begin, end in spans if slow is not None else ():
+        first = level(t, steady, begin, begin + LEVEL_S, LEVEL_S, memory)
+        last = level(t, steady, end - LEVEL_S, end, LEVEL_S, memory)
+        apart = last.time_s - first.time_s
+        if apart > LEVEL_S:
+            run = _beyond_noise(last.value - first.value, math.hypot(first.sd, last.sd))
+            moved.append(run * (final.time_s - before.time_s) / apart)
+    return max(moved)
+
+
+def _beyond_noise(change: float, sd: float) -> float:
+    """Size of a change, 0 within three standard deviations and where it is not known."""
+    return abs(change) if math.isfinite(change) and abs(change) > 3 * sd else 0.0

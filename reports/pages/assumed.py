@@ -10,7 +10,7 @@ from schemas.numbers import ABSENT, capital, counted, digits
 
 _TOLD = 4
 """Assumptions that stand in the line itself; the others only in the table."""
-_RANK = ("sizes of the film", "pre-stretch", "clamp", "load-cell", "time zone")
+_RANK = ("sizes of the film", "channel", "pre-stretch", "clamp", "load-cell", "time zone")
 """Beginnings of the assumptions that move numbers most, which are told first."""
 
 

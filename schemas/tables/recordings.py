@@ -49,7 +49,7 @@ TABLES: tuple[Table, ...] = (
         key=("started_at", "recording_id", "source_path"),
         made_by=(MadeBy("night"),),
         pages=("index", "campaign", "specimen", "recording", "control"),
-        tells_input=True,
+        result_where="false",
     ),
     Table(
         "annotations",
@@ -64,7 +64,7 @@ TABLES: tuple[Table, ...] = (
         key=("at", "recording_id"),
         made_by=(MadeBy("night"),),
         pages=("index", "specimen", "recording"),
-        tells_input=True,
+        result_where="false",
     ),
     Table(
         "previews",
@@ -79,7 +79,7 @@ TABLES: tuple[Table, ...] = (
         key=("recording_id", "quantity", "time_s"),
         made_by=(MadeBy("recording"),),
         pages=("specimen", "recording"),
-        tells_input=True,
+        result_where="false",
     ),
     Table(
         "assumptions",
@@ -95,7 +95,7 @@ TABLES: tuple[Table, ...] = (
         key=("recording_id", "what"),
         made_by=(MadeBy("recording"),),
         pages=("specimen", "recording"),
-        tells_input=True,
+        result_where="false",
     ),
     Table(
         "without_result",
@@ -109,6 +109,6 @@ TABLES: tuple[Table, ...] = (
         key=("source_path", "recording_id"),
         made_by=(MadeBy("night"),),
         pages=("index", "specimen", "recording"),
-        tells_input=True,
+        result_where="false",
     ),
 )

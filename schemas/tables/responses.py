@@ -39,6 +39,7 @@ TABLES: tuple[Table, ...] = (
             MadeBy("specimen", where="stage <> 'measured'"),
         ),
         pages=("index", "campaign", "specimen", "recording"),
+        result_where="usable",
     ),
     Table(
         "relaxation_curves",
@@ -60,6 +61,7 @@ TABLES: tuple[Table, ...] = (
         key=("recording_id", "time_s"),
         made_by=(MadeBy("recording"),),
         pages=("specimen", "recording"),
+        result_where="usable",
     ),
     Table(
         "distortions",

@@ -53,6 +53,7 @@ TABLES: tuple[Table, ...] = (
         key=("recording_id", "cycle"),
         made_by=(MadeBy("specimen"),),
         pages=("specimen", "recording"),
+        result_where="force_step_n IS NOT NULL OR capacitance_step_pf IS NOT NULL",
     ),
     Table(
         "slow_changes",

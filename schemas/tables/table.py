@@ -80,7 +80,8 @@ class Table:
     made_by : the stages that make its rows
     pages : the kinds of pages that show its rows; such a page is made again when they change
     internal : bookkeeping, no result
-    tells_input : what came in and how it was read; such rows are no result of a recording
+    result_where : which of its rows are a result of their recording, a condition in SQL; "false" for what only tells
+        what came in and how it was read
     """
 
     name: str
@@ -90,7 +91,7 @@ class Table:
     made_by: tuple[MadeBy, ...]
     pages: tuple[Page, ...]
     internal: bool = False
-    tells_input: bool = False
+    result_where: str = "true"
 
     @property
     def names(self) -> tuple[str, ...]:

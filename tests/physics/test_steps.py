@@ -274,3 +274,36 @@ def test_modulus_of_a_film_that_creeps_lies_between_its_relaxations() -> None:
     assert found == pytest.approx(truth, rel=1e-4)
     assert relaxation(np.array([10.0]))[0] < found < relaxation(np.array([0.0]))[0]
     assert creep_modulus(relaxation, 10.0, 1.0, 1.0) == pytest.approx(relaxation(np.array([10.0]))[0])
+
+
+def loaded(kind: str, amount: float, count: int) -> Recording:
+    """Steps of 0.044 N under a load that itself rises by `amount` N in each cycle of 20 s, or comes and goes."""
+    recording = record([8.0] * count)
+    force = recording.channels["force"]
+    t = (force.time_ns - recording.start_ns) * 1e-9
+    load = {
+        "stairs while on": np.maximum(np.floor((t - 10) / 20 + 1), 0),
+        "stairs while off": np.maximum(np.floor((t - 20) / 20 + 1), 0),
+        "stairs at the edge": np.maximum(np.floor((t - 5) / 20 + 1), 0),
+        "ramp": t / 20,
+        "triangle": 10 * np.abs((t / 70) % 2 - 1),
+    }[kind]
+    force = replace(force, values=force.values + amount * load)
+    return replace(recording, channels={**recording.channels, "force": force})
+
+
+@pytest.mark.parametrize("count", [2, 10])
+@pytest.mark.parametrize("amount", [0.05, 0.2])
+@pytest.mark.parametrize("kind", ["stairs while on", "stairs while off", "stairs at the edge", "triangle"])
+def test_a_load_that_moves_itself_is_no_slow_change(kind: str, amount: float, count: int) -> None:
+    """Taken out as one straight line it left steps of the wrong sign."""
+    steps = measure_steps(loaded(kind, amount, count)).steps
+    assert all(np.isnan(step.force_step_n) for step in steps)
+    assert all(any("the load itself moves by up to" in warning for warning in step.warnings) for step in steps)
+    assert all(step.capacitance_step_pf is not None for step in steps), "the capacitance does not depend on it"
+
+
+def test_a_steady_ramp_of_the_load_is_taken_out() -> None:
+    steps = measure_steps(loaded("ramp", 0.2, 10)).steps
+    np.testing.assert_allclose([step.force_step_n for step in steps], 0.044, rtol=0.02)
+    assert all(np.isnan(step.force_step_n) for step in measure_steps(loaded("ramp", 0.2, 2)).steps)

@@ -99,3 +99,10 @@ def test_what_a_life_leaves_out() -> None:
 def test_rest_is_assumed_where_no_key_says_it() -> None:
     found = assumed("step", "mechanical", "displacement force", rest_before_s="")
     assert found["rest before the recording"] == "as long as it takes: at rest at its first sample"
+
+
+def test_a_channel_that_no_analysis_uses_is_named() -> None:
+    found = assumed("step", "electrical", "voltage force displacement temperature command", rest_before_s=1)
+    assert found == {"channel displacement": "not used", "gain of the amplifier": "1.5 kV/V"}
+    life = assumed("lifetime", "electrical", "voltage temperature", voltage_setpoint_kv=7, test_duration_s=60)
+    assert life == {"channel temperature": "not used"}

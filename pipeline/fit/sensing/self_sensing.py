@@ -246,7 +246,7 @@ def _sensitivity(
     for s in steps:
         maxwell = drive.value * s.voltage_kv**2
         active = maxwell - s.force_step_n
-        if active <= 0 or not s.capacitive_strain:
+        if not (active > 0 and s.capacitive_strain):
             continue
         sign = 1.0 if (s.capacitance_step_pf or 0.0) > 0 else -1.0
         value = sign * s.capacitive_strain * stiffness.value / active

@@ -210,6 +210,8 @@ def finding(cycles: dict[str, np.ndarray]) -> str:
             parts.append(f"{label} goes with V to the power {pm(*power)}{square}")
         elif levels.size:
             parts.append(f"{label} changes by {significant(means[-1])}{NBSP}{unit} at {compact(levels[-1], 2)}{NBSP}kV")
+    if voltage.size and not np.isfinite(cycles["force_step_n"].astype(float)).any():
+        parts.insert(0, "no force step can be read beside the load's own movement or noise")
     text = "; ".join(parts) or "steps"
     if wrinkled.any():
         text += f"; from {compact(float(voltage[wrinkled].min()), 2)}{NBSP}kV on the film wrinkles"
