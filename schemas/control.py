@@ -39,7 +39,8 @@ electrical AS (
     QUALIFY row_number() OVER (PARTITION BY specimen_id ORDER BY loading, method, model_order) = 1
 ),
 groups AS (
-    SELECT *, concat(coalesce(configuration, 'no configuration'), ', ' || voltage_kv || ' kV') AS name
+    SELECT *, concat(coalesce(configuration, 'no configuration'), ', ' || voltage_kv || ' kV',
+        if(count(*) OVER (PARTITION BY configuration, voltage_kv) > 1, ', ' || coalesce(campaign, 'no campaign'), '')) AS name
     FROM survival_summaries
 )
 SELECT * FROM (

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def analyse_survival(lives: Sequence[LifetimeRow]) -> Analysis:
-    """Survival per configuration and voltage, and comparisons, from all lives."""
+    """Survival per campaign, configuration and voltage, and comparisons, from all lives."""
     analysis = Analysis()
     results = analysis.attempt("survival", survival_group, lives)
     if results is not None:
@@ -43,23 +43,27 @@ def survival_tables(results: SurvivalResults) -> dict[str, pa.Table]:
         ],
         "lifetime_distributions": [_distributions(group) for group in results.groups],
         "failure_causes": [cause for group in results.groups for cause in _causes(group)],
-        "voltage_life": [_law(configuration, law) for configuration, law in results.voltage_life],
-        "voltage_residuals": [_residuals(configuration, law) for configuration, law in results.voltage_life],
+        "voltage_life": [_law(*law) for law in results.voltage_life],
+        "voltage_residuals": [_residuals(*law) for law in results.voltage_life],
     }
     return {name: TABLES[name].stack(parts) for name, parts in made.items()}
 
 
-def _law(configuration: str | None, law: VoltageLife) -> pa.Table:
+def _law(campaign: str | None, configuration: str | None, law: VoltageLife) -> pa.Table:
     return TABLES["voltage_life"].from_objects(
         [law],
+        campaign=campaign,
         configuration=configuration,
         p_value=law.tests[-1].best_p_value if law.tests else None,
     )
 
 
-def _residuals(configuration: str | None, law: VoltageLife) -> pa.Table:
+def _residuals(campaign: str | None, configuration: str | None, law: VoltageLife) -> pa.Table:
     return TABLES["voltage_residuals"].from_objects(
-        law.residuals, configuration=configuration, standardised_residual=lambda residual: residual.standardised
+        law.residuals,
+        campaign=campaign,
+        configuration=configuration,
+        standardised_residual=lambda residual: residual.standardised,
     )
 
 
@@ -73,6 +77,7 @@ def _curve(group: SurvivalGroup) -> pa.Table:
 
     return TABLES["survival_curves"].arrays(
         curve.time.size + lead,
+        campaign=group.campaign,
         configuration=group.configuration,
         voltage_kv=group.voltage_kv,
         time_s=column(0.0, curve.time),
@@ -90,13 +95,14 @@ def _summary(group: SurvivalGroup) -> pa.Table:
         [group.summary],
         configuration=group.configuration,
         voltage_kv=group.voltage_kv,
-        campaign=", ".join(group.campaigns) or None,
+        campaign=group.campaign,
     )
 
 
 def _distributions(group: SurvivalGroup) -> pa.Table:
     return TABLES["lifetime_distributions"].rows(
         {
+            "campaign": group.campaign,
             "configuration": group.configuration,
             "voltage_kv": group.voltage_kv,
             "distribution": fit.distribution,
@@ -119,6 +125,7 @@ def _causes(group: SurvivalGroup) -> list[pa.Table]:
     return [
         TABLES["failure_causes"].arrays(
             cause.time.size,
+            campaign=group.campaign,
             configuration=group.configuration,
             voltage_kv=group.voltage_kv,
             failure_site=cause.cause,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
 from pipeline.fit.survival.weak_regions import (
+    OUTSIDE_THE_FILM,
     THIN,
     FilmGrid,
     LayoutCheck,
@@ -35,27 +36,29 @@ under the electrodes by 0.02, in a tenth of the time."""
 
 
 def analyse_weak_regions(recordings: Sequence[Measured]) -> Analysis:
-    """Expected and found failures of each configuration whose recordings say where its rods are."""
+    """Expected and found failures of each campaign's configurations whose recordings say where their rods are."""
     analysis = Analysis()
-    groups: dict[str, list[Measured]] = {}
+    groups: dict[tuple[str, str], list[Measured]] = {}
     for one in recordings:
         about = one.metadata
         if isinstance(about, RecordingMetadata) and about.rods is not None and about.configuration is not None:
-            groups.setdefault(about.configuration, []).append(one)
-    for configuration, members in sorted(groups.items()):
-        analysis.attempt(f"weak regions of {configuration}", _configuration, analysis, configuration, members)
+            groups.setdefault((about.campaign or "", about.configuration), []).append(one)
+    for (campaign, configuration), members in sorted(groups.items()):
+        what = f"weak regions of {configuration}" + (f" ({campaign})" if campaign else "")
+        analysis.attempt(what, _configuration, analysis, campaign or None, configuration, members)
     return analysis
 
 
-def _configuration(analysis: Analysis, configuration: str, members: Sequence[Measured]) -> None:
+def _configuration(analysis: Analysis, campaign: str | None, configuration: str, members: Sequence[Measured]) -> None:
     about = members[0].metadata
     assert isinstance(about, RecordingMetadata)
     film = rod_film(about)
     layout = electrodes(film, about.electrode_gap_mm)
     failures = [life for one in members for life in one.of(LifetimeRow) if life.failed]
+    in_film = [life for life in failures if life.failure_site not in OUTSIDE_THE_FILM]
     continuous, incremental = _maps(film)
-    shares = compare_regions(continuous, layout, [life.failure_region for life in failures])
-    sites = [life.failure_site for life in failures]
+    shares = compare_regions(continuous, layout, [(life.failure_region, life.failure_site) for life in in_film])
+    sites = [life.failure_site for life in in_film]
     voltages = [life.voltage_kv for one in members for life in one.of(LifetimeRow) if life.voltage_kv is not None]
     checks = [
         check_layout(
@@ -68,18 +71,29 @@ def _configuration(analysis: Analysis, configuration: str, members: Sequence[Mea
         for one in (continuous, incremental)
     ]
     grids = [on_grid(one, layout) for one in (continuous, incremental)]
-    analysis.add(weak_region_tables(configuration, shares, checks, grids))
+    others = len(failures) - len(in_film)
+    analysis.add(weak_region_tables(campaign, configuration, shares, checks, grids, others))
 
 
 def weak_region_tables(
-    configuration: str, shares: Sequence[RegionShare], checks: Sequence[LayoutCheck], grids: Sequence[FilmGrid]
+    campaign: str | None,
+    configuration: str,
+    shares: Sequence[RegionShare],
+    checks: Sequence[LayoutCheck],
+    grids: Sequence[FilmGrid],
+    other_failures: int,
 ) -> dict[str, pa.Table]:
-    """Tables `weak_regions`, `electrode_layouts` and `film_maps` of one configuration."""
+    """Tables `weak_regions`, `electrode_layouts` and `film_maps` of one configuration.
+
+    `other_failures` is the number of its failures that are not in the film.
+    """
+    about = {"campaign": campaign, "configuration": configuration}
     regions, layouts, maps = (TABLES[name] for name in ("weak_regions", "electrode_layouts", "film_maps"))
     return {
         "weak_regions": regions.from_objects(
             shares,
-            configuration=configuration,
+            **about,
+            other_failures=other_failures,
             predicted_share=lambda share: share.predicted,
             predicted_share_lower=lambda share: share.predicted_range[0],
             predicted_share_upper=lambda share: share.predicted_range[1],
@@ -87,10 +101,8 @@ def weak_region_tables(
             observed_share_lower=lambda share: share.observed_interval and share.observed_interval[0],
             observed_share_upper=lambda share: share.observed_interval and share.observed_interval[1],
         ),
-        "electrode_layouts": layouts.from_objects(checks, configuration=configuration, thickness_limit=THIN),
-        "film_maps": maps.stack(
-            maps.arrays(grid.x_mm.size, configuration=configuration, **vars(grid)) for grid in grids
-        ),
+        "electrode_layouts": layouts.from_objects(checks, **about, thickness_limit=THIN),
+        "film_maps": maps.stack(maps.arrays(grid.x_mm.size, **about, **vars(grid)) for grid in grids),
     }
 
 

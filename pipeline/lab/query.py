@@ -128,11 +128,12 @@ class Query:
             "WHERE samples_path IS NOT NULL AND status <> 'duplicate' AND contains(?, recording_id)",
             [query],
         ).fetchall()
+        # Views have numbers: a dot in a name means a schema, and DuckDB does not tell upper from lower case in names.
         names = {"": ""}
-        for recording_id, samples_path in known:
+        for number, (recording_id, samples_path) in enumerate(known):
             path = self._find_samples(samples_path)
             if path is not None:
-                names[recording_id] = f"samples of {recording_id}"
+                names[recording_id] = f"samples {number}"
                 self._connection.register(names[recording_id], pyarrow.dataset.dataset(path, format="parquet"))
         offered = ", ".join(f"'{name}': '{view}'" for name, view in sorted(names.items()))
         self._connection.execute(

@@ -137,7 +137,7 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         clean, spikes_by_phase = without_spikes(*seconds_and_values(capacitance, start), phases)
         capacitance_memory = noise_memory(*clean, phases)
         capacitance_change = slow_change(*clean, phases, capacitance_memory)
-    steps = []
+    steps: list[StepResponse] = []
     for number, phase in enumerate(phases, start=1):
         if not phase.has_rest:
             warnings.append(f"step {number} begins with the record: no rest level before it")

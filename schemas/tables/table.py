@@ -299,4 +299,5 @@ def with_uncertainty(name: str, unit: str, meaning: str) -> tuple[Column, ...]:
 
 RECORDING_ID = text("recording_id", "the recording", refers_to="recording_id")
 SPECIMEN_ID = text("specimen_id", "the specimen", refers_to="specimen_id")
+CAMPAIGN = text("campaign", "the campaign, to which the group belongs; NULL for lives that name none")
 CONFIGURATION = text("configuration", "how the specimen is built: the group it is compared in")

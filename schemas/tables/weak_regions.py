@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.tables.table import CONFIGURATION, MadeBy, Table, real, text, truth, whole
+from schemas.tables.table import CAMPAIGN, CONFIGURATION, MadeBy, Table, real, text, truth, whole
 
 TABLES: tuple[Table, ...] = (
     Table(
@@ -17,9 +17,12 @@ TABLES: tuple[Table, ...] = (
             real("observed_share", "", "share of the failures found here"),
             real("observed_share_lower", "", "lower 95 % limit of observed_share, exact binomial"),
             real("observed_share_upper", "", "upper 95 % limit of observed_share, exact binomial"),
-            whole("failures", "failures found here"),
+            whole("failures", "failures in the film found here; those at the lead are not in the film"),
+            whole("unknown_site", "of these, failures whose site nobody noted"),
+            whole("other_failures", "failures of the whole configuration that are not in the film and do not count"),
+            CAMPAIGN,
         ),
-        key=("configuration", "region"),
+        key=("campaign", "configuration", "region"),
         made_by=(MadeBy("group", group="weak_regions"),),
         pages=("campaign",),
     ),
@@ -33,10 +36,11 @@ TABLES: tuple[Table, ...] = (
             real("thin_share", "", "share of the active area on thin film"),
             real("thinnest", "", "smallest thickness under an electrode over the median thickness"),
             real("predicted_rod_share", "", "share of the failures expected within 1 mm of a rod"),
-            real("observed_rod_share", "", "share of the failures found at a rod"),
+            real("observed_rod_share", "", "share of the failures in the film found at a rod"),
             real("peak_field_mv_per_m", "MV/m", "field at the thinnest place under an electrode"),
+            CAMPAIGN,
         ),
-        key=("configuration", "scheme"),
+        key=("campaign", "configuration", "scheme"),
         made_by=(MadeBy("group", group="weak_regions"),),
         pages=("campaign",),
     ),
@@ -51,8 +55,9 @@ TABLES: tuple[Table, ...] = (
             real("thickness", "", "thickness over undeformed thickness"),
             real("relative_thickness", "", "thickness over the median of the film"),
             truth("active", "under an electrode"),
+            CAMPAIGN,
         ),
-        key=("configuration", "scheme", "y_mm", "x_mm"),
+        key=("campaign", "configuration", "scheme", "y_mm", "x_mm"),
         made_by=(MadeBy("group", group="weak_regions"),),
         pages=("campaign",),
     ),

@@ -301,7 +301,7 @@ class Story:
                 median = t
             self.rows["survival_curves"].append(
                 {
-                    "configuration": configuration, "voltage_kv": kv, "time_s": t, "at_risk": at_risk, "failures": died,
+                    "campaign": campaign, "configuration": configuration, "voltage_kv": kv, "time_s": t, "at_risk": at_risk, "failures": died,
                     "censored": int(((time == t) & ~failed).sum()), "survival": survival, "lower_95": low, "upper_95": high,
                 }
             )  # fmt: skip
@@ -542,6 +542,7 @@ def whole_story() -> Story:
     ):
         story.rows["survival_comparisons"].append(
             {
+                "campaign": "RP-DEA lifetime",
                 "configuration_a": a,
                 "configuration_b": b,
                 "voltage_kv": 7.5,
@@ -553,6 +554,7 @@ def whole_story() -> Story:
         )
         story.rows["survival_comparisons"].append(
             {
+                "campaign": "RP-DEA lifetime",
                 "configuration_a": a,
                 "configuration_b": b,
                 "voltage_kv": 7.5,
@@ -565,9 +567,10 @@ def whole_story() -> Story:
     for region, share, found in (("left", 0.31, 8), ("centre", 0.42, 8), ("right", 0.27, 4)):
         story.rows["weak_regions"].append(
             {
-                "configuration": "single AR", "region": region, "predicted_share": share, "predicted_share_lower": share - 0.03,
+                "campaign": "RP-DEA lifetime", "configuration": "single AR", "region": region, "predicted_share": share, "predicted_share_lower": share - 0.03,
                 "predicted_share_upper": share + 0.04, "observed_share": found / 20, "observed_share_lower": found / 40,
                 "observed_share_upper": found / 20 + 0.24, "failures": found,
+                "unknown_site": 0, "other_failures": 2,
             }
         )  # fmt: skip
     film_maps(story)
@@ -653,7 +656,7 @@ def film_maps(story: Story) -> None:
     for configuration in ("single AR", "separate ARs"):
         story.rows["electrode_layouts"].append(
             {
-                "configuration": configuration, "scheme": "continuous", "thickness_limit": 0.9, "thin_share": 0.41, "thinnest": 0.74,
+                "campaign": "RP-DEA lifetime", "configuration": configuration, "scheme": "continuous", "thickness_limit": 0.9, "thin_share": 0.41, "thinnest": 0.74,
                 "predicted_rod_share": 0.8, "observed_rod_share": 0.95, "peak_field_mv_per_m": 34.2,
             }
         )  # fmt: skip
@@ -664,7 +667,7 @@ def film_maps(story: Story) -> None:
                 thickness = 1 - 0.2 * np.exp(-(rod**2) / 6) - 0.05 * np.cos(x / 14)
                 story.rows["film_maps"].append(
                     {
-                        "configuration": configuration, "scheme": "continuous", "x_mm": x, "y_mm": y, "thickness": 0.28 * thickness,
+                        "campaign": "RP-DEA lifetime", "configuration": configuration, "scheme": "continuous", "x_mm": x, "y_mm": y, "thickness": 0.28 * thickness,
                         "relative_thickness": thickness, "active": active,
                     }
                 )  # fmt: skip
@@ -685,22 +688,22 @@ def voltages(story: Story) -> None:
         law = 3.2e8 * kv**-6.88
         story.rows["voltage_residuals"].append(
             {
-                "configuration": "PET film", "voltage_kv": kv, "specimens": 8, "failures": 8, "scale_s": scale, "law_scale_s": law,
+                "campaign": "PET film", "configuration": "PET film", "voltage_kv": kv, "specimens": 8, "failures": 8, "scale_s": scale, "law_scale_s": law,
                 "residual": np.log(scale / law), "standardised_residual": 4 * np.log(scale / law), "p_value_without": 0.3 if kv == 5 else 1e-9,
             }
         )  # fmt: skip
     story.rows["voltage_life"].append(
         {
-            "configuration": "PET film", "specimens": 32, "failures": 32, "intercept": 19.64, "intercept_lower": 17.9, "intercept_upper": 21.3,
+            "campaign": "PET film", "configuration": "PET film", "specimens": 32, "failures": 32, "intercept": 19.64, "intercept_lower": 17.9, "intercept_upper": 21.3,
             "exponent": -6.88, "exponent_lower": -7.6, "exponent_upper": -6.1, "sigma": 0.88, "sigma_lower": 0.7, "sigma_upper": 1.1,
             "log_likelihood": -240.183, "p_value": 2e-12, "holds": False, "statement": "the law fails at 5 kV: lives are longer there", "warnings": "",
         }
     )  # fmt: skip
     story.rows["failure_causes"].append(
-        {"configuration": "single AR", "voltage_kv": 7.5, "failure_site": "rod", "time_s": 60.0, "failures": 20, "probability": 1.0, "standard_error": 0.0, "lower_95": 0.83, "upper_95": None}
+        {"campaign": "RP-DEA lifetime", "configuration": "single AR", "voltage_kv": 7.5, "failure_site": "rod", "time_s": 60.0, "failures": 20, "probability": 1.0, "standard_error": 0.0, "lower_95": 0.83, "upper_95": None}
     )  # fmt: skip
     story.rows["lifetime_distributions"].append(
-        {"configuration": "single AR", "voltage_kv": 7.5, "distribution": "weibull", "parameter": "shape", "value": 1.57, "lower_95": 1.1, "upper_95": 2.2, "log_likelihood": -90.0, "aic": 184.0, "distance": 0.1, "p_value": 0.6, "statement": "describes the lives"}
+        {"campaign": "RP-DEA lifetime", "configuration": "single AR", "voltage_kv": 7.5, "distribution": "weibull", "parameter": "shape", "value": 1.57, "lower_95": 1.1, "upper_95": 2.2, "log_likelihood": -90.0, "aic": 184.0, "distance": 0.1, "p_value": 0.6, "statement": "describes the lives"}
     )  # fmt: skip
 
 

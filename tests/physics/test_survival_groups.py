@@ -124,7 +124,7 @@ def test_intervals_contain_the_truth_of_the_campaign() -> None:
 def test_planned_end_is_common(results: SurvivalResults) -> None:
     for group in results.groups:
         assert group.summary.restricted_to_s == END
-        assert group.campaigns == ("RP-DEA",)
+        assert group.campaign == "RP-DEA"
     assert of(results, "outside").curve.number_at_risk(END) == 10
 
 
@@ -217,7 +217,7 @@ def test_voltage_law_of_a_configuration() -> None:
         for i in range(10)
     ]
     results = survival_group(rows)
-    ((configuration, law),) = results.voltage_life
+    ((_, configuration, law),) = results.voltage_life
     assert configuration == "single"
     assert law.exponent.lower < -10 < law.exponent.upper
     tables = survival_tables(results)
@@ -272,3 +272,38 @@ def test_survival_at_a_time_is_said_up_to_the_end_of_the_follow_up(results: Surv
             before = [c for c in curves.to_pylist() if c["configuration"] == configuration and c["time_s"] <= time]
             last = before[-1]["survival"]
             assert survival == (None if time > ends[configuration] and last > 0 else last)
+
+
+def test_campaigns_are_experiments_of_their_own() -> None:
+    """Groups of one name in two campaigns are two, and Holm's correction counts the pairs of one campaign alone."""
+    rng = np.random.default_rng(4)
+
+    def lives(campaign: str | None, configuration: str, scale: float) -> list[LifetimeRow]:
+        draws = scale * rng.weibull(2.0, 12)
+        return [
+            row(f"{configuration}-{i}", x, configuration=configuration, campaign=campaign) for i, x in enumerate(draws)
+        ]
+
+    first = [*lives("one", "A", 50), *lives("one", "B", 70)]
+    second = [*lives("two", "A", 500), *lives("two", "B", 900), *lives("two", "C", 500)]
+    alone, both = survival_group(first), survival_group([*first, *second])
+    assert [(g.campaign, g.configuration, g.summary.specimens) for g in both.groups] == [
+        ("one", "A", 12), ("one", "B", 12), ("two", "A", 12), ("two", "B", 12), ("two", "C", 12),
+    ]  # fmt: skip
+    assert {(c.campaign, c.configuration_a, c.configuration_b) for c in both.comparisons} == {
+        ("one", "A", "B"), ("two", "A", "B"), ("two", "A", "C"), ("two", "B", "C"),
+    }  # fmt: skip
+    own = [c for c in both.comparisons if c.campaign == "one"]
+    assert repr(own) == repr(list(alone.comparisons)), "NaN is not equal to itself"
+    assert both.groups[0].summary.restricted_to_s == alone.groups[0].summary.restricted_to_s
+    assert not any("not independent" in text for text in both.warnings), "names of specimens may occur in both"
+    tables = survival_tables(both)
+    assert all("campaign" in tables[name].column_names for name in tables)
+    database = duckdb.connect()
+    database.register("survival_curves", tables["survival_curves"])
+    (view,) = (view for view in VIEWS if view.name == "survival_at")
+    database.execute(view.ddl())
+    found = database.sql("SELECT campaign, configuration, survival FROM survival_at(100)").fetchall()
+    assert len(found) == 5
+    assert all(survival < 0.3 for campaign, _, survival in found if campaign == "one")
+    assert all(survival > 0.7 for campaign, _, survival in found if campaign == "two")

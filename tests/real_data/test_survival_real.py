@@ -124,7 +124,7 @@ def test_film_as_a_campaign(film: pd.DataFrame) -> None:
     results = survival_group(rows)
     assert [g.voltage_kv for g in results.groups] == [5, 7, 10, 15]
     assert any("PET was tested at 5 kV, 7 kV, 10 kV, 15 kV" in text for text in results.warnings)
-    ((_, law),) = results.voltage_life
+    ((_, _, law),) = results.voltage_life
     assert law.holds is False
     assert law.exponent.value == pytest.approx(-6.8764, abs=5e-5)
     assert results.groups[0].summary.survival_at_end.value == pytest.approx(0.3)

@@ -46,11 +46,11 @@ Group = tuple[Float, Bool]
 
 @dataclass(frozen=True)
 class Comparison:
-    """One test or estimate between two configurations at one voltage.
+    """One test or estimate between two configurations of a campaign at one voltage.
 
     `statistic` is what `test` says: χ² of the rank tests, O − E of the permutation test, odds ratio of Fisher's test,
     hazard of b over that of a, restricted mean of b less that of a in s; the last two come with 95 % `lower` and `upper`.
-    `p_value` is that of this pair, `p_value_holm` corrected for all pairs at the same voltage with the same test.
+    `p_value` is that of this pair, `p_value_holm` corrected for all pairs of the campaign at the same voltage with the same test.
     """
 
     configuration_a: str | None
@@ -63,6 +63,7 @@ class Comparison:
     p_value: float = float("nan")
     p_value_holm: float = float("nan")
     warnings: tuple[str, ...] = ()
+    campaign: str | None = None
 
 
 def compare(
@@ -167,14 +168,14 @@ def restricted_mean_difference(a: Group, b: Group, to_s: float) -> tuple[Estimat
 
 
 def corrected(comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
-    """The same comparisons with Holm's correction over the pairs at one voltage, test by test.
+    """The same comparisons with Holm's correction over the pairs of a campaign at one voltage, test by test.
 
     Exact and simulated permutation tests are one family.
     """
-    families: dict[tuple[float | None, str], list[int]] = defaultdict(list)
+    families: dict[tuple[str | None, float | None, str], list[int]] = defaultdict(list)
     for i, comparison in enumerate(comparisons):
         family = "permutation" if comparison.test in _PERMUTATIONS else comparison.test
-        families[comparison.voltage_kv, family].append(i)
+        families[comparison.campaign, comparison.voltage_kv, family].append(i)
     result = list(comparisons)
     for members in families.values():
         for i, p_value in zip(members, holm([comparisons[i].p_value for i in members]), strict=True):

@@ -1,4 +1,4 @@
-"""From rows of lifetimes to survival per configuration and voltage, and comparisons between configurations.
+"""From rows of lifetimes to survival per campaign, configuration and voltage, and comparisons within a campaign.
 
 Belongs here: which rows can be used and what is wrong with the others, grouping, and the collection of all results with
 their warnings. A row that contradicts itself is named, never averaged away. Does not belong here: the statistics
@@ -30,6 +30,9 @@ from schemas.errors import NotIdentifiableError
 from schemas.lifetimes import RAISED, LifetimeRow
 from schemas.numbers import compact, joined, significant, with_unit
 
+_Key = tuple[str | None, str | None, float | None]
+"""Campaign, configuration and voltage of a group. Lives of other campaigns are another experiment, whatever their
+configurations are called."""
 _SAME_VOLTAGE = 0.005
 """Relative difference of two set voltages up to which they are one."""
 _SAME_END = 0.01
@@ -58,11 +61,11 @@ class SurvivalSummary:
 
 @dataclass(frozen=True)
 class SurvivalGroup:
-    """All results of one configuration at one voltage (None where the rows give none)."""
+    """All results of one configuration of a campaign at one voltage (None where the rows give none)."""
 
+    campaign: str | None
     configuration: str | None
     voltage_kv: float | None
-    campaigns: tuple[str, ...]
     rows: tuple[LifetimeRow, ...]
     curve: KaplanMeier
     summary: SurvivalSummary
@@ -79,48 +82,45 @@ class SurvivalGroup:
 class SurvivalResults:
     """Groups, comparisons of configurations at equal voltage, laws over the voltages, and what was left out and why.
 
-    `voltage_life` has one law per configuration tested at several voltages that can carry one.
+    `voltage_life` has one law per campaign and configuration tested at several voltages that can carry one.
     """
 
     groups: tuple[SurvivalGroup, ...]
     comparisons: tuple[Comparison, ...]
-    voltage_life: tuple[tuple[str | None, VoltageLife], ...]
+    voltage_life: tuple[tuple[str | None, str | None, VoltageLife], ...]
     warnings: tuple[str, ...]
 
 
 def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
-    """Survival of all specimens, by configuration and voltage, with comparisons at equal voltage.
+    """Survival of all specimens, by campaign, configuration and voltage, with comparisons at equal voltage in a campaign.
 
     Rows that cannot be used (negative or missing life, flags that contradict each other) are left out and named in
     `warnings` and in the summary of their group; staircase tests have no life at one voltage and are left out as well.
     """
     usable, problems = _checked(lifetimes)
     grouped = _grouped(usable)
-    notes: dict[tuple[str | None, float | None], list[str]] = defaultdict(list)
+    notes: dict[_Key, list[str]] = defaultdict(list)
     general = [text for _, text in problems]
     for row, text in problems:
         notes[_home(row, grouped)].append(text)
-    voltages: dict[str | None, list[float | None]] = defaultdict(list)
-    for configuration, voltage in grouped:
-        voltages[configuration].append(voltage)
-    for configuration, levels in voltages.items():
+    voltages: dict[tuple[str | None, str | None], list[float | None]] = defaultdict(list)
+    for campaign, configuration, voltage in grouped:
+        voltages[campaign, configuration].append(voltage)
+    for (campaign, configuration), levels in voltages.items():
         if len(levels) > 1:
             text = f"{configuration or 'no configuration'} was tested at {_listed(levels)}: one group per voltage"
             general.append(text)
             for level in levels:
-                notes[configuration, level].append(text)
+                notes[campaign, configuration, level].append(text)
     ends = _common_ends(grouped)
-    groups = tuple(
-        _group(configuration, voltage, rows, ends[voltage], tuple(notes[configuration, voltage]))
-        for (configuration, voltage), rows in grouped.items()
-    )
+    groups = tuple(_group(key, rows, ends[key[0], key[2]], tuple(notes[key])) for key, rows in grouped.items())
     comparisons = corrected(
         [
             comparison
             for i, a in enumerate(groups)
             for b in groups[i + 1 :]
-            if a.voltage_kv == b.voltage_kv
-            for comparison in _compared(a, b, ends[a.voltage_kv])
+            if (a.campaign, a.voltage_kv) == (b.campaign, b.voltage_kv)
+            for comparison in _compared(a, b, ends[a.campaign, a.voltage_kv])
         ]
     )
     laws, refused = _laws(groups)
@@ -140,11 +140,12 @@ def _checked(lifetimes: Sequence[LifetimeRow]) -> tuple[list[LifetimeRow], list[
         usable.append(_to_planned_end(kept))
         if odd:
             problems.append((row, f"{row.name}: {odd}"))
-    seen: dict[str, LifetimeRow] = {}
+    seen: dict[tuple[str | None, str], LifetimeRow] = {}
     for row in usable:
-        if row.specimen_id in seen:
-            problems.append((row, f"{row.name}: the same specimen as {seen[row.specimen_id].name}: not independent"))
-        seen.setdefault(row.specimen_id, row)
+        name = row.campaign, row.specimen_id
+        if name in seen:
+            problems.append((row, f"{row.name}: the same specimen as {seen[name].name}: not independent"))
+        seen.setdefault(name, row)
     return usable, problems
 
 
@@ -200,12 +201,16 @@ def _to_planned_end(row: LifetimeRow) -> LifetimeRow:
     return replace(row, lifetime_s=planned)
 
 
-def _grouped(rows: Sequence[LifetimeRow]) -> dict[tuple[str | None, float | None], list[LifetimeRow]]:
-    levels = _voltage_levels(rows)
-    grouped: dict[tuple[str | None, float | None], list[LifetimeRow]] = defaultdict(list)
+def _grouped(rows: Sequence[LifetimeRow]) -> dict[_Key, list[LifetimeRow]]:
+    campaigns: dict[str | None, list[LifetimeRow]] = defaultdict(list)
     for row in rows:
-        grouped[row.configuration, levels.get(row.voltage_kv)].append(row)
-    return dict(sorted(grouped.items(), key=lambda item: (item[0][0] or "", item[0][1] or 0.0)))
+        campaigns[row.campaign or None].append(row)
+    grouped: dict[_Key, list[LifetimeRow]] = defaultdict(list)
+    for campaign, members in campaigns.items():
+        levels = _voltage_levels(members)
+        for row in members:
+            grouped[campaign, row.configuration, levels.get(row.voltage_kv)].append(row)
+    return dict(sorted(grouped.items(), key=lambda item: (item[0][0] or "", item[0][1] or "", item[0][2] or 0.0)))
 
 
 def _voltage_levels(rows: Sequence[LifetimeRow]) -> dict[float | None, float]:
@@ -221,49 +226,43 @@ def _voltage_levels(rows: Sequence[LifetimeRow]) -> dict[float | None, float]:
     return levels
 
 
-def _home(
-    row: LifetimeRow, grouped: dict[tuple[str | None, float | None], list[LifetimeRow]]
-) -> tuple[str | None, float | None]:
+def _home(row: LifetimeRow, grouped: dict[_Key, list[LifetimeRow]]) -> _Key:
     """The group a problem belongs to, also for rows that were left out of it."""
-    for configuration, voltage in grouped:
-        if configuration == row.configuration and (
+    own = row.campaign or None, row.configuration
+    for campaign, configuration, voltage in grouped:
+        if (campaign, configuration) == own and (
             voltage == row.voltage_kv
             or (voltage and row.voltage_kv and abs(row.voltage_kv / voltage - 1) <= _SAME_VOLTAGE)
         ):
-            return configuration, voltage
-    return row.configuration, row.voltage_kv
+            return campaign, configuration, voltage
+    return *own, row.voltage_kv
 
 
 def _arrays(rows: Sequence[LifetimeRow]) -> tuple[Float, Bool]:
     return np.array([row.lifetime_s for row in rows]), np.array([row.failed for row in rows], dtype=np.bool_)
 
 
-def _common_ends(grouped: dict[tuple[str | None, float | None], list[LifetimeRow]]) -> dict[float | None, float]:
-    """Shortest common follow-up in s by voltage.
+def _common_ends(grouped: dict[_Key, list[LifetimeRow]]) -> dict[tuple[str | None, float | None], float]:
+    """Shortest common follow-up in s by campaign and voltage.
 
     A group that failed completely is known for all times. Otherwise its follow-up ends with the test: at the first of
     the censoring times that belong to the planned end, so that nobody who survived the test is missing there.
     """
-    ends: dict[float | None, float] = {}
-    longest: dict[float | None, float] = {}
-    for (_, voltage), rows in grouped.items():
+    ends: dict[tuple[str | None, float | None], float] = {}
+    longest: dict[tuple[str | None, float | None], float] = {}
+    for (campaign, _, voltage), rows in grouped.items():
+        test = campaign, voltage
         time, failed = _arrays(rows)
-        longest[voltage] = max(longest.get(voltage, 0.0), float(time.max()))
+        longest[test] = max(longest.get(test, 0.0), float(time.max()))
         if not failed.all():
             censored = time[~failed]
             last = float(censored.max())
             end = float(censored[censored >= last * (1 - _SAME_END) - _END_SLACK_S].min())
-            ends[voltage] = min(ends.get(voltage, math.inf), end)
-    return {voltage: ends.get(voltage, longest[voltage]) for voltage in longest}
+            ends[test] = min(ends.get(test, math.inf), end)
+    return {test: ends.get(test, longest[test]) for test in longest}
 
 
-def _group(
-    configuration: str | None,
-    voltage: float | None,
-    rows: Sequence[LifetimeRow],
-    end: float,
-    notes: tuple[str, ...],
-) -> SurvivalGroup:
+def _group(key: _Key, rows: Sequence[LifetimeRow], end: float, notes: tuple[str, ...]) -> SurvivalGroup:
     time, failed = _arrays(rows)
     curve = kaplan_meier(time, failed)
     fits, refusals = _distributions(time, failed)
@@ -280,9 +279,8 @@ def _group(
         weibull_scale_s=weibull["scale_s"] if weibull else UNKNOWN,
         warnings=tuple(dict.fromkeys(warnings)),
     )
-    campaigns = tuple(sorted({row.campaign for row in rows if row.campaign}))
     causes = aalen_johansen(time, failed, [row.failure_site for row in rows])
-    return SurvivalGroup(configuration, voltage, campaigns, tuple(rows), curve, summary, fits, causes)
+    return SurvivalGroup(*key, tuple(rows), curve, summary, fits, causes)
 
 
 def _distributions(time: Float, failed: Bool) -> tuple[tuple[DistributionFit, ...], tuple[str, ...]]:
@@ -333,19 +331,20 @@ def _group_warnings(rows: Sequence[LifetimeRow], curve: KaplanMeier, end: float)
 
 def _compared(a: SurvivalGroup, b: SurvivalGroup, end: float) -> list[Comparison]:
     first, second = _arrays(a.rows), _arrays(b.rows)
-    return compare(a.configuration, first, b.configuration, second, a.voltage_kv, end)
+    found = compare(a.configuration, first, b.configuration, second, a.voltage_kv, end)
+    return [replace(one, campaign=a.campaign) for one in found]
 
 
 def _laws(
     groups: Sequence[SurvivalGroup],
-) -> tuple[tuple[tuple[str | None, VoltageLife], ...], tuple[str, ...]]:
-    by_configuration: dict[str | None, list[SurvivalGroup]] = defaultdict(list)
+) -> tuple[tuple[tuple[str | None, str | None, VoltageLife], ...], tuple[str, ...]]:
+    by_configuration: dict[tuple[str | None, str | None], list[SurvivalGroup]] = defaultdict(list)
     for group in groups:
         if group.voltage_kv is not None:
-            by_configuration[group.configuration].append(group)
-    laws: list[tuple[str | None, VoltageLife]] = []
+            by_configuration[group.campaign, group.configuration].append(group)
+    laws: list[tuple[str | None, str | None, VoltageLife]] = []
     refused: list[str] = []
-    for configuration, members in by_configuration.items():
+    for (campaign, configuration), members in by_configuration.items():
         if len(members) < 2:
             continue
         time, failed = _arrays([row for group in members for row in group.rows])
@@ -356,7 +355,7 @@ def _laws(
         except NotIdentifiableError as error:
             refused.append(f"{configuration or 'no configuration'}: {error.problem}")
         else:
-            laws.append((configuration, law))
+            laws.append((campaign, configuration, law))
     return tuple(laws), tuple(refused)
 
 

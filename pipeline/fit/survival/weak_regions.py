@@ -24,13 +24,18 @@ from schemas.arrays import Bool, Float, Int
 
 EXPONENTS = (8.0, 10.0, 15.0)
 """Least, middle and largest plausible exponent of the inverse power law of breakdown for soft films."""
+OUTSIDE_THE_FILM = ("lead", "none")
+"""Sites of failures that the thickness of the film says nothing about. One whose site nobody noted may be in the film."""
 THIN = 0.9
 """Film thinner than this share of the median thickness counts as thin."""
 
 
 @dataclass(frozen=True)
 class RegionShare:
-    """One third of the film along the rods: expected share with its range over `EXPONENTS`, and what was found."""
+    """One third of the film along the rods: expected share with its range over `EXPONENTS`, and what was found.
+
+    `unknown_site` of its `failures` have a site that nobody noted.
+    """
 
     region: str
     predicted: float
@@ -38,6 +43,7 @@ class RegionShare:
     failures: int
     observed: float | None
     observed_interval: tuple[float, float] | None
+    unknown_site: int = 0
 
 
 @dataclass(frozen=True)
@@ -70,14 +76,23 @@ def electrodes(film: RodFilm, gap_mm: float | None) -> tuple[Rectangle, ...]:
 
 
 def compare_regions(
-    film_map: ThicknessMap, layout: Sequence[Rectangle], failure_regions: Iterable[str | None]
+    film_map: ThicknessMap, layout: Sequence[Rectangle], failures: Iterable[tuple[str | None, str | None]]
 ) -> tuple[RegionShare, ...]:
     """Expected against found failures in the left, centre and right third (thesis, fig 3-13).
 
-    `failure_regions` has one entry per failure; None where the site was not noted. Intervals are exact binomial, 95 %.
+    Parameters
+    ----------
+    film_map, layout : thickness of the film, and the electrodes on it
+    failures : region and site of each failure in the film, None for what was not noted
+
+    Notes
+    -----
+    Intervals are exact binomial, 95 %.
     """
     low, middle, high = (region_shares(film_map, layout, exponent) for exponent in EXPONENTS)
-    counts = Counter(region for region in failure_regions if region in REGIONS)
+    found = [(region, site) for region, site in failures if region in REGIONS]
+    counts = Counter(region for region, _ in found)
+    unknown = Counter(region for region, site in found if site in (None, "unknown"))
     total = sum(counts.values())
     shares = []
     for region in REGIONS:
@@ -96,6 +111,7 @@ def compare_regions(
                 counts[region],
                 counts[region] / total if total else None,
                 interval,
+                unknown[region],
             )
         )
     return tuple(shares)
@@ -111,7 +127,7 @@ def check_layout(
 ) -> LayoutCheck:
     """Thin film under the electrodes, and failures at the rods expected and found.
 
-    `failure_sites` has one entry per failure. The field at the thinnest place needs voltage and undeformed thickness.
+    `failure_sites` has one entry per failure in the film. The field at the thinnest place needs voltage and undeformed thickness.
     """
     under = covered(film_map, layout)
     sites = [site for site in failure_sites if site not in (None, "unknown", "none")]

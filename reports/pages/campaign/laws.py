@@ -17,16 +17,15 @@ from reports.words import plain
 from schemas.arrays import Float
 from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, p_equals, p_value, significant
 
-_HERE = "configuration IN (SELECT configuration FROM lifetimes WHERE campaign = $campaign)"
-_LAW_SQL = f"""SELECT configuration, specimens, failures, exponent, exponent_lower, exponent_upper, sigma, sigma_lower, sigma_upper,
+_LAW_SQL = """SELECT configuration, specimens, failures, exponent, exponent_lower, exponent_upper, sigma, sigma_lower, sigma_upper,
        p_value, holds, statement, warnings
 FROM voltage_life
-WHERE {_HERE}
+WHERE campaign = $campaign
 ORDER BY configuration"""
-_RESIDUAL_SQL = f"""SELECT configuration, voltage_kv, specimens, failures, scale_s, law_scale_s, residual, standardised_residual,
+_RESIDUAL_SQL = """SELECT configuration, voltage_kv, specimens, failures, scale_s, law_scale_s, residual, standardised_residual,
        p_value_without
 FROM voltage_residuals
-WHERE {_HERE}
+WHERE campaign = $campaign
 ORDER BY configuration, voltage_kv"""
 
 
@@ -134,16 +133,16 @@ def _times(value: float | None, factor: float) -> str:
     return significant(None if value is None else factor * value)
 
 
-_FIT_SQL = f"""SELECT configuration, voltage_kv, distribution, parameter, "value", lower_95, upper_95, aic, p_value, statement
+_FIT_SQL = """SELECT configuration, voltage_kv, distribution, parameter, "value", lower_95, upper_95, aic, p_value, statement
 FROM lifetime_distributions
-WHERE {_HERE}
+WHERE campaign = $campaign
 ORDER BY configuration, voltage_kv, aic, distribution, parameter"""
 _LAWS = {"weibull": "Weibull"}
 _PARAMETERS = {"scale_s": "scale, s", "mean_s": "mean, s", "median_s": "median, s", "log_sd": "SD of ln t"}
-_CAUSE_SQL = f"""SELECT configuration, voltage_kv, failure_site, sum(failures) AS failed, max_by(probability, time_s) AS probability,
+_CAUSE_SQL = """SELECT configuration, voltage_kv, failure_site, sum(failures) AS failed, max_by(probability, time_s) AS probability,
        max_by(lower_95, time_s) AS lower_95, max_by(upper_95, time_s) AS upper_95
 FROM failure_causes
-WHERE {_HERE}
+WHERE campaign = $campaign
 GROUP BY configuration, voltage_kv, failure_site
 ORDER BY configuration, voltage_kv, failed DESC, failure_site"""
 

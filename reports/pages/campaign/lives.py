@@ -35,9 +35,6 @@ from schemas.numbers import (
     with_unit,
 )
 
-_IN_CAMPAIGN = "IN (SELECT configuration FROM lifetimes WHERE campaign = $campaign)"
-
-
 _EFFECT = "restricted mean"
 """The comparison that says by how much, in seconds."""
 
@@ -86,7 +83,7 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
             parameters,
         ),
         "curves": Query(
-            f"SELECT *\nFROM survival_curves\nWHERE configuration {_IN_CAMPAIGN}\nORDER BY configuration, voltage_kv, time_s",
+            "SELECT *\nFROM survival_curves\nWHERE campaign = $campaign\nORDER BY configuration, voltage_kv, time_s",
             parameters,
         ),
         "summaries": Query(
@@ -94,13 +91,13 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
             "       restricted_mean_s_upper, restricted_to_s, median_s, median_s_lower, median_s_upper, survival_at_end,\n"
             "       survival_at_end_lower, survival_at_end_upper, weibull_shape, weibull_shape_lower, weibull_shape_upper,\n"
             "       weibull_scale_s, weibull_scale_s_lower, weibull_scale_s_upper, warnings, campaign\n"
-            f"FROM survival_summaries\nWHERE configuration {_IN_CAMPAIGN}\nORDER BY voltage_kv, restricted_mean_s, configuration",
+            "FROM survival_summaries\nWHERE campaign = $campaign\nORDER BY voltage_kv, restricted_mean_s, configuration",
             parameters,
         ),
         "comparisons": Query(
             "SELECT configuration_a, configuration_b, voltage_kv, test, statistic, statistic_lower, statistic_upper, p_value,\n"
             "       p_value_holm, warnings\n"
-            f"FROM survival_comparisons\nWHERE configuration_a {_IN_CAMPAIGN} AND configuration_b {_IN_CAMPAIGN}\n"
+            "FROM survival_comparisons\nWHERE campaign = $campaign\n"
             "ORDER BY configuration_a, configuration_b, voltage_kv, test",
             parameters,
         ),

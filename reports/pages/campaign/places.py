@@ -19,10 +19,14 @@ from reports.results import Row as Record
 from schemas.numbers import ABSENT, bounds, percent, significant
 
 _REGIONS_SQL = """SELECT configuration, region, predicted_share, predicted_share_lower, predicted_share_upper, observed_share,
-       observed_share_lower, observed_share_upper, failures
+       observed_share_lower, observed_share_upper, failures, unknown_site, other_failures
 FROM weak_regions
-WHERE configuration IN (SELECT configuration FROM lifetimes WHERE campaign = $campaign)
+WHERE campaign = $campaign
 ORDER BY configuration, region"""
+
+
+_OUTSIDE = ("lead", "none")
+"""Sites that are not in the film: its thickness says nothing about them."""
 
 
 def failures(draft: Draft, found: Lives) -> Section | None:
@@ -34,16 +38,17 @@ def failures(draft: Draft, found: Lives) -> Section | None:
     if not known and not expected:
         return None
     blocks: list[Block | Fold] = []
-    plan = _maps(draft, failed)
+    in_film = [r for r in failed if r["failure_site"] not in _OUTSIDE]
+    plan = _maps(draft, in_film)
     if plan is not None:
         blocks.append(plan)
-    shares = _shares(found, failed, expected)
+    shares = _shares(found, in_film, expected)
     if shares:
         texts = "; ".join(f"{s.label}: {s.count} of {s.total}" for s in shares)
         blocks.append(
             Figure(
                 figures.regions(shares, alt=f"Failures by region. {texts}."),
-                flow(bold("Regions."), " Found, with the exact 95 % interval of the share", "; diamond: expected from the simulated thickness." if expected else "."),
+                flow(bold("Regions."), " Failures in the film, not those at the lead: found, with the exact 95 % interval of the share", "; diamond: expected from the simulated thickness." if expected else "."),
                 draft.data(
                     "regions",
                     {
@@ -141,14 +146,26 @@ def _region_table(query: Query, expected: Sequence[Record]) -> Table:
     below = (
         "Expected: from the simulated thickness, life falling with a power of the field; in brackets the range over plausible"
         " powers. Found: exact 95 % interval in brackets. Agrees: the expected share lies inside it."
+        f" Only failures in the film count. {_others(expected)}"
     )
     return Table("Weak regions: expected against found", heads, tuple(rows), query.shown(), below=below, kind="narrow")
+
+
+def _others(expected: Sequence[Record]) -> str:
+    """How many failures are not in the film, and of how many nobody noted the site."""
+    others = {e["configuration"]: e["other_failures"] or 0 for e in expected}
+    unknown = sum(e["unknown_site"] or 0 for e in expected)
+    apart = sum(others.values())
+    text = f"Not in the film, and left aside: {apart or 'none'}"
+    if apart:
+        text += f" ({', '.join(f'{short(c or ABSENT, 40)} {n}' for c, n in others.items() if n)})"
+    return text + (f"; counted although nobody noted the site: {unknown}." if unknown else ".")
 
 
 _LAYOUT_SQL = """SELECT configuration, scheme, thickness_limit, thin_share, thinnest, predicted_rod_share, observed_rod_share,
        peak_field_mv_per_m
 FROM electrode_layouts
-WHERE configuration IN (SELECT configuration FROM lifetimes WHERE campaign = $campaign)
+WHERE campaign = $campaign
 ORDER BY configuration, scheme"""
 
 
@@ -179,7 +196,7 @@ def _layouts(draft: Draft) -> Table | None:
 
 _FILM_SQL = """SELECT configuration, scheme, x_mm, y_mm, relative_thickness, active
 FROM film_maps
-WHERE configuration IN (SELECT configuration FROM lifetimes WHERE campaign = $campaign)
+WHERE campaign = $campaign
 ORDER BY configuration, scheme, y_mm, x_mm"""
 _MAPS = 6
 
