@@ -95,6 +95,8 @@ class Standing:
     """Constants of the rig as the recordings state them."""
     unasked: tuple[str, ...] = ()
     """Why no diagnosis could be made of what was measured."""
+    negative: str = ""
+    """What came out negative that no film has, and why that may be; empty where nothing did."""
 
     @property
     def verdict(self) -> str:
@@ -103,7 +105,9 @@ class Standing:
 
     @property
     def alarm(self) -> bool:
-        """Somebody should look: a cause was found or searched in vain, or the model leaves more than noise."""
+        """Somebody should look: something is negative, a cause was found or searched in vain, or more than noise is left."""
+        if self.negative:
+            return True
         if self.diagnosis:
             return self.verdict != "none"
         return self.fit is not None and (no_relaxation(self.fit) or beyond_noise(self.fit))

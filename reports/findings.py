@@ -41,6 +41,8 @@ def headline(standing: Standing) -> Markup:
     """The finding of a specimen, its `h1`."""
     who = flow("Specimen ", name(standing.specimen_id))
     d, fit = standing.diagnosis, standing.fit
+    if standing.negative:
+        return flow(who, ": ", short(standing.negative.partition(":")[0], 120), ", as of no film")
     if d and d["verdict"] == "named":
         removes = "" if d["gain"] is None else f" Correcting it removes {percent(d['gain'])} of the held-out error."
         return flow(who, f": {what_is_wrong(standing)}.{removes}")
@@ -73,6 +75,8 @@ def _residual_words(fit: Row) -> str:
 def lede(standing: Standing) -> Piece:
     """What the specimen's material is, below a finding about something else."""
     fit, d = standing.fit, standing.diagnosis
+    if standing.negative:
+        return f"{capital(short(standing.negative, 300))}. Nothing fitted to these recordings means anything before that is right."
     if fit is None:
         return ""
     k0 = numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm")
@@ -98,6 +102,8 @@ def lede(standing: Standing) -> Piece:
 def evidence(standing: Standing) -> tuple[Piece, ...]:
     """What supports the finding, in one or two sentences."""
     d, fit = standing.diagnosis, standing.fit
+    if standing.negative:
+        return (lede(standing),)
     if d is None:
         return (lede(standing), *remarks(standing)) if fit else ()
     sentences: list[Piece] = []
@@ -183,7 +189,7 @@ def _number(value: object) -> float | None:
 
 def kind(standing: Standing) -> str:
     """Class of the finding: its colour, always with the sign and word in the text."""
-    if standing.verdict == "named":
+    if standing.verdict == "named" and not standing.negative:
         return "named"
     return "open" if standing.alarm else "fine"
 

@@ -16,9 +16,10 @@ from reports.site import stated_rig
 
 _JUDGED = (
     "status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes'"
-    " AND specimen_id IN (SELECT specimen_id FROM model_fits UNION ALL SELECT specimen_id FROM diagnoses)"
+    " AND specimen_id IN (SELECT specimen_id FROM model_fits UNION ALL SELECT specimen_id FROM diagnoses"
+    " UNION ALL SELECT specimen_id FROM discrepancies)"
 )
-"""Recordings of specimens with a model or a diagnosis."""
+"""Recordings of specimens with a model, a diagnosis or something negative."""
 _AT_ONCE = 100
 """Specimens in memory at a time: a fit has many columns."""
 
@@ -70,7 +71,7 @@ def _among(results: Results, where: str) -> list[Standing]:
         f"SELECT specimen_id, material, configuration, loading, metadata FROM recordings WHERE {_JUDGED} AND {where}"
         " ORDER BY started_at, recording_id"
     )
-    return [s for s in _of(results, recordings, Query(where)) if s.fit is not None or s.diagnosis is not None]
+    return [s for s in _of(results, recordings, Query(where)) if s.fit or s.diagnosis or s.negative]
 
 
 def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Standing]:
@@ -85,6 +86,7 @@ def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Stand
         fits.setdefault(fit["specimen_id"], []).append(fit)
     made = results.rows(Query(f"SELECT * FROM diagnoses WHERE {where.sql} ORDER BY specimen_id", where.parameters))
     diagnoses = {d["specimen_id"]: d for d in made}
+    negative = find_negative(results, where)
     return [
         Standing(
             specimen,
@@ -94,9 +96,22 @@ def _of(results: Results, recordings: Sequence[Row], where: Query) -> list[Stand
             told(diagnoses.get(specimen)),
             stated_rig(records),
             unasked(diagnoses.get(specimen)),
+            negative.get(specimen, ""),
         )
         for specimen, records in sorted(theirs.items())
     ]
+
+
+def find_negative(results: Results, where: Query) -> dict[str, str]:
+    """By specimen, of those `where` they are, what came out negative in their recordings, the clearest only."""
+    rows = results.rows(
+        Query(
+            "SELECT specimen_id, arg_max(statement, chi2) AS statement FROM discrepancies"
+            f" WHERE where_found = 'sign' AND {where.sql} GROUP BY specimen_id",
+            where.parameters,
+        )
+    )
+    return {r["specimen_id"]: r["statement"] for r in rows if r["specimen_id"]}
 
 
 def _brief(standing: Standing) -> Brief:

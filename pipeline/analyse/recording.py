@@ -15,6 +15,7 @@ from pipeline.analyse.cycle import cycle_fits, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
+from pipeline.analyse.signs import find_negative, sign_table
 from pipeline.analyse.tables import relaxation_of, response_of
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
@@ -53,12 +54,22 @@ def analyse_content(
         analysis = analyse_table(content)
         assumed = find_table_assumptions(content)
     analysis.add({"assumptions": assumption_table(content.metadata, assumed)})
+    _tell_signs(analysis, content)
     notes = join_texts([row["notes"], *analysis.notes] if row["notes"] else analysis.notes)
     failed = [failure.splitlines()[0] for failure in analysis.failures]
     problem = join_texts(
         [p for p in (row["problem"], *analysis.problems, *(f"analysis failed: {f}" for f in failed)) if p]
     )
     return {**row, "notes": notes, "problem": problem}, analysis
+
+
+def _tell_signs(analysis: Analysis, content: Recording | LifetimeTable | ResponseTable | RelaxationTable) -> None:
+    """What came out negative is a finding, and somebody has to look at it."""
+    about = content.metadata
+    found = find_negative(content if isinstance(content, Recording) else None, analysis.carried)
+    if found:
+        analysis.problems += [one.statement for one in found]
+        analysis.add({"discrepancies": sign_table(about.recording_id, about.specimen_id, found)})
 
 
 def analyse_recording(recording: Recording) -> Analysis:

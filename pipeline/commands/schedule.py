@@ -68,8 +68,8 @@ def write_units(job: Job, at: str) -> dict[str, str]:
     """The unit and its timer by file name."""
     hour, minute = parse_clock(at)
     start = " ".join(_quote_for_systemd(word) for word in job.words)
-    service = f"""# Statuses 3 and 4: the night is done, the unit did not fail. Recordings were refused or are damaged (3),
-# or led to no result (4).
+    service = f"""# Statuses 3 and 4: the night is done, the unit did not fail; recordings were refused
+# or are damaged (3), or led to no result (4).
 [Unit]
 Description=dealab: the night over the laboratory's recordings
 

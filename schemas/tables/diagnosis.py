@@ -22,15 +22,18 @@ TABLES: tuple[Table, ...] = (
         (
             SPECIMEN_ID,
             RECORDING_ID,
-            text("where_found", "band, decade of time, cycle"),
+            text("where_found", "band, decade of time, cycle; sign: a stiffness or an actuation comes out negative"),
             real("chi2", "", "chi-squared of the block"),
             real("degrees_of_freedom", "", "its degrees of freedom"),
             real("p_value", "", "calibrated under the null"),
             text("statement", "in words and numbers"),
         ),
         key=("specimen_id", "recording_id", "where_found", "statement"),
-        made_by=(MadeBy("diagnosis"),),
-        pages=("specimen",),
+        made_by=(
+            MadeBy("recording", where="where_found = 'sign'"),
+            MadeBy("diagnosis", where="where_found IS DISTINCT FROM 'sign'"),
+        ),
+        pages=("index", "specimen", "recording"),
     ),
     Table(
         "diagnoses",

@@ -99,13 +99,14 @@ def test_the_rows_of_a_stage_can_be_found_again() -> None:
 
 def test_a_table_of_several_stages_says_which_rows_are_whose() -> None:
     shared = [table for table in TABLES.values() if len(table.made_by) > 1]
-    assert {table.name for table in shared} == {"frequency_responses", "model_fits"}
+    assert {table.name for table in shared} == {"frequency_responses", "model_fits", "discrepancies"}
     with duckdb.connect() as connection:
         for table in shared:
             connection.execute(table.ddl())
             column, values = {
                 "frequency_responses": ("stage", ["measured", "corrected", "averaged"]),
                 "model_fits": ("extension", [None, "", "slack"]),
+                "discrepancies": ("where_found", [None, "cycle 1", "sign"]),
             }[table.name]
             connection.executemany(f"INSERT INTO {table.name} ({column}) VALUES (?)", [[value] for value in values])
             counts = [

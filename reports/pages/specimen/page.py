@@ -28,6 +28,7 @@ from reports.pages.specimen import (
 )
 from reports.results import Query, Row, days
 from reports.site import SPECIMENS, Site, flat_metadata, stated_rig
+from reports.standings import find_negative
 from schemas.numbers import NBSP, capital, compact, counted, digits, seconds, with_unit
 
 
@@ -55,9 +56,10 @@ def page(site: Site, specimen: str) -> Page:
     used = [r for r in recordings if r["status"] in ("ok", "damaged", "excluded")]
     metadata = flat_metadata(used[-1]["metadata"]) if used else {}
     row = found[0] if found else None
+    negative = find_negative(results, Query("specimen_id = $specimen", {"specimen": specimen}))
     standing = Standing(
         specimen, used[-1]["material"] if used else None, used[-1]["configuration"] if used else None,
-        choice(fits), told(row), stated_rig(used), unasked(row),
+        choice(fits), told(row), stated_rig(used), unasked(row), negative.get(specimen, ""),
     )  # fmt: skip
     failed = results.rows(
         Query(
@@ -90,7 +92,7 @@ def page(site: Site, specimen: str) -> Page:
     headline = findings.headline(standing)
     return Page(
         title=f"{short(specimen, 40)}: {_title(standing, used)}",
-        heading=headline if standing.fit or standing.diagnosis else flow("Specimen ", name(specimen), f": {_life_or_count(draft, used)}"),
+        heading=headline if standing.fit or standing.diagnosis or standing.negative else flow("Specimen ", name(specimen), f": {_life_or_count(draft, used)}"),
         bar=site.bar("../", f"Specimen {short(specimen, 24)}"),
         when=site.when(run_id),
         crumbs=(Link("Last night", "../index.html"), *crumbs, Link("Specimen")),
