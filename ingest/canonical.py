@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ingest.plausible import find_impossible, find_marks
+from ingest.plausible import find_impossible, find_losses_by_value, find_marks
 from ingest.timing import sampling_notes
 from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
@@ -152,6 +152,13 @@ def _checked(raw: RawChannel, required: bool, problems: list[str], notes: list[s
     if raw.values.size == 0:
         raise _Unusable("the channel is empty", "samples")
     time, values = _ascending(raw, problems, notes)
+    chosen = find_losses_by_value(np.where(np.isfinite(values), values, np.nan))
+    if chosen:
+        raise _Unusable(
+            f"of its samples {chosen} are lost, all over the record: a choice by value and no damage",
+            "all samples, or losses by chance",
+            "Look how the file was made: a filter, an unsigned converter, a format that drops signs",
+        )
     values = _without_marks(values, name, problems)
     finite = np.isfinite(values)
     lost = int(values.size - finite.sum())

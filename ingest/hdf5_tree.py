@@ -110,8 +110,11 @@ def object_of(address: str, matlab_class: str) -> Listed:
 def _dataset(
     file: Any, dataset: Any, name: str, matlab_class: str, above: frozenset[Any], depth: int
 ) -> Iterator[tuple[str, Listed]]:
-    dtype = dataset.dtype
-    shape = tuple(dataset.shape or ())
+    try:
+        dtype, shape = dataset.dtype.base, (*(dataset.shape or ()), *dataset.dtype.shape)
+    except (TypeError, ValueError) as error:  # types of HDF5 that numpy has not: times, odd floats
+        yield name, Listed(dataset.name, refusal=f"an array of a type that is not read ({str(error)[:80]})")
+        return
     plain = Listed(dataset.name, (), shape[::-1] if matlab_class else shape, unit_of(dataset.attrs))
     if h5py.check_ref_dtype(dtype) is not None:
         is_cell = matlab_class == "cell"
@@ -123,6 +126,9 @@ def _dataset(
             yield from _referenced(file, dataset, name, above, depth)
     elif dataset.is_virtual or dataset.external:
         yield name, replace(plain, refusal=_IN_OTHER_FILES, remedy="Copy them into one file (h5repack does it)")
+    elif lacking := _lacking_filter(dataset):
+        remedy = "Save it with gzip: h5repack -f GZIP=4 does it"
+        yield name, replace(plain, refusal=f"compressed with {lacking}, which is not installed", remedy=remedy)
     elif "MATLAB_empty" in dataset.attrs:
         yield name, replace(plain, refusal="empty")
     elif dtype.names is not None and not _is_complex(dtype):
@@ -134,6 +140,16 @@ def _dataset(
         yield from _fields(dataset, dtype, plain, name)
     else:
         yield name, _typed(plain, dtype, dataset.attrs, is_text=matlab_class == "char")
+
+
+def _lacking_filter(dataset: Any) -> str:
+    """The first compression of a dataset that this installation cannot undo; empty where it can."""
+    filters = dataset.id.get_create_plist()
+    for i in range(filters.get_nfilters()):
+        number, _, _, name = filters.get_filter(i)
+        if not h5py.h5z.filter_avail(number):
+            return f"{name.decode('utf-8', 'replace')[:40] or 'a filter'} (filter {number})"
+    return ""
 
 
 def _referenced(file: Any, dataset: Any, name: str, above: frozenset[Any], depth: int) -> Iterator[tuple[str, Listed]]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ingest.plausible import find_unbelievable
 from ingest.select import same_cell
 from ingest.table_rows import TableRows, cell_text
 from schemas.arrays import Bool, Float
@@ -34,6 +35,11 @@ def read_lives(table: TableRows) -> Lives:
     numbers, unit = table.written("lifetime", "s")
     seconds = conversion(unit, "s", where=f"{table.where}: lifetime").apply(numbers.values)[table.rows]
     rows = table.row_numbers - 1
+    for why, here in find_unbelievable(numbers.values[table.rows], seconds, "s").items():
+        row = int(rows[int(np.argmax(here))])
+        raise table.refused_row(
+            row, f"the life, {numbers.values[row]:g} {unit}, is {why}", "how long the specimen lived"
+        )
     bounds = np.array([numbers.bounds.get(int(row), 0) for row in rows], dtype=np.int8)
     cells = [cell_text(cell) or "" for cell in table.cells("lifetime")]
     flags = _flags(table)

@@ -95,7 +95,7 @@ def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]:
         yield from _structure(name, np.asarray(value), depth)
     elif isinstance(value, np.ndarray) and value.dtype.kind == "O":
         yield from _cell(name, value, depth)
-    elif isinstance(value, np.ndarray) and not value.size:
+    elif value is None or (isinstance(value, np.ndarray) and not value.size):
         yield name, _Refused("empty")
     elif isinstance(value, np.ndarray | Number | str):
         yield name, value

@@ -16,6 +16,7 @@ from ingest.assemble import scaled_numbers, unit_of
 from ingest.cell_units import plain_unit
 from ingest.columns import ColumnFile, Numbers
 from ingest.mapping import FileMapping
+from ingest.plausible import without_unbelievable
 from ingest.select import selected_rows
 from ingest.times import with_zone, zone_of
 from schemas.arrays import Bool, Complex, Float, Int
@@ -95,7 +96,9 @@ class TableRows:
             raise self.refused_row(row, f'{name} is "{found.odd.get(row, "")}"', "a value, not a bound")
         if found.texts:
             self.problems.append(f'{name}: {found.texts} cells hold no number, such as "{found.example}"')
-        return conversion(unit, canonical, where=f"{self.where}: {name}").apply(found.values)[self.rows]
+        raw = found.values[self.rows]
+        values = conversion(unit, canonical, where=f"{self.where}: {name}").apply(raw)
+        return without_unbelievable(raw, values, name, canonical, self.problems, where=self.where)
 
     def written(self, name: str, canonical: str) -> tuple[Numbers, str]:
         """A column of the whole file as its cells say, bounds included, and the unit of its values."""

@@ -6,6 +6,7 @@ file's own time base. Absolute times without a zone are refused unless the mappi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta, tzinfo
@@ -42,6 +43,8 @@ _APART_S = 36 * 3600.0
 _EARLIEST_NS = 10 * 365 * DAY
 _HALF_HOUR_S = 1800.0
 _MINUTE_S = 60.0
+_COUNTED_SINCE = re.compile(r"\s*(?P<unit>[a-zA-Z]+)\s+since\s+(?P<since>\d.*?)\s*")
+"""Unit of time in netCDF files (CF conventions, section 4.4): `seconds since 2026-03-01 14:00:00`, in UTC."""
 ELAPSED, MINUTES, TIME_OF_DAY = "elapsed", "mm:ss", "time_of_day"
 
 
@@ -127,6 +130,12 @@ def time_column(
     if time.format is not None or time.date_column is not None:
         return reading.written()
     found = file.unit(column)
+    counted = _COUNTED_SINCE.fullmatch(found or "")
+    if counted is not None:
+        found = counted["unit"]
+        if time.unit is None and not time.is_elapsed and time.origin == STARTED_AT:
+            reading = replace(reading, time=replace(time, origin=_in_utc(counted["since"], column, where)))
+            time = reading.time
     unit = time.unit or found
     origin, is_utc = origin_of(time)
     if unit is None and origin is not None and not is_utc:
@@ -220,7 +229,7 @@ class _Reading:
         origin, is_utc = origin_of(self.time)
         if origin is None:
             return Instants(from_seconds(seconds, start_ns(self.metadata, self.where), self.where))
-        times = from_seconds(seconds + origin, 0, self.where)
+        times = from_seconds(seconds, 0, self.where, epoch_s=origin)
         return self.checked(times) if is_utc else self.local(times)
 
     def absolute(self, cells: Sequence[Any], pattern: str | None) -> Instants:
@@ -325,6 +334,21 @@ def origin_of(time: TimeMapping) -> tuple[int | None, bool]:
     return nanoseconds(found) // SECOND, found.tzinfo is not None
 
 
+def _in_utc(since: str, column: ColumnName, where: str) -> str:
+    """A date that times count from, with its zone: UTC where it has none. Raises `RefusedError` where it is no date."""
+    text = re.sub(r"\s*(?:UTC|Z)$", "+00:00", since.strip())
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        raise RefusedError(
+            f'the times of {column_label(column)} count from "{since[:40]}"',
+            where=where,
+            expected="a date",
+            remedy='Give unit and origin in [time] of the mapping TOML, origin = "started_at" for the start of the test',
+        ) from None
+    return (found if found.tzinfo is not None else found.replace(tzinfo=UTC)).isoformat()
+
+
 def _joined(day: Any, hour: Any) -> Any:
     """Date and time of day of one row; as cells of a spreadsheet or as text."""
     if isinstance(day, date):
@@ -390,10 +414,13 @@ def check_calendar(times: Int, label: str, metadata: Mapping[str, Any], where: s
     return Instants(times, problems=(problem,))
 
 
-def from_seconds(seconds: Float, start: int, where: str) -> Int:
-    """(n,) instants from seconds after `start` (ns); `LOST` where not finite."""
+def from_seconds(seconds: Float, start: int, where: str, *, epoch_s: int = 0) -> Int:
+    """(n,) instants from seconds after `start` (ns) and `epoch_s`; `LOST` where not finite.
+
+    An epoch is added to the whole seconds, so that fractions keep what the doubles hold of them.
+    """
     finite = np.isfinite(seconds)
-    if finite.any() and np.abs(seconds[finite]).max() + start * 1e-9 > _LATEST_S:
+    if finite.any() and np.abs(seconds[finite] + epoch_s).max() + start * 1e-9 > _LATEST_S:
         worst = seconds[finite][np.argmax(np.abs(seconds[finite]))]
         raise RefusedError(
             f"a time is {worst:.6g} s",
@@ -403,5 +430,5 @@ def from_seconds(seconds: Float, start: int, where: str) -> Int:
         )
     whole = np.floor(np.where(finite, seconds, 0.0))
     rest = np.where(finite, seconds, 0.0) - whole
-    times = start + whole.astype(np.int64) * 1_000_000_000 + np.rint(rest * 1e9).astype(np.int64)
+    times = start + (whole.astype(np.int64) + epoch_s) * 1_000_000_000 + np.rint(rest * 1e9).astype(np.int64)
     return np.where(finite, times, LOST)

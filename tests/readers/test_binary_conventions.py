@@ -459,3 +459,17 @@ def test_an_index_of_a_vector_is_refused(tmp_path: Path) -> None:
     path = hdf5(tmp_path / "run.h5", t=TIME, f=FORCE)
     with pytest.raises(RefusedError, match="there is one column"):
         read_hdf5_force(path, unit="N", index=1)
+
+
+def test_hdf5_times_since_a_date(tmp_path: Path) -> None:
+    path = hdf5(tmp_path / "run.nc.h5", t=1000 * TIME, f=FORCE)
+    for since, begins in (("2026-03-01 13:59:00", START_NS - 60_000_000_000), ("2026-03-01T14:00:00Z", START_NS)):
+        with h5py.File(path, "r+") as file:
+            file["t"].attrs["units"] = f"milliseconds since {since}"
+        columns = {"force": {"column": "f", "unit": "N"}}
+        raw = read(path, mapping(".h5", columns, {"column": "t"}))
+        assert raw.channels[0].time_ns.tolist() == [begins + i * STEP_NS for i in range(5)]
+        from_start = read(path, mapping(".h5", columns, {"column": "t", "unit": "ms"}))
+        assert from_start.channels[0].time_ns[0] == START_NS
+        with pytest.raises(RefusedError, match='the mapping says "s" for time'):
+            read(path, mapping(".h5", columns, {"column": "t", "unit": "s"}))

@@ -321,3 +321,30 @@ def test_a_key_that_is_nearly_one_of_the_contract_is_asked_about() -> None:
 
 def test_a_key_beside_the_one_it_is_like_is_no_question() -> None:
     assert check(*GOOD, film_width_mm=10, film_width_um=10_000).status == "ok"
+
+
+def _swinging(noise: float = 0.01) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    return np.sin(np.arange(2000) / 8) + noise * rng.standard_normal(2000)
+
+
+@pytest.mark.parametrize(("what", "limit"), [("lowest", 0.0), ("lowest", -0.9), ("smallest", 0.2)])
+def test_samples_that_are_lost_by_their_value_refuse_the_channel(what: str, limit: float) -> None:
+    values = _swinging()
+    values[(np.abs(values) if what == "smallest" else values) < limit] = np.nan
+    with pytest.raises(RefusedError, match=f"of its samples the {what} are lost"):
+        check(channel("displacement", "mm", _swinging()), channel("force", "N", values))
+
+
+def test_samples_that_are_lost_by_chance_or_by_overload_are_kept_as_damage() -> None:
+    rng = np.random.default_rng(6)
+    for lost in range(30):
+        values = _swinging()
+        values[rng.random(2000) < 0.02 * (1 + lost)] = np.nan
+        assert check(channel("displacement", "mm", _swinging()), channel("force", "N", values)).status == "damaged"
+    values = _swinging()
+    values[values > 0.9] = np.nan
+    assert check(channel("displacement", "mm", _swinging()), channel("force", "N", values)).status == "damaged"
+    values = np.where(np.arange(2000) % 400 < 200, 0.0, 5.0)
+    values[20:180:10] = np.nan  # a plug that was loose while nothing happened
+    assert check(channel("displacement", "mm", _swinging()), channel("force", "N", values)).status == "damaged"

@@ -324,3 +324,19 @@ def test_relaxation(tmp_path: Path) -> None:
     assert table.value == pytest.approx([2.0, 1.5])
     assert np.isnan(table.standard_error).all()
     assert table.problems
+
+
+def test_values_that_there_cannot_be_are_left_out_of_a_table_and_told(tmp_path: Path) -> None:
+    text = "f,s,l\n1,2,1\n2,9.9e37,1\n3,2.1,-9999\n4,2,1\n5,2,1\n"
+    table = response(tmp_path, text)
+    assert table.frequency_hz.tolist() == [1, 4, 5]
+    assert any("overload" in problem for problem in table.problems)
+    assert any("dummy value -9999" in problem for problem in table.problems)
+    with pytest.raises(RefusedError, match="beyond 1e"):
+        response(tmp_path, "f,s,l\n1,2,1\n2,2,1\n", columns={"storage": {"column": "s", "unit": "YPa"}})
+
+
+def test_a_life_that_there_cannot_be_refuses_the_table_with_its_row(tmp_path: Path) -> None:
+    with pytest.raises(RefusedError, match=r"row 2 of the data: the life.* overload"):
+        lives(tmp_path, "t,f\n1,1\n9.9e37,1\n4,0\n")
+    assert [r.lifetime_s for r in lives(tmp_path, "t,f\n0.05,1\n999,1\n").rows] == [3.0, 999 * 60.0]

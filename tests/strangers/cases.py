@@ -301,6 +301,13 @@ def tdms_index(night: NightOfOne) -> Wrong:
     stale = night.files.get("stale.tdms")
     if stale is not None and stale.status == "ok" and stale.time_ns.size != 300:
         yield f"{stale.time_ns.size} samples, status ok"
+    swapped = night.files.get("idx.tdms")
+    if (
+        swapped is not None
+        and swapped.time_ns.size
+        and (abs(swapped.duration_s - 5.98) > 1e-6 or swapped.time_ns.size != 300)
+    ):
+        yield f"idx.tdms lasts {swapped.duration_s} s with {swapped.time_ns.size} samples, not 5.98 s with 300"
 
 
 @check

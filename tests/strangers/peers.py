@@ -1,0 +1,297 @@
+"""The test files of other readers through ours, held against what those readers make of them: one line for each file.
+
+python -m tests.strangers.peers [FOLDER…]      files below these folders; without any: DEALAB_PEERS, and the test files of
+                                               scipy, h5py and pandas where they are installed
+
+Each column that our readers list is read and must equal the peer's values, or is refused by name; a file that our
+reader refuses says why. Peers: scipy and mat73 for MATLAB, h5py for HDF5, nptdms, pyuff, and openpyxl, xlrd, pyxlsb and odfpy through
+pandas for spreadsheets. Where a peer is not installed, its files are skipped and it is said so. The files are no part of this
+repository: copy them from the peers' own repositories.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import multiprocessing
+import os
+import resource
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from datetime import date, datetime, time, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ingest.arrays import ArrayFile
+from ingest.columns import ColumnFile
+from ingest.discover import shown
+from ingest.mapping import FileMapping, format_of_suffix
+from ingest.mapping_keys import RECORDING
+from ingest.read import open_columns
+from schemas.errors import DealabError, MissingExtraError
+from tests.strangers.peer_values import PeerValues, values_by_peer
+
+EQUAL, REFUSED, WRONG, SKIPPED, DIFFERS = "equal", "refused", "WRONG", "skipped", "differs, explained"
+_FORMATS = ("matlab", "hdf5", "tdms", "uff", "excel")
+_ENGINES = {".xlsx": "openpyxl", ".xlsm": "openpyxl", ".xls": "xlrd", ".xlsb": "pyxlsb", ".ods": "odf"}
+_MODULES = {"matlab": "scipy", "hdf5": "h5py", "tdms": "nptdms", "uff": "pyuff"}
+_EPOCHS = (datetime(1899, 12, 30), datetime(1899, 12, 31), datetime(1904, 1, 1))
+"""What spreadsheets count days from: since March 1900, before it, and on old Macintoshes."""
+_MILLISECOND = 1.01e-3 / 86_400
+"""In days."""
+_EXPLAINED = {
+    "biff5-rich-text-string.xls": "letters of a text without a code page",
+    "covered.ods": "a cell that a merged one covers: odfpy leaves it out",
+    "date.ods": "a time in microseconds: pandas keeps hundredths of a second",
+    "encoded_entities.xlsx": "a cell of one line end: ours is empty",
+    "has_x000D_.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
+    "has_x000D_inline.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
+    "issue_419.xlsb": "the text of a formula: pyxlsb gives 0",
+}
+"""Files on which the two readers differ in a way that is known, none of it in a number."""
+_MEMORY = 3 << 30
+"""Bytes that the readers of one file may take: some of the files are bombs."""
+_SECONDS = 120
+_COLUMNS = 24
+"""Columns of a matrix that are compared."""
+
+
+def judge(path: Path) -> tuple[str, str]:
+    """The verdict on one file, and what it rests on."""
+    found = format_of_suffix(path.suffix) or ""
+    peer = _ENGINES.get(path.suffix.lower(), "") if found == "excel" else _MODULES[found]
+    if found == "matlab" and b"\x89HDF" in path.read_bytes()[:520]:
+        peer = "mat73"
+    if importlib.util.find_spec(peer) is None:
+        return SKIPPED, f"the peer {peer} is not installed"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            theirs: PeerValues | str = values_by_peer(path, found)
+    except Exception as error:  # whatever a peer raises for its own damaged test files
+        theirs = f"{peer}: {type(error).__name__}: {error}"
+    if found == "excel":
+        return _judge_sheets(path, theirs)
+    try:
+        file = open_columns(path, found, FileMapping(RECORDING, found, {}, None, {}, {}, {}))
+    except MissingExtraError as error:
+        return SKIPPED, str(error)
+    except DealabError as error:
+        return REFUSED, str(error) + (f" ({theirs})" if isinstance(theirs, str) else "")
+    if isinstance(theirs, str):
+        return (
+            WRONG if file.names() else REFUSED
+        ), f"the peer fails ({theirs}); ours reads {len(file.names())} columns"
+    return _summary(_compared(file, theirs), file.problems)
+
+
+def _summary(verdicts: list[tuple[str, str]], problems: tuple[str, ...] = ()) -> tuple[str, str]:
+    wrong = [what for verdict, what in verdicts if verdict == WRONG]
+    refused = Counter(what for verdict, what in verdicts if verdict == REFUSED)
+    equal = sum(verdict == EQUAL for verdict, _ in verdicts)
+    told = [f"{equal} columns equal"] if equal else []
+    told += [f"{number} × {what}" if number > 1 else what for what, number in refused.most_common(4)]
+    told += list(problems[:2])
+    if wrong:
+        return WRONG, f"{len(wrong)} of {len(verdicts)} columns: {'; '.join(wrong[:3])}"
+    return (EQUAL if equal else REFUSED), "; ".join(told) or "no columns"
+
+
+def _compared(file: ColumnFile, theirs: PeerValues) -> list[tuple[str, str]]:
+    """A verdict on each column that one of the two readers has."""
+    positions = file.names() if isinstance(file, ArrayFile) or _is_unique(file.names()) else range(len(file.names()))
+    verdicts = [verdict for name in positions for verdict in _column(file, name, theirs.arrays.get(name))]
+    listed = file.held if isinstance(file, ArrayFile) else {str(p): p for p in positions}
+    lacking = [name for name in theirs.arrays if str(name) not in listed]
+    verdicts += [(WRONG, f"{name} is not listed") for name in lacking]
+    if isinstance(file, ArrayFile):
+        verdicts += [(REFUSED, f"{name} is {held.refusal}") for name, held in file.held.items() if held.refusal]
+    return verdicts
+
+
+def _is_unique(names: tuple[str, ...]) -> bool:
+    return "" not in names and len(set(names)) == len(names)
+
+
+def _column(file: ColumnFile, name: str | int, expected: Any) -> Iterator[tuple[str, str]]:
+    if expected is None:
+        yield WRONG, f"{name} is unknown to the peer"
+        return
+    array = np.asarray(expected)
+    many = array.ndim == 2 and 1 not in array.shape
+    for index in range(min(array.shape[1], _COLUMNS)) if many else (None,):
+        wanted = array[:, index] if many else array.reshape(-1) if array.ndim < 3 else array
+        try:
+            if wanted.dtype.kind == "c" and wanted.ndim == 1:
+                ours: Any = np.asarray(file.cells(name, index))
+            elif wanted.dtype.kind in "biuf":
+                ours = file.numbers(name, index).values
+            else:
+                yield _words(file, name, index, wanted)
+                continue
+        except DealabError as error:
+            yield REFUSED, _without_names(error, name)
+            continue
+        same = ours.shape == wanted.shape and np.array_equal(ours, wanted.astype(ours.dtype), equal_nan=True)
+        yield (EQUAL, "") if same else (WRONG, f"{name}: {ours.reshape(-1)[:3]} is not {wanted.reshape(-1)[:3]}")
+
+
+def _words(file: ColumnFile, name: str | int, index: int | None, wanted: Any) -> tuple[str, str]:
+    """Text and dates, as the cells that other columns of a table are chosen by."""
+    try:
+        ours = [_plain(cell) for cell in file.cells(name, index)]
+    except DealabError as error:
+        return REFUSED, _without_names(error, name)
+    theirs = [_plain(cell) for cell in np.asarray(wanted).reshape(-1).tolist()]
+    return (EQUAL, "") if ours == theirs else (WRONG, f"{name}: {ours[:3]} is not {theirs[:3]}")
+
+
+def _without_names(error: DealabError, name: str | int) -> str:
+    return error.problem.replace(f'"{name}"', "a column").replace(f"set {name} ", "a set ")
+
+
+def _judge_sheets(path: Path, theirs: PeerValues | str) -> tuple[str, str]:
+    """All sheets of a workbook, cell by cell."""
+    from ingest.excel_reader import sheet_names, sheet_rows
+
+    try:
+        ours = {name: sheet_rows(path, name) for name in sheet_names(path)}
+    except DealabError as error:
+        return REFUSED, str(error) + (f" ({theirs})" if isinstance(theirs, str) else "")
+    if isinstance(theirs, str):
+        return REFUSED, f"the peer fails: {theirs[:150]}; ours reads {len(ours)} sheets"
+    verdicts = []
+    for name, wanted in theirs.sheets.items():
+        if name not in ours:
+            verdicts.append((WRONG, f"sheet {name} is not listed"))
+            continue
+        cells = {(r, c): _plain(v) for r, row in enumerate(ours[name]) for c, v in enumerate(row)}
+        expected = {place: _plain(value) for place, value in wanted.items()}
+        places = [p for p in {*cells, *expected} if not _alike(cells.get(p), expected.get(p))]
+        first = min(places, default=(0, 0))
+        verdicts.append(
+            (WRONG, f"{name}: {len(places)} cells, {first}: {cells.get(first)!r} is not {expected.get(first)!r}")
+            if places
+            else (EQUAL, "")
+        )
+    return _summary(verdicts)
+
+
+def _plain(cell: Any) -> Any:
+    """A cell in one form: numbers as doubles, dates as text, nothing as None."""
+    if isinstance(cell, np.ndarray) and cell.ndim == 0:
+        cell = cell.item()
+    if cell is None or cell == "" or (isinstance(cell, float) and cell != cell):
+        return None
+    if isinstance(cell, bool | np.bool_):
+        return float(cell)
+    if isinstance(cell, int | float | np.integer | np.floating):
+        return float(cell)
+    if isinstance(cell, datetime):
+        return cell.replace(tzinfo=None).isoformat(timespec="milliseconds")
+    if isinstance(cell, date):
+        return datetime(cell.year, cell.month, cell.day).isoformat(timespec="milliseconds")
+    if isinstance(cell, time):
+        return timedelta(hours=cell.hour, minutes=cell.minute, seconds=cell.second, microseconds=cell.microsecond)
+    if isinstance(cell, bytes):
+        cell = cell.decode("utf-8", "replace")
+    return str(cell).rstrip("\x00 ") or None if isinstance(cell, str) else cell
+
+
+def _alike(ours: Any, theirs: Any) -> bool:
+    if isinstance(ours, float) and isinstance(theirs, float):
+        return bool(np.isclose(ours, theirs, rtol=1e-12, atol=0))
+    if isinstance(ours, str | timedelta) and isinstance(theirs, float | str) and ours != theirs:
+        days = [(_serial(ours, epoch), _serial(theirs, epoch)) for epoch in _EPOCHS]
+        return any(a is not None and b is not None and abs(a - b) < _MILLISECOND for a, b in days)
+    return bool(ours == theirs)
+
+
+def _serial(cell: str | float | timedelta, epoch: datetime) -> float | None:
+    """A date or duration as the number of days that a spreadsheet stores."""
+    if isinstance(cell, float):
+        return cell
+    try:
+        apart = cell if isinstance(cell, timedelta) else datetime.fromisoformat(cell) - epoch
+    except ValueError:
+        return None
+    return apart / timedelta(days=1)
+
+
+def in_child(path: Path) -> tuple[str, str]:
+    """The verdict of a child process, which alone dies of a file that takes all memory or never ends."""
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe(duplex=False)
+    child = context.Process(target=_answer, args=(path, theirs))
+    child.start()
+    theirs.close()
+    try:
+        if ours.poll(_SECONDS):
+            return ours.recv()
+    except EOFError:
+        pass
+    finally:
+        child.kill()
+        child.join()
+    return WRONG, f"no answer within {_SECONDS} s, or a crash (exit status {child.exitcode})"
+
+
+def _answer(path: Path, pipe: Any) -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    try:
+        verdict, what = judge(path)
+    except Exception as error:  # a bug of ours: this is what the command is for
+        verdict, what = WRONG, f"{type(error).__name__}: {error}"
+    if verdict == WRONG and path.name in _EXPLAINED:
+        verdict, what = DIFFERS, _EXPLAINED[path.name]
+    pipe.send((verdict, what))
+
+
+def files_below(folders: list[Path]) -> list[Path]:
+    """The files that a binary reader is for, in the order of their names."""
+    found = {
+        path
+        for folder in folders
+        for path in folder.rglob("*")
+        if format_of_suffix(path.suffix) in _FORMATS and path.is_file()
+    }
+    return sorted(found)
+
+
+def known_folders() -> dict[str, Path]:
+    """Where peers' test files may be: what the environment names, and packages that bring theirs."""
+    found = {"DEALAB_PEERS": Path(os.environ["DEALAB_PEERS"])} if "DEALAB_PEERS" in os.environ else {}
+    for package, place in (
+        ("scipy", "io/matlab/tests/data"),
+        ("h5py", "tests/data_files"),
+        ("pandas", "tests/io/data"),
+    ):
+        spec = importlib.util.find_spec(package)
+        if spec is not None and spec.origin is not None and (Path(spec.origin).parent / place).is_dir():
+            found[package] = Path(spec.origin).parent / place
+    return found
+
+
+def main(arguments: list[str]) -> int:
+    """One line for each file; 1 where one is wrong."""
+    parser = argparse.ArgumentParser(prog="python -m tests.strangers.peers", description=__doc__)
+    parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER")
+    folders: Mapping[str, Path] = known_folders()
+    given = parser.parse_args(arguments).folders or list(folders.values())
+    if "DEALAB_PEERS" not in folders and not arguments:
+        print(f"{SKIPPED}: DEALAB_PEERS names no folder: UFF, TDMS, HDF5 and spreadsheets of peers are not looked at")
+    counts: Counter[str] = Counter()
+    for path in files_below(given):
+        verdict, what = in_child(path)
+        counts[verdict] += 1
+        print(f"{path.name:<48} {verdict}{': ' if what else ''}{shown(what)[:260]}", flush=True)
+    print(", ".join(f"{number} {verdict}" for verdict, number in sorted(counts.items())) or "no files")
+    return 1 if counts[WRONG] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
