@@ -27,7 +27,7 @@ def blocks(site: Site, column: str, item: str) -> tuple[Block | Fold, ...]:
     first = sorted(found, key=lambda r: (_rank(r["what"]), r["what"]))
     told = "; ".join(f"{short(r['what'], 60)}: {short(r['value'], 80)}" for r in first[:_TOLD])
     more = len(found) - _TOLD
-    below = f"; {counted(more, 'more')} below" if more > 0 else ""
+    below = f"; {counted(more, 'more', 'more')} below" if more > 0 else ""
     line = Text(flow(bold("Assumed."), f" {capital(told)}{below}."), "sub")
     rows = tuple(
         Row(

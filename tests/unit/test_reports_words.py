@@ -11,6 +11,7 @@ from reports.evidence import Standing
 from reports.pages.campaign.lives import decisive
 from reports.pages.index.page import tally
 from reports.pages.index.trouble import reason
+from reports.pages.specimen import models
 from schemas import mechanisms
 from schemas.tables import TABLES
 
@@ -180,3 +181,21 @@ def test_a_night_that_makes_what_is_known_again_says_so() -> None:
     assert found["known, made again"] == "232"
     new = {(status, True): count for (status, _), count in known.items()}
     assert "known, made again" not in {c.text for c in tally(run, new)}
+
+
+@pytest.mark.parametrize(
+    ("chosen", "p", "heading"),
+    [
+        (3, 0.009, "Third order is chosen, the highest that was fitted; a fourth would fit better still (p = 0.0090)"),
+        (3, 0.3, "A fourth relaxation would gain nothing"),
+        (3, None, "Third order is chosen, the highest that was tried; a fourth was not tested"),
+        (2, 0.3, "A third relaxation would gain nothing"),
+    ],
+)
+def test_no_order_is_the_last_only_because_nobody_tried_on(chosen: int, p: float | None, heading: str) -> None:
+    """ "The highest that was tried" stood beside p = 0.009 for the next."""
+    fits = [
+        {"model_order": n, "loading": "mechanical", "method": "forward", "extension": "", "order_p_value": p}
+        for n in (1, 2, 3)
+    ]
+    assert plain(models._order_heading(fits, fits[chosen - 1])) == heading

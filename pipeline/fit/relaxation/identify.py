@@ -18,7 +18,7 @@ from pipeline.fit.relaxation.assemble import assemble
 from pipeline.fit.relaxation.details import Context
 from pipeline.fit.relaxation.metrics import Geometry, errors
 from pipeline.fit.relaxation.observations import Lines, Observations
-from pipeline.fit.relaxation.order import arc_length, choose, tail_probability
+from pipeline.fit.relaxation.order import LEVEL, arc_length, choose, tail_probability
 from pipeline.fit.relaxation.positivity import positivity
 from pipeline.fit.relaxation.reference import find_reference, refuse_hopeless, with_estimated_noise
 from pipeline.fit.relaxation.results import CORRECTED, FORWARD, MECHANICAL, RelaxationFit, SpecimenFits, Spread
@@ -36,9 +36,6 @@ ORDERS = (1, 2, 3)
 CERTAIN = 200.0
 """Likelihood ratio beyond which the length of the curve does not matter."""
 IRRELEVANT = 0.2
-MORE = 1e-3
-"""p of the highest order against the next below which that is worth a word: no choice hangs on it, and at the level of the test
-one of a hundred good fits would carry the word."""
 GRID = 0.3
 """χ² that arms between the points of the reference's grid may gain."""
 Rigs = RigConstants | None | Sequence[RigConstants | None]
@@ -280,8 +277,11 @@ def _remarks(
     elastic, last = p_values.get(0), p_values.get(wanted[-1])
     if elastic is not None and elastic >= 0.01:
         found.append("no relaxation resolved: a spring alone describes the response")
-    if last is not None and last < MORE and choices["test"] == wanted[-1]:
-        found.append(f"order {wanted[-1] + 1} would fit better still ({p_equals(last)})")
+    if last is not None and last < LEVEL and choices["test"] == wanted[-1]:
+        found.append(
+            f"order {wanted[-1] + 1} would fit better still ({p_equals(last)}); the orders in the lab's settings.toml end"
+            f" at {wanted[-1]}"
+        )
     others = {rule: n for rule, n in choices.items() if n != choices["test"]}
     for rule, n in others.items():
         found.append(f"{_RULES.get(rule, rule)} would choose order {n}")

@@ -98,21 +98,23 @@ def _difference(delta: float | None) -> str:
     return whole(round(delta)) if delta < 1e6 else significant(delta, 2)
 
 
-_MORE = 1e-3
-"""p of the highest order against the next below which that makes the heading; the fit's own remark has the same."""
+_LEVEL = 0.01
+"""Level of the test of one order against the next; the fit's own remark has the same."""
 
 
 def _order_heading(fits: Sequence[Record], chosen: Record) -> str:
-    orders = [f["model_order"] for f in siblings(fits, chosen)]
-    following = ordinal(chosen["model_order"] + 1)
+    """Where the test stopped, or that it did not: no order is the last only because nobody tried on."""
+    highest = chosen["model_order"] == max(f["model_order"] for f in siblings(fits, chosen))
+    order, following = capital(ordinal(chosen["model_order"])), ordinal(chosen["model_order"] + 1)
     p = chosen["order_p_value"]
-    if p is not None and p >= 0.01 and chosen["model_order"] < max(orders):
+    if p is None:
+        tried = f", the highest that was tried; a {following} was not tested" if highest else ""
+        return f"{order} order is chosen{tried}"
+    if p >= _LEVEL:
         return f"A {following} relaxation would gain nothing"
-    if p is not None and p < _MORE and chosen["model_order"] == max(orders):
-        return f"{capital(ordinal(chosen['model_order']))} order is chosen; a {following} would fit better still ({p_equals(p)})"
-    if chosen["model_order"] == max(orders):
-        return f"{capital(ordinal(chosen['model_order']))} order is chosen, the highest that was tried"
-    return f"{capital(ordinal(chosen['model_order']))} order is chosen"
+    if highest:
+        return f"{order} order is chosen, the highest that was fitted; a {following} would fit better still ({p_equals(p)})"
+    return f"{order} order is chosen"
 
 
 def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Mapping[str, Any]) -> Section:
