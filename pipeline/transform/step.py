@@ -32,8 +32,8 @@ from schemas.recording import Recording
 _STILL_FADING = 0.01
 """Share of a step that goes in the second half of the rest after it, from which on a rest counts as too short."""
 _MOST_MOVED = 0.25
-"""Share of a force step from which what the load may have moved beside it is no slow change of the film: over the steps
-of the demonstration it is 0.06 at most, with staircases as high as the step 0.36 and more."""
+"""Share of a force step from which what the load may have moved beside it is no slow change of the film: over the 95
+steps of the demonstration it is 0.16 at most, with staircases as high as the step 0.35 and more."""
 _MOVES = "the load itself moves"
 INSTANT_S = 0.1
 """Delay after the voltage has reached 90 % at which the instant fraction is read."""

@@ -272,7 +272,7 @@ def baseline_misfit(
     -------
     In the unit of the channel, not negative: the larger of two. By how much the rest level after the step is another
     than before it, of which without a slow change one half falls into the step; and how far the level runs in the
-    second half of these rests, over the time from one level to the other. What noise explains is 0.
+    second half of these rests, over the time from one level to the other. Of both only what goes beyond the noise.
     """
     steady = x if slow is None else x - slow.at(t)
     before, final = rest_level(t, steady, phase, memory), final_level(t, steady, phase, memory)
@@ -294,5 +294,5 @@ def baseline_misfit(
 
 
 def _beyond_noise(change: float, sd: float) -> float:
-    """Size of a change, 0 within three standard deviations and where it is not known."""
-    return abs(change) if math.isfinite(change) and abs(change) > 3 * sd else 0.0
+    """How far a change goes beyond three standard deviations; 0 where it is not known."""
+    return max(abs(change) - 3 * sd, 0.0) if math.isfinite(change) else 0.0
