@@ -46,6 +46,14 @@ def test_slow_and_fast_cycles_of_a_plain_film_hold_nothing() -> None:
     assert diagnose(features(*cycles, "ST-2-relaxation")).verdict == "none"
 
 
+def test_a_single_cyclic_test_that_begins_at_once_asks_for_the_arms_that_it_needs() -> None:
+    """Its responses at one frequency are fewer than the entries of a film; its mean forces show the slow arm. The film has a third."""
+    found = diagnose(features("EM-2-cyclic"))
+    assert len(found.plain_film.k) == 2
+    assert found.p_value > 1e-4
+    assert found.verdict == "none" or "missing_relaxation" in (*found.mechanisms, *found.also_possible)
+
+
 @pytest.mark.parametrize("start", [lambda t: np.sin(t), lambda t: (1 - np.cos(t)) / 2], ids=["sine", "1 - cosine"])
 @pytest.mark.parametrize("hz", [0.01, 0.1, 1.0])
 def test_rest_ends_where_a_slow_cycle_begins(start, hz: float) -> None:  # type: ignore[no-untyped-def]

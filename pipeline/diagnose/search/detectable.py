@@ -101,7 +101,10 @@ def _solve_by_slope(mechanism: Mechanism, looked: Signatures, points: list[int],
     for i in points:
         severity = abs(looked.values[i][main.name])
         if looked.weak[i] and severity > 0:
-            needed[_take_shape(mechanism, looked.values[i])] = wanted * severity / float(looked.length[i])
+            length = float(looked.length[i])  # 0: further arms would leave nothing of it
+            needed[_take_shape(mechanism, looked.values[i])] = (
+                wanted * severity / length if length > 0 else float("inf")
+            )
     return needed
 
 

@@ -13,8 +13,10 @@ import numpy as np
 from scipy.optimize import nnls
 
 from pipeline.diagnose.features.kinds import (
+    CHIRP_LEVEL,
     CHIRP_RESPONSE,
     CYCLE_FORCE,
+    CYCLIC_LEVEL,
     CYCLIC_RESPONSE,
     RELAXATION_FORCE,
     SPHS_RESPONSE,
@@ -34,6 +36,7 @@ from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
 
 _MECHANICAL = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, RELAXATION_FORCE, CYCLE_FORCE, TAP_RING, WEIGHT_GAIN})
+_LEVELS = frozenset({CHIRP_LEVEL, CYCLIC_LEVEL})
 _PER_DECADE = 6
 """Arms of a fine ladder per decade of time."""
 _FAR = 60.0
@@ -60,11 +63,15 @@ class PlainFit:
 def fit_plain(session: Session, simulation: Simulation, *, order: int | None = None) -> PlainFit:
     """The plain model of the order that the recordings ask for, or of `order`, fitted to all features.
 
-    The order is found on the mechanical features, where there are any: they say most of the arms, at a fraction of the
-    cost. Raises `NotIdentifiableError` where no response of the film is among the features.
+    The order is found on the mechanical features, where there are enough of them: they say most of the arms, at a fraction of
+    the cost. Raises `NotIdentifiableError` where no response of the film is among the features.
     """
     chosen = [p.block.kind in _MECHANICAL for p in session.places]
     responds = any(p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE) for p in session.places)
+    shown = sum(p.block.size for p, own in zip(session.places, chosen, strict=True) if own)
+    if shown <= session.base_model(RULES.plain.orders[-1]).size:
+        # Fewer values than entries say nothing of the number of arms; the mean forces show slow ones.
+        chosen = [own or p.block.kind in _LEVELS for p, own in zip(session.places, chosen, strict=True)]
     if not responds or all(chosen):
         return _search_near_and_far(session, simulation, order)
     part = session.part(chosen)
