@@ -149,7 +149,9 @@ def sheet_rows(path: Path, sheet: str | int | None) -> list[list[Any]]:
             expected=f"at most {CELL_LIMIT >> 4}",
             remedy="Delete what stands far away from the data",
         )
-    return list(_guarded(found.to_python, skip_empty_area=False, where=where))
+    rows: list[list[Any]] = list(_guarded(found.to_python, skip_empty_area=False, where=where))
+    # old files of two-byte letters come with a zero byte behind each
+    return [[c.replace("\x00", "") if isinstance(c, str) and "\x00" in c else c for c in row] for row in rows]
 
 
 def _workbook(path: Path) -> Any:

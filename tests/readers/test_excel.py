@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ingest import excel_reader
 from ingest.mapping import FileMapping
 from ingest.read import read_raw
 from schemas.errors import RefusedError
@@ -119,3 +120,22 @@ def test_bomb_is_refused_before_it_inflates(tmp_path: Path, monkeypatch: pytest.
     assert path.stat().st_size < 1 << 20
     with pytest.raises(RefusedError, match="inflates to 3 MiB"):
         read(path, mapping())
+
+
+def test_texts_of_two_byte_letters_are_without_zero_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the library gives the texts of some workbooks of Excel 5."""
+
+    class Sheet:
+        total_height, total_width = 2, 2
+
+        def to_python(self, *, skip_empty_area: bool) -> list[list[Any]]:
+            return [["t\x00", "F\x00o\x00r\x00c\x00e"], [0.0, 1.5]]
+
+    class Book:
+        sheet_names = ("A",)
+
+        def get_sheet_by_name(self, name: str) -> Sheet:
+            return Sheet()
+
+    monkeypatch.setattr(excel_reader, "_workbook", lambda path: Book())
+    assert excel_reader.sheet_rows(tmp_path / "old.xls", None) == [["t", "Force"], [0.0, 1.5]]
