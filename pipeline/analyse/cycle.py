@@ -58,6 +58,7 @@ def cycle_fits(recording: Recording) -> Cycle:
             equilibrium=law,
             recording_id=about.recording_id,
             specimen_id=about.specimen_id,
+            section_over_length_mm=section_over_length_mm(about),
         )
         for law in laws
     )
@@ -148,6 +149,14 @@ def stretch_and_stress(recording: Recording) -> tuple[Float, Float, Float]:
         zero, length, section = _sizes(recording.metadata)
     time = np.asarray((driven.time_ns - recording.start_ns) * 1e-9)
     return time, zero + driven.values / length, _at(answer, driven) / section
+
+
+def section_over_length_mm(about: RecordingMetadata) -> float | None:
+    """Section over length of the undeformed film; None where one of its sizes is not known."""
+    if about.film_length_mm is None or about.undeformed_section_mm2 is None:
+        return None
+    _, length, section = _sizes(about)
+    return section * _KPA_PER_MPA / length
 
 
 def _sizes(about: RecordingMetadata) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from pipeline.analyse.cycle import section_over_length_mm
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import CYCLE, SYSTEM, SessionFeatures
 from pipeline.diagnose.results import Diagnosis
@@ -31,9 +32,17 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
     if len(asked) == len(tests) == 1 and kinds == {CYCLE}:
         ((recording, alone),) = asked
         c, law = alone.channels, alone.given or None
-        return diagnose_cycle(
-            make_cycle(c["time_s"], c["stretch"], c["stress"], law, recording.recording_id, specimen_id)
+        about = recording.metadata
+        cycle = make_cycle(
+            c["time_s"],
+            c["stretch"],
+            c["stress"],
+            law,
+            recording.recording_id,
+            specimen_id,
+            section_over_length_mm=section_over_length_mm(about) if isinstance(about, RecordingMetadata) else None,
         )
+        return diagnose_cycle(cycle)
     if kinds != {SYSTEM} or len({round(alone.given["interval_s"], 12) for _, alone in asked}) != 1:
         return None
     records = [

@@ -84,8 +84,9 @@ def _estimate(column: str, estimate: Estimate) -> dict[str, float | None]:
 
 
 def _cycle_row(group: CycleFits, fit: CycleFit) -> dict[str, Any]:
-    """Branches as springs and dampers of a 1 mm cube (1 MPa = 1 N/mm); k0 is the law's slope at stretch 1."""
-    to_n_per_mm = 1e-3
+    """Branches as springs and dampers of the film; k0 is the law's slope at stretch 1, where the film is undeformed."""
+    to_n_per_mm, ratio = group.n_per_mm_of_kpa, group.section_over_length_mm
+    film = "a 1 mm cube" if ratio is None else f"a film whose section over length is {ratio:.4g} mm"
     row: dict[str, Any] = {
         "specimen_id": group.specimen_id,
         "loading": MECHANICAL,
@@ -98,8 +99,8 @@ def _cycle_row(group: CycleFits, fit: CycleFit) -> dict[str, Any]:
         "held_out_error": None,
         "warnings": _sentences(
             (
-                f"time-domain fit with {group.law} equilibrium stress, {'given' if group.fixed else 'fitted'}; as a 1 mm"
-                f" cube; root mean square error {fit.rmse:.4g} kPa ({100 * fit.relative_rmse:.2g} % of the peak), on the"
+                f"time-domain fit with {group.law} equilibrium stress, {'given' if group.fixed else 'fitted'}; as"
+                f" {film}; root mean square error {fit.rmse:.4g} kPa ({100 * fit.relative_rmse:.2g} % of the peak), on the"
                 f" part left out {fit.held_out_rmse:.4g} kPa",
                 *fit.warnings,
                 *group.warnings,

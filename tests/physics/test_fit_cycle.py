@@ -165,3 +165,18 @@ def test_offset_and_gap_are_noticed() -> None:
 def test_what_is_no_cycle_is_refused(time: np.ndarray, stretch: np.ndarray, words: str) -> None:
     with pytest.raises(NotIdentifiableError, match=words):
         fit_cycle(time, stretch, np.ones(time.size))
+
+
+def test_a_film_of_known_size_has_its_own_stiffness() -> None:
+    """E w t/L: a film of 50 × 20 × 0.2 mm has 0.08 N/mm for each MPa, a cube of 1 mm has 1 N/mm."""
+    given = {"crosslink_modulus": 8.0, "entanglement_modulus": 18.0, "largest_stretch": 4.8}
+    stress = NON_AFFINE.stress(STRETCH, given) + 30 * overstress(5.0)
+    rows = []
+    for ratio in (None, 20 * 0.2 / 50):
+        fits = fit_cycle(TIME, STRETCH, stress, equilibrium=given, orders=(1,), section_over_length_mm=ratio)
+        rows += model_fits_table([], [fits]).to_pylist()
+    cube, film = rows
+    for name in ("k0_n_per_mm", "k1_n_per_mm", "c1_n_s_per_mm", "k1_n_per_mm_sd"):
+        assert film[name] == pytest.approx(0.08 * cube[name], rel=1e-9)
+    assert "1 mm cube" in cube["warnings"]
+    assert "section over length is 0.08 mm" in film["warnings"]

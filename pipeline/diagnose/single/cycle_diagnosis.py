@@ -42,8 +42,6 @@ _NORMAL_90 = 1.645
 """Half width of a 90 % interval of the normal distribution, in standard deviations."""
 _PLACES = 4
 """Parts of equal length into which loading and unloading are cut each, to say where the simulation is wrong."""
-_N_PER_MM_OF_KPA = 1e-3
-"""A 1 mm cube: 1 MPa = 1 N/mm."""
 _HOLD_S, _SLOWER = 600.0, 10.0
 """Hold that is proposed, s, and how many times slower or faster a cycle."""
 _SHOWN = 400
@@ -220,9 +218,9 @@ def _is_of(tried: _Tried, model: TriedModel) -> bool:
 
 
 def _make_film(model: CycleModel, x: Float) -> RelaxationModel:
-    """The branch and the slope of the equilibrium stress at rest, as a 1 mm cube."""
-    k0 = model.split(x)[0].k0 * _N_PER_MM_OF_KPA
-    return RelaxationModel(k0, (float(np.exp(x[0])) * _N_PER_MM_OF_KPA,), (float(np.exp(x[1])),))
+    """The branch and the slope of the equilibrium stress at rest, as stiffnesses of the film."""
+    of_kpa = model.cycle.fits.n_per_mm_of_kpa
+    return RelaxationModel(model.split(x)[0].k0 * of_kpa, (float(np.exp(x[0])) * of_kpa,), (float(np.exp(x[1])),))
 
 
 def _estimate_film_sd(tried: _Tried) -> tuple[tuple[float, ...], tuple[float, ...]]:

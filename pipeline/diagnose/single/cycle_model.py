@@ -381,6 +381,7 @@ def make_cycle(
     recording_id: str,
     specimen_id: str,
     orders: Sequence[int] = (1,),
+    section_over_length_mm: float | None = None,
 ) -> LargeCycle:
     """A cycle with its plain fits.
 
@@ -390,6 +391,7 @@ def make_cycle(
     equilibrium : parameters of the law of equilibrium by name; None: it is fitted
     recording_id, specimen_id : where it is from
     orders : numbers of branches that are fitted
+    section_over_length_mm : of the undeformed film, None where its sizes are not known
 
     Raises
     ------
@@ -399,7 +401,14 @@ def make_cycle(
     good = np.isfinite(time_s) & np.isfinite(stretch) & np.isfinite(stress)
     t, lam, p = time_s[good], stretch[good], stress[good]
     fits = fit_cycle(
-        t, lam, p, equilibrium=equilibrium, orders=orders, recording_id=recording_id, specimen_id=specimen_id
+        t,
+        lam,
+        p,
+        equilibrium=equilibrium,
+        orders=orders,
+        recording_id=recording_id,
+        specimen_id=specimen_id,
+        section_over_length_mm=section_over_length_mm,
     )
     found = LargeCycle(t, lam, p, fits)
     up = found.loading

@@ -71,7 +71,10 @@ class CycleFit:
 
 @dataclass(frozen=True)
 class CycleFits:
-    """All orders of one recording; `selected_order` by the error on the part left out."""
+    """All orders of one recording; `selected_order` by the error on the part left out.
+
+    `section_over_length_mm` is that of the undeformed film, None where its sizes are not known: a cube of 1 mm then.
+    """
 
     recording_id: str
     specimen_id: str
@@ -80,6 +83,12 @@ class CycleFits:
     fits: tuple[CycleFit, ...]
     selected_order: int
     warnings: tuple[str, ...] = field(default=())
+    section_over_length_mm: float | None = None
+
+    @property
+    def n_per_mm_of_kpa(self) -> float:
+        """Stiffness of the film in N/mm for each kPa of its modulus: section over length, both undeformed."""
+        return 1e-3 * (1.0 if self.section_over_length_mm is None else self.section_over_length_mm)
 
     @property
     def selected(self) -> CycleFit:
@@ -106,8 +115,11 @@ def fit_cycle(
     orders: Sequence[int] = (1, 2, 3),
     recording_id: str = "",
     specimen_id: str = "",
+    section_over_length_mm: float | None = None,
 ) -> CycleFits:
     """Branches, and the equilibrium law unless `equilibrium` gives it, from (m,) s, stretch and nominal stress.
+
+    `section_over_length_mm` of the undeformed film makes stiffnesses of moduli, see `CycleFits`.
 
     Raises `NotIdentifiableError` for too few samples, times that do not rise, or a stretch that does not change.
     """
@@ -137,7 +149,14 @@ def fit_cycle(
         if fit.held_out_rmse < (1 - WORTH) * selected.held_out_rmse:
             selected = fit
     return CycleFits(
-        recording_id, specimen_id, law.name, equilibrium is not None, tuple(fits), selected.order, tuple(warnings)
+        recording_id,
+        specimen_id,
+        law.name,
+        equilibrium is not None,
+        tuple(fits),
+        selected.order,
+        tuple(warnings),
+        section_over_length_mm,
     )
 
 
