@@ -51,6 +51,7 @@ _EXPLAINED = {
     "has_x000D_.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
     "has_x000D_inline.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
     "minimal_package.xlsx": "blanks in front of texts: ours are without",
+    "whitespace_trim.xlsx": "blanks in front of texts: ours are without",
     "issue_419.xlsb": "the text of a formula: pyxlsb gives 0",
 }
 """Files on which the two readers differ in a way that is known, none of it in a number."""
