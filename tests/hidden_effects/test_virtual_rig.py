@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
-from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.features.kinds import SPHS_RESPONSE, STEP_FORCE, RecordingFeatures
 from pipeline.diagnose.features.records import rest_samples
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.search.plain_fit import fit_plain
+from pipeline.diagnose.simulation.session import make_session
+from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.simulate.campaign import read_campaign, simulate_one
 
 
@@ -31,10 +35,29 @@ def test_an_amplifier_faster_than_the_samples_is_measured_rightly() -> None:
     severities = found.extension.severities["drive_lag"]
     for key in ("rise_time_constant_s", "fall_time_constant_s"):
         assert abs(severities[key].value - 3e-4) < 3 * severities[key].sd
-        # Since film and rig are written once the search ends in another valley, where the slew rate is hardly known: it was 2.4e-5.
-        assert severities[key].sd < 1e-4
+        assert severities[key].sd < 5e-5
     assert found.held_out is not None
     assert found.held_out.after < 0.02 * found.held_out.before
+
+
+def test_the_plain_search_ends_in_one_valley_whatever_the_rounding() -> None:
+    """Of a voltage that lags nothing else shows the film, and what film and rig cannot mend must not hide what they can."""
+    given = features("SI-1-sphs-5kV", "SI-1-sphs-7kV", "SI-1-steps")
+    ends = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        rounded = [
+            replace(
+                r, blocks=tuple(replace(b, value=b.value * (1 + 1e-12 * rng.normal(size=b.size))) for b in r.blocks)
+            )
+            for r in given
+        ]
+        session = make_session(rounded)
+        found = fit_plain(session, Simulation(session))
+        of_film = np.isin(session.kind, [SPHS_RESPONSE, STEP_FORCE])
+        assert np.mean(found.misfit[of_film] ** 2) < 2
+        ends.append(found.chi2 - np.sum(found.misfit[~of_film] ** 2))
+    assert np.ptp(ends) < 1e-3 * min(ends)
 
 
 def test_slow_and_fast_cycles_of_a_plain_film_hold_nothing() -> None:

@@ -20,8 +20,10 @@ from pipeline.diagnose.features.kinds import (
     CYCLIC_RESPONSE,
     RELAXATION_FORCE,
     SPHS_RESPONSE,
+    SPHS_VOLTAGE,
     STEP_CAPACITANCE,
     STEP_FORCE,
+    STEP_VOLTAGE,
     TAP_RING,
     WEIGHT_GAIN,
 )
@@ -37,6 +39,8 @@ from schemas.errors import NotIdentifiableError
 
 _MECHANICAL = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, RELAXATION_FORCE, CYCLE_FORCE, TAP_RING, WEIGHT_GAIN})
 _LEVELS = frozenset({CHIRP_LEVEL, CYCLIC_LEVEL})
+_OF_THE_AMPLIFIER = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
+"""What no film and no rig changes."""
 _PER_DECADE = 6
 """Arms of a fine ladder per decade of time."""
 _FAR = 60.0
@@ -45,6 +49,9 @@ _MOST = 30
 """Steps of a search at most."""
 _PLACES = 6
 """Places at which a further arm is tried."""
+_STIFFNESSES, _TIMES = (0.03, 0.1, 0.3, 3.0), (0.03, 1.0, 30.0)
+"""Over the first guess at a film that only electrical responses show. The guess is a tenth of the load cell's stiffness
+where they do not even tell the order of magnitude, and most films are softer."""
 _OTHER_CLAMPS = tuple(float(v) for v in np.exp(np.arange(-10, 11) / 10))
 """Masses over those of the rigs' files for which the film is looked at, and how many of them are tried."""
 
@@ -63,16 +70,20 @@ class PlainFit:
 def fit_plain(session: Session, simulation: Simulation, *, order: int | None = None) -> PlainFit:
     """The plain model of the order that the recordings ask for, or of `order`, fitted to all features.
 
-    The order is found on the mechanical features, where there are enough of them: they say most of the arms, at a fraction of
-    the cost. Raises `NotIdentifiableError` where no response of the film is among the features.
+    The order is found on the mechanical features, where there are enough of them: they say most of the arms, at a
+    fraction of the cost. Where there are none, it is found on all but the voltages: what these are missed by, film and
+    rig cannot mend, and beside a large χ² that stays no end of a search is seen to be better than another. Raises
+    `NotIdentifiableError` where no response of the film is among the features.
     """
-    chosen = [p.block.kind in _MECHANICAL for p in session.places]
-    responds = any(p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE) for p in session.places)
-    shown = sum(p.block.size for p, own in zip(session.places, chosen, strict=True) if own)
-    if shown <= session.base_model(RULES.plain.orders[-1]).size:
-        # Fewer values than entries say nothing of the number of arms; the mean forces show slow ones.
-        chosen = [own or p.block.kind in _LEVELS for p, own in zip(session.places, chosen, strict=True)]
-    if not responds or all(chosen):
+    if _responds_to_motion(session):
+        chosen = [p.block.kind in _MECHANICAL for p in session.places]
+        shown = sum(p.block.size for p, own in zip(session.places, chosen, strict=True) if own)
+        if shown <= session.base_model(RULES.plain.orders[-1]).size:
+            # Fewer values than entries say nothing of the number of arms; the mean forces show slow ones.
+            chosen = [own or p.block.kind in _LEVELS for p, own in zip(session.places, chosen, strict=True)]
+    else:
+        chosen = [p.block.kind not in _OF_THE_AMPLIFIER for p in session.places]
+    if all(chosen) or not any(chosen):
         return _search_near_and_far(session, simulation, order)
     part = session.part(chosen)
     found = _search_near_and_far(part, Simulation(part), order)
@@ -85,6 +96,11 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
         if place is not None:
             start[place] = found.theta[i]
     return refit_plain(session, simulation, model, start)
+
+
+def _responds_to_motion(session: Session) -> bool:
+    """Whether the features say how stiff the film is by themselves, without what the voltage does to it."""
+    return any(p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE) for p in session.places)
 
 
 def refit_plain(
@@ -184,9 +200,23 @@ def _make_starts(session: Session, model: BaseModel, lower: PlainFit | None) -> 
     starts = []
     if lower is not None:
         starts = [_add_arm(model, lower, tau) for tau in np.geomspace(*_bound_arm_times(f), _PLACES)[::-1]]
-    films = _cluster_arms(f, k, model.arms)[0], _spread_arms(f, k, model.arms)
+    films = [_cluster_arms(f, k, model.arms)[0], _spread_arms(f, k, model.arms)]
+    if not _responds_to_motion(session):
+        films += _scale_films(films[1])
     starts += [_make_theta(session, model, film) for film in films]
     return starts
+
+
+def _scale_films(film: RelaxationModel) -> list[RelaxationModel]:
+    """Films as much softer and stiffer than this one, faster and slower, as electrical responses leave open.
+
+    The force that a voltage makes hardly depends on a film that is much softer than the load cell, until resonance.
+    """
+    return [
+        RelaxationModel(s * film.k0, tuple(s * k for k in film.k), tuple(t * tau for tau in film.tau), film.c_inf)
+        for s in _STIFFNESSES
+        for t in _TIMES
+    ]
 
 
 def _try_other_clamps(session: Session, model: BaseModel) -> list[Float]:
