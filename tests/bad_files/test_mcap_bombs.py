@@ -28,6 +28,7 @@ from tests.helpers.mcap_files import (
     record,
     schema,
     text,
+    varint,
     whole,
 )
 
@@ -150,7 +151,7 @@ def test_well_formed_samples_beyond_any_real_ratio(tmp_path: Path) -> None:
 
     def huge(number: int, samples: int) -> bytes:
         start = START + number * 10**15
-        content = struct.pack("<BqBdB", 9, start, 17, 1e-3, 0x1A) + _varint(8 * samples) + bytes(8 * samples)
+        content = struct.pack("<BqBdB", 9, start, 17, 1e-3, 0x1A) + varint(8 * samples) + bytes(8 * samples)
         return chunk(message(1, number, start, content), times=(start, start))
 
     path = tmp_path / "samples.mcap"
@@ -237,11 +238,3 @@ def test_huge_lengths_inside_records(tmp_path: Path) -> None:
     recording = read_mcap(path)
     assert recording.channels[0].values.tolist() == [1.0, 2.0]
     assert len(recording.problems) == len(broken)
-
-
-def _varint(number: int) -> bytes:
-    encoded = b""
-    while number > 127:
-        encoded += bytes([number & 127 | 128])
-        number >>= 7
-    return encoded + bytes([number])

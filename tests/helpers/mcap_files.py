@@ -148,3 +148,12 @@ def packaged(
                 part = values_of(quantity, blocks * size)[number * size : (number + 1) * size]
                 writer.add_message(channel_id, start, block(start, interval, part), start, number)
         writer.finish()
+
+
+def varint(number: int) -> bytes:
+    """A number as protobuf writes it, seven bits at a time."""
+    encoded = b""
+    while number > 127:
+        encoded += bytes([number & 127 | 128])
+        number >>= 7
+    return encoded + bytes([number])

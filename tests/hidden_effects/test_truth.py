@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Recording
 from tests.helpers import truth_rig as truth
+from tests.helpers.mechanism_ids import CONTRACT
 from tests.helpers.truth_rig import KINDS, MECHANISMS, UNLISTED, Film, Rig, Session, Specimen, hide, sensors
 from tests.helpers.truth_rig import design as designs
 from tests.helpers.truth_rig.hidden import resolve
@@ -26,31 +27,6 @@ HUMMING, PLAIN, SUBJECT_GIVEN = 4, 5, 0
 
 Float = NDArray[np.float64]
 
-CONTRACT = [
-    "rig_constants",
-    "load_cell_damping",
-    "drive_lag",
-    "amplitude_softening",
-    "cyclic_softening",
-    "missing_relaxation",
-    "power_law_relaxation",
-    "baseline_drift",
-    "thermal_softening",
-    "field_dependent_permittivity",
-    "frequency_dependent_permittivity",
-    "electrode_degradation",
-    "slack",
-    "strain_stiffening",
-    "sensor_delay",
-    "gain_error",
-    "drive_offset",
-    "leakage",
-    "wrinkling",
-    "clamp_slip",
-    "mains_hum",
-    "sensor_saturation",
-    "passive_strip",
-]
 SEVERITY_KEYS = {
     "rig_constants": {"mass_error", "stiffness_error"},
     "load_cell_damping": {"damping_ratio"},

@@ -10,15 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest.mcap_blocks import BlockCollector, block_times, parse_block
-from tests.helpers.mcap_files import START, parsed_block
-
-
-def _varint(number: int) -> bytes:
-    encoded = b""
-    while number > 127:
-        encoded += bytes([number & 127 | 128])
-        number >>= 7
-    return encoded + bytes([number])
+from tests.helpers.mcap_files import START, parsed_block, varint
 
 
 def _values(stretches: list[memoryview]) -> list[bytes]:
@@ -30,17 +22,17 @@ doubles = st.floats(width=64, allow_nan=False)
 start_field = st.integers(-(2**63), 2**63 - 1).map(lambda v: b"\x09" + struct.pack("<q", v))
 interval_field = doubles.map(lambda v: b"\x11" + struct.pack("<d", v))
 packed_field = st.lists(doubles, max_size=40).map(
-    lambda v: b"\x1a" + _varint(8 * len(v)) + struct.pack(f"<{len(v)}d", *v)
+    lambda v: b"\x1a" + varint(8 * len(v)) + struct.pack(f"<{len(v)}d", *v)
 )
 single_field = doubles.map(lambda v: b"\x19" + struct.pack("<d", v))
 unknown_field = st.one_of(
-    st.tuples(st.integers(4, 2000), st.integers(0, 2**63)).map(lambda t: _varint(t[0] << 3) + _varint(t[1])),
-    st.tuples(st.integers(4, 2000), st.binary(min_size=8, max_size=8)).map(lambda t: _varint(t[0] << 3 | 1) + t[1]),
+    st.tuples(st.integers(4, 2000), st.integers(0, 2**63)).map(lambda t: varint(t[0] << 3) + varint(t[1])),
+    st.tuples(st.integers(4, 2000), st.binary(min_size=8, max_size=8)).map(lambda t: varint(t[0] << 3 | 1) + t[1]),
     st.tuples(st.integers(4, 2000), st.binary(max_size=20)).map(
-        lambda t: _varint(t[0] << 3 | 2) + _varint(len(t[1])) + t[1]
+        lambda t: varint(t[0] << 3 | 2) + varint(len(t[1])) + t[1]
     ),
-    st.tuples(st.integers(4, 2000), st.binary(min_size=4, max_size=4)).map(lambda t: _varint(t[0] << 3 | 5) + t[1]),
-    st.integers(4, 100).map(lambda n: _varint(n << 3 | 3) + b"\x2b\x08\x05\x2c" + _varint(n << 3 | 4)),
+    st.tuples(st.integers(4, 2000), st.binary(min_size=4, max_size=4)).map(lambda t: varint(t[0] << 3 | 5) + t[1]),
+    st.integers(4, 100).map(lambda n: varint(n << 3 | 3) + b"\x2b\x08\x05\x2c" + varint(n << 3 | 4)),
 )
 
 
@@ -95,7 +87,7 @@ def test_times_of_more_samples_than_fit_a_slab() -> None:
 
 def _block(start: int, values: list[float]) -> memoryview:
     content = b"\x09" + struct.pack("<q", start) + b"\x11" + struct.pack("<d", 1e-3)
-    return memoryview(content + b"\x1a" + _varint(8 * len(values)) + struct.pack(f"<{len(values)}d", *values))
+    return memoryview(content + b"\x1a" + varint(8 * len(values)) + struct.pack(f"<{len(values)}d", *values))
 
 
 @settings(max_examples=200, deadline=None)

@@ -14,32 +14,7 @@ from reports.pages.index.trouble import reason
 from reports.pages.specimen import models
 from schemas import mechanisms
 from schemas.tables import TABLES
-
-CONTRACT = [
-    "rig_constants",
-    "load_cell_damping",
-    "drive_lag",
-    "amplitude_softening",
-    "cyclic_softening",
-    "missing_relaxation",
-    "power_law_relaxation",
-    "baseline_drift",
-    "thermal_softening",
-    "field_dependent_permittivity",
-    "frequency_dependent_permittivity",
-    "electrode_degradation",
-    "slack",
-    "strain_stiffening",
-    "sensor_delay",
-    "gain_error",
-    "drive_offset",
-    "leakage",
-    "wrinkling",
-    "clamp_slip",
-    "mains_hum",
-    "sensor_saturation",
-    "passive_strip",
-]
+from tests.helpers.mechanism_ids import CONTRACT
 
 
 def plain(text: object) -> str:

@@ -1,0 +1,27 @@
+"""What the contract names mechanisms, written out: the package's own list is what tests hold against it."""
+
+CONTRACT = [
+    "rig_constants",
+    "load_cell_damping",
+    "drive_lag",
+    "amplitude_softening",
+    "cyclic_softening",
+    "missing_relaxation",
+    "power_law_relaxation",
+    "baseline_drift",
+    "thermal_softening",
+    "field_dependent_permittivity",
+    "frequency_dependent_permittivity",
+    "electrode_degradation",
+    "slack",
+    "strain_stiffening",
+    "sensor_delay",
+    "gain_error",
+    "drive_offset",
+    "leakage",
+    "wrinkling",
+    "clamp_slip",
+    "mains_hum",
+    "sensor_saturation",
+    "passive_strip",
+]
