@@ -1,11 +1,21 @@
-"""The kinds of results that go from one stage to the next in full, and their way into the table `carried`."""
+"""Results that a later stage needs in full and no table of the contract holds: their kinds, and their way into the table
+`carried` and back, exactly.
+
+JSON for what is plain, base64 for arrays, and the names of known dataclasses. Never pickle: what comes from a disk
+must not be able to run.
+"""
 
 from __future__ import annotations
 
+import base64
+import dataclasses
+import json
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from pipeline.analyse.carry import Codec
+import numpy as np
+
 from pipeline.analyse.session_features import Alone, SessionFeatures
 from pipeline.fit.relaxation.time_domain import CycleFit, CycleFits
 from pipeline.transform.breakdown_life import Lifetime
@@ -22,6 +32,83 @@ from schemas.tables import TABLES
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+_TYPE, _ARRAY, _COMPLEX, _TIME = "$type", "$array", "$complex", "$time"
+_KINDS = "bifcu"
+"""Kinds of numpy arrays that may be carried: truth values and numbers."""
+
+
+class Codec:
+    """Packs objects of the given frozen dataclasses, nested as they like, and unpacks them again.
+
+    Lists come back as tuples and mappings as dictionaries; arrays keep their type, shape and every bit.
+    """
+
+    def __init__(self, kinds: Iterable[type]) -> None:
+        self._kinds = {kind.__name__: kind for kind in kinds}
+
+    def pack(self, value: Any) -> str:
+        """Text of an object. `TypeError` for what cannot be carried."""
+        return json.dumps(self._encoded(value), separators=(",", ":"))
+
+    def unpack(self, text: str) -> Any:
+        """The object that `pack` made the text from. `ValueError` for a kind or field that is not known."""
+        try:
+            return self._decoded(json.loads(text))
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"not a carried result: {error}") from error
+
+    def _encoded(self, value: Any) -> Any:
+        if value is None or isinstance(value, bool | int | float | str):
+            return value.item() if isinstance(value, np.generic) else value
+        if isinstance(value, np.generic):
+            return self._encoded(value.item())
+        if isinstance(value, complex):
+            return {_COMPLEX: [value.real, value.imag]}
+        if isinstance(value, datetime):
+            return {_TIME: value.isoformat()}
+        if isinstance(value, np.ndarray):
+            if value.dtype.kind not in _KINDS:
+                raise TypeError(f"an array of {value.dtype} cannot be carried")
+            data = base64.b64encode(np.ascontiguousarray(value).tobytes()).decode("ascii")
+            return {_ARRAY: [value.dtype.str, list(value.shape), data]}
+        if dataclasses.is_dataclass(value) and self._kinds.get(type(value).__name__) is type(value):
+            members = {f.name: self._encoded(getattr(value, f.name)) for f in dataclasses.fields(value)}
+            return {_TYPE: type(value).__name__, **members}
+        if isinstance(value, Mapping):
+            if any(not isinstance(key, str) or key.startswith("$") for key in value):
+                raise TypeError("a mapping to be carried needs plain text keys")
+            return {key: self._encoded(member) for key, member in value.items()}
+        if isinstance(value, list | tuple | frozenset | set):
+            members_in_order = sorted(value) if isinstance(value, set | frozenset) else value
+            return [self._encoded(member) for member in members_in_order]
+        raise TypeError(f"{type(value).__name__} cannot be carried")
+
+    def _decoded(self, value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(self._decoded(member) for member in value)
+        if not isinstance(value, dict):
+            return value
+        if _ARRAY in value:
+            kind, shape, data = value[_ARRAY]
+            dtype = np.dtype(kind)
+            if dtype.kind not in _KINDS:
+                raise ValueError(f"an array of {dtype} is not a carried result")
+            return np.frombuffer(base64.b64decode(data), dtype).reshape(shape).copy()
+        if _COMPLEX in value:
+            return complex(*value[_COMPLEX])
+        if _TIME in value:
+            return datetime.fromisoformat(value[_TIME])
+        members = {
+            key: self._decoded(member) if isinstance(member, list | dict) else member
+            for key, member in value.items()
+            if key != _TYPE
+        }
+        if _TYPE in value:
+            return self._kinds[value[_TYPE]](**members)
+        return members
+
 
 KINDS: tuple[type, ...] = (
     FrequencyResponse,

@@ -16,7 +16,6 @@ from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.signs import find_negative, sign_table
-from pipeline.analyse.tables import relaxation_of, response_of
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
 from pipeline.fit.sensing.migration import migration
@@ -24,13 +23,16 @@ from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.calibration import Calibration, TapCalibration, calibrate
 from pipeline.transform.capacitance_cycles import capacitance_cycles
 from pipeline.transform.coats import measure_coat
+from pipeline.transform.correction import judged_machine
 from pipeline.transform.force_map import measure_force_map
 from pipeline.transform.loop import measure_loop
+from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.respond import respond
+from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from pipeline.transform.step import StepAnalysis, measure_steps
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
-from schemas.protocols import CALIBRATION, ELECTRICAL, OTHER
+from schemas.protocols import CALIBRATION, ELECTRICAL, MECHANICAL, OTHER
 from schemas.recording import Recording
 from schemas.tables import TABLES
 
@@ -257,3 +259,43 @@ def _migration(analysis: Analysis, recording: Recording, frequency_hz: float) ->
     onset = analysis.attempt("electrode migration", migration, cycles)
     if onset is not None:
         analysis.add({"electrode_migrations": TABLES["electrode_migrations"].from_objects([onset])})
+
+
+def response_of(table: ResponseTable) -> FrequencyResponse:
+    """The response of a film that a machine computed: clamp and load cell are not in it (no rig goes with it)."""
+    usable = np.isfinite(table.value) & (table.frequency_hz > 0)
+    response = FrequencyResponse(
+        frequency_hz=table.frequency_hz,
+        value=table.value,
+        variance=table.standard_error**2,
+        usable=usable,
+        unusable_because=tuple("" if good else "no value" for good in usable),
+        quantity=STIFFNESS,
+        loading=MECHANICAL,
+        amplitude=table.metadata.strain_pp,
+        recording_id=table.metadata.recording_id,
+        specimen_id=table.metadata.specimen_id,
+        details={"measured_as": table.measured_as, "scale": table.scale},
+    )
+    return judged_machine(response, table.own_deformation)
+
+
+def relaxation_of(table: RelaxationTable) -> RelaxationCurve:
+    """The relaxation that a machine computed: the step is a jump, the values belong to instants."""
+    usable = np.isfinite(table.value) & (table.time_s > 0)
+    return RelaxationCurve(
+        time_s=table.time_s,
+        window_s=np.column_stack([table.time_s, table.time_s]),
+        stiffness=table.value,
+        variance=table.standard_error**2,
+        usable=usable,
+        ramp_s=0.0,
+        step=1.0,
+        rest_variance=0.0,
+        step_sd=0.0,
+        unusable_because=tuple("" if good else "no value" for good in usable),
+        quantity=STIFFNESS,
+        recording_id=table.metadata.recording_id,
+        specimen_id=table.metadata.specimen_id,
+        details={"measured_as": table.measured_as, "scale": table.scale},
+    )

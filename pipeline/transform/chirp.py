@@ -15,8 +15,8 @@ from scipy.ndimage import uniform_filter1d
 
 from pipeline.transform import local_polynomial, quality, repeats, sweeps
 from pipeline.transform.channels import Drive, drive
-from pipeline.transform.excited import input_noise, mark_weak, window_power
 from pipeline.transform.local_polynomial import LocalFit
+from pipeline.transform.quality import input_noise, mark_weak, window_power
 from pipeline.transform.response import FrequencyResponse
 from pipeline.transform.sampling import Sampled, runs, sample, without_short_gaps
 from pipeline.transform.spectrum import delay_between, length_for, low_bins, ramp_bins

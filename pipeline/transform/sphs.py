@@ -14,9 +14,16 @@ import numpy as np
 from scipy.special import fdtri
 
 from pipeline.transform import local_polynomial, quality, sweeps
-from pipeline.transform.best_linear import BestLinear, best_linear_approximation, smoothed
 from pipeline.transform.channels import Drive, drive
-from pipeline.transform.periodic import excited_lines, line_spectra, period_starts, without_drift
+from pipeline.transform.periodic import (
+    BestLinear,
+    best_linear_approximation,
+    excited_lines,
+    line_spectra,
+    period_starts,
+    smoothed,
+    without_drift,
+)
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sampling import Sampled, sample, without_short_gaps
 from pipeline.transform.spectrum import delay_between

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from pipeline.analyse.force_maps import force_map_tables
+from pipeline.analyse.groups import force_map_tables
 from pipeline.fit.force.comparisons import compare_forces
 from pipeline.fit.force.force_map import fit_force_map, fit_force_maps
 from pipeline.fit.force.points import force_per_permittivity, force_points

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.transform.best_linear import best_linear_approximation
-from pipeline.transform.periodic import line_spectra, period_starts
+from pipeline.transform.periodic import best_linear_approximation, line_spectra, period_starts
 from pipeline.transform.respond import respond
 from pipeline.transform.sphs import sphs_response
 from schemas.errors import NotIdentifiableError

@@ -17,7 +17,7 @@ from pipeline.diagnose.results import NAMED, NONE
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import DELAY, Oscillator, SystemRecord, make_linear
 from pipeline.diagnose.single.oscillator_fit import find_linear_start
-from pipeline.diagnose.single.system_discrepancies import list_system_discrepancies
+from pipeline.diagnose.single.system_diagnosis import list_system_discrepancies
 from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
 from schemas.errors import NotIdentifiableError
 

@@ -11,7 +11,7 @@ from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.results import NAMED
 from pipeline.diagnose.single.comparison import compare_predictions
 from pipeline.diagnose.single.oscillator import SystemRecord
-from pipeline.diagnose.single.system_discrepancies import list_system_discrepancies
+from pipeline.diagnose.single.system_diagnosis import list_system_discrepancies
 from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
 
 INTERVAL_S = 2**14 / 1e7

@@ -13,8 +13,7 @@ import pyarrow as pa
 import pytest
 
 from ingest.atomic import written_whole
-from pipeline.analyse.carried import carried_table, results_of
-from pipeline.analyse.carry import Codec
+from pipeline.analyse.carried import Codec, carried_table, results_of
 from pipeline.analyse.description import recordings_rows
 from pipeline.lab import snapshot as publishing
 from pipeline.lab.checks import find_violations

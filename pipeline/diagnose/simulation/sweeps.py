@@ -1,7 +1,7 @@
 """Prediction of sweeps: linear responses through the operators; elements and readings over time, as the sweep passes.
 
 What elements make of a wave of any amplitude is tabulated at a few frequencies; every sweep then looks its own amplitude up at
-each instant (`sweep_course`).
+each instant (`sweep_courses`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from pipeline.diagnose.simulation.mechanical import Linear, MechanicalFamily, ch
 from pipeline.diagnose.simulation.nodes import POINTS
 from pipeline.diagnose.simulation.parameters import Physical
 from pipeline.diagnose.simulation.session import Place, Session
-from pipeline.diagnose.simulation.sweep_course import SweepCourse
-from pipeline.diagnose.simulation.sweep_courses import SweepCourses
+from pipeline.diagnose.simulation.sweep_courses import SweepCourse, SweepCourses
 from schemas.arrays import Bool, Complex, Float, Int
 
 SWEEP = "sweep"

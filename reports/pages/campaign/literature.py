@@ -28,7 +28,7 @@ from reports.blocks import (
 from reports.evidence import Standing, drawable, siblings
 from reports.figures.curves import arms, stiffness
 from reports.figures.curves import rig as rig_of
-from reports.figures.springs import Variant, study
+from reports.figures.relaxation import Variant, study
 from reports.names import Verbatim
 from reports.pages.campaign import thesis_checks as thesis
 from reports.pages.campaign.reference import ReferenceFilm, ReferenceModel, reference

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from reports.blocks import Figure, Head, Row, Section, Table, bold, filled, flow
-from reports.figures.ladder import error_by_arms
+from reports.figures.relaxation import error_by_arms
 from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
