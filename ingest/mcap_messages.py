@@ -16,7 +16,6 @@ import math
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,6 @@ from ingest.mapping import ColumnMapping, ColumnName, FileMapping, TimeMapping
 from ingest.mcap_blocks import BlockCollector, Samples, is_block_schema
 from ingest.mcap_decoders import LARGEST_MESSAGE, Decoder, decoder
 from ingest.mcap_records import Channel, Schema
-from ingest.mcap_scan import scan
 from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
 
@@ -286,40 +284,3 @@ class MessageColumns:
         if topic not in self._samples:
             self._samples[topic] = collector.samples({})
         return self._samples[topic]
-
-
-def topic_fields(path: Path) -> dict[str, tuple[str, ...]]:
-    """The topics of a file that need a mapping, each with the fields of its first message, as a mapping writes them.
-
-    None are listed for an encoding that cannot be read. Raises `RefusedError` when the file is no MCAP file.
-    """
-    found: dict[str, tuple[str, ...]] = {}
-
-    def choose(channel: Channel, schema: Schema | None) -> _FirstMessage | None:
-        if is_block_schema(channel, schema) or channel.topic in found:
-            return None
-        found[channel.topic] = ()
-        try:
-            return _FirstMessage(channel.topic, decoder(channel, schema, path.name), found)
-        except RefusedError:
-            return None
-
-    scan(path, choose, ())
-    return found
-
-
-@dataclass
-class _FirstMessage:
-    """Lists the fields of the first message that can be decoded."""
-
-    topic: str
-    decoder: Decoder
-    found: dict[str, tuple[str, ...]]
-
-    def add(self, content: memoryview, log_time: int, sequence: int) -> None:
-        if self.found[self.topic] or len(content) > LARGEST_MESSAGE:
-            return
-        try:
-            self.found[self.topic] = tuple(self.decoder.fields(self.decoder.decode(content)))
-        except ValueError:
-            return

@@ -17,7 +17,6 @@ from reports.blocks import Fold, Link, Piece, Pre, Text, code, link, name, separ
 from reports.names import FileNames, Verbatim
 from reports.results import Results, Row, day, moment
 
-USED = ("ok", "damaged", "excluded")
 USED_SQL = "status IN ('ok', 'damaged', 'excluded')"
 INDEX = "index.html"
 RECORDINGS = "recordings.html"

@@ -90,11 +90,9 @@ def regression(design: Float, y: Float, sd: Float, relative: Float) -> tuple[Flo
 
 @dataclass(frozen=True)
 class Line:
-    """y = `centre_y` + slope (x − centre_x) through points with errors in both coordinates."""
+    """A straight line through points with errors in both coordinates."""
 
     slope: Estimate
-    centre_x: float
-    centre_y: float
     sd: Float
     """(n,) standard deviation of y about the line, errors of x and the scatter included."""
 
@@ -118,7 +116,7 @@ def line(x: Float, y: Float, sx: Float, sy: Float) -> Line:
         centred = beta - float(w @ beta / w.sum())
         chi2 = float(w @ (y - ym - b * (x - xm)) ** 2)
         slope = Estimate(b, 1 / math.sqrt(float(w @ centred**2)), x.size - 2 if tau else math.inf)
-        return Line(slope, xm, ym, 1 / np.sqrt(w)), chi2
+        return Line(slope, 1 / np.sqrt(w)), chi2
 
     tau = scatter(lambda t: at(t)[1], x.size - 2)
     return at(tau)[0]

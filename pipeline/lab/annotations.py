@@ -17,7 +17,7 @@ from pipeline.lab.lab import Lab
 from schemas.errors import LabError, UsageError
 from schemas.metadata import RECORDING_ID
 
-EXCLUDE, INCLUDE = "exclude", "include"
+EXCLUDE = "exclude"
 _WHY_LIMIT = 10_000
 
 

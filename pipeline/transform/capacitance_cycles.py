@@ -23,7 +23,6 @@ class CapacitanceCycles:
     cycle : (n,) number of the cycle, from 1
     mean_pf, amplitude_pf : (n,) mean and amplitude of the fundamental
     harmonics : (n, m) complex, harmonics 2 … m + 1 over the fundamental, phases counted from the fundamental's
-    harmonics_sd : (n, m) standard deviation of one component
     """
 
     recording_id: str
@@ -33,7 +32,6 @@ class CapacitanceCycles:
     mean_pf: Float
     amplitude_pf: Float
     harmonics: Complex
-    harmonics_sd: Float
 
     @property
     def distortion(self) -> Float:
@@ -82,18 +80,16 @@ def capacitance_cycles(recording: Recording, frequency_hz: float) -> Capacitance
         np.array([row.mean for row in rows]),
         size[:, 0],
         amplitude[:, 1:] / size * turn ** np.arange(2, HARMONICS + 1),
-        np.array([row.sd for row in rows])[:, None] / size * np.ones(HARMONICS - 1),
     )
 
 
 @dataclass(frozen=True)
 class _Cycle:
-    """Harmonics 1 … 5 of one cycle, phasors e^{+jωt} at the record's beginning, and the SD of one component."""
+    """Harmonics 1 … 5 of one cycle, phasors e^{+jωt} at the record's beginning."""
 
     number: int
     mean: float
     amplitude: Complex
-    sd: float
 
 
 def _cycle(number: int, time: Float, values: Float, frequency: float, first: float) -> _Cycle | None:
@@ -105,9 +101,7 @@ def _cycle(number: int, time: Float, values: Float, frequency: float, first: flo
     wave = np.exp(2j * np.pi * frequency * t)[:, None] ** np.arange(1, HARMONICS + 1)
     design = np.column_stack([np.ones_like(t), (t - t.mean()) * frequency, wave.real, wave.imag])
     solution, *_ = np.linalg.lstsq(design, v, rcond=None)
-    residual = v - design @ solution
     amplitude = solution[2 : 2 + HARMONICS] - 1j * solution[2 + HARMONICS :]
     if abs(amplitude[0]) == 0:
         return None
-    noise = float(np.sqrt(residual @ residual / (t.size - design.shape[1])))
-    return _Cycle(number, float(solution[0]), amplitude, noise * float(np.sqrt(2 / t.size)))
+    return _Cycle(number, float(solution[0]), amplitude)

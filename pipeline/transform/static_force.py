@@ -44,20 +44,11 @@ class StaticForce:
         Standard deviation, with what drift and slow part leave open.
     degrees_of_freedom : int
         Of these standard deviations.
-    drift_n : (C,) N
-        What the drift alone does from the edge to the end of the time of voltage; positive where the tension falls.
-    slow_share : float
-        r, share of the force that comes slowly; 0 where none shows.
-    slow_s : float
-        τ in s, NaN without slow part.
     """
 
     force_n: Float
     force_sd_n: Float
     degrees_of_freedom: int
-    drift_n: Float
-    slow_share: float
-    slow_s: float
 
 
 def fit_static_force(time: Float, force: Float, cycles: Sequence[tuple[float, float]], settle_s: float) -> StaticForce:
@@ -114,7 +105,6 @@ class _Fitted:
     linear: Float
     cost: float
     freedom: int
-    slow: bool
 
 
 def _windows(time: Float, force: Float, cycles: Sequence[tuple[float, float]], settle_s: float) -> _Windows:
@@ -162,7 +152,7 @@ def _fit(windows: _Windows, cycles: Sequence[tuple[float, float]], *, slow: bool
     best = min(found, key=lambda one: one.cost)
     linear, residual = solved(best.x)
     freedom = residual.size - linear.size - best.x.size
-    return _Fitted(best.x, linear, float(residual @ residual), freedom, slow)
+    return _Fitted(best.x, linear, float(residual @ residual), freedom)
 
 
 def _design(time: Float, searched: Float, start_s: float, cycles: Sequence[tuple[float, float]]) -> Float:
@@ -198,15 +188,8 @@ def _result(fit: _Fitted, windows: _Windows, cycles: Sequence[tuple[float, float
     covariance = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-10) / np.outer(scale, scale)
     variance = fit.cost / max(fit.freedom, 1) * np.diag(covariance)
     places: Int = np.arange(size + 2, size + 2 + count)
-    lag = math.exp(fit.searched[0])
-    drift = [
-        -fit.linear[1] * math.log((off - windows.start_s + lag) / (on - windows.start_s + lag)) for on, off in cycles
-    ]
     return StaticForce(
         force_n=fit.linear[2:],
         force_sd_n=np.sqrt(np.maximum(variance[places], 0.0)),
         degrees_of_freedom=fit.freedom,
-        drift_n=np.array(drift),
-        slow_share=float(fit.searched[2]) if fit.slow else 0.0,
-        slow_s=math.exp(fit.searched[1]) if fit.slow else float("nan"),
     )

@@ -13,7 +13,6 @@ from google.protobuf import descriptor_pb2
 from mcap.writer import Writer
 
 from ingest.mapping import FileMapping
-from ingest.mcap_messages import topic_fields
 from ingest.mcap_reader import read_mcap
 from schemas.errors import RefusedError, UnmappedError
 from tests.helpers.mcap_files import METADATA, START, block, descriptor_set, message_type
@@ -266,15 +265,3 @@ def test_damage_in_a_mapped_file_is_told(tmp_path: Path) -> None:
     recording = read_mcap(path, mapping({"force": {"column": "/cell", "field": "v", "unit": "N"}}))
     assert recording.channels[0].values.size == 50
     assert len(recording.problems) == 1
-
-
-def test_the_fields_that_a_mapping_could_name_are_listed(tmp_path: Path) -> None:
-    rows = [{"wrench": {"force": {"z": 0.5}}, "raw": [1, 2], "none": None, "name": "cell"}]
-    messages = [("/bad", START, b"{"), *as_json("/cell", rows)]
-    assert topic_fields(write(tmp_path / "json.mcap", messages)) == {
-        "/bad": (),
-        "/cell": ("wrench.force.z", "raw.0", "raw.1", "name"),
-    }
-    assert topic_fields(readings(tmp_path / "protobuf.mcap")) == {
-        "/cell": ("force.x", "force.y", "force.z", "counts.0", "stamp", "name")
-    }

@@ -112,13 +112,11 @@ class Lives:
 class Goodness:
     """How well a distribution fits: largest distance between its curve and Kaplan–Meier over the observed time.
 
-    `p_value` from data sets simulated from the fit and fitted again; NaN where it was not simulated. `outside_band` is
-    the share of the failure times at which the curve leaves the Kaplan–Meier band.
+    `p_value` from data sets simulated from the fit and fitted again; NaN where it was not simulated.
     """
 
     distance: float
     p_value: float
-    outside_band: float
     statement: str
 
 
@@ -230,7 +228,7 @@ def goodness_of_fit(lives: Lives, fit: DistributionFit) -> Goodness:
         f"the {_NAMES[fit.distribution]} law {verdict}: largest distance from Kaplan–Meier {significant(distance, 2)}{shown}, "
         f"{100 * outside:.0f} % of the failure times outside the 95 % band"
     )
-    return Goodness(distance, p_value, outside, statement)
+    return Goodness(distance, p_value, statement)
 
 
 def _distances(time: Float, failed: Bool, location: Float, sigma: Float, fit: DistributionFit) -> Float:

@@ -141,14 +141,11 @@ class _Problem:
 
     def result(self, displacement: Float, solved: int) -> ThicknessMap:
         gradient = self.q4.deformation(displacement).mean(axis=1)
-        stress, _ = stress_and_tangent(gradient)
-        smallest = np.linalg.svd(stress, compute_uv=False)[:, 1] * np.sign(np.linalg.det(stress))
         return ThicknessMap(
             self.film,
             (self.points + displacement)[self.q4.nodes],
             1 / np.linalg.det(gradient),
             self.q4.weights.sum(axis=1),
-            smallest,
             "continuous",
             solved,
         )

@@ -62,8 +62,6 @@ class ThicknessMap:
     corners_mm : (n, 4, 2) corners in the finished film, x along the rods, the middle of the film at 0
     thickness : (n,) λ3, thickness over undeformed thickness
     undeformed_area_mm2 : (n,) area of the element before stretching
-    smallest_stress : (n,) smaller principal nominal stress over Young's modulus; negative where a real film would
-        wrinkle
     scheme : how it was computed
     iterations : linear systems that were solved
     """
@@ -72,7 +70,6 @@ class ThicknessMap:
     corners_mm: Float
     thickness: Float
     undeformed_area_mm2: Float
-    smallest_stress: Float
     scheme: str
     iterations: int
 
@@ -85,11 +82,6 @@ class ThicknessMap:
     def area_mm2(self) -> Float:
         """(n,) area of the elements in the finished film."""
         return polygon_area(self.corners_mm)
-
-    @property
-    def thickness_strain(self) -> Float:
-        """(n,) ε33 = λ3 − 1 (thesis, eq 3.17 with the −1 that it lacks)."""
-        return self.thickness - 1
 
     @property
     def relative_thickness(self) -> Float:

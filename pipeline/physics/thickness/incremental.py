@@ -67,12 +67,8 @@ def incremental_thickness(film: RodFilm, *, elements: int = 20_000, steps_along:
         increment = solve(matrix, np.zeros(held.size), tie_matrix(owner), value.ravel()).reshape(-1, 2)
         total = current.deformation(increment).mean(axis=1) @ total
         points = points + increment
-    stress, _ = stress_and_tangent(total)
-    smallest = np.linalg.svd(stress, compute_uv=False)[:, 1] * np.sign(np.linalg.det(stress))
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    return ThicknessMap(
-        film, (points - middle)[nodes], 1 / np.linalg.det(total), area, smallest, "incremental", steps_along + 1
-    )
+    return ThicknessMap(film, (points - middle)[nodes], 1 / np.linalg.det(total), area, "incremental", steps_along + 1)
 
 
 def _pushed_forward(tangent: Float, deformation: Float) -> Float:
