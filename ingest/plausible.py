@@ -84,8 +84,9 @@ def find_losses_by_value(values: Float) -> str:
     return ""
 
 
-_LARGEST = {"MPa": 1e7, "N/mm": 1e9, "Hz": 1e12, "s": 1e12, "rad": 1e5, "mm": 1e5}
-"""Largest size of what stands in tables, by canonical unit: no stiffer solid, no older test."""
+_LARGEST = {"MPa": 1e7, "N/mm": 1e9, "Hz": 1e30, "s": 1e30, "rad": 1e5, "mm": 1e5}
+"""Largest size of what stands in tables, by canonical unit: no stiffer solid. Reduced times and frequencies of master curves run over
+fifty decades."""
 _OVER_DECADES = ("s", "Hz")
 """Lives, times and frequencies of a table may range so far that 999 is a value among others below 20."""
 
