@@ -33,7 +33,7 @@ TABLES: tuple[Table, ...] = (
             MadeBy("recording", where="where_found = 'sign'"),
             MadeBy("diagnosis", where="where_found IS DISTINCT FROM 'sign'"),
         ),
-        pages=("index", "specimen", "recording"),
+        pages=("index", "campaign", "specimen", "recording"),
     ),
     Table(
         "diagnoses",
