@@ -85,8 +85,8 @@ def find_losses_by_value(values: Float) -> str:
 
 
 _LARGEST = {"MPa": 1e7, "N/mm": 1e9, "Hz": 1e30, "s": 1e30, "rad": 1e5, "mm": 1e5}
-"""Largest size of what stands in tables, by canonical unit: no stiffer solid. Reduced times and frequencies of master curves run over
-fifty decades."""
+"""Largest size of what stands in tables, by canonical unit: no stiffer solid. Reduced times and frequencies of master
+curves run over fifty decades."""
 _OVER_DECADES = ("s", "Hz")
 """Lives, times and frequencies of a table may range so far that 999 is a value among others below 20."""
 
@@ -109,16 +109,16 @@ def without_unbelievable(
 ) -> Float:
     """The values of a table's column without those that are none, each kind a problem. `RefusedError` where most are."""
     for why, here in find_unbelievable(raw, values, canonical).items():
-        count, finite = int(here.sum()), int(np.isfinite(values).sum())
+        count, given = int(here.sum()), int((~np.isnan(values)).sum())
         example = raw[int(np.argmax(here))]
-        if 2 * count > finite:
+        if 2 * count > given:
             raise RefusedError(
-                f"{name}: {count} of {finite} values are {why}, such as {example:g}",
+                f"{name}: {count} of {given} values are {why}, such as {example:g}",
                 where=where,
                 expected=f"values that there can be in {canonical}",
                 remedy=f"Check column, unit and scale of [columns.{name}] in the mapping TOML",
             )
-        problems.append(f"{name}: {count} of {finite} values are {why}, such as {example:g}: left out")
+        problems.append(f"{name}: {count} of {given} values are {why}, such as {example:g}: left out")
         values = np.where(here, np.nan, values)
     return values
 

@@ -17,6 +17,8 @@ SAGGED = "voltage sagged"
 MONITOR_LOST = "monitor lost"
 RAISED = "voltage raised after the fixed test"
 """Beginnings of `censored_because`; details may follow after a colon."""
+OUTSIDE_THE_FILM = ("lead", "none")
+"""Sites of failures that the thickness of the film says nothing about. One whose site nobody noted may be in the film."""
 
 
 @dataclass(frozen=True, kw_only=True)

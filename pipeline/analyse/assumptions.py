@@ -224,17 +224,7 @@ def _about_rig(rig: RigConstants) -> Iterator[Assumption]:
         )
         return
     prior = rig_prior(rig)
-    for text in () if prior is None else prior.assumed:
-        what, value = _split(text)
-        yield Assumption(what, value, f"not in {name}", "clamp resonance in " + _FORCE_OF_FILM)
+    for one in () if prior is None else prior.presumed:
+        yield Assumption(one.what, one.value, f"not in {name}", "clamp resonance in " + _FORCE_OF_FILM)
     if rig.force_gain is None:
         yield Assumption("gain of the force channel", "1", f"no force_gain in {name}: never calibrated", "all forces")
-
-
-def _split(text: str) -> tuple[str, str]:
-    """What a prior of the rig says in words, in two parts."""
-    for between in (" taken as ", " missing in the rig file: ", " from "):
-        what, found, value = text.partition(between)
-        if found:
-            return what, f"from {value}" if between == " from " else value
-    return text, "assumed"

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
 from pipeline.fit.survival.weak_regions import (
-    OUTSIDE_THE_FILM,
     THIN,
     FilmGrid,
     LayoutCheck,
@@ -23,7 +22,7 @@ from pipeline.physics.thickness.continuous import continuous_thickness
 from pipeline.physics.thickness.film import RodFilm, ThicknessMap
 from pipeline.physics.thickness.incremental import incremental_thickness
 from schemas.errors import NotIdentifiableError
-from schemas.lifetimes import LifetimeRow
+from schemas.lifetimes import OUTSIDE_THE_FILM, LifetimeRow
 from schemas.metadata import RecordingMetadata
 from schemas.tables import TABLES
 

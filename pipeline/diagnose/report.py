@@ -311,7 +311,7 @@ def _list_unaskable(session: Session) -> tuple[str, ...]:
     protocols = set(session.protocols)
     if not protocols & {"sphs", "step"}:
         found.append("No electrical test: causes in drive and actuation leave no trace.")
-    elif not session.kinds & {kinds.SPHS_VOLTAGE, kinds.STEP_VOLTAGE}:
+    elif not session.kinds & kinds.AMPLIFIER:
         found.append("The command was not recorded: the amplifier's gain, lag and offset cannot be questioned.")
     if protocols & {"sphs", "step"} and not protocols & {"chirp", "cyclic", "relaxation", "cycle"}:
         found.append("No mechanical test: the film's own dynamics rest on the electrical ones.")

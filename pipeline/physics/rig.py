@@ -216,6 +216,26 @@ RIGID = Rig(0.0, math.inf, 0.0)
 
 
 @dataclass(frozen=True)
+class Presumed:
+    """A constant that a rig file does not give.
+
+    Parameters
+    ----------
+    what, value : the constant, and what stands in its place
+    text : both in words
+    """
+
+    what: str
+    value: str
+    text: str
+
+    @classmethod
+    def taken(cls, what: str, value: str) -> Presumed:
+        """One that is taken as something."""
+        return cls(what, value, f"{what} taken as {value}")
+
+
+@dataclass(frozen=True)
 class RigPrior:
     """Constants (M, kL, cL, g) of a rig about `nominal`, with q standard normal a priori.
 
@@ -223,7 +243,7 @@ class RigPrior:
     ----------
     nominal : (4,) N s²/mm, N/mm, N s/mm, and 1 for the gain of the force channel
     factor : (4, r) independent directions of the prior covariance, factor @ factor.T; r = 0 where everything is exact
-    assumed : which values the rig file does not give, in words
+    presumed : which constants the rig file does not give, and what stands in their place
 
     Notes
     -----
@@ -233,7 +253,12 @@ class RigPrior:
 
     nominal: Float
     factor: Float
-    assumed: tuple[str, ...] = ()
+    presumed: tuple[Presumed, ...] = ()
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """What is presumed, in words."""
+        return tuple(p.text for p in self.presumed)
 
     @classmethod
     def of(cls, rig: RigConstants) -> RigPrior:
@@ -256,21 +281,21 @@ class RigPrior:
                 expected="both, for a correction of the clamp and load-cell resonance",
                 remedy=f"Add {' and '.join(missing)} to the rig file, or record a tap of the clamp and weigh it",
             )
-        assumed = []
+        presumed = []
         mass, stiffness = rig.clamp_mass_kg * TONNES_PER_KG, rig.load_cell_stiffness_n_per_mm
         if rig.clamp_mass_kg_sd is None:
-            assumed.append(f"clamp mass taken as ± {100 * DEFAULT_MASS_SD:.0f} %")
+            presumed.append(Presumed.taken("clamp mass", f"± {100 * DEFAULT_MASS_SD:.0f} %"))
         if rig.load_cell_stiffness_n_per_mm_sd is None:
-            assumed.append(f"load-cell stiffness taken as ± {100 * DEFAULT_STIFFNESS_SD:.0f} %")
+            presumed.append(Presumed.taken("load-cell stiffness", f"± {100 * DEFAULT_STIFFNESS_SD:.0f} %"))
         mass_sd = DEFAULT_MASS_SD * mass if rig.clamp_mass_kg_sd is None else rig.clamp_mass_kg_sd * TONNES_PER_KG
         stiffness_sd = rig.load_cell_stiffness_n_per_mm_sd
         stiffness_sd = DEFAULT_STIFFNESS_SD * stiffness if stiffness_sd is None else stiffness_sd
         damping = rig.load_cell_damping_n_s_per_mm
         damping_sd = rig.load_cell_damping_n_s_per_mm_sd
         if damping is None:
-            assumed.append("damping of the load cell taken as none")
+            presumed.append(Presumed.taken("damping of the load cell", "none"))
         if damping_sd is None:
-            assumed.append("load-cell damping taken as ± 100 %, at least 1 % of critical")
+            presumed.append(Presumed.taken("load-cell damping", "± 100 %, at least 1 % of critical"))
             damping_sd = max(damping or 0.0, DEFAULT_DAMPING_RATIO_SD * 2 * math.sqrt(stiffness * mass))
         covariance = np.diag([mass_sd**2, stiffness_sd**2, damping_sd**2])
         if rig.clamp_frequency_hz is not None and rig.clamp_frequency_hz_sd is not None and mass > 0:
@@ -280,7 +305,7 @@ class RigPrior:
         factor = np.zeros((4, 4))
         factor[:3, :3], factor[3, 3] = _directions(covariance), rig.force_gain_sd or 0.0
         factor = factor[:, np.abs(factor).max(axis=0) > 0]
-        return cls(np.array([mass, stiffness, damping or 0.0, 1.0]), factor, tuple(assumed))
+        return cls(np.array([mass, stiffness, damping or 0.0, 1.0]), factor, tuple(presumed))
 
     @property
     def size(self) -> int:
@@ -348,11 +373,11 @@ def rig_prior(rig: RigConstants | None) -> RigPrior | None:
     """
     if rig is None:
         return None
-    rig, assumed = _completed(rig)
+    rig, presumed = _completed(rig)
     if rig.load_cell_stiffness_n_per_mm is None:
         return None
     prior = RigPrior.of(rig)
-    return replace(prior, assumed=assumed + prior.assumed)
+    return replace(prior, presumed=presumed + prior.presumed)
 
 
 def missing_constants(rig: RigConstants | None) -> str | None:
@@ -362,7 +387,7 @@ def missing_constants(rig: RigConstants | None) -> str | None:
     return "load-cell stiffness missing in the rig file: the response is taken as the film's own"
 
 
-def _completed(rig: RigConstants) -> tuple[RigConstants, tuple[str, ...]]:
+def _completed(rig: RigConstants) -> tuple[RigConstants, tuple[Presumed, ...]]:
     """The constants with what follows from the clamp-alone frequency, and what that assumes."""
     stiffness, mass, f_c = rig.load_cell_stiffness_n_per_mm, rig.clamp_mass_kg, rig.clamp_frequency_hz
     if f_c is not None and (stiffness is None) != (mass is None):
@@ -372,7 +397,7 @@ def _completed(rig: RigConstants) -> tuple[RigConstants, tuple[str, ...]]:
             own = (rig.load_cell_stiffness_n_per_mm_sd or DEFAULT_STIFFNESS_SD * stiffness) / stiffness
             sd = mass * math.hypot(own, spread)
             new = replace(rig, clamp_mass_kg=mass, clamp_mass_kg_sd=sd, clamp_frequency_hz_sd=None)
-            return new, ("clamp mass from the clamp-alone frequency",)
+            return new, (_of_frequency("clamp mass"),)
         if mass:
             stiffness = TONNES_PER_KG * mass * (2 * math.pi * f_c) ** 2
             own = (rig.clamp_mass_kg_sd or DEFAULT_MASS_SD * mass) / mass
@@ -383,11 +408,18 @@ def _completed(rig: RigConstants) -> tuple[RigConstants, tuple[str, ...]]:
                 load_cell_stiffness_n_per_mm_sd=sd,
                 clamp_frequency_hz_sd=None,
             )
-            return new, ("load-cell stiffness from the clamp-alone frequency",)
+            return new, (_of_frequency("load-cell stiffness"),)
     if stiffness is not None and mass is None:
         new = replace(rig, clamp_mass_kg=0.0, clamp_mass_kg_sd=0.0, load_cell_damping_n_s_per_mm=0.0)
-        return new, ("clamp mass missing in the rig file: inertia neglected",)
+        neglected = "inertia neglected"
+        return new, (Presumed("clamp mass", neglected, f"clamp mass missing in the rig file: {neglected}"),)
     return rig, ()
+
+
+def _of_frequency(what: str) -> Presumed:
+    """A constant that follows from the measured clamp-alone frequency and the other one."""
+    value = "from the clamp-alone frequency"
+    return Presumed(what, value, f"{what} {value}")
 
 
 def _directions(covariance: Float) -> Float:

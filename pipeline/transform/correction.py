@@ -190,7 +190,7 @@ def resonance_free(ratio: Complex, frequency_hz: Float, rig: RigConstants, *, th
 def _printed_sign(prior: RigPrior) -> RigPrior:
     """The rig as the printed eq 4.18 has it: no damping, and the clamp's inertia with the sign of a negative mass."""
     sign = np.array([-1.0, 1.0, 0.0, 1.0])
-    return RigPrior(prior.nominal * sign, prior.factor * sign[:, None], prior.assumed)
+    return RigPrior(prior.nominal * sign, prior.factor * sign[:, None], prior.presumed)
 
 
 def _corrected(

@@ -49,6 +49,19 @@ def test_a_night_without_a_result_is_not_all_done(tmp_path: Path) -> None:
     assert healthy(lab) == []
 
 
+def test_the_status_names_the_first_of_many_without_a_result(tmp_path: Path) -> None:
+    """It listed them all, so that its length and memory grew with the lab."""
+    lab = Lab(tmp_path / "lab")
+    (tmp_path / "raw").mkdir()
+    for number in range(12):
+        still(tmp_path / "raw" / f"still-{number:02d}.mcap")
+    nightly([tmp_path / "raw"], lab, jobs=0)
+    listed = describe_lab(lab).partition("No result from:")[2].splitlines()[1:]
+    assert [line.split(":")[0].strip() for line in listed[:10]] == [f"still-{number:02d}" for number in range(10)]
+    assert listed[10].strip().startswith("and 2 more: response: the input holds no step above its noise")
+    assert len(listed) == 11
+
+
 def test_what_leads_to_a_result_later_is_no_longer_told(tmp_path: Path) -> None:
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
     raw.mkdir()

@@ -22,6 +22,9 @@ from pipeline.nightly.stages import STAGES
 
 Row = dict[str, Any]
 
+_NAMED_EACH = 10
+"""How many recordings are named for each reason why there is no result; the table has all of them."""
+
 
 def describe_lab(lab: Lab) -> str:
     """The state of a lab. Raises `LabError` where there is none."""
@@ -93,9 +96,22 @@ def _list_attention(reader: Reader) -> Iterator[str]:
 
 
 def _list_without_result(reader: Reader) -> Iterator[str]:
-    """What was taken in and led to nothing; refused files need attention, and stand there."""
-    for row in reader.rows("without_result", where="status <> 'quarantined'"):
-        yield f"{row['recording_id']}: {row['source_path']}: {row['what_was_missing']}"
+    """What was taken in and led to nothing, by reason; refused files need attention, and stand there."""
+    found: dict[str, list[str]] = {}
+    more: Counter[str] = Counter()
+    for row in reader.each("without_result", ("recording_id", "status", "source_path", "what_was_missing")):
+        if row["status"] == "quarantined":
+            continue
+        why = row["what_was_missing"].replace(f"{row['recording_id']}: ", "")
+        some = found.setdefault(why, [])
+        if len(some) < _NAMED_EACH:
+            some.append(f"{row['recording_id']}: {row['source_path']}")
+        else:
+            more[why] += 1
+    for why, some in found.items():
+        yield from (f"{one}: {why}" for one in some)
+        if more[why]:
+            yield f'and {more[why]} more: {why} (dealab sql "SELECT * FROM without_result" lists them)'
 
 
 def _list_exclusions(annotations: Sequence[Annotation], published: int) -> Iterator[str]:

@@ -56,6 +56,9 @@ TAP_RING = "tap.ring"
 WEIGHT_GAIN = "weight.gain"
 """Recorded force over the weight that was hung."""
 
+AMPLIFIER = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
+"""Kinds that show what the amplifier makes of the command: no film and no rig changes them."""
+
 KINDS = (
     CHIRP_RESPONSE,
     CHIRP_HARMONIC,

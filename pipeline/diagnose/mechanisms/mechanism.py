@@ -27,7 +27,7 @@ STEP_SENSED = frozenset({kinds.STEP_FORCE, kinds.STEP_CAPACITANCE})
 ELECTRICAL = STEP_SENSED | {kinds.SPHS_RESPONSE, kinds.SPHS_CAPACITANCE}
 """Kinds that follow H; with the lines that a linear film leaves empty: `BENT`."""
 BENT = ELECTRICAL | SPHS_FORCE
-AMPLIFIER = frozenset({kinds.SPHS_VOLTAGE, kinds.STEP_VOLTAGE})
+AMPLIFIER = kinds.AMPLIFIER
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.diagnose.features.blocks import assembled
 from pipeline.diagnose.features.kinds import (
+    AMPLIFIER,
     EXTRA_MASS,
     SPHS_VOLTAGE,
     STEP_CAPACITANCE,
@@ -371,7 +372,7 @@ def _imagine_test(
     drive = given**2 if electrical else given
     channels["force"] = _filter_signal(drive, _compute_response(physical, number, frequency, electrical))
     kinds = session.kinds
-    if electrical and kinds & {SPHS_VOLTAGE, STEP_VOLTAGE}:
+    if electrical and kinds & AMPLIFIER:
         channels["command"] = given / physical.amplifier[number]
     if proposal.test == "step" and STEP_CAPACITANCE in kinds:
         k = physical.film.stiffness(frequency)

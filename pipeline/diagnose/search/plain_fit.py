@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from pipeline.diagnose.features.kinds import (
+    AMPLIFIER,
     CHIRP_LEVEL,
     CHIRP_RESPONSE,
     CYCLE_FORCE,
@@ -20,10 +21,8 @@ from pipeline.diagnose.features.kinds import (
     CYCLIC_RESPONSE,
     RELAXATION_FORCE,
     SPHS_RESPONSE,
-    SPHS_VOLTAGE,
     STEP_CAPACITANCE,
     STEP_FORCE,
-    STEP_VOLTAGE,
     TAP_RING,
     WEIGHT_GAIN,
 )
@@ -39,8 +38,6 @@ from schemas.errors import NotIdentifiableError
 
 _MECHANICAL = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, RELAXATION_FORCE, CYCLE_FORCE, TAP_RING, WEIGHT_GAIN})
 _LEVELS = frozenset({CHIRP_LEVEL, CYCLIC_LEVEL})
-_OF_THE_AMPLIFIER = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
-"""What no film and no rig changes."""
 _PER_DECADE = 6
 """Arms of a fine ladder per decade of time."""
 _FAR = 60.0
@@ -82,7 +79,7 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
             # Fewer values than entries say nothing of the number of arms; the mean forces show slow ones.
             chosen = [own or p.block.kind in _LEVELS for p, own in zip(session.places, chosen, strict=True)]
     else:
-        chosen = [p.block.kind not in _OF_THE_AMPLIFIER for p in session.places]
+        chosen = [p.block.kind not in AMPLIFIER for p in session.places]
     if all(chosen) or not any(chosen):
         return _search_near_and_far(session, simulation, order)
     part = session.part(chosen)

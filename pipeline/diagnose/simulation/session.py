@@ -15,12 +15,11 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import (
+    AMPLIFIER,
     CYCLIC_CAPACITANCE,
     EXTRA_MASS,
     SPHS_CAPACITANCE,
-    SPHS_VOLTAGE,
     STEP_CAPACITANCE,
-    STEP_VOLTAGE,
     FeatureBlock,
     NoiseSample,
     RecordingFeatures,
@@ -215,9 +214,7 @@ class Session:
             else:
                 entries.append(Entry("log actuation", float(np.log(1e-3))))
         for number, rig in enumerate(self.rigs):
-            if any(
-                p.block.kind in (SPHS_VOLTAGE, STEP_VOLTAGE) and self.rig[p.recording] == number for p in self.places
-            ):
+            if any(p.block.kind in AMPLIFIER and self.rig[p.recording] == number for p in self.places):
                 gain = rig.amplifier_gain_kv_per_v or 1.5
                 sd = (rig.amplifier_gain_kv_per_v_sd or RULES.features.amplifier_sd * gain) / gain
                 entries.append(Entry(f"log amplifier {number}", float(np.log(gain)), sd))

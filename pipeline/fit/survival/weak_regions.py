@@ -24,8 +24,6 @@ from schemas.arrays import Bool, Float, Int
 
 EXPONENTS = (8.0, 10.0, 15.0)
 """Least, middle and largest plausible exponent of the inverse power law of breakdown for soft films."""
-OUTSIDE_THE_FILM = ("lead", "none")
-"""Sites of failures that the thickness of the film says nothing about. One whose site nobody noted may be in the film."""
 THIN = 0.9
 """Film thinner than this share of the median thickness counts as thin."""
 

@@ -16,6 +16,7 @@ from reports.pages.campaign.lives import Lives
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from schemas.lifetimes import OUTSIDE_THE_FILM
 from schemas.numbers import ABSENT, bounds, percent, significant
 
 _REGIONS_SQL = """SELECT configuration, region, predicted_share, predicted_share_lower, predicted_share_upper, observed_share,
@@ -23,10 +24,6 @@ _REGIONS_SQL = """SELECT configuration, region, predicted_share, predicted_share
 FROM weak_regions
 WHERE campaign = $campaign
 ORDER BY configuration, region"""
-
-
-_OUTSIDE = ("lead", "none")
-"""Sites that are not in the film: its thickness says nothing about them."""
 
 
 def failures(draft: Draft, found: Lives) -> Section | None:
@@ -38,7 +35,7 @@ def failures(draft: Draft, found: Lives) -> Section | None:
     if not known and not expected:
         return None
     blocks: list[Block | Fold] = []
-    in_film = [r for r in failed if r["failure_site"] not in _OUTSIDE]
+    in_film = [r for r in failed if r["failure_site"] not in OUTSIDE_THE_FILM]
     plan = _maps(draft, in_film)
     if plan is not None:
         blocks.append(plan)
