@@ -22,6 +22,8 @@ from schemas.arrays import Float
 STIFFNESS = "stiffness_n_per_mm"
 _LOADINGS = {"mechanical": 0, "joint": 1, "electrical": 2}
 _METHODS = {"forward": 0, "corrected": 1, "time_domain": 2}
+_IN_99_OF_100 = 2.326
+"""Standard deviations of a normal number that one in a hundred exceeds."""
 
 
 def choice(fits: Sequence[Row]) -> Row | None:
@@ -51,19 +53,29 @@ def extended(fits: Sequence[Row], chosen: Row) -> Row | None:
 
 
 def noise_limit(fit: Row) -> float:
-    """Largest reduced χ² that noise alone reaches in 99 of 100 fits with as many degrees of freedom.
+    """Largest reduced χ² that noise alone reaches in 99 of 100 fits with as many degrees of freedom."""
+    return _noise_quantile(fit, _IN_99_OF_100)
+
+
+def _noise_quantile(fit: Row, deviations: float) -> float:
+    """Reduced χ² of noise alone that many standard deviations from its middle.
 
     Wilson and Hilferty's normal approximation; each fitted line has two components.
     """
     lines = fit["frequency_lines"] or 1
     freedom = max(1, 2 * lines - (2 * fit["model_order"] + 1))
     spread = 2 / (9 * freedom)
-    return float((1 - spread + 2.326 * math.sqrt(spread)) ** 3)
+    return float(max(1 - spread + deviations * math.sqrt(spread), 0.0) ** 3)
 
 
 def beyond_noise(fit: Row) -> bool:
     """The residual of the fit is no noise."""
     return fit["reduced_chi2"] is not None and fit["reduced_chi2"] > noise_limit(fit)
+
+
+def less_than_noise(fit: Row) -> bool:
+    """The model leaves less than noise of the stated size would: the errors that the fit reckoned with are too large."""
+    return fit["reduced_chi2"] is not None and fit["reduced_chi2"] < _noise_quantile(fit, -_IN_99_OF_100)
 
 
 def no_relaxation(fit: Row) -> bool:

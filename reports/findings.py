@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from reports.blocks import Next, Piece, code, flow, listed, name, sub, tag
-from reports.evidence import Standing, beyond_noise, no_relaxation
+from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxation
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
@@ -18,6 +18,7 @@ from schemas.mechanisms import MECHANISMS, UNLISTED, cause, model_name, plain_na
 from schemas.numbers import NBSP, capital, compact, p_equals, percent, pm, significant, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
+LESS_THAN_NOISE = "the model leaves less than the errors that the fit reckons with"
 
 
 def gain(diagnosis: Row) -> str:
@@ -69,6 +70,8 @@ def _residual_words(fit: Row) -> str:
         return ""
     if beyond_noise(fit):
         return f"the model leaves {significant(fit['reduced_chi2'] ** 0.5, 2)} times the noise"
+    if less_than_noise(fit):
+        return LESS_THAN_NOISE
     return "what the model leaves is noise"
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from reports.evidence import Standing, choice, told, unasked
+from reports.evidence import Standing, choice, less_than_noise, told, unasked
 from reports.ledger import batches
 from reports.names import short
 from reports.results import Query, Results, Row, literal
@@ -36,7 +36,14 @@ class Brief:
     order: int | None
     """Arms of the fit; None where only a diagnosis is there."""
     chi2: float | None
+    less_than_noise: bool
+    """The fit leaves less than the errors that it reckoned with."""
     material: str
+
+    @property
+    def as_simulated(self) -> bool:
+        """A diagnosis was made and found nothing; a fit alone simulates no recording."""
+        return self.verdict == "none" and not self.alarm
 
 
 def of_campaign(results: Results, campaign: str, recordings: Sequence[Row]) -> list[Standing]:
@@ -124,5 +131,6 @@ def _brief(standing: Standing) -> Brief:
         bool(standing.unasked),
         None if fit is None else fit["model_order"],
         None if fit is None else fit["reduced_chi2"],
+        fit is not None and less_than_noise(fit),
         short(standing.material, 30) if standing.material else "",
     )

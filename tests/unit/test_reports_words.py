@@ -9,7 +9,7 @@ import pytest
 from reports import findings
 from reports.evidence import Standing
 from reports.pages.campaign.lives import decisive
-from reports.pages.index.page import tally
+from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
 from reports.pages.specimen import models
 from schemas import mechanisms
@@ -153,7 +153,7 @@ def test_a_night_that_makes_what_is_known_again_says_so() -> None:
     run = {"ingested": 230, "quarantined": 2, "duplicates": 1, "reused": 0, "pending": 0, "unmapped": 0, "failed": 0}
     known = {("ok", False): 229, ("damaged", False): 1, ("quarantined", False): 2, ("duplicate", False): 1}
     found = {c.text: c.number for c in tally(run, known)}
-    assert found["known, made again"] == "232"
+    assert (found["known, made again"], found["✕ refused"]) == ("230", "2")
     new = {(status, True): count for (status, _), count in known.items()}
     assert "known, made again" not in {c.text for c in tally(run, new)}
 
@@ -174,3 +174,17 @@ def test_no_order_is_the_last_only_because_nobody_tried_on(chosen: int, p: float
         for n in (1, 2, 3)
     ]
     assert plain(models._order_heading(fits, fits[chosen - 1])) == heading
+
+
+def test_a_night_with_nothing_new_still_tells_of_what_stands_refused() -> None:
+    """The exit status is 3 for a file that was refused the night before; the index said "all done" beside it."""
+    run = dict.fromkeys(TABLES["runs"].names) | {
+        "found": 3, "ingested": 0, "quarantined": 1, "damaged": 0, "duplicates": 0, "reused": 3, "pending": 0, "unmapped": 0,
+        "failed": 0, "without_result": 0,
+    }  # fmt: skip
+    found = {c.text: c.number for c in tally(run, {("ok", False): 2, ("quarantined", False): 1})}
+    assert (found["✕ refused"], found["unchanged, reused"]) == ("1", "3")
+    assert "known, made again" not in found
+    assert plain(end_in_words(run)) == "done, 1 refused"
+    assert plain(end_in_words(run | {"damaged": 2, "failed": 1})) == "done, 1 refused, 2 damaged and 1 analysis failed"
+    assert plain(end_in_words(run | {"quarantined": 0})) == "all done"

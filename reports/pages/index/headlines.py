@@ -22,6 +22,7 @@ from reports.blocks import (
 )
 from reports.evidence import Standing, curve, drawable, measured
 from reports.figures.responses import response
+from reports.findings import LESS_THAN_NOISE
 from reports.names import short
 from reports.pages.campaign import lives
 from reports.pages.index import control
@@ -29,7 +30,7 @@ from reports.pages.specimen import comparing_models, film
 from reports.site import CONTROL, SPECIMENS, Site
 from reports.standings import Brief, of_lab
 from schemas.mechanisms import cause
-from schemas.numbers import capital, digits, significant, word
+from schemas.numbers import capital, counted, digits, significant, word
 
 _WIDE = 2
 """Findings that get a figure; the others are a paragraph."""
@@ -81,19 +82,47 @@ def section(site: Site, standings: Sequence[Brief], survival: Sequence[tuple[str
     return Section("findings", "Findings", "Findings", (*((counts,) if counts else ()), Findings(tuple(items))))
 
 
+def standing_in_words(standings: Sequence[Brief]) -> str:
+    """How the specimens stand, for the headline of the night: each is counted once, and nothing of one is said that was not asked."""
+    alarms = sum(s.alarm for s in standings)
+    simulated = sum(s.as_simulated for s in standings)
+    undiagnosed = len(standings) - alarms - simulated
+    if simulated and simulated == len(standings):
+        return (
+            "one specimen behaves as simulated"
+            if simulated == 1
+            else f"all {word(simulated)} specimens behave as simulated"
+        )
+    parts = []
+    if alarms:
+        parts.append(f"{counted(alarms, 'specimen')} {'needs' if alarms == 1 else 'need'} a look")
+    if simulated:
+        parts.append(
+            f"{counted(simulated, 'specimen') if not parts else word(simulated)} {'behaves' if simulated == 1 else 'behave'} as simulated"
+        )
+    if undiagnosed:
+        who = word(undiagnosed) if parts else counted(undiagnosed, "specimen")
+        parts.append(f"{who} {'is' if undiagnosed == 1 else 'are'} fitted, not diagnosed")
+    return "; ".join(parts)
+
+
 def _verdicts(standings: Sequence[Brief]) -> Text | None:
-    """How many specimens were diagnosed, and with which verdict; those that could not be asked too."""
+    """How many specimens were diagnosed, and with which verdict; those that were not, or could not be asked, too."""
     asked = [s for s in standings if s.verdict]
+    without = len(standings) - len(asked)
     mute = sum(s.unasked for s in standings)
     if not asked and not mute:
         return None
     parts: list[Piece] = [
         flow(f"{sum(s.verdict == verdict for s in asked)} ", tag(verdict))
         for verdict in ("named", "ambiguous", "unknown", "none")
+        if asked
     ]
-    if mute:
-        parts.append(f"{mute} could not be asked")
-    return Text(flow(f"{capital(digits(len(asked), 'specimen'))} diagnosed: ", separated(parts), "."), "sub")
+    if without:
+        said = f", {mute} of them could not be asked: their pages say why" if mute else ""
+        parts.append(f"{digits(without, 'specimen')} without a diagnosis{said}")
+    begin = f"{capital(digits(len(asked), 'specimen'))} diagnosed: " if asked else ""
+    return Text(flow(begin, separated(parts), "."), "sub")
 
 
 def _out_of_control(site: Site) -> list[Finding]:
@@ -161,7 +190,7 @@ def _evidence_figure(site: Site, standing: Standing) -> Figure | None:
     curves = [curve(fit, found, lines, standing.stated)]
     image = response(lines, None, curves, phase=False, alt=alt, alarm=True)
     return Figure(
-        image, flow(bold("Response and residual"), " of the plain model. ", film.misfit_elsewhere(fit, curves))
+        image, flow(bold("Response and residual"), " of the fitted model. ", film.misfit_elsewhere(fit, curves))
     )
 
 
@@ -185,7 +214,14 @@ def _quiet(site: Site, standings: Sequence[Brief]) -> list[Finding]:
             by_order.setdefault(s.order, []).append(s)
     for order, group in sorted(by_order.items(), reverse=True):
         chi2 = [s.chi2 for s in group if s.chi2 is not None]
-        span = f"Reduced χ² {_span(chi2)}: nothing beyond the noise is left." if chi2 else ""
+        less = [s for s in group if s.less_than_noise]
+        span: Piece = f"Reduced χ² {_span(chi2)}: nothing beyond the noise is left." if chi2 else ""
+        if less:
+            span = flow(
+                f"Reduced χ² {_span(chi2)}. Of ",
+                _names(site, less),
+                f", {LESS_THAN_NOISE}: their ± are too large, and no test.",
+            )
         materials = sorted({s.material for s in group if s.material})
         about = f" ({', '.join(materials[:4])})" if materials else ""
         verb = "describes" if order == 1 else "describe"

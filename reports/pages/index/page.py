@@ -30,7 +30,7 @@ from reports.results import Query, moment
 from reports.results import Row as Record
 from reports.site import INDEX, SPECIMENS, Site
 from reports.standings import Brief, briefs, of_lab
-from schemas.numbers import NBSP, capital, counted, digits, seconds, whole, word
+from schemas.numbers import NBSP, capital, counted, digits, joined, seconds, whole, word
 
 _SPECIMENS_SHOWN, _MULTIPLES = 60, 24
 
@@ -60,7 +60,7 @@ def page(site: Site) -> Page:
         heading=headline(standings, survival, counts, trouble.count_without_result(site)),
         bar=site.bar("", INDEX),
         when=_night(run) if run else "",
-        sub=_sub(run, counts),
+        sub=_sub(run),
         opening=(Tally(tally(run, counts)),),
         sections=tuple(sections),
         provenance=(
@@ -105,22 +105,25 @@ def _counts(site: Site) -> dict[tuple[str, bool], int]:
 
 
 def tally(run: Record | None, counts: dict[tuple[str, bool], int]) -> tuple[Count, ...]:
-    """What came of the files that the last run found; nothing is left out because it is 0."""
+    """What came of the files that the last run found; nothing is left out because it is 0.
+
+    Refused and damaged are those that stand, new or known: the exit status and what the night printed count them too.
+    """
 
     def tonight(status: str) -> int:
         return counts.get((status, True), 0)
 
     def of_run(column: str, status: str) -> int:
-        value = run[column] if run is not None else None
+        value = run.get(column) if run is not None else None
         return int(value) if value is not None else tonight(status)
 
     came_in = [
         (tonight("ok"), "came in, whole", ""),
-        (tonight("damaged"), "▲ damaged, used in part", "damaged"),
-        (tonight("quarantined"), "✕ refused", "refused"),
+        (of_run("damaged", "damaged"), "▲ damaged, used in part", "damaged"),
+        (of_run("quarantined", "quarantined"), "✕ refused", "refused"),
     ]
     # With other code or other constants of a rig, what is known is made again.
-    known = of_run("ingested", "ok") + of_run("quarantined", "quarantined") - sum(n for n, _, _ in came_in)
+    known = of_run("ingested", "ok") - tonight("ok") - tonight("damaged")
     entries = [
         *came_in,
         (of_run("duplicates", "duplicate"), "duplicate", ""),
@@ -151,19 +154,12 @@ def headline(
     counts : files by status, those of the last run apart
     silent : recordings and tables that were taken in and led to no result
     """
-    alarms = sum(s.alarm for s in standings)
-    fine = len(standings) - alarms
     total = sum(counts.values())
     also = f"; {counted(silent, 'recording')} led to no result" if silent else ""
-    if alarms:
-        need = "needs a look" if alarms == 1 else "need a look"
-        rest = f"; {counted(fine, 'behaves', 'behave')} as simulated" if fine else ""
-        return capital(f"{counted(alarms, 'specimen')} {need}{rest}{also}")
     clear = next((lives.headline(x) for _, x in survival if _clear(x)), "")
-    if standings and clear:
-        return capital(f"{_all(len(standings))} as simulated; {clear[:1] + clear[1:]}")
     if standings:
-        return capital(f"{_all(len(standings))} as simulated{also}")
+        rest = f"; {clear}" if clear and not any(s.alarm for s in standings) else also
+        return capital(f"{headlines.standing_in_words(standings)}{rest}")
     if clear:
         return capital(clear)
     if not total:
@@ -180,16 +176,12 @@ def headline(
     return capital(f"{counted(usable, 'recording')}, no model fitted yet{also}")
 
 
-def _all(count: int) -> str:
-    return "one specimen behaves" if count == 1 else f"all {word(count)} specimens behave"
-
-
 def _clear(found: lives.Lives) -> bool:
     best = lives.decisive(found.comparisons)
     return best is not None and best["p_value"] < 0.05
 
 
-def _sub(run: Record | None, counts: dict[tuple[str, bool], int]) -> Piece:
+def _sub(run: Record | None) -> Piece:
     if run is None:
         return flow("Start with ", code("dealab nightly RAW"), ".")
     parts: list[Piece] = [digits(run["found"] or 0, "file") + " found"]
@@ -197,17 +189,20 @@ def _sub(run: Record | None, counts: dict[tuple[str, bool], int]) -> Piece:
         parts.append(f"finished {run['finished_at']:%H:%M}{NBSP}UTC")
         if run["started_at"] is not None:
             parts.append("took " + seconds((run["finished_at"] - run["started_at"]).total_seconds()))
-    tonight = {status for (status, now), n in counts.items() if now and n}
-    bad = [w for s, w in (("quarantined", "refused"), ("damaged", "damaged")) if s in tonight]
-    if bad:
-        parts.append(f"done, some recordings were {' or '.join(bad)}")
-    elif run["failed"]:
-        parts.append("done, some items failed")
-    elif run["without_result"]:
-        parts.append(f"done, {counted(run['without_result'], 'recording')} led to no result")
-    else:
-        parts.append("all done")
+    parts.append(end_in_words(run))
     return separated(parts)
+
+
+def end_in_words(run: Record) -> str:
+    """How a night ended, as its exit status says: what was refused or damaged earlier and still stands counts."""
+    wanting = (
+        (run["quarantined"], "refused"),
+        (run["damaged"], "damaged"),
+        (run["failed"], "analysis failed" if run["failed"] == 1 else "analyses failed"),
+        (run["without_result"], "without a result"),
+    )
+    bad = [f"{whole(number)} {what}" for number, what in wanting if number]
+    return f"done, {joined(bad)}" if bad else "all done"
 
 
 def _specimens(site: Site, standings: Sequence[Brief]) -> Section | None:
