@@ -12,6 +12,7 @@ from reports.figures.palette import BETTER, INK, MODEL, SECOND, WRONG
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
 from reports.figures.svg import TICKS, Drawing
 from schemas.arrays import Complex, Float
+from schemas.numbers import significant
 
 _REACH = 8.0
 """Half height of the residual panel, SD: what lies beyond is drawn at its edge."""
@@ -20,6 +21,8 @@ _FLAT = 3.0
 _LEAST = 1e-30
 _SHRINKS = 0.5
 """A spacing below this share of the one before begins a new row of windows."""
+_BOLD_WIDTH, _APART = 7.9, 8.0
+"""Width of a bold letter of the widest common font, and space between two texts of one line, px."""
 _MOST_EDGES = 4
 """More would be no edges but a scatter of places."""
 
@@ -105,14 +108,14 @@ def _residuals(panel: Panel, data: Compared) -> None:
     panel.level(0)
     drawing = panel.drawing
     panel.held(data.residual_x, data.residual(data.plain), WRONG, 3.8, open_=True)
-    drawing.text(panel.left, panel.top - 9, "Residual, SD of the noise")
+    drawing.text(panel.left, panel.top - 9, "Residual, SD")
     words = f"○ plain: {_times(data.rms(data.plain))}"
     x = panel.right
     if data.extended is not None:
         panel.held(data.residual_x, data.residual(data.extended), BETTER, 3.4)
         text = f"● extended: {_times(data.rms(data.extended))}"
         drawing.text(x, panel.top - 9, text, colour=BETTER, anchor="end", bold=True)
-        x -= 7.2 * len(text)
+        x -= _BOLD_WIDTH * len(text) + _APART
     drawing.text(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
 
 
@@ -137,4 +140,6 @@ def _reach(data: Compared) -> float:
 
 def _times(rms: float) -> str:
     """So many times the noise, short enough to stand beside the title."""
+    if rms >= 1e5:
+        return significant(rms, 2)
     return f"{rms:.1f}" if rms < 99.5 else f"{rms:.0f}"

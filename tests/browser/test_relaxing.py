@@ -20,12 +20,13 @@ K0, SPRING, DAMPER = synthetic_lab.SILICONE[0], 0.4, 0.8
 TAU = DAMPER / SPRING
 
 
-def lab_with_a_step(folder: Path, *, ramp: float, wrong: float = 1.0) -> Path:
+def lab_with_a_step(folder: Path, *, ramp: float, wrong: float = 1.0, sweeps: bool = True) -> Path:
     """A film (one arm, 2 s) that is pulled by 0.5 mm in `ramp` s and held; the stored model's arm is `wrong` times the true one."""
     story = synthetic_lab.Story()
     story.recording("R-1_step", "R-1", "step", "mechanical", duration_s=40.0)
     model = (K0, (SPRING * wrong,), (DAMPER * wrong,))
-    story.responses("R-1", model, ["R-1_step"])
+    if sweeps:
+        story.responses("R-1", model, ["R-1_step"])
     story.fits("R-1", model)
     t = np.linspace(0, 40, 2000)
     moved = 0.5 * np.clip((t - 2) / ramp, 0, 1)
@@ -111,7 +112,17 @@ def test_a_model_that_relaxes_otherwise_is_seen(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(off**2)) > 0.05
 
 
+def test_a_specimen_of_relaxations_alone_has_its_figure(tmp_path: Path) -> None:
+    """Its page showed parameters, and no picture of what they were fitted to."""
+    lab = lab_with_a_step(tmp_path, ramp=0.1, sweeps=False)
+    assert "model_n_per_mm" in drawn(lab, "specimens")
+    assert "The film relaxes from" in (lab / "reports" / "specimens" / "R-1.html").read_text()
+
+
 def test_the_recordings_own_page_draws_it_without_a_model(tmp_path: Path) -> None:
-    data = drawn(lab_with_a_step(tmp_path, ramp=0.1), "recordings")
+    lab = lab_with_a_step(tmp_path, ramp=0.1)
+    data = drawn(lab, "recordings")
+    assert "line: the model" in (lab / "reports" / "specimens" / "R-1.html").read_text()
+    assert "line: the model" not in (lab / "reports" / "recordings" / "R-1_step.html").read_text()
     assert set(data) == {"time_s", "stiffness_n_per_mm"}
     assert np.all(np.diff(data["time_s"]) > 0)

@@ -109,3 +109,20 @@ def test_values_without_a_place_give_no_figure() -> None:
 def test_an_unknown_kind_is_called_what_it_is() -> None:
     assert kind_of("loop.phase").words == "loop phase"
     assert all(kind.title and kind.column for kind in KINDS.values())
+
+
+@pytest.mark.parametrize("off", [1.0, 1e3, 1e6, 1e9])
+def test_words_above_the_residuals_do_not_run_into_each_other(off: float) -> None:
+    """A bold letter is up to two thirds of its size wide; "plain: 357" and "extended: 1.3" touched."""
+    measured = np.arange(1.0, 9.0) + 0j
+    data = compared("chirp.response", sweep(measured, measured + off, measured + 0.1), together=False)
+    assert data is not None
+    texts = re.findall(
+        r'<text x="([\d.]+)"[^>]*>([^<]*(?:Residual|plain:|extended:)[^<]*)<', svg(comparison(data, alt="a"))
+    )
+    (_, title), *ends = sorted((float(x), text) for x, text in texts)
+    assert title.startswith("Residual")
+    left = 52 + 6.6 * len(title)
+    for x, text in ends:
+        assert x - 7.9 * len(text) > left
+        left = x

@@ -327,7 +327,11 @@ def _film(draft: Draft, d: Record) -> list[Block]:
     heads = (Head("Parameter"), Head("Unit"), Head("Plain", "n"), Head("Extended", "n"), Head("Moved by, SD", "n"))
     moved = max((r["moved_sd"] for r in found if r["moved_sd"] is not None), default=0.0)
     note = "ignoring the cause biases the film" if moved > 2 else "the film stays where it was"
-    table = Table("The film in the plain and in the extended model", heads, rows, query.shown(), note, kind="narrow")
+    below = (
+        "Plain: fitted without the cause to all that the diagnosis simulates, mean forces, harmonics and rests too. The model that"
+        " is fitted to the responses alone is another one; its parameters stand above."
+    )
+    table = Table("The film in the plain and in the extended model", heads, rows, query.shown(), note, below, "narrow")
     return [table]
 
 

@@ -130,7 +130,7 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
     )  # fmt: skip
     filed = {c: _filed(stated, c) for c in _RIG if _filed(stated, c) and chosen[c] is not None}
     rows = [Row(cells) for cells in _parameter_rows(chosen, after, filed)]
-    heads = [Head("Parameter"), Head("Unit"), Head("Value" if after is None else "Plain", "n")]
+    heads = [Head("Parameter"), Head("Unit"), Head("Value" if after is None else "Fitted", "n")]
     if after is not None:
         heads += [Head("Extended", "n"), Head("Moved by, SD", "n")]
     heads.append(Head("Relaxation time, s", "n"))
@@ -138,7 +138,7 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
         heads.append(Head("In the file", "n"))
     caption = f"{capital(model_name(chosen['model_order']))} model"
     if after is not None:
-        caption += ", plain and extended"
+        caption += ", as fitted and as the diagnosis extends it"
     table = Table(
         caption,
         tuple(heads),
@@ -229,7 +229,13 @@ def _parameter_note(chosen: Record, after: Record | None) -> Markup:
     if beyond_noise(chosen):
         parts.append(" The residual is not noise, so ± does not hold all of the error.")
     if after is not None:
-        parts.append(flow(" Extended by ", code(after["extension"]), "."))
+        parts.append(
+            flow(
+                " Extended by ", code(after["extension"]), ". The fitted model rests on the responses alone; the plain model of the"
+                " diagnosis is another fit, to all that it simulates (mean forces, harmonics and rests too), and its parameters"
+                " stand there.",
+            )
+        )  # fmt: skip
     if chosen["modulus_mpa"]:
         parts.append(" Modulus: k₀ times stretched length over stretched area, geometry taken as exact.")
     if chosen["warnings"]:

@@ -129,8 +129,10 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         candidates += [electrical.response(draft, fits, chosen, voltage, constants), unused.section(draft)]
     elif recorded("cycle_fits") and chosen and chosen["method"] == "time_domain":
         candidates.append(cycles.of_specimen(draft))
-    elif chosen:
-        candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
+    else:
+        candidates.append(relaxing.of_specimen(draft, recordings, chosen))
+        if chosen:
+            candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
     if has("order_ladders"):
         candidates.append(ladder.section(draft))
     if has("predictions"):

@@ -95,6 +95,7 @@ def _figure(draft: Draft, course: Course, name: str) -> Figure:
     who = short(course.recording, 40)
     words = f"{compact(course.time[0], 1)} to {compact(course.time[-1], 2)}{NBSP}s after the step"
     off = "" if course.off is None else f", the model off by {percent(course.off)} (root mean square)"
+    line = "" if course.model is None else "; line: the model with the load cell in series"
     value = "stiffness_n_per_mm" if course.unit else "output_per_input"
     columns: dict[str, Any] = {"time_s": course.time, value: course.stiffness}
     if course.model is not None:
@@ -105,8 +106,7 @@ def _figure(draft: Draft, course: Course, name: str) -> Figure:
         ),
         flow(
             bold("Relaxation."),
-            f" {who}: {words}{off}. Points: {course.made_from}; line: the model with the load cell in"
-            " series; not drawn while the ramp lasts.",
+            f" {who}: {words}{off}. Points: {course.made_from}{line}; nothing is drawn while the ramp lasts.",
         ),
         draft.data(name, columns),
     )  # fmt: skip
