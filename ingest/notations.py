@@ -81,6 +81,8 @@ _NUMBER = re.compile(
     rf"(?P<exponent>[eEdD][+-]?\d{{1,3}}|[+-]\d{{3}})?(?P<unit>[{_BLANKS}]*[^\d{_BLANKS}.,'’+-][^\d]{{0,11}}\d?)?"
 )
 _LIKE_A_NUMBER = re.compile(r"[^\w\s]{0,3}\s*[.,]?\d")
+_MOST = 20
+"""So many times more fractions with the decimal mark of the mapping than cells with the other one: the mapping is right."""
 ALIKE = 3
 _SHARE = 0.2
 """Cells that are not understood are a notation when this many, and this share of them, are written alike: of cells that
@@ -206,6 +208,8 @@ def read_column(
     found = {text: read_cell(text, decimal, thousands) for text in dict.fromkeys(texts)}
     first = dict(zip(reversed(texts), reversed(rows.tolist()), strict=True))
     grouped = any(w is not None and w.notation == THOUSANDS for w in found.values())
+    fractions = int(np.count_nonzero(np.isfinite(values) & (values % 1 != 0)))
+    other_mark = sum(_OTHER_MARK.fullmatch(text) is not None for text in texts)
     unknown: Counter[str] = Counter()
     nothing = 0
     example = ""
@@ -219,7 +223,7 @@ def read_column(
             example = example or text
             continue
         if cell.notation == AMBIGUOUS and not grouped:
-            raise _two_meanings(text, row, column, decimal, where)
+            raise _two_meanings(text, row, column, decimal, where, alike=other_mark, fractions=fractions)
         values[row] = cell.value
         if math.isnan(cell.value):
             nothing += 1
@@ -232,7 +236,7 @@ def read_column(
         notations.setdefault(THOUSANDS if cell.notation == AMBIGUOUS else cell.notation, []).append(row)
     for text in unknown:
         if _OTHER_MARK.fullmatch(text):
-            raise _two_meanings(text, first[text], column, decimal, where)
+            raise _two_meanings(text, first[text], column, decimal, where, alike=other_mark, fractions=fractions)
     _check_understood(unknown, first, values.size, column, where)
     return Numbers(
         values,
@@ -246,12 +250,22 @@ def read_column(
     )
 
 
-def _two_meanings(text: str, row: int, column: ColumnName, decimal: str, where: str) -> RefusedError:
+def _two_meanings(
+    text: str, row: int, column: ColumnName, decimal: str, where: str, *, alike: int, fractions: int
+) -> RefusedError:
+    """`alike` cells hold the other mark, `fractions` are written with the mark of the mapping: where these are most, the cells are wrong."""
+    few = fractions > _MOST * alike
+    others = f'; {fractions} others are fractions with "{decimal}"' if few else ""
+    cells = "this cell" if alike == 1 else f"these {alike} cells"
     return RefusedError(
-        f'column {column_label(column)} holds "{text[:40]}" in row {row + 1} of the data',
+        f'column {column_label(column)} holds "{text[:40]}" in row {row + 1} of the data{others}',
         where=where,
         expected=f'numbers with the decimal mark "{decimal}", without thousands separators unless thousands names one',
-        remedy="Correct decimal in the mapping TOML, or give thousands beside it",
+        remedy=(
+            f"Correct {cells} in the file, or name the text in missing of the mapping TOML; give thousands if it groups digits"
+            if few
+            else "Correct decimal in the mapping TOML, or give thousands beside it"
+        ),
     )
 
 

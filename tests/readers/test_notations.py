@@ -295,3 +295,17 @@ def test_select_takes_one_run_of_several(tmp_path: Path) -> None:
     assert by_rate.channels[0].time_ns[0] == raw.channels[0].time_ns[0]
     with pytest.raises(RefusedError, match=r"no row has \[3\]"):
         taken(tmp_path / "run.csv", {"csv": {}, "select": [{"column": "run", "equals": 3}]})
+
+
+@pytest.mark.parametrize("cell", ["349.90", "349.901"])
+def test_one_cell_with_the_other_mark_is_to_be_corrected_itself(tmp_path: Path, cell: str) -> None:
+    """Of a thousand cells with a decimal comma one had a point: the advice was to correct the mapping's decimal."""
+    cells = [f"{i},5" for i in range(1000)]
+    cells[700] = cell
+    with pytest.raises(RefusedError) as caught:
+        read(tmp_path / "a.csv", cells, csv={"decimal": ","})
+    assert '701 of the data; 999 others are fractions with ","' in caught.value.problem
+    assert caught.value.remedy.startswith("Correct this cell in the file")
+    with pytest.raises(RefusedError) as caught:
+        read(tmp_path / "b.csv", [f"{i}.25" for i in range(100)] + ["1,5"], csv={"decimal": ","})
+    assert caught.value.remedy.startswith("Correct decimal in the mapping")
