@@ -1,7 +1,9 @@
 """Lives of specimens from a table: failures, survivors as people write them, and rows that say neither.
 
 Whether a life is a failure tells the column `failed` (or `censored`), or the life itself (`> 3600`, `3600+`, `≥ 3600`).
-Where a table has neither, every life is a failure, which a note says. A row that is not understood refuses the table:
+Where a table has neither, every life is a failure, which a note says. A failure found at an inspection lies between two of
+them (`alive_at`, `lifetime`), one that nobody saw alive is left-censored (`< 3600`), a specimen may come under watch late
+(`entered`). A row that is not understood refuses the table:
 without it the failures alone would be left, or the survivors counted as failures.
 """
 
@@ -11,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ingest.plausible import find_unbelievable
 from ingest.select import same_cell
@@ -18,15 +21,21 @@ from ingest.table_rows import TableRows, cell_text
 from schemas.arrays import Bool, Float
 from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
+from schemas.lifetimes import OTHER, classify_failure_mode
 from schemas.units import conversion
 
 
 @dataclass(frozen=True)
 class Lives:
-    """Of the selected rows: `life_s` (n,), NaN where a row has none and is left out; `failed` (n,)."""
+    """Of the selected rows: `life_s` (n,), NaN where a row has none and is left out; `failed` (n,).
+
+    `alive_at_s` (n,) NaN where a life is exact or right-censored; `entered_s` (n,) NaN where it was watched from its start.
+    """
 
     life_s: Float
     failed: Bool
+    alive_at_s: Float
+    entered_s: Float
 
 
 def read_lives(table: TableRows) -> Lives:
@@ -42,21 +51,25 @@ def read_lives(table: TableRows) -> Lives:
         )
     bounds = np.array([numbers.bounds.get(int(row), 0) for row in rows], dtype=np.int8)
     cells = [cell_text(cell) or "" for cell in table.cells("lifetime")]
-    flags = _flags(table)
-    failed = bounds == 0 if flags is None else flags
+    flags, earlier = _flags(table, bounds)
+    failed = bounds <= 0 if flags is None else flags
+    alive = table.numbers_or("alive_at", "s", None, seconds.size)
+    entered = table.numbers_or("entered", "s", None, seconds.size)
     planned = _planned(table, seconds.size)
     lives = seconds.copy()
     blank = []
+    filled = 0
     for i, row in enumerate(rows.tolist()):
         shown = f'the life is "{cells[i][:40]}"'
-        if bounds[i] < 0:
-            raise table.refused_row(
-                row, f"{shown}: it is left-censored, only known to be shorter", "failures and right-censored lives"
-            )
+        if bounds[i] < 0 and not failed[i]:
+            raise table.refused_row(row, f"{shown}, and the specimen has survived", "one of the two")
         if bounds[i] > 0 and failed[i]:
             raise table.refused_row(row, f"{shown}, and the specimen has failed", "one of the two")
-        if math.isnan(lives[i]) and not failed[i] and math.isfinite(planned[i]):
+        if math.isnan(lives[i]) and not cells[i] and alive[i] > 0 and (flags is None or not failed[i]):
+            lives[i], failed[i] = alive[i], False
+        elif math.isnan(lives[i]) and not failed[i] and math.isfinite(planned[i]):
             lives[i] = planned[i]
+            filled += 1
         elif math.isnan(lives[i]) and (cells[i] or not failed[i]):
             raise table.refused_row(
                 row,
@@ -69,11 +82,19 @@ def read_lives(table: TableRows) -> Lives:
             blank.append(row + 1)
         elif lives[i] < 0 or not math.isfinite(lives[i]):
             raise table.refused_row(row, f"{shown}: {lives[i]:g} s", "a life not below 0")
+        alive[i] = _last_seen_alive(table, row, shown, alive[i], lives[i], bool(failed[i]), bool(earlier[i]))
+        if entered[i] < 0 or entered[i] >= lives[i]:
+            raise table.refused_row(
+                row,
+                f"{shown}, and it came under watch at {entered[i]:g} s",
+                "an age not below 0 and before the end of the life",
+            )
+        entered[i] = entered[i] if entered[i] > 0 else math.nan
     if blank:
         table.problems.append(
             f"{len(blank)} of {lives.size} rows have no life, or survived 0 s (row {blank[0]}): left out"
         )
-    filled = int((np.isnan(seconds) & ~np.isnan(lives)).sum())
+    _note_inspections(table, alive, entered)
     if filled:
         table.notes.append(f"{filled} survivors have no life of their own: taken as the planned duration of their test")
         table.assumptions.append(
@@ -85,14 +106,47 @@ def read_lives(table: TableRows) -> Lives:
             )
         )
     if flags is None:
-        survivors = int((bounds > 0).sum())
+        survivors = int((~failed).sum())
         table.notes.append(
             f"no column says which specimens failed: {survivors} lives are written as survived, the others count as"
             " failures"
         )
         because = "no column says which specimens failed"
         table.assumptions.append(Assumption("lives that are not written as survived", "failures", because, "survival"))
-    return Lives(lives, failed)
+    return Lives(lives, failed, alive, entered)
+
+
+def _last_seen_alive(
+    table: TableRows, row: int, shown: str, alive: float, life: float, failed: bool, earlier: bool
+) -> float:
+    """When the specimen was last found alive in s where its failure is only known to lie after that; NaN else."""
+    if alive < 0 or alive > life:
+        raise table.refused_row(
+            row,
+            f"{shown}, and it was seen alive at {alive:g} s, after that",
+            "an inspection before the life, not below 0",
+        )
+    if not failed or alive == life:
+        return math.nan
+    if earlier:
+        if alive > 0:
+            raise table.refused_row(
+                row, f"{shown}: it is left-censored, and was seen alive at {alive:g} s", "one of the two"
+            )
+        return 0.0
+    return alive
+
+
+def _note_inspections(table: TableRows, alive: Float, entered: Float) -> None:
+    known = int(np.isfinite(alive).sum())
+    if known:
+        left = int((alive == 0).sum())
+        table.notes.append(
+            f"{known} failures are only known to lie between inspections, {left} of them before the first"
+        )
+    late = int(np.isfinite(entered).sum())
+    if late:
+        table.notes.append(f"{late} specimens came under watch late: those that failed before are not in the table")
 
 
 def _planned(table: TableRows, count: int) -> Float:
@@ -100,8 +154,12 @@ def _planned(table: TableRows, count: int) -> Float:
     return table.numbers_or("test_duration", "s", table.metadata.test_duration_s, count)
 
 
-def _flags(table: TableRows) -> Bool | None:
-    """(n,) true for a failure, false for a life that is only known to be longer; None where no column says it."""
+def _flags(table: TableRows, bounds: NDArray[np.int8]) -> tuple[Bool | None, Bool]:
+    """(n,) true for a failure, None where no column says it; and (n,) true for one that came earlier than the life says.
+
+    `bounds` (n,) is below 0 where the life itself is written as an upper bound.
+    """
+    earlier = bounds < 0
     given = [name for name in ("failed", "censored") if name in table.mapping.columns]
     source = table.mapping.source or table.where
     if len(given) != 1:
@@ -109,10 +167,10 @@ def _flags(table: TableRows) -> Bool | None:
             raise RefusedError(
                 "columns.failed and columns.censored are both mapped", where=source, expected="one of them"
             )
-        return None
+        return None, earlier
     name = given[0]
     meanings = table.mapping.columns[name].meanings
-    if not meanings.get("failed") and not meanings.get("censored"):
+    if not any(meanings.get(key) for key in ("failed", "censored", "left_censored")):
         raise RefusedError(
             f"columns.{name} does not say which values mean what",
             where=source,
@@ -130,12 +188,42 @@ def _flags(table: TableRows) -> Bool | None:
                 expected="each value in one of failed_values and censored_values",
                 remedy=f"Correct [columns.{name}] in the mapping TOML",
             )
-        if means[0] == "left_censored":
-            raise table.refused_row(
-                int(table.row_numbers[i]) - 1,
-                "it is left-censored: its life is only known to be shorter",
-                "failures and right-censored lives",
-                "Survival curves from left-censored lives are not estimated here",
+        failed[i] = means[0] != "censored"
+        earlier[i] |= means[0] == "left_censored"
+    return failed, earlier
+
+
+def read_failure_modes(table: TableRows) -> list[tuple[str | None, str | None]]:
+    """The failure mode of each selected row and what the table calls it; (None, None) where it says nothing.
+
+    Words that neither the mapping nor `schemas.lifetimes` knows are `other`, which a note says.
+    """
+    if "failure_mode" not in table.mapping.columns:
+        return [(None, None)] * int(table.rows.sum())
+    meanings = table.mapping.columns["failure_mode"].meanings
+    found: list[tuple[str | None, str | None]] = []
+    unknown: dict[str, None] = {}
+    for i, cell in enumerate(table.cells("failure_mode")):
+        written = cell_text(cell)
+        if not written:
+            found.append((None, None))
+            continue
+        said = [mode for mode, values in meanings.items() if any(same_cell(cell, value) for value in values)]
+        if len(said) > 1:
+            raise RefusedError(
+                f'"{written}" in row {table.row_numbers[i]} of the data means {" and ".join(said)}',
+                where=table.where,
+                expected="each value in one list",
+                remedy="Correct [columns.failure_mode] in the mapping TOML",
             )
-        failed[i] = means[0] == "failed"
-    return failed
+        mode = said[0] if said else classify_failure_mode(written)
+        if mode == OTHER and not said:
+            unknown[written] = None
+        found.append((mode, written))
+    if unknown:
+        shown = ", ".join(f'"{text[:40]}"' for text in list(unknown)[:5])
+        table.notes.append(
+            f"failure modes that no word tells count as other: {shown}; columns.failure_mode in the mapping may say what they"
+            " mean"
+        )
+    return found

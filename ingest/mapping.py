@@ -40,6 +40,7 @@ from ingest.mapping_keys import (
     unknown,
 )
 from ingest.toml_files import content_hash, load_toml
+from schemas.lifetimes import FAILURE_MODES
 from schemas.quantities import QUANTITIES
 
 FOLDER_FILE = "recordings.toml"
@@ -63,7 +64,7 @@ class ColumnMapping:
 
     `metadata` holds the channel's own keys (`sensor`, `delay_s`, `resolution`, `filter_hz`) as text, as MCAP has them.
     `value` stands for a column that is the same in every row (tables only); `meanings` says which cell values mean
-    failed, censored and left-censored (column `failed` of lifetime tables only). `says_scale`: the mapping gives a scale
+    failed, censored and left-censored, or which failure mode (columns of lifetime tables). `says_scale`: the mapping gives a scale
     or offset, be it 1 or 0.
     """
 
@@ -300,7 +301,7 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
             raise refused(source, f"{name}.{key} is {entry[key]}", "a number from 0")
     meanings = {
         key.removesuffix("_values"): tuple(entry[key])
-        for key in ("failed_values", "censored_values", "left_censored_values")
+        for key in (*_VALUES_OF_FAILED, *_VALUES_OF_MODES)
         if key in entry
     }
     return ColumnMapping(
@@ -358,7 +359,19 @@ def _used_of_time(time: Mapping[str, Any], chosen: str | None) -> Container[str]
     return ("zone", "origin") if time["origin"] == STARTED_AT else ("zone",)
 
 
-_WORDS = ("failed", "censored", "configuration", "specimen_id", "failure_site", "failure_region")
+_VALUES_OF_FAILED = ("failed_values", "censored_values", "left_censored_values")
+_VALUES_OF_MODES = tuple(f"{mode}_values" for mode in FAILURE_MODES)
+_WORDS = (
+    "failed",
+    "censored",
+    "configuration",
+    "specimen_id",
+    "failure_site",
+    "failure_region",
+    "failure_mode",
+    "electrode",
+    "batch",
+)
 """Columns of tables that hold words, and so have no unit."""
 
 
@@ -368,7 +381,9 @@ def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
     if name in (*_WORDS, "count"):
         unused += ["unit", "scale", "offset", "overrule_unit"]
     if name not in ("failed", "censored"):
-        unused += ["failed_values", "censored_values", "left_censored_values"]
+        unused += _VALUES_OF_FAILED
+    if name != "failure_mode":
+        unused += _VALUES_OF_MODES
     if "value" in column:
         unused += ["index", "overrule_unit"]
     return unused

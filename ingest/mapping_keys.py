@@ -135,6 +135,11 @@ TABLE_COLUMN: Mapping[str, Key] = {
     "failed_values": Key((list,), "column `failed`: cells that mean failed"),
     "censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be longer"),
     "left_censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be shorter"),
+    "film_values": Key((list,), "column `failure_mode`: cells that mean a failure of the film"),
+    "lead_values": Key((list,), "column `failure_mode`: cells that mean a failure at the lead"),
+    "edge_values": Key((list,), "column `failure_mode`: cells that mean a failure over or at the edge"),
+    "electrode_values": Key((list,), "column `failure_mode`: cells that mean a failure of the electrode"),
+    "other_values": Key((list,), "column `failure_mode`: cells that mean any other failure"),
 }
 """Keys of `columns.<name>` of a table."""
 SELECT: Mapping[str, Key] = {
@@ -145,10 +150,15 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     LIFETIMES: {
         "lifetime": "required; a unit of time",
         "failed": "`failed_values` and `censored_values` say which cells mean what: numbers are compared as numbers,"
-        " other cells as text, and a value in neither list refuses the table. No survival curve here can use"
-        " left-censored lives: they refuse it too. Where no column says it, a life written as survived (`> 3600`,"
-        " `3600+`) is censored and every other one a failure",
+        " other cells as text, and a value in none of the lists refuses the table; `left_censored_values` are lives that are"
+        " only known to be shorter. Where no column says it, a life written as survived (`> 3600`, `3600+`) is censored"
+        " and every other one a failure",
         "censored": "in place of `failed`, with the same keys",
+        "alive_at": "of a failure found at an inspection: the last inspection before it that found the specimen alive, 0 where"
+        " there was none (left-censored, as a life written `< 3600`); an empty cell: the life is exact. Without a life: alive"
+        " then, and not seen again",
+        "entered": "age at which the specimen came under watch, where specimens that failed earlier are not in the table;"
+        " an empty cell: from its start",
         "test_duration": "planned duration: the life of a survivor that has none of its own; absent: `test_duration_s`"
         " of `[recording]`",
         "count": "number of specimens that the row stands for; absent: one",
@@ -158,6 +168,14 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
         "breakdown_voltage": "of staircase tests",
         "failure_site": "absent: that of `[recording]`",
         "failure_region": "absent: that of `[recording]`",
+        "failure_mode": "in any words; `film_values`, `lead_values`, `edge_values`, `electrode_values` and `other_values` say what"
+        " they mean, else it is told from words such as pinhole, contact or flashover. What no word tells is `other`, which a"
+        " note says",
+        "temperature": "of the test",
+        "humidity": "relative humidity of the test, 0 to 1 or %",
+        "frequency": "Hz, of an alternating voltage",
+        "electrode": "material of the electrode",
+        "batch": "batch of film, or of specimens",
     },
     FREQUENCY_RESPONSE: {
         "frequency": "Hz or rad/s, the two are told apart; required but of UFF, whose sets have their own",

@@ -16,14 +16,14 @@ Rows are ordered by frequency or time; the same frequency or time twice is refus
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ingest.columns import ColumnFile
-from ingest.lives import read_lives
+from ingest.lives import read_failure_modes, read_lives
 from ingest.mapping import FileMapping
 from ingest.table_rows import TableRows, cell_text, ordered, standard_error, stiffness_scale
 from schemas.arrays import Complex, Float
@@ -100,6 +100,14 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
         for name in ("configuration", "failure_site", "failure_region")
     }
     _check_places(fixed, where)
+    modes = read_failure_modes(table)
+    conditions = {
+        "temperature": table.numbers_or("temperature", "degC", None, count),
+        "humidity": table.numbers_or("humidity", "1", None, count),
+        "frequency": table.numbers_or("frequency", "Hz", None, count),
+    }
+    _check_conditions(table, conditions)
+    electrodes, batches = (table.texts_or(name, None, count) for name in ("electrode", "batch"))
     rows = []
     for i in range(count):
         if math.isnan(lives.life_s[i]):
@@ -120,6 +128,15 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
                 failure_site=fixed["failure_site"][i],
                 failure_region=fixed["failure_region"][i],
                 test_duration_s=metadata.test_duration_s,
+                alive_at_s=_number_or_none(lives.alive_at_s[i]),
+                entered_s=_number_or_none(lives.entered_s[i]),
+                failure_mode=modes[i][0] if failed else None,
+                written_mode=modes[i][1],
+                temperature_c=_number_or_none(conditions["temperature"][i]),
+                humidity=_number_or_none(conditions["humidity"][i]),
+                frequency_hz=_number_or_none(conditions["frequency"][i]),
+                electrode=electrodes[i],
+                batch=batches[i],
             )
             for specimen in (name if copies[i] == 1 else f"{name}-{k}" for k in range(1, copies[i] + 1))
         ]
@@ -129,6 +146,20 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
         )
     _check_names(rows, where)
     return LifetimeTable(metadata, tuple(rows), *table.remarks, tuple(table.assumptions))
+
+
+def _check_conditions(table: TableRows, conditions: Mapping[str, Float]) -> None:
+    """Raises `RefusedError` for a condition of the test that no test can have."""
+    ranges = {
+        "temperature": (-273.15, math.inf, "above −273.15 °C"),
+        "humidity": (0.0, 1.0, "from 0 to 1 (or from 0 to 100 with the unit %)"),
+        "frequency": (0.0, math.inf, "not below 0 Hz"),
+    }
+    for name, values in conditions.items():
+        low, high, expected = ranges[name]
+        for i in np.flatnonzero((values < low) | (values > high))[:1]:
+            row = int(table.row_numbers[i]) - 1
+            raise table.refused_row(row, f"the {name} is {values[i]:g}", f"a {name} {expected}")
 
 
 def _copies(table: TableRows, count: int) -> list[int]:

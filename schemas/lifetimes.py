@@ -6,6 +6,9 @@ and statistics do not belong here.
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 END_OF_TEST = "end of test"
@@ -20,6 +23,29 @@ RAISED = "voltage raised after the fixed test"
 OUTSIDE_THE_FILM = ("lead", "none")
 """Sites of failures that the thickness of the film says nothing about. One whose site nobody noted may be in the film."""
 
+FILM, LEAD, EDGE, ELECTRODE, OTHER = "film", "lead", "edge", "electrode", "other"
+FAILURE_MODES = (FILM, LEAD, EDGE, ELECTRODE, OTHER)
+"""What failures are told apart by when modes compete, whatever a laboratory calls them."""
+_MODE_OF_SITE: Mapping[str, str] = {"rod": FILM, "active": FILM, "lead": LEAD, "edge": EDGE}
+_WORDS_OF_MODES: Mapping[str, tuple[str, ...]] = {
+    LEAD: ("lead", "leads", "contact", "wire", "cable", "connector", "feed", "tab", "terminal", "solder"),
+    EDGE: ("edge", "border", "rim", "margin", "flashover", "frame", "clamp"),
+    ELECTRODE: ("electrode", "electrodes", "carbon", "coating", "delamination", "delaminated", "conductivity"),
+    FILM: ("film", "membrane", "dielectric", "breakdown", "pinhole", "puncture", "punctured", "tear", "rod", "active"),
+}
+"""The first mode with a word in the text counts: "breakdown at the lead" is one of the lead."""
+
+
+def classify_failure_mode(written: str) -> str:
+    """The failure mode that a laboratory's own words mean; `other` where none of its words is known.
+
+    Parameters
+    ----------
+    written : as it stands in the table
+    """
+    words = set(re.findall(r"[a-z]+", written.lower()))
+    return next((mode for mode, known in _WORDS_OF_MODES.items() if words & set(known)), OTHER)
+
 
 @dataclass(frozen=True, kw_only=True)
 class LifetimeRow:
@@ -33,6 +59,13 @@ class LifetimeRow:
     switch-off, None where nobody asked (a table of lifetimes); `warnings` names that and all contradictions. The four
     probabilities are those of the causes of the fall of the voltage that ended the record (None where nothing fell);
     `evidence` says from what they come, `contradiction` what in the record speaks against the verdict.
+
+    Where a failure was only found at an inspection, `lifetime_s` is that inspection and `alive_at_s` the last one before
+    it that found the specimen alive (0: there was none, the life is left-censored); None: the life is known exactly, or
+    right-censored. `entered_s` is the age at which the specimen came under watch where that is not 0: one that had
+    failed before would not be in the table. `failure_mode` is one of `FAILURE_MODES`, `written_mode` what the table
+    says. `temperature_c`, `humidity` (0 to 1), `frequency_hz` (of an alternating voltage), `electrode` and `batch` are
+    what the life may depend on beside the voltage.
     """
 
     specimen_id: str
@@ -57,11 +90,35 @@ class LifetimeRow:
     evidence: str | None = None
     contradiction: str | None = None
     warnings: tuple[str, ...] = ()
+    alive_at_s: float | None = None
+    entered_s: float | None = None
+    failure_mode: str | None = None
+    written_mode: str | None = None
+    temperature_c: float | None = None
+    humidity: float | None = None
+    frequency_hz: float | None = None
+    electrode: str | None = None
+    batch: str | None = None
 
     @property
     def undecided(self) -> bool:
         """The record cannot tell whether the film broke down."""
         return self.decided is False
+
+    @property
+    def mode(self) -> str | None:
+        """The mode of a failure: as the table says, else that of the failure site; None where neither tells it."""
+        return (self.failure_mode or _MODE_OF_SITE.get(self.failure_site or "")) if self.failed else None
+
+    @property
+    def lower_s(self) -> float:
+        """What the life is known to be not shorter than, in s."""
+        return self.lifetime_s if self.alive_at_s is None or not self.failed else self.alive_at_s
+
+    @property
+    def upper_s(self) -> float:
+        """What the life is known to be not longer than, in s; infinite for a survivor."""
+        return self.lifetime_s if self.failed else math.inf
 
     @property
     def probabilities(self) -> dict[str, float]:

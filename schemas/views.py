@@ -48,14 +48,16 @@ ORDER BY specimen_id""",
     ),
     View(
         "survival_at",
-        "survival of each campaign's configurations and voltages at a time in s; NULL beyond the end of their follow-up",
+        "survival of each campaign's configurations and voltages at a time in s; NULL beyond the end of their follow-up, and"
+        " within an interval of inspection in which the curve falls",
         """
 SELECT configuration, voltage_kv, at_s::DOUBLE AS time_s,
-    CASE WHEN at_s > last_s AND final > 0 THEN NULL ELSE coalesce(last_value.survival, 1.0) END AS survival,
-    CASE WHEN at_s > last_s THEN NULL ELSE last_value.lower_95 END AS lower_95,
-    CASE WHEN at_s > last_s THEN NULL ELSE last_value.upper_95 END AS upper_95, campaign
+    CASE WHEN falling OR (at_s > last_s AND final > 0) THEN NULL ELSE coalesce(last_value.survival, 1.0) END AS survival,
+    CASE WHEN falling OR at_s > last_s THEN NULL ELSE last_value.lower_95 END AS lower_95,
+    CASE WHEN falling OR at_s > last_s THEN NULL ELSE last_value.upper_95 END AS upper_95, campaign
 FROM (
     SELECT campaign, configuration, voltage_kv, max(time_s) AS last_s, min(survival) AS final,
+        coalesce(bool_or(from_s < at_s AND at_s < time_s), false) AS falling,
         max_by({'survival': survival, 'lower_95': lower_95, 'upper_95': upper_95}, time_s)
             FILTER (WHERE time_s <= at_s) AS last_value
     FROM survival_curves

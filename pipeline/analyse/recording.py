@@ -113,7 +113,7 @@ def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Ana
     analysis = Analysis()
     if isinstance(table, LifetimeTable):
         analysis.carry(*table.rows)
-        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects(table.rows)})
+        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects(table.rows, failure_mode=lambda life: life.mode)})
     elif isinstance(table, RelaxationTable):
         curve = relaxation_of(table)
         analysis.carry(curve)
@@ -170,7 +170,7 @@ def _life(analysis: Analysis, recording: Recording) -> None:
     life = analysis.attempt("breakdown", detect_breakdown, recording)
     if life is not None:
         analysis.carry(life)
-        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects([life])})
+        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects([life], failure_mode=life.mode)})
         if life.contradiction:
             analysis.problems.append(f"breakdown: {life.contradiction}")
         if life.undecided:

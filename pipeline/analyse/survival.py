@@ -12,6 +12,8 @@ import numpy as np
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.fit.survival.groups import SurvivalGroup, SurvivalResults, survival_group
+from pipeline.fit.survival.kaplan_meier import KaplanMeier
+from pipeline.fit.survival.turnbull import Turnbull
 from pipeline.fit.survival.voltage_life import VoltageLife
 from schemas.lifetimes import LifetimeRow
 from schemas.tables import TABLES
@@ -68,8 +70,30 @@ def _residuals(campaign: str | None, configuration: str | None, law: VoltageLife
 
 
 def _curve(group: SurvivalGroup) -> pa.Table:
-    """The Kaplan–Meier rows, after a row at time 0 where nobody had failed yet (unless somebody did, at 0 s)."""
-    curve = group.curve
+    """The curve's rows, after a row at time 0 where nobody had failed yet (unless somebody did, at 0 s)."""
+    return _turnbull(group, group.curve) if isinstance(group.curve, Turnbull) else _kaplan_meier(group, group.curve)
+
+
+def _turnbull(group: SurvivalGroup, curve: Turnbull) -> pa.Table:
+    def column(first: float, values: np.ndarray) -> np.ndarray:
+        return np.concatenate((np.array([first], dtype=values.dtype), values))
+
+    return TABLES["survival_curves"].arrays(
+        curve.ends.size + 1,
+        campaign=group.campaign,
+        configuration=group.configuration,
+        voltage_kv=group.voltage_kv,
+        time_s=column(0.0, curve.ends),
+        at_risk=column(curve.specimens, curve.at_risk),
+        survival=column(1.0, curve.survival),
+        lower_95=column(np.nan, curve.lower),
+        upper_95=column(np.nan, curve.upper),
+        method="turnbull",
+        from_s=column(0.0, curve.begins),
+    )
+
+
+def _kaplan_meier(group: SurvivalGroup, curve: KaplanMeier) -> pa.Table:
     lead = int(curve.time[0] > 0)
 
     def column(first: float, values: np.ndarray) -> np.ndarray:
@@ -87,6 +111,8 @@ def _curve(group: SurvivalGroup) -> pa.Table:
         survival=column(1.0, curve.survival),
         lower_95=column(np.nan, curve.lower),
         upper_95=column(np.nan, curve.upper),
+        method="kaplan-meier",
+        from_s=column(0.0, curve.time),
     )
 
 

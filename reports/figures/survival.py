@@ -23,7 +23,10 @@ _FEW = 3
 
 @dataclass(frozen=True)
 class GroupCurve:
-    """Kaplan–Meier curve of a group at m times, and its Weibull law where one was fitted."""
+    """Survival curve of a group at m times, and its Weibull law where one was fitted.
+
+    `failures` says where the curve falls; where only inspections tell that, `inspected_failed` is how many failed in all.
+    """
 
     name: str
     drawn: Group
@@ -37,14 +40,15 @@ class GroupCurve:
     shape: float | None = None
     shape_sd: float | None = None
     scale: float | None = None
+    inspected_failed: int | None = None
+
+    @property
+    def failed(self) -> int:
+        return int(self.failures.sum()) if self.inspected_failed is None else self.inspected_failed
 
     @property
     def total(self) -> int:
         return int(self.at_risk[0]) if self.at_risk.size else 0
-
-    @property
-    def failed(self) -> int:
-        return int(self.failures.sum())
 
     def still_at_risk(self, time: float) -> int:
         """At risk just before `time`: those whose time is not below it."""

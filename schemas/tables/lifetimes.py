@@ -48,6 +48,20 @@ TABLES: tuple[Table, ...] = (
             text("contradiction", "what in the record speaks against the verdict: failure_site, current or force"),
             real("test_duration_s", "s", "planned duration of the test"),
             truth("staircase", "voltage raised before a fixed test was over: no life at one voltage"),
+            real(
+                "alive_at_s",
+                "s",
+                "last inspection that found it alive where lifetime_s is the one that found it failed (0: none); NULL: exact or"
+                " censored",
+            ),
+            real("entered_s", "s", "age at which it came under watch; NULL: from its start"),
+            text("failure_mode", "film, lead, edge, electrode or other; NULL for a survivor and where nobody noted it"),
+            text("written_mode", "the failure mode in the words of the table"),
+            real("temperature_c", "degC", "temperature of the test"),
+            real("humidity", "", "relative humidity of the test, 0 to 1"),
+            real("frequency_hz", "Hz", "frequency of an alternating voltage; NULL for a constant one"),
+            text("electrode", "material of the electrode"),
+            text("batch", "the batch of film, or of specimens"),
         ),
         key=("configuration", "voltage_kv", "lifetime_s", "specimen_id", "recording_id"),
         made_by=(MadeBy("recording"),),
@@ -55,7 +69,7 @@ TABLES: tuple[Table, ...] = (
     ),
     Table(
         "survival_curves",
-        "Kaplan-Meier curve per campaign, configuration and voltage",
+        "Kaplan-Meier curve per campaign, configuration and voltage; Turnbull's where failures were found at inspections",
         (
             CONFIGURATION,
             real("voltage_kv", "kV", "voltage"),
@@ -72,6 +86,12 @@ TABLES: tuple[Table, ...] = (
                 )
             ),
             CAMPAIGN,
+            text("method", "kaplan-meier or turnbull; of Turnbull's, failures and censored are NULL"),
+            real(
+                "from_s",
+                "s",
+                "where the fall to this survival begins: before time_s it is not known how far it has fallen",
+            ),
         ),
         key=("campaign", "configuration", "voltage_kv", "time_s"),
         made_by=(MadeBy("group", group="survival"),),

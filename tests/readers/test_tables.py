@@ -182,18 +182,25 @@ def test_keys_without_an_effect_are_errors(tmp_path: Path, changes: dict[str, An
             "failed and censored",
         ),
         ("t,f\n1,1\n", {"columns": {"failed": {"column": "f"}}}, "does not say which values"),
-        (
-            "t,f\n1,1\n2,0\n",
-            {"columns": {"failed": {"column": "f", "failed_values": [1], "left_censored_values": [0]}}},
-            "left-censored",
-        ),
         ("t,f,n\n1,1,a\n2,1,a\n", {"columns": {"specimen_id": {"column": "n"}}}, '"a" stands in two rows'),
         ("t,f\n,1\n0,0\n", {}, "no row has a life that says anything"),
         ("t,f\n1,1\n-3,1\n7,0\n", {}, 'row 2 of the data: the life is "-3"'),
         ("t,f\n1,1\nx,0\n7,0\n", {}, 'row 2 of the data: the life is "x", which is no number'),
         ("t,f\n1,1\n,0\n7,0\n", {}, "row 2 of the data: a survivor without a life"),
         ("t,f\n1,1\n> 3,1\n7,0\n", {}, 'row 2 of the data: the life is "> 3", and the specimen has failed'),
-        ("t,f\n1,1\n< 3,1\n7,0\n", {}, 'row 2 of the data: the life is "< 3": it is left-censored'),
+        ("t,f\n1,1\n< 3,0\n7,0\n", {}, 'row 2 of the data: the life is "< 3", and the specimen has survived'),
+        (
+            "t,f,a\n1,1,\n3,1,4\n",
+            {"columns": {"alive_at": {"column": "a", "unit": "min"}}},
+            "seen alive at 240 s, after that",
+        ),
+        ("t,f,a\n1,1,\n3,1,3\n", {"columns": {"entered": {"column": "a", "unit": "min"}}}, "came under watch at 180 s"),
+        (
+            "t,f,a\n1,1,\n< 3,1,2\n",
+            {"columns": {"alive_at": {"column": "a", "unit": "min"}}},
+            "it is left-censored, and",
+        ),
+        ("t,f,h\n1,1,45\n", {"columns": {"humidity": {"column": "h", "unit": "1"}}}, "the humidity is 45"),
         ("t,f\n1,1\n", {"columns": {"lifetime": {"column": "t", "unit": "kV"}}}, "kV"),
         ("t,f\n1,1\n", {"recording": {"recording_id": "a b"}}, "recording_id"),
         ("t,f,w\n1,1,top\n", {"columns": {"failure_site": {"column": "w"}}}, 'failure_site is "top"'),
@@ -203,6 +210,65 @@ def test_lives_that_cannot_be_read(tmp_path: Path, text: str, changes: dict[str,
     with pytest.raises(RefusedError) as refused:
         lives(tmp_path, text, **changes)
     assert problem in refused.value.problem
+
+
+def test_lives_of_every_kind_of_censoring(tmp_path: Path) -> None:
+    """Exact, right, left in both notations, between inspections, seen once and never again, watched late."""
+    text = "t,f,a,e\n5,1,,\n9,0,,\n< 4,1,,\n3,left,,\n8,1,6,\n7,1,7,2\n9,1,0,\n"
+    table = lives(
+        tmp_path,
+        text,
+        columns={
+            "failed": {"column": "f", "failed_values": [1], "censored_values": [0], "left_censored_values": ["left"]},
+            "alive_at": {"column": "a", "unit": "min"},
+            "entered": {"column": "e", "unit": "min"},
+        },
+    )
+    assert [(r.lower_s, r.upper_s, r.entered_s) for r in table.rows] == [
+        (300, 300, None),
+        (540, math.inf, None),
+        (0, 240, None),
+        (0, 180, None),
+        (360, 480, None),
+        (420, 420, 120),
+        (0, 540, None),
+    ]
+    assert "4 failures are only known to lie between inspections, 3 of them before the first" in table.notes
+    assert any("1 specimens came under watch late" in note for note in table.notes)
+
+
+def test_limits_in_two_columns_without_flags(tmp_path: Path) -> None:
+    columns = {
+        "lifetime": {"column": "right", "unit": "h"},
+        "alive_at": {"column": "left", "unit": "h"},
+    }
+    content = {"kind": "lifetimes", "columns": columns, "recording": {"recording_id": "two"}}
+    table = read(tmp_path, "left,right\n0,7\n6,10\n46,\n", content)
+    assert isinstance(table, LifetimeTable)
+    assert [(r.lower_s / 3600, r.upper_s / 3600) for r in table.rows] == [(0, 7), (6, 10), (46, math.inf)]
+
+
+def test_failure_modes_in_any_words(tmp_path: Path) -> None:
+    text = (
+        "t,f,why\n1,1,Pinhole in film\n2,1,contact burnt\n3,1,Überschlag\n4,1,carbon gone\n5,1,weird\n6,0,weird\n7,1,\n"
+    )
+    table = lives(tmp_path, text, columns={"failure_mode": {"column": "why", "edge_values": ["Überschlag"]}})
+    assert [r.mode for r in table.rows] == ["film", "lead", "edge", "electrode", "other", None, None]
+    assert [r.written_mode for r in table.rows][2] == "Überschlag"
+    assert any('count as other: "weird"' in note for note in table.notes)
+
+
+def test_conditions_of_the_test(tmp_path: Path) -> None:
+    columns = {
+        "temperature": {"value": 313.15, "unit": "K"},
+        "humidity": {"column": "h", "unit": "%"},
+        "frequency": {"value": 50, "unit": "Hz"},
+        "electrode": {"value": "carbon"},
+        "batch": {"column": "b"},
+    }
+    row = lives(tmp_path, "t,f,h,b\n1,1,45,7\n", columns=columns).rows[0]
+    assert (row.temperature_c, row.humidity) == (pytest.approx(40.0), pytest.approx(0.45))
+    assert (row.frequency_hz, row.electrode, row.batch) == (50.0, "carbon", "7")
 
 
 def test_hostile_specimen_names_stay_text(tmp_path: Path) -> None:

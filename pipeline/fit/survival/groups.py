@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.fit.survival.comparisons import Comparison, compare, corrected
+from pipeline.fit.survival.comparisons import NO_TEST, Comparison, compare, corrected
 from pipeline.fit.survival.competing_causes import CompetingCauses, aalen_johansen
 from pipeline.fit.survival.kaplan_meier import UNKNOWN, Estimate, KaplanMeier, kaplan_meier
 from pipeline.fit.survival.lifetime_distributions import (
@@ -24,6 +24,7 @@ from pipeline.fit.survival.lifetime_distributions import (
     Lives,
     fit_distribution,
 )
+from pipeline.fit.survival.turnbull import Turnbull, estimate_turnbull
 from pipeline.fit.survival.voltage_life import VoltageLife, fit_inverse_power_law
 from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
@@ -61,13 +62,16 @@ class SurvivalSummary:
 
 @dataclass(frozen=True)
 class SurvivalGroup:
-    """All results of one configuration of a campaign at one voltage (None where the rows give none)."""
+    """All results of one configuration of a campaign at one voltage (None where the rows give none).
+
+    `curve` is Turnbull's where failures were found at inspections or specimens came under watch late.
+    """
 
     campaign: str | None
     configuration: str | None
     voltage_kv: float | None
     rows: tuple[LifetimeRow, ...]
-    curve: KaplanMeier
+    curve: KaplanMeier | Turnbull
     summary: SurvivalSummary
     distributions: tuple[DistributionFit, ...]
     causes: CompetingCauses
@@ -263,15 +267,15 @@ def _common_ends(grouped: dict[_Key, list[LifetimeRow]]) -> dict[tuple[str | Non
 
 
 def _group(key: _Key, rows: Sequence[LifetimeRow], end: float, notes: tuple[str, ...]) -> SurvivalGroup:
-    time, failed = _arrays(rows)
-    curve = kaplan_meier(time, failed)
-    fits, refusals = _distributions(time, failed)
+    lives = _lives(rows)
+    curve = _estimate(rows, lives)
+    fits, refusals = _distributions(rows, lives)
     weibull = next((fit.parameters for fit in fits if fit.distribution == WEIBULL), None)
     warnings = (*notes, *_group_warnings(rows, curve, end), *refusals)
     summary = SurvivalSummary(
         specimens=len(rows),
         failures=curve.failed,
-        restricted_mean_s=curve.restricted_mean(end) if end > 0 else UNKNOWN,
+        restricted_mean_s=curve.restricted_mean(end) if end > 0 and isinstance(curve, KaplanMeier) else UNKNOWN,
         restricted_to_s=end,
         median_s=curve.median(),
         survival_at_end=curve.at(end),
@@ -279,29 +283,67 @@ def _group(key: _Key, rows: Sequence[LifetimeRow], end: float, notes: tuple[str,
         weibull_scale_s=weibull["scale_s"] if weibull else UNKNOWN,
         warnings=tuple(dict.fromkeys(warnings)),
     )
-    causes = aalen_johansen(time, failed, [row.failure_site for row in rows])
+    causes = CompetingCauses((), np.empty(0))
+    if isinstance(curve, KaplanMeier):
+        causes = aalen_johansen(*_arrays(rows), [row.failure_site for row in rows])
     return SurvivalGroup(*key, tuple(rows), curve, summary, fits, causes)
 
 
-def _distributions(time: Float, failed: Bool) -> tuple[tuple[DistributionFit, ...], tuple[str, ...]]:
+def _lives(rows: Sequence[LifetimeRow]) -> Lives | None:
+    """What is known of the lives that have a place on a logarithmic axis; None where there are none.
+
+    A survivor of 0 s says nothing, a failure at 0 s came before the shortest life above 0 (`Lives.right_censored`).
+    """
+    if not _need_turnbull(rows):
+        try:
+            return Lives.right_censored(*_arrays(rows))
+        except NotIdentifiableError:
+            return None
+    kept = [row for row in rows if row.failed or row.lifetime_s > 0]
+    shortest = min((row.lifetime_s for row in kept if row.lifetime_s > 0), default=0.0)
+    if not shortest:
+        return None
+    lower = np.array([row.lower_s for row in kept])
+    upper = np.array([row.upper_s or shortest for row in kept])
+    entered = np.array([row.entered_s or 0.0 for row in kept])
+    return Lives(lower, upper, entered if entered.any() else None)
+
+
+def _estimate(rows: Sequence[LifetimeRow], lives: Lives | None) -> KaplanMeier | Turnbull:
+    """Kaplan–Meier, or Turnbull's curve where it does not apply and somebody failed."""
+    if lives is None or lives.failures == 0 or not _need_turnbull(rows):
+        return kaplan_meier(*_arrays(rows))
+    return estimate_turnbull(lives)
+
+
+def _need_turnbull(rows: Sequence[LifetimeRow]) -> bool:
+    """Some failures were found at inspections, or some specimens came under watch late."""
+    return any(row.alive_at_s is not None or row.entered_s is not None for row in rows)
+
+
+def _distributions(
+    rows: Sequence[LifetimeRow], lives: Lives | None
+) -> tuple[tuple[DistributionFit, ...], tuple[str, ...]]:
     fits: list[DistributionFit] = []
     refused: dict[str, list[str]] = {}
+    if lives is None:
+        return (), ("no lifetime above 0 s",)
     for distribution in DISTRIBUTIONS:
         try:
-            fits.append(fit_distribution(Lives.right_censored(time, failed), distribution))
+            fits.append(fit_distribution(lives, distribution))
         except NotIdentifiableError as error:
             law, _, reason = error.problem.partition(": ")
             refused.setdefault(reason, []).append(law)
     refusals = [f"{joined(laws)}: {reason}" for reason, laws in refused.items()]
-    if failed.any() and (time[failed] == 0).any() and fits:
+    at_once = sum(row.failed and row.lifetime_s == 0 for row in rows)
+    if at_once and fits:
         refusals.append(
-            f"{int((time[failed] == 0).sum())} failed at 0 s: in the distributions they count as failed before the "
-            "shortest life above 0"
+            f"{at_once} failed at 0 s: in the distributions they count as failed before the shortest life above 0"
         )
     return tuple(fits), tuple(refusals)
 
 
-def _group_warnings(rows: Sequence[LifetimeRow], curve: KaplanMeier, end: float) -> list[str]:
+def _group_warnings(rows: Sequence[LifetimeRow], curve: KaplanMeier | Turnbull, end: float) -> list[str]:
     warnings = []
     if rows[0].configuration is None:
         warnings.append("specimens without a configuration")
@@ -311,7 +353,9 @@ def _group_warnings(rows: Sequence[LifetimeRow], curve: KaplanMeier, end: float)
         )
     if len(rows) == 1:
         warnings.append("one specimen: its life says next to nothing about the configuration")
-    if curve.failed == 0:
+    if isinstance(curve, Turnbull):
+        warnings += _inspection_warnings(rows)
+    elif curve.failed == 0:
         observed = float(sum(row.lifetime_s for row in rows))
         n = int(curve.number_at_risk(end))
         warnings.append(
@@ -329,7 +373,29 @@ def _group_warnings(rows: Sequence[LifetimeRow], curve: KaplanMeier, end: float)
     return warnings
 
 
+def _inspection_warnings(rows: Sequence[LifetimeRow]) -> list[str]:
+    warnings = []
+    between = sum(row.alive_at_s is not None for row in rows)
+    late = sum(row.entered_s is not None for row in rows)
+    if between:
+        warnings.append(
+            f"{between} failures are only known to lie between inspections: Turnbull's curve, which is not known within its"
+            " intervals; no restricted mean, and no probability by cause"
+        )
+    if late:
+        warnings.append(
+            f"{late} came under watch late: the curve holds for specimens that have lived until the first of them; no"
+            " restricted mean, and no probability by cause"
+        )
+    return warnings
+
+
 def _compared(a: SurvivalGroup, b: SurvivalGroup, end: float) -> list[Comparison]:
+    if isinstance(a.curve, Turnbull) or isinstance(b.curve, Turnbull):
+        reason = "lives between inspections or watched late: no test by ranks"
+        return [
+            Comparison(a.configuration, b.configuration, a.voltage_kv, NO_TEST, warnings=(reason,), campaign=a.campaign)
+        ]
     first, second = _arrays(a.rows), _arrays(b.rows)
     found = compare(a.configuration, first, b.configuration, second, a.voltage_kv, end)
     return [replace(one, campaign=a.campaign) for one in found]
@@ -347,11 +413,12 @@ def _laws(
     for (campaign, configuration), members in by_configuration.items():
         if len(members) < 2:
             continue
-        time, failed = _arrays([row for group in members for row in group.rows])
-        voltage = np.concatenate([np.full(len(group.rows), group.voltage_kv) for group in members])
-        known = failed | (time > 0)
+        known = [(row, group.voltage_kv) for group in members for row in group.rows if row.failed or row.lifetime_s > 0]
+        lives = _lives([row for row, _ in known])
+        if lives is None:
+            continue
         try:
-            law = fit_inverse_power_law(Lives.right_censored(time[known], failed[known]), voltage[known])
+            law = fit_inverse_power_law(lives, np.array([voltage for _, voltage in known]))
         except NotIdentifiableError as error:
             refused.append(f"{configuration or 'no configuration'}: {error.problem}")
         else:

@@ -41,11 +41,13 @@ class Lives:
     """Lifetimes of n specimens, each between `lower` and `upper` in s.
 
     Equal: exact. `upper` infinite: right-censored. `lower` 0 with finite `upper`: left-censored. Else an inspection
-    interval.
+    interval. `entered` in s, 0 for none, is the age at which a specimen came under watch: one that had failed before would
+    not be here (left truncation); None: all were watched from their start.
     """
 
     lower: Float
     upper: Float
+    entered: Float | None = None
 
     def __post_init__(self) -> None:
         if self.lower.shape != self.upper.shape or self.lower.ndim != 1 or self.lower.size == 0:
@@ -60,6 +62,16 @@ class Lives:
                 where=f"row {row}",
                 expected="0 ≤ lower ≤ upper with upper above 0",
             )
+        if self.entered is not None:
+            late = ~((self.entered >= 0) & (self.entered <= self.lower) & (self.entered < self.upper))
+            if self.entered.shape != self.lower.shape or late.any():
+                row = int(np.argmax(late))
+                raise RefusedError(
+                    f"came under watch at {self.entered[row]:g} s, its life is between {self.lower[row]:g} and"
+                    f" {self.upper[row]:g} s",
+                    where=f"row {row}",
+                    expected="an age not below 0 and before the end of the life",
+                )
 
     @classmethod
     def right_censored(cls, time: ArrayLike, failed: ArrayLike) -> Lives:
@@ -91,16 +103,28 @@ class Lives:
         known = np.isfinite(self.upper)
         return len(set(zip(self.lower[known].tolist(), self.upper[known].tolist(), strict=True)))
 
+    @property
+    def simple(self) -> bool:
+        """All are exact or right-censored, and were watched from their start."""
+        return self.entered is None and bool(np.all(self.exact | np.isposinf(self.upper)))
+
+    def keep(self, rows: Bool) -> Lives:
+        """Those of the rows that are true."""
+        entered = None if self.entered is None else self.entered[rows]
+        return Lives(self.lower[rows], self.upper[rows], entered)
+
     def logarithms(self) -> LogLives:
         with np.errstate(divide="ignore"):
-            return LogLives(np.log(self.lower)[None, :], np.log(self.upper)[None, :])
+            entered = None if self.entered is None else np.log(self.entered)[None, :]
+            return LogLives(np.log(self.lower)[None, :], np.log(self.upper)[None, :], None, entered)
 
     def distinct(self) -> LogLives:
         """Logarithms with equal lives taken once: most specimens survive to the planned end of their test."""
-        limits, count = np.unique(np.stack((self.lower, self.upper)), axis=1, return_counts=True)
+        known = (self.lower, self.upper) if self.entered is None else (self.lower, self.upper, self.entered)
+        limits, count = np.unique(np.stack(known), axis=1, return_counts=True)
         with np.errstate(divide="ignore"):
-            lower, upper = np.log(limits)[:, None, :]
-        return LogLives(lower, upper, count.astype(np.float64))
+            lower, upper, *entered = np.log(limits)[:, None, :]
+        return LogLives(lower, upper, count.astype(np.float64), entered[0] if entered else None)
 
     @property
     def log_jacobian(self) -> float:
@@ -126,7 +150,7 @@ class DistributionFit:
 
     `parameters` by name with 95 % profile-likelihood limits: Weibull `shape`, `scale_s`; exponential `mean_s`;
     log-normal `median_s`, `log_sd`. `log_likelihood` is that of the times in s. `location`, `sigma`: ln t = location +
-    σ w. `goodness` is None for inspection intervals.
+    σ w. `goodness` is None for inspection intervals and late entries.
     """
 
     distribution: str
@@ -199,7 +223,7 @@ def fit_distribution(lives: Lives, distribution: str, *, goodness: bool = True) 
     fit = DistributionFit(
         distribution, parameters, top - lives.log_jacobian, location, sigma, lives.lower.size, lives.failures, None
     )
-    if not goodness or not np.all(lives.exact | np.isposinf(lives.upper)):
+    if not goodness or not lives.simple:
         return fit
     return DistributionFit(**{**fit.__dict__, "goodness": goodness_of_fit(lives, fit)})
 

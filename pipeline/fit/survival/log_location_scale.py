@@ -103,19 +103,26 @@ class LogLives:
     """Logarithms of lifetimes, (batch, n): the life lies between exp(`lower`) and exp(`upper`).
 
     Equal limits: exact. `upper` infinite: right-censored. `lower` minus infinite: left-censored. `count` (n,) says how
-    many equal lives each stands for, None that all stand for one.
+    many equal lives each stands for, None that all stand for one. `entered` (batch, n) are the logarithms of the ages at
+    which specimens came under watch, minus infinity for their start; None: all of them at their start.
     """
 
     lower: Float
     upper: Float
     count: Float | None = None
+    entered: Float | None = None
 
     @property
     def exact(self) -> Bool:
         return np.asarray(self.lower == self.upper)
 
     def shifted(self, offset: float | Float) -> LogLives:
-        return LogLives(self.lower - offset, self.upper - offset, self.count)
+        return self.scaled(offset, 1.0)
+
+    def scaled(self, offset: float | Float, scale: float | Float) -> LogLives:
+        """The same lives less `offset`, in units of `scale`."""
+        entered = None if self.entered is None else (self.entered - offset) / scale
+        return LogLives((self.lower - offset) / scale, (self.upper - offset) / scale, self.count, entered)
 
     @property
     def specimens(self) -> float:
@@ -180,11 +187,7 @@ def maximise(
         if sigma is None
         else np.array(np.broadcast_to(sigma, batch), dtype=np.float64)
     )
-    scaled = LogLives(
-        (lives.lower - centre[:, None]) / spread[:, None],
-        (lives.upper - centre[:, None]) / spread[:, None],
-        lives.count,
-    )
+    scaled = lives.scaled(centre[:, None], spread[:, None])
     parameters = np.zeros((batch, 1 + p))
     parameters[:, 0] = 1.0
     free = slice(0 if sigma is None else 1, None)
@@ -209,7 +212,7 @@ def _newton(
     for _ in range(_ITERATIONS):
         g, h = gradient[:, free], hessian[:, free, free]
         damping = 1e-12 * np.maximum(np.abs(np.trace(h, axis1=1, axis2=2)), 1e-12)[:, None, None] * np.eye(size)
-        step = np.linalg.solve(damping - h, g[:, :, None])[:, :, 0]
+        step = np.linalg.solve(damping - (h if lives.entered is None else _curved_down(h)), g[:, :, None])[:, :, 0]
         gain = np.einsum("bi,bi->b", g, step)
         converged = (np.abs(g).max(axis=1) <= tolerance) | (gain <= 1e-14 * (1 + np.abs(value)))
         if converged.all():
@@ -236,6 +239,14 @@ def _newton(
     return parameters, value, converged
 
 
+def _curved_down(hessian: Float) -> Float:
+    """The Hessians with all curvatures negative: late entry takes the concavity away far from the maximum."""
+    curvature, directions = np.linalg.eigh(hessian)
+    least = 1e-8 * np.abs(curvature).max(axis=1, keepdims=True)
+    curvature = -np.maximum(np.abs(curvature), least)
+    return np.asarray((directions * curvature[:, None, :]) @ np.swapaxes(directions, 1, 2))
+
+
 def _derivatives(
     lives: LogLives, design: Float, distribution: ErrorDistribution, parameters: Float
 ) -> tuple[Float, Float, Float]:
@@ -260,6 +271,12 @@ def _derivatives(
             value[inside], slopes, curves, cross[inside] = _interval(distribution, low.z[inside], high.z[inside])
             low.slope[inside], high.slope[inside] = slopes
             low.curvature[inside], high.curvature[inside] = curves
+    if lives.entered is not None and np.isfinite(lives.entered).any():
+        begin = _End(lives.entered, parameters, predictor)
+        watched = np.zeros_like(value)
+        begin.fill(np.isfinite(lives.entered), distribution.right, watched)
+        value, begin.slope, begin.curvature = value - watched, -begin.slope, -begin.curvature
+        ends.append(begin)
     known = lives.exactly_known
     total = lives.counted(value).sum(axis=1) + known * np.log(parameters[:, 0])
     size = 1 + design.shape[1]

@@ -121,7 +121,7 @@ class _Data:
         return np.unique(self.voltage)
 
     def at(self, keep: np.ndarray) -> _Data:
-        return _Data(Lives(self.lives.lower[keep], self.lives.upper[keep]), self.voltage[keep])
+        return _Data(self.lives.keep(keep), self.voltage[keep])
 
     def maximum(self, design: Float, *, offset: Float | None = None, sigma: Float | None = None) -> Maximum:
         logs = self.lives.logarithms()
@@ -288,7 +288,7 @@ def _simulated_p_value(data: _Data, law: Maximum, test: LackOfFit) -> float:
     A specimen that failed would have been censored with the last survivor of its voltage, or never where there is none.
     """
     lives, n = data.lives, data.voltage.size
-    if n > _LARGEST_SIMULATED or not np.all(lives.exact | np.isposinf(lives.upper)):
+    if n > _LARGEST_SIMULATED or not lives.simple:
         return float("nan")
     ends = np.where(lives.exact, np.inf, lives.lower)
     for level in data.levels:

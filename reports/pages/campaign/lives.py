@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -181,10 +182,18 @@ def survival(draft: Draft, lives: Lives) -> Section | None:
     axis += lives.unit[1]
     counts = "; ".join(f"{g.name}: {g.failed} of {g.total} failed" for g in groups)
     empty = any(g.failed == 0 for g in groups)
+    inspected = any(r["method"] == "turnbull" for r in lives.curves)
+    between = (
+        " Where failures were found at inspections: Turnbull’s curve, drawn to fall at the inspection."
+        if inspected
+        else ""
+    )
     note = " Where nothing failed such a band does not exist; the exact limit is in the table." if empty else ""
     first = Figure(
         figures.kaplan_meier(groups, axis, alt=f"Kaplan–Meier curves. {counts}."),
-        flow(bold("Kaplan–Meier"), f" with 95 % bands (log–log). Open marks: alive when the test ended.{note}"),
+        flow(
+            bold("Kaplan–Meier"), f" with 95 % bands (log–log). Open marks: alive when the test ended.{between}{note}"
+        ),
         href,
     )
     fitted = [g for g in groups if g.shape is not None]
@@ -218,12 +227,22 @@ def _curves(lives: Lives) -> list[GroupCurve]:
         found.append(
             GroupCurve(
                 lives.label(key), palette.group(i), lives.unit[0] * real("time_s"), real("survival"), real("lower_95"), real("upper_95"),
-                count("at_risk"), count("censored"), count("failures"), summary["weibull_shape"],
+                count("at_risk"), count("censored"), _falls(rows), summary["weibull_shape"],
                 None if lower is None or upper is None else (upper - lower) / 3.92,
                 None if summary["weibull_scale_s"] is None else lives.unit[0] * summary["weibull_scale_s"],
+                summary["failures"] if any(r["method"] == "turnbull" for r in rows) else None,
             )
         )  # fmt: skip
     return found
+
+
+def _falls(rows: list[Record]) -> Int:
+    """Failures at each time of a curve; where only inspections tell them, 1 where the curve falls."""
+    survival = [1.0, *(r["survival"] for r in rows)]
+    fallen = [int(after < before) for before, after in itertools.pairwise(survival)]
+    return np.array(
+        [fell if r["failures"] is None else r["failures"] for r, fell in zip(rows, fallen, strict=True)], dtype=np.int64
+    )
 
 
 def marked(index: int, text: str) -> Markup:
