@@ -37,8 +37,9 @@ def _preference(fit: Row) -> tuple[int, int]:
 
 
 def siblings(fits: Sequence[Row], chosen: Row) -> list[Row]:
-    """All orders of the chosen fit's loading and method, without extension, ascending."""
-    same = [f for f in fits if (f["loading"], f["method"]) == (chosen["loading"], chosen["method"])]
+    """All orders of the chosen fit's loading, method and weighting, without extension, ascending."""
+    alike = ("loading", "method", "weighting")
+    same = [f for f in fits if all(f[name] == chosen[name] for name in alike)]
     return sorted((f for f in same if not f["extension"]), key=lambda f: f["model_order"])
 
 

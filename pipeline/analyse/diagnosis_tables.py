@@ -159,6 +159,7 @@ def _fit_row(d: Diagnosis, extension: Extension) -> dict[str, Any]:
         "specimen_id": d.specimen_id,
         "loading": "joint",
         "method": "forward",
+        "weighting": "noise",
         "model_order": film.order,
         "k0_n_per_mm": film.k0,
         "k0_n_per_mm_sd": sd.get("k0"),

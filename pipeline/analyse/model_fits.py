@@ -6,7 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pipeline.fit.relaxation.results import MECHANICAL, TIME_DOMAIN, Estimate, RelaxationFit, SpecimenFits
+from pipeline.fit.relaxation.results import (
+    MECHANICAL,
+    NOISE,
+    TIME_DOMAIN,
+    UNIFORM,
+    Estimate,
+    RelaxationFit,
+    SpecimenFits,
+)
 from pipeline.fit.relaxation.time_domain import CycleFit, CycleFits
 from schemas.tables import ARMS, TABLES
 
@@ -30,21 +38,23 @@ def model_fits_table(fits: Sequence[SpecimenFits], cycles: Sequence[CycleFits] =
 
 def _row(group: SpecimenFits, fit: RelaxationFit) -> dict[str, Any]:
     size = fit.shape.size
+    by_noise = group.weighting == NOISE
     row: dict[str, Any] = {
         "specimen_id": group.specimen_id,
         "loading": group.loading,
         "method": group.method,
+        "weighting": group.weighting,
         "model_order": fit.order,
         "magnitude_error_n_per_mm": fit.magnitude_error,
         "phase_error_deg": fit.phase_error_deg,
         "extension": "",
         "frequency_lines": fit.lines,
-        "reduced_chi2": fit.reduced_chi2,
-        "bic": fit.bic,
-        "selected": fit.order == group.selected_order,
+        "reduced_chi2": fit.reduced_chi2 if by_noise else None,
+        "bic": fit.bic if by_noise else None,
+        "selected": by_noise and fit.order == group.selected_order,
         "warnings": _sentences(fit.warnings + group.warnings),
-        "order_p_value": fit.order_p_value,
-        "held_out_error": fit.held_out_error,
+        "order_p_value": fit.order_p_value if by_noise else None,
+        "held_out_error": fit.held_out_error if by_noise else None,
         "frequency_low_hz": group.frequency_low_hz,
         "frequency_high_hz": group.frequency_high_hz,
         "positivity_chi2": group.positivity.chi2_per_line if group.positivity else None,
@@ -91,6 +101,7 @@ def _cycle_row(group: CycleFits, fit: CycleFit) -> dict[str, Any]:
         "specimen_id": group.specimen_id,
         "loading": MECHANICAL,
         "method": TIME_DOMAIN,
+        "weighting": UNIFORM,
         "model_order": fit.order,
         "k0_n_per_mm": group.slope_at_rest(fit) * to_n_per_mm,
         "extension": "",

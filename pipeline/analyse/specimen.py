@@ -18,8 +18,9 @@ from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
 from pipeline.fit.relaxation.ladder import ladder, wants_ladder
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.predict import Prediction, predict
-from pipeline.fit.relaxation.results import ELECTRICAL, MECHANICAL, RelaxationFit, SpecimenFits
+from pipeline.fit.relaxation.results import ELECTRICAL, MECHANICAL, RELATIVE, UNIFORM, RelaxationFit, SpecimenFits
 from pipeline.fit.relaxation.time_domain import CycleFits
+from pipeline.fit.relaxation.weightings import fit_weighted
 from pipeline.transform.averaging import average
 from pipeline.transform.calibration import TapCalibration, WeightCalibration, sharpen
 from pipeline.transform.correction import blocked_force, correct_mechanical
@@ -154,7 +155,7 @@ def _mechanical_fits(
     mean: FrequencyResponse | None,
     orders: tuple[int, ...],
 ) -> list[SpecimenFits]:
-    """The forward fit of everything mechanical, and the fit of the corrected average for comparison."""
+    """The forward fit of everything mechanical, and fits of the corrected average with all weightings for comparison."""
     stepped = [(curve, rig_of(one, calibrations)) for one in recordings for curve in one.of(RelaxationCurve)]
     curves = [(curve, rig) for curve, rig in stepped if curve.quantity == STIFFNESS]
     geometry = _geometry(recordings)
@@ -178,6 +179,13 @@ def _mechanical_fits(
                 specimen_id=specimen_id,
             )
         )
+        for weighting in (UNIFORM, RELATIVE):
+            what = f"models with {weighting} weights"
+            fits.append(
+                analysis.attempt(
+                    what, fit_weighted, mean, weighting, orders=orders, geometry=geometry, specimen_id=specimen_id
+                )
+            )
     return [fit for fit in fits if fit is not None]
 
 

@@ -10,12 +10,17 @@ ARMS = 8
 TABLES: tuple[Table, ...] = (
     Table(
         "model_fits",
-        "Maxwell-Wiechert models, a row per specimen, loading, method and order",
+        "Maxwell-Wiechert models, a row per specimen, loading, method, weighting and order",
         (
             SPECIMEN_ID,
             text("loading", "mechanical, electrical or joint"),
             text(
                 "method", "forward (rig inside the model), corrected (divided response) or time_domain (large cycles)"
+            ),
+            text(
+                "weighting",
+                "weights of the lines: noise (by their variance), uniform (alike in N/mm) or relative (alike as a share of the"
+                " magnitude); a statement about noise and a chosen order are of noise alone, and of large cycles",
             ),
             whole("model_order", "number of arms, pure dashpots included"),
             *with_sd("k0_n_per_mm", "N/mm", "main spring"),
@@ -60,7 +65,7 @@ TABLES: tuple[Table, ...] = (
             text("choices", "order that each rule would choose, JSON {test, bic, held_out}"),
             text("spread", "differences between the recordings, JSON {gain_sd, relative_sd, gains}; NULL for none"),
         ),
-        key=("specimen_id", "loading", "method", "extension", "model_order"),
+        key=("specimen_id", "loading", "method", "weighting", "extension", "model_order"),
         made_by=(
             MadeBy("specimen", where="coalesce(extension, '') = ''"),
             MadeBy("diagnosis", where="coalesce(extension, '') <> ''"),

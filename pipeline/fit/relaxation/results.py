@@ -18,6 +18,8 @@ from schemas.arrays import Complex, Float
 
 MECHANICAL, ELECTRICAL, JOINT = "mechanical", "electrical", "joint"
 FORWARD, CORRECTED, TIME_DOMAIN = "forward", "corrected", "time_domain"
+NOISE, UNIFORM, RELATIVE = "noise", "uniform", "relative"
+"""Weights of the lines of a fit: by their noise, all alike in N/mm, all alike as a share of their magnitude."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ class RelaxationFit:
 class SpecimenFits:
     """All orders fitted to one specimen by one method, and the order chosen.
 
-    `choices` has what each rule would choose: `test` (calibrated likelihood-ratio test at 1 %, the rule in force), `bic`,
+    `weighting` is `noise`, `uniform` or `relative`; only with weights by noise is an order chosen by a test. `choices` has what each rule would choose: `test` (calibrated likelihood-ratio test at 1 %, the rule in force), `bic`,
     `held_out`.
     """
 
@@ -172,6 +174,7 @@ class SpecimenFits:
     frequency_low_hz: float
     frequency_high_hz: float
     warnings: tuple[str, ...] = ()
+    weighting: str = NOISE
 
     @property
     def selected(self) -> RelaxationFit:

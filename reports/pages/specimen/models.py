@@ -23,13 +23,15 @@ from schemas.numbers import ABSENT, NBSP, capital, compact, headline, ordinal, p
 _ORDER_SQL = """SELECT model_order, reduced_chi2, bic - min(bic) OVER () AS delta_bic, order_p_value, magnitude_error_n_per_mm,
        phase_error_deg, held_out_error, selected
 FROM model_fits
-WHERE specimen_id = $specimen AND loading = $loading AND method = $method AND coalesce(extension, '') = ''
+WHERE specimen_id = $specimen AND loading = $loading AND method = $method AND weighting IS NOT DISTINCT FROM $weighting
+  AND coalesce(extension, '') = ''
 ORDER BY model_order"""
 
 
 def order(draft: Draft, fits: Sequence[Record], chosen: Record) -> Section:
     """What each order leaves, and why the chosen one was chosen."""
-    query = Query(_ORDER_SQL, {"specimen": draft.item, "loading": chosen["loading"], "method": chosen["method"]})
+    alike = {name: chosen[name] for name in ("loading", "method", "weighting")}
+    query = Query(_ORDER_SQL, {"specimen": draft.item, **alike})
     rows = []
     for r in draft.results.rows(query):
         label: Piece = f"{r['model_order']} ✓ selected" if r["selected"] else str(r["model_order"])
@@ -122,9 +124,9 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
     after = extended(fits, chosen)
     query = Query(
         "SELECT *\nFROM model_fits\nWHERE specimen_id = $specimen AND loading = $loading AND method = $method"
-        " AND model_order = $order AND coalesce(extension, '') IN ('', $extension)",
+        " AND weighting IS NOT DISTINCT FROM $weighting AND model_order = $order AND coalesce(extension, '') IN ('', $extension)",
         {
-            "specimen": draft.item, "loading": chosen["loading"], "method": chosen["method"],
+            "specimen": draft.item, "loading": chosen["loading"], "method": chosen["method"], "weighting": chosen["weighting"],
             "order": chosen["model_order"], "extension": (after or chosen)["extension"] or "",
         },
     )  # fmt: skip
@@ -243,6 +245,54 @@ def _parameter_note(chosen: Record, after: Record | None) -> Markup:
     else:
         parts.append(" No bound is active.")
     return flow(*parts)
+
+
+_WEIGHTED_SQL = """SELECT *
+FROM model_fits
+WHERE specimen_id = $specimen AND loading = 'mechanical' AND method IN ('forward', 'corrected') AND coalesce(extension, '') = ''
+ORDER BY model_order, method <> 'forward', weighting <> 'noise', weighting <> 'uniform'"""
+_WEIGHTED = {
+    ("forward", "noise"): "noise, rig inside the model",
+    ("corrected", "noise"): "noise, corrected response",
+    ("corrected", "uniform"): "uniform: every line alike",
+    ("corrected", "relative"): "relative: every line as a share of its magnitude",
+}
+
+
+def weightings(draft: Draft) -> Section | None:
+    """Models of each order by the weights of their lines; None where all have the same."""
+    query = Query(_WEIGHTED_SQL, {"specimen": draft.item})
+    found = [r for r in draft.results.rows(query) if (r["method"], r["weighting"]) in _WEIGHTED]
+    if not any(r["weighting"] != "noise" for r in found):
+        return None
+    most = max(len(arms(r)) for r in found)
+    columns = [
+        "k0_n_per_mm",
+        *(f"{n}{i}_{unit}" for n, unit in (("k", "n_per_mm"), ("c", "n_s_per_mm")) for i in range(1, most + 1)),
+    ]
+    rows = [
+        Row(
+            (
+                str(r["model_order"]), _WEIGHTED[r["method"], r["weighting"]],
+                *(ABSENT if r[c] is None else significant(r[c], 3) for c in columns),
+                significant(r["magnitude_error_n_per_mm"], 2), significant(r["phase_error_deg"], 2),
+            ),
+            "sel" if r["selected"] else "",
+        )
+        for r in found
+    ]  # fmt: skip
+    heads = (
+        Head("Order", "n"), Head("Weights", "text"), *(Head(sub(c[0], int(c[1])), "n") for c in columns),
+        Head("Magnitude error, N/mm", "n"), Head("Phase error, °", "n"),
+    )  # fmt: skip
+    below = (
+        "k in N/mm, c in N s/mm. Weights by noise give the least uncertain parameters of a model that is right; a model of few arms"
+        " then follows the lines that are measured best. Uniform weights keep it near the measurement where the film is stiff,"
+        " relative ones in equal shares at all frequencies, as a controller needs it and as the tables 4.2 to 4.4 of the thesis have"
+        " it. They say nothing about noise and choose no order. –: a pure dashpot, or an arm that the lines do not tell."
+    )
+    table = Table("Models by the weights of their lines", heads, tuple(rows), query.shown(), below=below, kind="wide")
+    return Section("weightings", "The same orders with other weights", "Weights", (table,))
 
 
 def without_model(fits: Sequence[Record]) -> Text | None:

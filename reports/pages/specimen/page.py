@@ -123,6 +123,7 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         candidates.append(film.response(draft, fits, chosen, mechanical, standing.stated, alarm=standing.alarm))
         if chosen:
             candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
+            candidates.append(models.weightings(draft))
         candidates.append(correction.section(draft, chosen, mechanical, constants, damaged))
         candidates.append(relaxing.of_specimen(draft, recordings, chosen))
         voltage = measured(draft.results, draft.item, "electrical")
