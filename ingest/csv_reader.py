@@ -21,7 +21,7 @@ from ingest.columns import Numbers, OwnTime, named_column, plain_name
 from ingest.csv_dialect import UNREADABLE, WHITESPACE, Dialect, as_utf8, wrong_encoding
 from ingest.csv_rows import checked_end, cut_reason, parsed_rows
 from ingest.mapping import ColumnName, FileMapping, column_label
-from ingest.notations import read_column
+from ingest.notations import read_cell, read_column
 from schemas.arrays import Float
 from schemas.errors import RefusedError
 
@@ -128,7 +128,8 @@ def parse_csv(
     first = next((line for line in _lines(body) if line.strip()), None)
     if first is None:
         raise RefusedError("there are no rows of data", where=where, expected="rows after the header")
-    names = _fitted(header, dialect.fields(first.decode("utf-8", "replace")), dialect, where)
+    fields = dialect.fields(first.decode("utf-8", "replace"))
+    names = _fitted(_without_constants(header, units, len(fields)), fields, dialect, where)
     _check_names(names, wanted, dialect, where)
     positions = range(len(names)) if wanted is None else sorted({named_column(names, w, where) for w in wanted})
     body, suspect, problems, notes = checked_end(body, len(names), positions, dialect)
@@ -198,6 +199,14 @@ def _has_open_quote(line: str, dialect: Dialect) -> bool:
 
 def _lines(body: bytes) -> Any:
     return (match.group() for match in _LINE.finditer(body))
+
+
+def _without_constants(header: list[str], units: list[str], count: int) -> list[str]:
+    """The names of columns: scopes write constants (`Start`, `Increment`) behind them, with a number in the row of units."""
+    beyond = units[count:]
+    if len(header) > count and any(beyond) and all(read_cell(unit) is not None for unit in beyond if unit):
+        return header[:count]
+    return header
 
 
 def _fitted(header: list[str], first: list[str], dialect: Dialect, where: str) -> list[str]:

@@ -1,6 +1,6 @@
 """What is in a file, whether it fits the contract, and what is wrong with it. Writes nothing.
 
-For a foreign file without a mapping it drafts a complete TOML; only there anything is guessed. Does not belong here: the
+For a foreign file without a mapping it drafts a complete TOML (`ingest.draft`). Does not belong here: the
 command line (pipeline.cli).
 """
 
@@ -11,15 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ingest.canonical import canonical
 from ingest.discover import shown
 from ingest.draft import draft_mapping
-from ingest.mapping import find_mapping, format_of
+from ingest.faults import check, find_faults
+from ingest.mapping import find_mapping, format_of, own_mapping
 from ingest.read import read_raw
-from ingest.rigs import find_rig
 from ingest.tables import LifetimeTable, RelaxationTable
+from ingest.toml_files import load_toml
 from schemas.errors import DealabError, RefusedError, UnmappedError
-from schemas.metadata import RecordingMetadata
 from schemas.quantities import QUANTITIES
 from schemas.recording import RawRecording, Recording
 from schemas.units import ANY
@@ -44,7 +43,8 @@ class ChannelSummary:
 
 @dataclass(frozen=True)
 class Inspection:
-    """The findings about one file. `draft` is a mapping TOML for a file without one."""
+    """The findings about one file. `error` is why it is refused, `others` what else is wrong with its mapping; `draft` is a
+    mapping TOML for a file without one."""
 
     path: Path
     format: str | None
@@ -57,6 +57,7 @@ class Inspection:
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     error: DealabError | None = None
+    others: tuple[DealabError, ...] = ()
     draft: str | None = None
 
     @property
@@ -64,12 +65,13 @@ class Inspection:
         """Usable, whole or in part."""
         return self.verdict in (FITS, DAMAGED)
 
-    def as_text(self) -> str:
+    def as_text(self, *, with_draft: bool = True) -> str:
         """The findings for a terminal: control characters of the file's texts as escapes."""
         lines = [f"{shown(self.path)}: {self.verdict}"]
         lines += [f"  format    {self.format or 'unknown'}, {self.size:,} bytes, {self.kind}"]
         if self.error is not None:
             lines += [f"  {label:<9} {shown(text)}" for label, text in _parts(self.error) if text]
+        lines += [f"  and       {shown(str(other))}" for other in self.others]
         lines += [f"  problem   {shown(p)}" for p in self.problems]
         lines += [f"  note      {shown(n)}" for n in self.notes]
         if self.channels:
@@ -78,7 +80,7 @@ class Inspection:
         for title, pairs in (("metadata", self.metadata), ("rig", self.rig)):
             if pairs:
                 lines += [f"  {title}"] + [f"    {shown(k)} = {_short(shown(v))}" for k, v in pairs]
-        if self.draft is not None:
+        if self.draft is not None and with_draft:
             lines += ["  draft of a mapping:", "", self.draft]
         return "\n".join(lines)
 
@@ -101,7 +103,7 @@ def inspect(path: Path, *, root: Path | None = None, rigs: Path | None = None) -
     except UnmappedError as error:
         return _unmapped(path, found, size, error)
     except DealabError as error:
-        return Inspection(path, found, size, REFUSED, error=error)
+        return Inspection(path, found, size, REFUSED, error=error, others=_others(path, error, root, rigs))
     if isinstance(raw, LifetimeTable):
         kind, rows = "lifetimes", len(raw.rows)
         columns: tuple[ChannelSummary, ...] = (
@@ -131,6 +133,18 @@ def inspect(path: Path, *, root: Path | None = None, rigs: Path | None = None) -
     )
 
 
+def _others(path: Path, first: DealabError, root: Path | None, rigs: Path | None) -> tuple[DealabError, ...]:
+    """What else is wrong with the file's own mapping, so that all can be put right in one go."""
+    beside = own_mapping(path)
+    if not beside.is_file():
+        return ()
+    try:
+        faults = find_faults(path, load_toml(beside), source=beside.name, root=root, rigs=rigs)
+    except DealabError:
+        return ()
+    return tuple(fault for fault in faults if fault.problem != first.problem)
+
+
 def _recording(
     path: Path, found: str | None, size: int, raw: RawRecording, root: Path | None, rigs: Path | None
 ) -> Inspection:
@@ -139,9 +153,7 @@ def _recording(
     texts = tuple((str(k), str(v)) for k, v in raw.metadata.items())
     constants = tuple((str(k), str(v)) for k, v in raw.rig.items())
     try:
-        rig_id = RecordingMetadata.parse(raw.metadata, where=path.name).rig_id or raw.rig.get("rig_id")
-        rig_file = find_rig(rig_id, path, root=root, rigs=rigs)
-        recording = canonical(raw, where=path.name, rig_file=None if rig_file is None else rig_file.values)
+        recording = check(raw, path, root=root, rigs=rigs)
     except DealabError as error:
         return Inspection(
             path,
@@ -154,6 +166,7 @@ def _recording(
             problems=raw.problems,
             notes=raw.notes,
             error=error,
+            others=_others(path, error, root, rigs),
         )
     return Inspection(
         path,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import fnmatch
 import functools
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from datetime import datetime
@@ -40,6 +40,7 @@ from ingest.mapping_keys import (
     unknown,
 )
 from ingest.toml_files import content_hash, load_toml
+from schemas.errors import RefusedError
 from schemas.lifetimes import FAILURE_MODES
 from schemas.quantities import QUANTITIES
 
@@ -184,6 +185,40 @@ class FileMapping:
         )
 
 
+def list_faults(
+    content: Mapping[str, Any], *, stem: str, suffix: str = "", source: str = ""
+) -> tuple[RefusedError, ...]:
+    """All that is wrong with a mapping, table by table, where `FileMapping.parse` raises the first of it."""
+    content = {k: _with_stem(v, stem) for k, v in content.items() if k != "match"}
+    faults: list[RefusedError] = []
+
+    def attempt(check: Callable[[], Any]) -> Any:
+        try:
+            return check()
+        except RefusedError as error:
+            if str(error) not in map(str, faults):
+                faults.append(error)
+            return None
+
+    known = {*TOP, "time", "columns", "recording", "rig", "select", *OPTIONS}
+    faults += [unknown(source, key, known) for key in content if key not in known]
+    kind = attempt(lambda: choice(content.get("kind", RECORDING), "kind", KINDS, source)) or RECORDING
+    chosen = attempt(lambda: _format(content, source)) or format_of_suffix(suffix)
+    options = content.get(chosen or "", {})
+    for key in options if isinstance(options, dict) else ():
+        own = {key: options[key]}
+        attempt(functools.partial(checked, own, str(chosen), OPTIONS.get(chosen or "", {}), source))
+    columns = content.get("columns", {})
+    for name in columns if isinstance(columns, dict) and kind != IGNORE else ():
+        alone = {"columns": {name: columns[name]}}
+        attempt(functools.partial(_columns, alone, kind, chosen, source))
+    attempt(lambda: _time(content, kind, source))
+    attempt(lambda: _selections(content, source))
+    if not faults:
+        attempt(lambda: FileMapping.parse(content, stem=stem, suffix=suffix, source=source))
+    return tuple(faults)
+
+
 def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping | None:
     """The mapping of a data file, or None when there is none. `RefusedError` when there is one but it is wrong.
 
@@ -194,7 +229,7 @@ def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping
         return (names is None or name in names) and path.with_name(name).is_file()
 
     own = path.name + _OWN
-    if there(own):
+    if there(own) and path.with_name(own).stat().st_size:  # `dealab inspect FILE > FILE.toml` begins with an empty one
         content = load_toml(path.with_name(own))
         if "match" in content:
             raise refused(own, "match is not used in the mapping of a single file", "only keys that have an effect")

@@ -1,23 +1,25 @@
-"""Guesses for the draft of a mapping: how a text file is written, and what columns mean by name and unit.
+"""Guesses for the draft of a mapping: how a text file is written, where its table begins, what stands above it.
 
-Only `dealab inspect` uses these, and only to draft a TOML that a person then checks. Readers never guess.
+Only drafts use these, for a person to check. Readers never guess. What the columns mean is in `ingest.meanings`, the
+encoding in `ingest.encodings`.
 """
 
 from __future__ import annotations
 
-import codecs
+import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
-from ingest.cell_units import name_and_unit
 from ingest.csv_dialect import WHITESPACE, Dialect
+from ingest.encodings import guess_encoding
+from ingest.harvest import Fact, harvest_lines, own_interval
+from ingest.meanings import GuessedColumn, guess_columns, is_any_unit
+from ingest.notations import PREFIXES, read_cell
 from schemas.errors import RefusedError
-from schemas.quantities import QUANTITIES
-from schemas.units import ANY, conversion
 
-TIME = "time"
 _SAMPLE = 1 << 18
 """Bytes of a file that are looked at."""
 _ROWS = 200
@@ -28,48 +30,23 @@ _NUMBER = {
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
 }
 _DELIMITERS = ("\t", ";", ",", "|", WHITESPACE)
-_NAMES: tuple[tuple[str, str], ...] = (
-    (TIME, r"^t$|time|zeit|elapsed|timestamp|date|时间"),
-    ("leakage_current", r"current|strom|leak|^i$|电流"),
-    ("temperature", r"temp|^t_?film|温度"),
-    ("capacitance", r"capac|kapaz|^c$|电容"),
-    ("demand", r"demand|set ?point|soll"),
-    ("command", r"command|^cmd|drive|control"),
-    ("voltage", r"volt|spannung|^u$|^hv|^v$|电压"),
-    ("stress", r"stress|sigma|^p$|应力"),
-    ("stretch", r"stretch|lambda"),
-    ("pressure", r"press|druck|压力"),
-    ("force_1", r"(force|load|kraft|f).*[ _-]?1$"),
-    ("force_2", r"(force|load|kraft|f).*[ _-]?2$"),
-    ("force", r"force|load|kraft|^f$|载荷|力"),
-    ("displacement", r"disp|position|weg|extension|travel|hub|elong|crosshead|^x$|位移"),
-    ("input", r"^in(put)?$|^v1$"),
-    ("output", r"^out(put)?$|^v2$"),
-)
-_BY_UNIT = ("force", "displacement", "voltage", "capacitance", "leakage_current", "temperature")
-"""What a unit alone stands for; a pressure may be a stress, so neither is here."""
-
-
-@dataclass(frozen=True)
-class GuessedColumn:
-    """A column of a file: its name or number, the unit found for it, and what it seems to be (None: no guess)."""
-
-    column: str | int
-    unit: str | None
-    meaning: str | None
 
 
 @dataclass(frozen=True)
 class GuessedTable:
-    """How a text file seems to be written, and its columns."""
+    """How a text file seems to be written, its columns, and what the lines above its table say."""
 
     dialect: Dialect
     columns: tuple[GuessedColumn, ...]
     rows: tuple[tuple[str, ...], ...]
+    facts: tuple[Fact, ...] = ()
 
 
-def guess_text(content: bytes) -> GuessedTable:
-    """The dialect and columns of a text file. Raises `RefusedError` when no rows of numbers are found."""
+def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -> GuessedTable:
+    """The dialect and columns of a text file; `said` as `ingest.meanings.guess_columns` has it.
+
+    Raises `RefusedError` when no rows of numbers are found.
+    """
     encoding = guess_encoding(content)
     text = content[:_SAMPLE].decode(encoding, "replace").removeprefix("\ufeff")
     lines = text.splitlines()
@@ -88,12 +65,28 @@ def guess_text(content: bytes) -> GuessedTable:
     if best is None:
         raise RefusedError("no rows of numbers are found in the text", expected="delimited columns of numbers")
     _, dialect, start, fields = best
+    start = _first_row(lines, start, dialect, fields)
     above = [i for i in range(start) if lines[i].strip()]
     header, units = _heads(lines, above, dialect, fields)
+    fields = max(fields, len(header) if len(header) == len(_split(lines[start], dialect)) else 0)
     first = above[-(len(header) > 0) - (len(units) > 0)] if header else start
     dialect = replace(dialect, skip_rows=first, header=bool(header), unit_row=bool(units))
     rows = tuple(tuple(_split(line, dialect)) for line in lines[start : start + _ROWS] if line.strip())
-    return GuessedTable(dialect, guess_columns(header, units, fields), rows)
+    facts = harvest_lines(lines[i] for i in above if i < first)
+    interval = own_interval(header, units)
+    columns = guess_columns(header, [u if is_any_unit(u) else "" for u in units], fields, said)
+    return GuessedTable(dialect, columns, rows, facts if interval is None else (interval, *facts))
+
+
+def _first_row(lines: Sequence[str], start: int, dialect: Dialect, fields: int) -> int:
+    """Where the rows begin: those above that hold a number beside marks such as `----` or `WAIT` are rows as well."""
+    while start and lines[start - 1].strip():
+        cells = [c.strip() for c in _split(lines[start - 1], dialect)]
+        numbers = sum(is_number(c, dialect.decimal) for c in cells)
+        if abs(len(cells) - fields) > 1 or are_units(cells) or not numbers or (numbers < 2 and len(cells) != fields):
+            break
+        start -= 1
+    return start
 
 
 def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, int, int] | None:
@@ -111,7 +104,7 @@ def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, in
             widths = Counter(len(row) for _, row in rows)
             fields, _ = max(widths.items(), key=lambda item: (item[1] * min(item[0], 8), item[0]))
             alike = [(i, row) for i, row in rows if len(row) == fields]
-            numbers = [sum(bool(_NUMBER[decimal].fullmatch(f.strip())) for f in row) for _, row in alike]
+            numbers = [sum(is_number(f.strip(), decimal) for f in row) for _, row in alike]
             start = next((i for (i, _), n in zip(alike, numbers, strict=True) if n), None)
             share = sum(n > 0 for n in numbers) / len(filled)
             if start is not None and fields > 1 and len(alike) >= _FEWEST and share > _MOST:
@@ -119,70 +112,6 @@ def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, in
                 if best is None or score > best[0]:
                     best = (score, dialect, start, fields)
     return best
-
-
-def guess_encoding(content: bytes) -> str:
-    """By the byte-order mark, else UTF-8 when it decodes, else GBK when that gives Chinese text, else cp1252."""
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    if content.startswith(codecs.BOM_UTF8):
-        return "utf-8-sig"
-    start = content[:_SAMPLE]
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(start)
-        return "utf-8"
-    except UnicodeDecodeError:
-        pass
-    try:
-        text = codecs.getincrementaldecoder("gbk")().decode(start)
-    except UnicodeDecodeError:
-        return "cp1252"
-    foreign = [c for c in text if not c.isascii()]
-    chinese = sum("\u4e00" <= c <= "\u9fa5" or c == "℃" for c in foreign)
-    return "gbk" if chinese > len(foreign) / 2 and chinese > 1 else "cp1252"
-
-
-def guess_columns(header: Sequence[str], units: Sequence[str], fields: int) -> tuple[GuessedColumn, ...]:
-    """What columns seem to be, by their names, units in brackets and unit row; each meaning once."""
-    columns: list[GuessedColumn] = []
-    taken: set[str] = set()
-    counts = Counter(header)
-    for i in range(fields):
-        name = header[i] if i < len(header) else ""
-        if header and not name:
-            continue
-        plain, inside = name_and_unit(name)
-        unit = (units[i] if i < len(units) else "") or inside
-        meaning = guess_meaning(plain, unit)
-        if meaning in taken:
-            meaning = None
-        if meaning is not None:
-            taken.add(meaning)
-        columns.append(GuessedColumn(name if name and counts[name] == 1 else i, unit.strip("[]()") or None, meaning))
-    return tuple(columns)
-
-
-def guess_meaning(name: str, unit: str) -> str | None:
-    """`time`, a quantity, or None: what a column of that name and unit seems to be."""
-    named = [meaning for meaning, pattern in _NAMES if re.search(pattern, name.strip().lower())]
-    if named:
-        return next((meaning for meaning in named if _fits(meaning, unit)), None)
-    if not unit or unit in ("-", "%"):
-        return None
-    return next((name for name in _BY_UNIT if _converts(unit, QUANTITIES[name].unit)), None)
-
-
-def _fits(meaning: str, unit: str) -> bool:
-    canonical = "s" if meaning == TIME else QUANTITIES[meaning].unit
-    return not unit.strip() or canonical == ANY or _converts(unit, canonical)
-
-
-def _converts(unit: str, canonical: str) -> bool:
-    try:
-        conversion(unit.strip().strip("[]()"), canonical)
-    except RefusedError:
-        return False
-    return True
 
 
 def _score(lines: Sequence[str], dialect: Dialect) -> tuple[float, int, int]:
@@ -216,15 +145,26 @@ def _heads(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Header and unit row above the rows of numbers; empty where there is none."""
     rows = [tuple(" ".join(f.split()) for f in _split(lines[i], dialect)) for i in above[-2:]]
+    if len(rows) == 2 and len(rows[0]) == len(rows[1]) > fields and are_units(rows[1]):
+        return rows[0], rows[1]
     rows = [row for row in rows if abs(len(row) - fields) <= 1]
     if not rows:
         return (), ()
-    if len(rows) == 2 and _are_units(rows[1]):
+    if len(rows) == 2 and are_units(rows[1]):
         return rows[0], rows[1]
     return rows[-1], ()
 
 
-def _are_units(cells: Sequence[str]) -> bool:
-    filled = [c.strip("[]() ") for c in cells if c.strip("[]() ")]
-    canonical = {q.unit for q in QUANTITIES.values() if q.unit != ANY} | {"s", "Hz", "MPa", "N/mm"}
-    return bool(filled) and sum(any(_converts(c, u) for u in canonical) for c in filled) > len(filled) / 2
+def is_number(text: str, decimal: str) -> bool:
+    """Whether a cell is a number as people and machines write it, with a unit or prefix behind it or not."""
+    found = read_cell(text, decimal)
+    if found is None or not math.isfinite(found.value):
+        return False
+    return not found.unit or found.unit in PREFIXES or is_any_unit(found.unit)
+
+
+def are_units(cells: Sequence[str]) -> bool:
+    """Whether a row holds units: half of its cells that are no numbers are some, and one is no `-`."""
+    filled = [c.strip("[]() ") for c in cells if c.strip("[]() ") and not is_number(c.strip(), ".")]
+    units = [c for c in filled if is_any_unit(c)]
+    return len(units) >= len(filled) / 2 and any(c not in ("-", "1", "%") for c in units)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.commands import (
+    add,
     annotate,
     completion,
     diagnose,
@@ -41,6 +42,7 @@ COMMANDS: Mapping[str, Command] = {
         diagnose.COMMAND,
         simulate.COMMAND,
         inspect.COMMAND,
+        add.COMMAND,
         status.COMMAND,
         annotate.EXCLUSION,
         annotate.INCLUSION,
@@ -110,8 +112,8 @@ def _make_parser(wanted: str | None) -> argparse.ArgumentParser:
             epilog="examples:\n" + "\n".join(f"  dealab {name} {example}".rstrip() for example in command.examples),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        for add in command.arguments:
-            add(added)
+        for add_argument in command.arguments:
+            add_argument(added)
         added.set_defaults(commands=COMMANDS)
     return parser
 

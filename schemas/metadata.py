@@ -347,6 +347,30 @@ class RigConstants:
         return _as_text(self) | {f"{name}_noise_sd": repr(value) for name, value in self.noise_sd.items()}
 
 
+def list_faults(raw: Mapping[str, Any], cls: type, *, where: str = "") -> tuple[RefusedError, ...]:
+    """All that is wrong with metadata, key by key, where `parse` of the class raises the first of it."""
+    faults: list[RefusedError] = []
+    required = {f.name for f in dataclasses.fields(cls) if "parser" in f.metadata and f.default is dataclasses.MISSING}
+    parsers = {f.name: f.metadata["parser"] for f in dataclasses.fields(cls) if "parser" in f.metadata}
+    for key, value in raw.items():
+        required.discard(key)
+        try:
+            if key in parsers and not (isinstance(value, str) and value.strip() == ""):
+                _checked(parsers[key], key, value, where)
+            elif key not in parsers:
+                check_keys({k: v for k, v in raw.items() if k == key or k in parsers}, cls, "recording", where)
+        except RefusedError as error:
+            faults.append(error)
+    remedy = "Add it to the recording's metadata or to its TOML"
+    faults += [RefusedError(f"required key {key} is missing", where=where, remedy=remedy) for key in sorted(required)]
+    if cls is RecordingMetadata and not {"protocol", "loading"} & required:
+        try:
+            protocol(str(raw["protocol"]), str(raw["loading"]), where=where)
+        except RefusedError as error:
+            faults.append(error)
+    return tuple(faults)
+
+
 def near_miss(key: str, cls: type) -> str | None:
     """The known key that an unknown one seems to be a misspelling of; None where it looks like none of them."""
     if key.startswith(OWN_KEY):

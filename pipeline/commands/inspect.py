@@ -2,23 +2,52 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from argparse import Namespace
+from typing import TYPE_CHECKING
 
+from pipeline.commands import add
 from pipeline.commands.command import ATTENTION, DONE, RIGS, Command, argument, parse_path
+
+if TYPE_CHECKING:
+    from ingest.inspect import Inspection
 
 
 def run(arguments: Namespace) -> int:
     from ingest.inspect import FITS, inspect
 
+    if arguments.write:
+        return add.run(arguments)
     found = [inspect(path, rigs=arguments.rigs) for path in arguments.file]
-    print("\n\n".join(inspection.as_text() for inspection in found))
+    if len(found) == 1 and _goes_to_mapping(found[0]):
+        print(found[0].as_text(with_draft=False), file=sys.stderr)
+        print(found[0].draft or "", end="")
+    else:
+        print("\n\n".join(inspection.as_text() for inspection in found))
     return DONE if all(inspection.verdict == FITS for inspection in found) else ATTENTION
+
+
+def _goes_to_mapping(inspection: Inspection) -> bool:
+    """Whether the output is sent to a TOML, `> run7.csv.toml`: the draft alone belongs there."""
+    from ingest.mapping import own_mapping
+
+    try:
+        return os.path.samestat(os.fstat(sys.stdout.fileno()), own_mapping(inspection.path).stat())
+    except (OSError, ValueError):
+        return False
 
 
 COMMAND = Command(
     "inspect",
-    "what is in a recording, whether it fits, and what is wrong with it; writes nothing",
-    ("run7.mcap", "run7.csv"),
-    (argument("file", nargs="+", type=parse_path, metavar="FILE"), RIGS),
+    "what is in a recording, whether it fits, and what is wrong with it; writes nothing but with --write",
+    ("run7.mcap", "run7.csv", "run7.csv > run7.csv.toml", "run7.csv --write"),
+    (
+        argument("file", nargs="+", type=parse_path, metavar="FILE"),
+        argument("--write", action="store_true", help="writes the mapping as dealab add does"),
+        add.YES,
+        add.REPLACE,
+        RIGS,
+    ),
     run,
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ingest.canonical import canonical
-from ingest.draft import toml_string
+from ingest.draft_text import toml_string
 from ingest.mapping import find_mapping
 from ingest.quarantine import entries, quarantine
 from ingest.read import read_raw

@@ -11,10 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ingest.draft import toml_string
+from ingest.draft_text import toml_string
+from ingest.encodings import guess_encoding
 from ingest.inspect import DAMAGED, FITS, REFUSED, UNMAPPED, inspect
 from ingest.mapping import FileMapping
-from ingest.sniff import guess_encoding, guess_meaning, guess_text
+from ingest.meanings import guess_meaning
+from ingest.sniff import guess_text
 from tests.helpers.xlsx_files import write_xlsx
 
 N = 50

@@ -1,0 +1,80 @@
+"""All that is wrong with a mapping and the file it maps, at once: a person mends everything in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ingest.assemble import assemble
+from ingest.canonical import canonical
+from ingest.mapping import FileMapping, format_of
+from ingest.mapping import list_faults as list_mapping_faults
+from ingest.mapping_keys import IGNORE, RECORDING
+from ingest.read import open_columns, read_raw
+from ingest.rigs import find_rig
+from schemas.errors import DealabError
+from schemas.metadata import RecordingMetadata, TableMetadata, list_faults
+from schemas.recording import RawRecording, Recording
+
+
+def find_faults(
+    path: Path, content: Mapping[str, Any], *, source: str = "", root: Path | None = None, rigs: Path | None = None
+) -> tuple[DealabError, ...]:
+    """All that keeps a file from being taken in with a mapping; empty where nothing does.
+
+    Parameters
+    ----------
+    path : the data file
+    content : the mapping's tables
+    source : name of the mapping, for messages
+    root, rigs : where rig files are looked for, as in `ingest.rigs.find_rig`
+    """
+    stem = path.stem.encode("utf-8", "replace").decode()
+    faults: list[DealabError] = list(list_mapping_faults(content, stem=stem, suffix=path.suffix, source=source))
+    kind = content.get("kind", RECORDING)
+    about = content.get("recording", {})
+    if isinstance(about, Mapping) and kind != IGNORE:
+        stamped = {k: v.replace("{stem}", stem) if isinstance(v, str) else v for k, v in about.items()}
+        if kind == RECORDING and "started_at" not in stamped:
+            stamped["started_at"] = "2020-01-01T00:00:00+00:00"  # the file's own times, or the zone, say it
+        elif isinstance(stamped.get("started_at"), str) and isinstance(content.get("time"), Mapping):
+            stamped["started_at"] += "" if "zone" not in content["time"] or "+" in stamped["started_at"] else "+00:00"
+        faults += list_faults(stamped, RecordingMetadata if kind == RECORDING else TableMetadata, where=source)
+    if faults or kind == IGNORE:
+        return _each_once(faults)
+    mapping = FileMapping.parse(content, stem=stem, suffix=path.suffix, source=source)
+    try:
+        raw = read_raw(path, mapping)
+        if isinstance(raw, RawRecording):
+            check(raw, path, root=root, rigs=rigs)
+    except DealabError as first:
+        return _each_once([first, *_of_columns(path, mapping)])
+    return ()
+
+
+def check(raw: RawRecording, path: Path, *, root: Path | None = None, rigs: Path | None = None) -> Recording:
+    """The recording in canonical units, with the file of its rig. Raises `DealabError` where it cannot be one."""
+    rig_id = RecordingMetadata.parse(raw.metadata, where=path.name).rig_id or raw.rig.get("rig_id")
+    rig_file = find_rig(rig_id, path, root=root, rigs=rigs)
+    return canonical(raw, where=path.name, rig_file=None if rig_file is None else rig_file.values)
+
+
+def _of_columns(path: Path, mapping: FileMapping) -> list[DealabError]:
+    """What is wrong with each channel of a recording by itself."""
+    found = format_of(path, mapping)
+    if mapping.kind != RECORDING or found in (None, "mcap"):
+        return []
+    faults: list[DealabError] = []
+    for quantity, column in mapping.columns.items():
+        alone = replace(mapping, columns={quantity: column})
+        try:
+            assemble(open_columns(path, str(found), alone), alone, where=path.name)
+        except DealabError as error:
+            faults.append(error)
+    return faults
+
+
+def _each_once(faults: list[DealabError]) -> tuple[DealabError, ...]:
+    return tuple({str(fault): fault for fault in faults}.values())

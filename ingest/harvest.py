@@ -1,0 +1,165 @@
+"""What a file says of a test beside its columns: specimen, operator, date, sizes of the film, interval of the samples.
+
+Read for drafts alone, from the lines above a table and from the attributes of HDF5 files. What is found is written into
+the draft with the words that it was read from, so that a person can see it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from schemas.errors import RefusedError
+from schemas.units import conversion
+
+SAMPLE_RATE = "sample_rate_hz"
+STARTED_AT = "started_at"
+_SIZES: tuple[tuple[str, str], ...] = (
+    ("film_length_mm", r"^l0$|^lo$|(gauge|gage|initial|clamp|grip|film|sample|specimen)[ _-]*length|^length\b|einspannl|"
+     r"messl.nge|^l.nge$|klemml.nge|longueur"),
+    ("film_width_mm", r"^b0$|^w0$|(film|sample|specimen)?[ _-]*width|breite|largeur"),
+    ("film_thickness_mm", r"^a0$|^d0$|^t0$|^h0$|(film|sample|specimen)?[ _-]*thickness|dicke|(?<!dr)st.rke|.paisseur"),
+)  # fmt: skip
+_TEXTS: tuple[tuple[str, str], ...] = (
+    ("specimen_id", r"^(specimen|sample|probe[n]?)([ _-]*(label|name|id|no\.?|nr\.?|nummer|bezeichnung|kennung))?$|"
+     r"^pr.fling$|^试样编号$|^.chantillon$"),
+    ("operator", r"^(operator|user|tester|pr.fer|bediener|op.rateur|technician)$"),
+    ("material", r"^(material|werkstoff|mat.riau)$"),
+)  # fmt: skip
+_DATE = (
+    r"^(date|datum|datum ?/ ?uhrzeit|run date|test date|start(ed)?( time| at|zeit)?|date and time|pr.fdatum|t0|date/time"
+    r"|trigger date)$"
+)
+_INTERVAL = (
+    r"sample interval|sampling( interval| period)?$|sample period|^dt$|^delta_?[xt]$|^x_?inc(rement)?$|abtastintervall"
+)
+_RATE = r"sampl(e|ing) (rate|frequency)|^fs$|abtastrate|messrate"
+_PATTERNS = ("%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y/%m/%d %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%d.%m.%Y", "%d-%b-%Y")
+_VALUE = re.compile(r"^\s*(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s].*)?$")
+_PAIR = re.compile(r"^\s*[#;%]?\s*(?P<key>[^:=\t;,]{1,60}?)\s*[:=\t;,]\s*(?P<value>.+)$")
+_UNIT_IN_KEY = re.compile(r"^(?P<key>.*?)\s*[\[(/]\s*(?P<unit>[^\])]+?)[\])]?$")
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A key of `[recording]` (or the sample rate) with its value and the words it was read from."""
+
+    key: str
+    value: Any
+    words: str
+
+
+def harvest_lines(lines: Iterable[str]) -> tuple[Fact, ...]:
+    """The facts that the lines above a table say, the first of each kind."""
+    found: dict[str, Fact] = {}
+    for line in lines:
+        match = _PAIR.match(line.replace('"', ""))
+        if match is None:
+            continue
+        words = " ".join(line.replace('"', "").split())[:100]
+        fact = _fact(match["key"].strip(), match["value"].strip(" ,;\t"), words)
+        if fact is not None:
+            found.setdefault(fact.key, fact)
+    return tuple(found.values())
+
+
+def harvest_rows(rows: Iterable[Iterable[Any]]) -> tuple[Fact, ...]:
+    """The facts that the rows of a sheet above its table say."""
+    return harvest_lines("\t".join("" if cell is None else str(cell) for cell in row) for row in rows)
+
+
+def harvest_hdf5(path: Path) -> tuple[Fact, ...]:
+    """The facts that the attributes of an HDF5 file say."""
+    import h5py
+
+    lines: list[str] = []
+
+    def look(name: str, item: Any) -> None:
+        for key, value in item.attrs.items():
+            text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+            lines.append(f"{key}: {text}")
+
+    try:
+        with h5py.File(path) as file:
+            look("", file)
+            file.visititems(look)
+    except (OSError, RuntimeError, KeyError, ValueError):
+        return ()
+    return harvest_lines(lines[:2000])
+
+
+def own_interval(names: Iterable[str], units: Iterable[str]) -> Fact | None:
+    """The interval of the samples where a scope writes it into the row of units: `Increment` over `2.0e-02`."""
+    for name, unit in zip(names, units, strict=False):
+        fact = _fact(name.strip(), unit.strip(), f"{name} {unit}".strip())
+        if fact is not None and fact.key == SAMPLE_RATE:
+            return fact
+    return None
+
+
+def _fact(key: str, value: str, words: str) -> Fact | None:
+    plain = key.lower()
+    for name, pattern in _SIZES:
+        if re.search(pattern, plain.split("[")[0].split("(")[0].split("/")[0].strip()):
+            size = _size_mm(key, value)
+            return None if size is None else Fact(name, size, words)
+    for name, pattern in _TEXTS:
+        if re.search(pattern, plain) and value:
+            return Fact(name, value[:80], words)
+    if re.search(_DATE, plain):
+        moment = _moment(value)
+        return None if moment is None else Fact(STARTED_AT, moment, words)
+    if re.search(_INTERVAL, plain) or plain == "increment":
+        step = _number(value, "s", "s")
+        return Fact(SAMPLE_RATE, float(f"{1 / step:.9g}"), words) if step else None
+    if re.search(_RATE, plain):
+        rate = _number(value, "Hz", "Hz")
+        return Fact(SAMPLE_RATE, rate, words) if rate else None
+    return None
+
+
+def _size_mm(key: str, value: str) -> float | None:
+    match = _UNIT_IN_KEY.match(key)
+    return _number(value, match["unit"] if match else "", "mm")
+
+
+def _number(value: str, unit: str, canonical: str) -> float | None:
+    """A positive number with its unit, in the canonical one; None where either is not understood."""
+    match = _VALUE.match(re.sub(r"[\t;]+|,(?=\s*[A-Za-zµ])", " ", value))
+    if match is None:
+        return None
+    said = (match["unit"] or unit).strip(" []()")
+    if not said:
+        return None
+    try:
+        number = float(match["number"].replace(",", ".")) * conversion(said, canonical).scale
+    except RefusedError:
+        return None
+    return float(f"{number:.9g}") if 0 < number < 1e9 else None
+
+
+def _moment(value: str) -> str | None:
+    """A date as ISO 8601, without a zone where it has none; None where it is none or may mean two days."""
+    text = re.sub(r"[\t;]+", " ", value).strip()
+    try:
+        return datetime.fromisoformat(text).isoformat() if len(text) >= 10 else None
+    except ValueError:
+        pass
+    for pattern in _PATTERNS:
+        try:
+            return datetime.strptime(text, pattern).isoformat()
+        except ValueError:
+            continue
+    return None
+
+
+def by_key(facts: Iterable[Fact]) -> Mapping[str, Fact]:
+    """Facts by their key, the first of each."""
+    found: dict[str, Fact] = {}
+    for fact in facts:
+        found.setdefault(fact.key, fact)
+    return found

@@ -1,0 +1,188 @@
+"""What a column seems to mean, by its name and unit. Guesses for drafts alone: readers never guess."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from ingest.cell_units import name_and_unit
+from schemas.errors import RefusedError
+from schemas.quantities import QUANTITIES
+from schemas.units import ANY, conversion
+
+TIME, NOTHING = "time", "nothing"
+_SENSOR_UNITS = ("v", "volt", "volts", "mv")
+"""Units of a signal that is recorded as it comes from its amplifier, whatever it measures."""
+_NAMES: tuple[tuple[str, str], ...] = (
+    (TIME, r"^t\d?$|time|zeit|temps|tiempo|elapsed|timestamp|date|micros|millis|^x[ _-]?(axis|value)|^clock$|uhr|时间"),
+    ("leakage_current", r"current|strom|courant|leak|^i$|电流"),
+    ("temperature", r"temp|^t_?film|^t \(?deg|温度"),
+    ("capacitance", r"capac|kapaz|^c$|电容"),
+    ("demand", r"demand|set ?point|soll"),
+    ("command", r"command|^cmd|drive|control|^ao\d?$"),
+    ("stretch", r"stretch|lambda|strain|dehnung|déformation|应变"),
+    ("stress", r"stress|sigma|^p$|contrainte|应力"),
+    ("voltage", r"volt|spannung|^tension|^u$|^hv|^v$|^u_?(mon|out|ist)|电压"),
+    ("pressure", r"press|druck|压力"),
+    ("force_1", r"^(force|load|kraft|f)[ _-]?1$"),
+    ("force_2", r"^(force|load|kraft|f)[ _-]?2$"),
+    ("force", r"force|load|kraft|effort|fuerza|cell|^f$|载荷|力"),
+    (
+        "displacement",
+        r"disp|position|^pos$|weg|extension|travel|stroke|way|hub|elong|crosshead|traverse|vibrom|laser|d[ée]placement"
+        r"|länge|^s$|^x$|^z$|位移",
+    ),
+    ("input", r"^in(put)?$|^v1$|valve|ventil"),
+    ("output", r"^out(put)?$|^v2$"),
+)
+_BY_UNIT = (TIME, "force", "displacement", "voltage", "capacitance", "leakage_current", "temperature")
+"""What a unit alone stands for; a pressure may be a stress, so neither is here."""
+_OF_COUNTS = re.compile(r"^(no\.?|nr\.?|scan|index|sample|#|sequence|point|interval data:?|cycle count)$")
+"""Names of columns that count rows."""
+_SUFFIXES = frozenset(
+    (
+        *("s", "ms", "us", "µs", "min", "h", "V", "kV", "mV", "N", "mN", "kN", "gf", "lbf", "mm", "um", "µm", "m"),
+        *("cm", "in", "pF", "nF", "A", "mA", "uA", "µA", "nA", "Pa", "kPa", "MPa", "Hz", "degC", "degF", "K"),
+    )
+)
+"""Units as they stand behind a name: `force_V`, `HV_kV`."""
+_WRITTEN = re.compile(r"^(?P<name>.+?)[_ ](?P<unit>[A-Za-zµ]{1,4})$")
+_SI_BASE = {"n": "N", "v": "V", "kv": "kV", "hz": "Hz", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "pf": "pF"}
+"""Units that a program which writes all in small letters means."""
+
+
+@dataclass(frozen=True)
+class GuessedColumn:
+    """A column of a file: its name or number, the unit found for it, and what it seems to be (None: no guess).
+
+    `index`: which column of a matrix. `is_raw`: it is named as its quantity is, and stands in volts: its sensor's scale
+    is not in the file. `is_asked`: its meaning was taken from its numbers, since no name tells it.
+    """
+
+    column: str | int
+    unit: str | None
+    meaning: str | None
+    is_raw: bool = False
+    index: int | None = None
+    is_asked: bool = False
+
+
+def guess_columns(
+    header: Sequence[str], units: Sequence[str], fields: int, said: Mapping[str, str] = MappingProxyType({})
+) -> tuple[GuessedColumn, ...]:
+    """What columns seem to be; each meaning once, a column that is named so before one that only has the unit.
+
+    Parameters
+    ----------
+    header, units : names, and the row of units; empty where there is none
+    fields : number of columns
+    said : what a person says that columns are, by name or number: a quantity, `time` or `nothing`
+    """
+    counts = Counter(header)
+    found: dict[int, GuessedColumn] = {}
+    taken: set[str] = {meaning for meaning in said.values() if meaning != NOTHING}
+    for by_name in (True, False):
+        for i in range(fields):
+            name = header[i] if i < len(header) else ""
+            if (header and not name) or (i in found and found[i].meaning is not None):
+                continue
+            label: str | int = name if name and counts[name] == 1 else i
+            plain, inside = split_name(name)
+            unit = ((units[i] if i < len(units) else "") or inside).strip("[]() ")
+            unit = unit if unit and is_any_unit(unit) else ""
+            if str(label) in said:
+                meaning: str | None = None if said[str(label)] == NOTHING else said[str(label)]
+                raw = meaning is not None and (not _fits(meaning, unit) or is_scope(plain)) and meaning != TIME
+                found[i] = GuessedColumn(label, unit or None, meaning, raw and unit.lower() in ("", *_SENSOR_UNITS))
+                continue
+            meaning = guess_meaning(plain if by_name else "", unit) if plain or not by_name else None
+            raw = by_name and meaning is None and unit.lower() in _SENSOR_UNITS and named_as(plain) in _WITH_SENSOR
+            if raw:
+                meaning = named_as(plain)
+            if by_name and meaning is not None and not raw and named_as(plain) != meaning:
+                meaning = None  # by its unit alone: after those that have the name
+            if meaning in taken or (not by_name and (named_as(plain) is not None or _OF_COUNTS.match(plain.lower()))):
+                meaning, raw = None, False
+            if meaning is not None:
+                taken.add(meaning)
+            found[i] = GuessedColumn(label, unit or None, meaning, raw)
+    return tuple(found[i] for i in sorted(found))
+
+
+def is_scope(name: str) -> bool:
+    """Whether a name is that of a channel of a scope or logger, which says nothing of what it measures."""
+    return (
+        re.fullmatch(r"(ch(annel|an)?|kanal|trace)?[ _-]*[0-9a-d]|ampl(itude)?|untitled( \d+)?", name.lower())
+        is not None
+    )
+
+
+_WITH_SENSOR = ("force", "displacement", "force_1", "force_2", "stress", "pressure", "temperature")
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """A column's name and the unit in it: `Force (mN)`, `F / N`, `force_V`, `kV`; no unit where none is known there."""
+    plain, unit = name_and_unit(name)
+    if unit:
+        return plain, unit
+    if name in _SUFFIXES and len(name) > 1:
+        return "", name
+    match = _WRITTEN.match(name)
+    if match is not None:
+        written = match["unit"]
+        lower = name == name.lower()
+        known = _SI_BASE.get(written, written) if lower else written
+        if known in _SUFFIXES:
+            return match["name"], known
+    return name, ""
+
+
+def guess_meaning(name: str, unit: str) -> str | None:
+    """`time`, a quantity, or None: what a column of that name and unit seems to be."""
+    plain = name.strip().lower()
+    if _OF_COUNTS.match(plain):
+        return None
+    if plain == "s" and not unit:
+        return TIME
+    named = [meaning for meaning, pattern in _NAMES if re.search(pattern, plain)]
+    fitting = [meaning for meaning in named if _fits(meaning, unit)]
+    if fitting:
+        return fitting[0]
+    if named and unit:
+        return None
+    if named:
+        return named[0]
+    if not unit or unit in ("-", "%", "1"):
+        return None
+    if unit.lower() in _SENSOR_UNITS:
+        return None
+    return next((q for q in _BY_UNIT if _converts(unit, "s" if q == TIME else QUANTITIES[q].unit)), None)
+
+
+@functools.lru_cache(maxsize=4096)
+def is_any_unit(unit: str) -> bool:
+    """Whether a text is a unit of something that is measured here."""
+    canonical = {q.unit for q in QUANTITIES.values() if q.unit != ANY} | {"s", "Hz", "MPa", "N/mm", "rad"}
+    return any(_converts(unit, one) for one in canonical)
+
+
+def named_as(name: str) -> str | None:
+    """The first meaning whose words stand in a name; None where none does."""
+    return next((meaning for meaning, pattern in _NAMES if re.search(pattern, name.strip().lower())), None)
+
+
+def _fits(meaning: str, unit: str) -> bool:
+    canonical = "s" if meaning == TIME else QUANTITIES[meaning].unit
+    return not unit.strip() or canonical == ANY or _converts(unit, canonical)
+
+
+def _converts(unit: str, canonical: str) -> bool:
+    try:
+        conversion(unit.strip().strip("[]()"), canonical)
+    except RefusedError:
+        return False
+    return True

@@ -1,0 +1,152 @@
+"""`dealab add`: the mapping of a foreign file, drafted, asked for what it lacks, checked, and written beside it."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from pipeline.commands.command import ATTENTION, DONE, FAILED, RIGS, Command, argument, parse_path
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ingest.draft import Draft
+
+YES = argument(
+    "--yes",
+    nargs="*",
+    action="extend",
+    metavar="KEY=VALUE",
+    help="answers, such as specimen_id=P-07 force.unit=mN CH1=voltage film_sizes_mm=50x20x0.5; for what else is asked, "
+    "the suggestion is taken",
+)
+REPLACE = argument("--replace", action="store_true", help="writes a new mapping where there is one already")
+
+
+def run(arguments: Namespace) -> int:
+    return max(add_file(path, arguments) for path in arguments.file)
+
+
+def add_file(path: Path, arguments: Namespace, ask: Callable[[str], str] = input) -> int:
+    """Drafts, asks, checks and writes the mapping of one file; returns the exit status."""
+    from ingest.answers import split_answers
+    from ingest.mapping import own_mapping
+    from pipeline.commands.show.rows import make_safe
+    from schemas.errors import UsageError
+
+    beside = own_mapping(path)
+    if not path.is_file():
+        raise UsageError("there is no such file", where=str(path), expected="a recording or a table")
+    if beside.is_file() and beside.stat().st_size and not arguments.replace:
+        raise UsageError(
+            "it has a mapping already",
+            where=beside.name,
+            expected="a file without one",
+            remedy=f"See what dealab inspect {path.name} says of it, or give --replace",
+        )
+    given = split_answers(arguments.yes or [])
+    draft, said = _ready(path, given, ask, is_asked=arguments.yes is None)
+    if draft is None:
+        for line in said:
+            print(make_safe(line), file=sys.stderr)
+        return FAILED
+    for line in said:
+        print(make_safe(line))
+    return _write(draft, beside, arguments.rigs)
+
+
+def _ready(
+    path: Path, given: Mapping[str, str], ask: Callable[[str], str], *, is_asked: bool
+) -> tuple[Draft | None, list[str]]:
+    """The draft with every question answered and what was recognised; None and what is missing where one is not."""
+    from ingest.answers import answered, as_suggested, draft_with
+
+    draft, placed = draft_with(path, given)
+    draft = answered(draft, placed)
+    lines = [f"{path.name}: {_recognised(draft)}"]
+    lines += [f"  column     {c.column} is not mapped" for c in draft.unmapped]
+    if is_asked and draft.questions and sys.stdin.isatty():
+        print("\n".join(lines))
+        return _ask_all(draft, ask), []
+    if is_asked and draft.questions:
+        wanted = " ".join(f"{q.key}={q.suggestion if q.suggestion is not None else '…'}" for q in draft.questions)
+        lines += [f"  asks       {q.key}: {q.text}" for q in draft.questions]
+        return None, [*lines, f"Answer with: dealab add {path.name} --yes {wanted}"]
+    draft, taken = as_suggested(draft)
+    if draft.questions:
+        lines += [f"  asks       {q.key}: {q.text}; it cannot be guessed" for q in draft.questions]
+        return None, [*lines, "Answer with --yes " + " ".join(f"{q.key}=…" for q in draft.questions)]
+    lines += [f"  assumed    {q.key} = {q.suggestion}: {q.text}" for q in taken if q.suggestion != []]
+    return draft, lines
+
+
+def _ask_all(draft: Draft, ask: Callable[[str], str]) -> Draft:
+    """Asks each question until its answer can be used; an empty line takes the suggestion."""
+    from ingest.answers import answered, read_value
+
+    for question in draft.questions:
+        offered = "" if question.suggestion in (None, []) else f" [{question.suggestion}]"
+        among = f" ({', '.join(question.choices)})" if question.choices else ""
+        while True:
+            text = ask(f"  {question.text}{among}{offered}: ").strip()
+            if not text and question.suggestion is None:
+                continue
+            if text and question.choices and text not in question.choices:
+                continue
+            break
+        kept = _value_at(draft.content, question.key)
+        is_text = isinstance(question.suggestion, str)
+        draft = answered(draft, {question.key: (text if is_text else read_value(text)) if text else kept})
+    return draft
+
+
+def _value_at(content: Mapping[str, Any], key: str) -> Any:
+    value: Any = content
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def _recognised(draft: Draft) -> str:
+    if draft.shape is not None:
+        about = draft.content["recording"]
+        asked = f"{about['protocol']}, {about['loading']}"
+        known = f"; its samples cannot be read yet: {draft.unread}" if draft.unread else ""
+        return f"{asked} ({draft.shape.certainty}: {draft.shape.seen}){known}"
+    return f"a table of kind {draft.content['kind']}"
+
+
+def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
+    """Checks the mapping with its file and writes it; where anything is wrong, says all of it and writes nothing."""
+    from ingest.atomic import written_whole
+    from ingest.faults import find_faults
+    from ingest.mapping import FileMapping
+    from pipeline.commands.show.preview import describe_preview
+    from pipeline.commands.show.rows import make_safe
+
+    path = draft.path
+    faults = find_faults(path, draft.content, source=beside.name, rigs=rigs)
+    if faults:
+        for fault in faults:
+            print(f"  wrong      {make_safe(str(fault))}", file=sys.stderr)
+        print(f"dealab: nothing is written: {len(faults)} things to put right (answers with --yes)", file=sys.stderr)
+        return FAILED
+    stem = path.stem.encode("utf-8", "replace").decode()
+    mapping = FileMapping.parse(draft.content, stem=stem, suffix=path.suffix, source=beside.name)
+    lines = [make_safe(line) for line in describe_preview(path, mapping)]
+    with written_whole(beside) as place:
+        place.write_text(draft.as_toml(), encoding="utf-8")
+    print("\n".join(lines))
+    print(f"Written: {make_safe(str(beside))}. The next dealab nightly {make_safe(str(path.parent))} takes the file.")
+    return ATTENTION if any(line.startswith("  problem") for line in lines) else DONE
+
+
+COMMAND = Command(
+    "add",
+    "drafts the mapping of a file, asks what the file does not say, and writes it beside the file",
+    ("run7.csv", "run7.csv --yes specimen_id=P-07 force.unit=mN", "run*.csv --yes rig_id=rig-a"),
+    (argument("file", nargs="+", type=parse_path, metavar="FILE"), YES, REPLACE, RIGS),
+    run,
+)

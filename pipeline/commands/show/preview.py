@@ -1,0 +1,95 @@
+"""What a night will make of a file, before it is run: a picture of its channels, and the results to expect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ingest.faults import check
+from ingest.mapping import FileMapping
+from ingest.read import read_raw
+from ingest.tables import LifetimeTable, RelaxationTable
+from schemas.arrays import Float
+from schemas.quantities import QUANTITIES
+from schemas.recording import RawRecording, Recording
+
+_WIDTH, _HEIGHT = 64, 6
+"""Characters of a picture; each holds 2 × 4 dots."""
+_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+_BRAILLE = 0x2800
+_GIVES = {
+    ("chirp", "mechanical"): "the frequency response of the sweep and relaxation models of order 1 to 3",
+    ("sphs", "electrical"): "the response of the force to the voltage, and its prediction from the film's model",
+    ("cyclic", "mechanical"): "stiffness and damping at one frequency, cycle by cycle",
+    ("step", "mechanical"): "a relaxation fit of order 1 to 3",
+    ("step", "electrical"): "the force of each voltage step, and its drift",
+    ("lifetime", "electrical"): "the life of this film, and a survival curve with others of its configuration",
+    ("force_map", "electrical"): "static force in two directions at this pre-stretch",
+    ("coverage", "electrical"): "capacitance over coats of electrode",
+    ("cycle", "mechanical"): "hysteresis and the stiffness of a large cycle",
+    ("tap", "calibration"): "frequency and damping of the clamp, used for recordings of this rig",
+    ("weight", "calibration"): "gain and offset of the load cell, used for recordings of this rig",
+}
+_NEEDS_MODULUS = ("chirp", "cyclic", "step", "cycle")
+_SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
+
+
+def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
+    """Lines with what was read, drawn, and what a night will give. Raises `DealabError` for a file that is refused."""
+    raw = read_raw(path, mapping)
+    if isinstance(raw, RawRecording):
+        yield from _describe_recording(check(raw, path))
+    elif isinstance(raw, LifetimeTable):
+        failed = sum(row.failed for row in raw.rows)
+        lives = [row.lifetime_s for row in raw.rows]
+        span = f"{min(lives):g} to {max(lives):g} s"
+        yield f"  read       {len(raw.rows)} lives from {span}: {failed} failed, the others censored"
+        yield "  will give  survival curves of each configuration, Weibull parameters where enough films failed"
+    elif isinstance(raw, RelaxationTable):
+        yield f"  read       {raw.time_s.size} rows from {raw.time_s.min():g} to {raw.time_s.max():g} s"
+        yield "  will give  a relaxation fit of order 1 to 3"
+    else:
+        low, high = raw.frequency_hz.min(), raw.frequency_hz.max()
+        yield f"  read       {raw.frequency_hz.size} rows from {low:g} to {high:g} Hz"
+        yield "  will give  relaxation models of order 1 to 3 of this response"
+    for note in getattr(raw, "problems", ()):
+        yield f"  problem    {note}"
+
+
+def _describe_recording(recording: Recording) -> Iterator[str]:
+    about = recording.metadata
+    for name, channel in recording.channels.items():
+        unit = QUANTITIES[name].unit
+        values = channel.values[np.isfinite(channel.values)]
+        seconds: Float = np.asarray((channel.time_ns - recording.start_ns) * 1e-9, dtype=np.float64)
+        shown = f"{values.min():.4g} to {values.max():.4g} {unit if unit != 'any' else channel.unit or ''}"
+        yield f"  {name}: {channel.values.size} samples, {shown}, {seconds[-1] - seconds[0]:.4g} s"
+        yield from (f"    {line}" for line in draw(seconds, channel.values))
+    gives = _GIVES.get((about.protocol, about.loading), "samples in the database")
+    yield f"  will give  {gives}"
+    missing = [key for key in _SIZES if getattr(about, key) is None]
+    if about.protocol in _NEEDS_MODULUS and about.loading == "mechanical" and missing:
+        yield f"             no modulus: {', '.join(missing)} missing"
+    if about.rig_id is None and about.protocol in ("chirp", "cyclic"):
+        yield "             the resonance of clamp and load cell stays in: no rig_id"
+    for problem in recording.problems:
+        yield f"  problem    {problem}"
+
+
+def draw(x: Float, y: Float) -> list[str]:
+    """A curve as lines of Braille characters: in each column of dots from the least to the largest value there."""
+    finite = np.isfinite(x) & np.isfinite(y)
+    x, y = x[finite], y[finite]
+    if x.size < 2 or np.ptp(x) <= 0:
+        return []
+    span = float(np.ptp(y)) or 1.0
+    column = np.minimum((x - x.min()) / np.ptp(x) * 2 * _WIDTH, 2 * _WIDTH - 1).astype(int)
+    row = np.rint((y.max() - y) / span * (4 * _HEIGHT - 1)).astype(int)
+    cells = np.zeros((_HEIGHT, _WIDTH), dtype=np.int32)
+    for place in np.unique(column):
+        here = row[column == place]
+        for dot in range(int(here.min()), int(here.max()) + 1):
+            cells[dot // 4, place // 2] |= _DOTS[place % 2][dot % 4]
+    return ["".join(chr(_BRAILLE + int(cell)) for cell in line).rstrip(chr(_BRAILLE)) for line in cells]

@@ -1,0 +1,221 @@
+"""`dealab add`: what is harvested, inferred, asked and written; and that all that is wrong is said at once."""
+
+from __future__ import annotations
+
+import io
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ingest.answers import answered, as_suggested, draft_with, read_value, split_answers
+from ingest.draft import make_draft
+from ingest.encodings import guess_encoding
+from ingest.faults import find_faults
+from ingest.harvest import harvest_lines
+from ingest.inspect import FITS, inspect
+from ingest.shapes import Trace, find_shape
+from pipeline.cli import main
+from pipeline.commands import add
+from schemas.errors import UsageError
+from tests.strangers import drafts
+
+GERMAN = [
+    '"Prüfer";"Müller"',
+    '"Probe";"EL-03"',
+    '"Datum / Uhrzeit";"12.03.2026 14:05:10"',
+    '"L0";"50,00";"mm"',
+    '"b0";"20,00";"mm"',
+    '"a0";"0,20";"mm"',
+    '"Prüfzeit";"Traversenweg";"Standardkraft"',
+    '"s";"mm";"N"',
+]
+
+
+def write_relaxation(path: Path) -> Path:
+    t = np.arange(0, 60, 0.1)
+    x = np.minimum(t * 5, 10.0)
+    f = 0.03 * x * (1 + 0.5 * np.exp(-t / 10))
+    rows = [f"{a:.1f};{b:.3f};{c:.5f}".replace(".", ",") for a, b, c in zip(t, x, f, strict=True)]
+    path.write_bytes("\n".join([*GERMAN, *rows, ""]).encode("cp1252"))
+    return path
+
+
+def test_what_a_german_machine_says_is_harvested_and_its_test_recognised(tmp_path: Path) -> None:
+    draft = make_draft(write_relaxation(tmp_path / "run.csv"))
+    about = draft.content["recording"]
+    assert {k: about[k] for k in ("protocol", "loading", "specimen_id", "operator")} == {
+        "protocol": "step",
+        "loading": "mechanical",
+        "specimen_id": "EL-03",
+        "operator": "Müller",
+    }
+    assert (about["film_length_mm"], about["film_width_mm"], about["film_thickness_mm"]) == (50.0, 20.0, 0.2)
+    assert about["started_at"] == "2026-03-12T14:05:10"
+    assert draft.content["csv"]["encoding"] == "cp1252"
+    assert [q.key for q in draft.questions] == ["time.zone"]
+
+
+def test_add_writes_what_the_night_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_relaxation(tmp_path / "run.csv")
+    assert main(["add", str(path), "--yes", "zone=Europe/Berlin"]) == 0
+    assert "a relaxation fit of order 1 to 3" in capsys.readouterr().out
+    assert inspect(path).verdict == FITS, inspect(path).as_text()
+    with pytest.raises(UsageError, match="mapping already"):
+        add.add_file(path, _arguments())
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.csv", "run.csv.toml"]
+
+
+class _arguments:
+    yes: list[str] | None = None
+    replace = False
+    rigs = None
+    file: tuple[Path, ...] = ()
+
+
+def test_questions_are_all_told_where_nobody_can_be_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    path = tmp_path / "volts.csv"
+    rows = [f"{i / 10},{min(i / 10, 5.0)},{min(i / 10, 5.0) * 0.4:.4f}" for i in range(300)]
+    path.write_text("\n".join(["t,way,cell_V", *rows, ""]))
+    assert main(["add", str(path)]) == 1
+    said = capsys.readouterr().err
+    asked = ("time.unit", "columns.displacement.unit", "columns.force.scale", "recording.specimen_id")
+    assert all(f"asks       {key}" in said for key in asked)
+    assert not (tmp_path / "volts.csv.toml").exists()
+    assert main(["add", str(path), "--yes", "specimen_id=X"]) == 1
+    assert "force.scale" in capsys.readouterr().err
+    assert main(["add", str(path), "--yes", "force.scale=0.4", "film_sizes_mm=50x20x1", "specimen_id=X"]) == 0
+    written = tomllib.loads((tmp_path / "volts.csv.toml").read_text(encoding="utf-8"))
+    assert written["columns"]["force"] == {"column": "cell_V", "unit": "N", "scale": 0.4}
+    assert written["recording"]["film_width_mm"] == 20
+
+
+def test_answers_in_a_terminal_and_suggestions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_relaxation(tmp_path / "run.csv")
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr("sys.stdin", Terminal())
+    asked: list[str] = []
+
+    def ask(text: str) -> str:
+        asked.append(text)
+        return "Europe/Zurich"
+
+    assert add.add_file(path, _arguments(), ask) == 0
+    assert len(asked) == 1
+    assert 'zone = "Europe/Zurich"' in (tmp_path / "run.csv.toml").read_text(encoding="utf-8")
+    draft, taken = as_suggested(make_draft(path))
+    assert not draft.questions
+    assert [q.key for q in taken] == ["time.zone"]
+    assert "assumed" in draft.as_toml()
+
+
+def test_keys_that_do_not_exist_are_told_together(tmp_path: Path) -> None:
+    path = write_relaxation(tmp_path / "run.csv")
+    with pytest.raises(UsageError) as wrong:
+        draft_with(path, {"specimen": "X", "protocl": "step", "Traversenweg": "displacment"})
+    assert str(wrong.value).count("did you mean") == 3
+    with pytest.raises(UsageError, match="no answer"):
+        split_answers(["force"])
+    assert [read_value(t) for t in ("3", "0.4", "true", "[1, b]", "P-07")] == [3, 0.4, True, [1, "b"], "P-07"]
+
+
+def test_a_person_says_what_channels_of_a_scope_are(tmp_path: Path) -> None:
+    t = np.arange(0, 10, 0.01)
+    levels = np.where((t % 2) > 1, 1.0, 0.0)
+    rows = [f"{a:.2f},{b:.1f},{0.5 - 0.1 * b:.3f}" for a, b in zip(t, levels, strict=True)]
+    path = tmp_path / "scope.csv"
+    path.write_text("\n".join(["x-axis,CH1,CH2", "second,Volt,Volt", *rows, ""]))
+    draft, _ = draft_with(path, {"CH1": "voltage", "CH2": "force"})
+    columns = draft.content["columns"]
+    assert columns["voltage"] == {"column": "CH1", "unit": "kV", "scale": None}
+    assert {"columns.voltage.scale", "columns.force.scale"} <= {q.key for q in draft.questions}
+    done = answered(draft, {"columns.voltage.scale": 6.0, "columns.force.scale": 2.0})
+    assert (done.content["recording"]["protocol"], done.content["recording"]["loading"]) == ("step", "electrical")
+
+
+def test_all_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
+    path = write_relaxation(tmp_path / "run.csv")
+    content = dict(make_draft(path).content)
+    content["recording"] = {**content["recording"], "film_width_mm": -1, "stretch_1": "wide", "protocol": "stepp"}
+    content["columns"] = {**content["columns"], "forse": {"column": "x"}}
+    content["csv"] = {**content["csv"], "delimitr": ";"}
+    said = " | ".join(str(fault) for fault in find_faults(path, content, source="run.csv.toml"))
+    for word in ("film_width_mm", "stretch_1", "protocol", "columns.forse", "csv.delimitr"):
+        assert word in said
+    assert find_faults(path, {**make_draft(path).content, "time": {"column": "nowhere", "zone": "UTC"}})
+
+
+def test_the_draft_sent_to_its_own_file_is_a_mapping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_relaxation(tmp_path / "run.csv")
+    with (tmp_path / "run.csv.toml").open("w", encoding="utf-8") as output:
+        monkeypatch.setattr("sys.stdout", output)
+        main(["inspect", str(path)])
+    monkeypatch.undo()
+    assert tomllib.loads((tmp_path / "run.csv.toml").read_text(encoding="utf-8"))["kind"] == "recording"
+    assert inspect(path).verdict == FITS, inspect(path).as_text()
+
+
+def _trace(values: np.ndarray, rate: float = 100.0) -> Trace:
+    return Trace(np.arange(values.size) / rate, values + 1e-4 * np.random.default_rng(1).standard_normal(values.size))
+
+
+T = np.arange(0, 20, 0.01)
+SHAPES = {
+    "step": np.minimum(T * 10, 5.0),
+    "cycle": 10 - np.abs(T - 10),
+    "cyclic": np.sin(2 * np.pi * 1.3 * T),
+    "chirp": np.sin(2 * np.pi * (0.5 * T + 0.3 * T**2)),
+}
+
+
+@pytest.mark.parametrize("protocol", SHAPES)
+def test_tests_are_recognised_by_their_shape(protocol: str) -> None:
+    found = find_shape({"displacement": _trace(SHAPES[protocol]), "force": _trace(0.1 * SHAPES[protocol])})
+    assert (found.protocol, found.loading) == (protocol, "mechanical"), found
+    assert found.seen
+
+
+def test_electrical_tests_are_recognised() -> None:
+    on_off = np.where((T % 4) > 2, 6.0, 0.0)
+    steps = find_shape({"voltage": _trace(on_off), "force": _trace(1 - 0.01 * on_off)})
+    assert (steps.protocol, steps.constants["drive_kv"], steps.constants["on_s"]) == (
+        "step",
+        6.0,
+        pytest.approx(2.0, abs=0.02),
+    )
+    life = find_shape({"voltage": _trace(np.minimum(T * 5, 7.0)), "leakage_current": _trace(0 * T)})
+    assert (life.protocol, life.constants["voltage_setpoint_kv"]) == ("lifetime", 7.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("Prüfzeit;Weg;Kraft", "cp1252"),
+        ("时间(s),位移(mm),力(N)", "gbk"),
+        ("荷重(N),変位(mm)", "cp932"),
+        ("Weg [µm]", "cp1252"),
+    ],
+)
+def test_encodings(text: str, encoding: str) -> None:
+    assert guess_encoding(text.encode(encoding)) == encoding
+
+
+def test_lines_above_a_table() -> None:
+    lines = ["Sample Interval,5.0E-03,s", "Width: 1 in", "Date,03/04/2026", "Einspannlänge;50;mm", "Comment: 7 mm long"]
+    found = {fact.key: fact.value for fact in harvest_lines(lines)}
+    assert found == {"sample_rate_hz": 200.0, "film_width_mm": 25.4, "film_length_mm": 50.0}
+
+
+def test_drafts_of_our_own_files_of_strangers() -> None:
+    judged = [found for case in sorted(drafts.OWN.iterdir()) for found in drafts.judge(case)]
+    assert len(judged) >= 8
+    assert not [(j.name, j.wrong_units, j.lost) for j in judged if j.wrong_units or j.lost]
+    assert sum(bool(j.protocol) for j in judged) >= len(judged) - 1
