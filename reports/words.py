@@ -29,6 +29,7 @@ FOLLOWED = {
 
 _PROTOCOLS = {
     ("chirp", "mechanical"): "frequency sweep",
+    ("chirp", "electrical"): "frequency sweep of the voltage",
     ("sphs", "electrical"): "harmonic sequence of the voltage",
     ("sphs", "mechanical"): "harmonic sequence",
     ("cyclic", "mechanical"): "cyclic test",

@@ -28,6 +28,7 @@ _IN_OUT = (("input", "output"),)
 
 _ALL = (
     Protocol("chirp", MECHANICAL, _DRIVEN, ("temperature",), "sweep, one or several repeats"),
+    Protocol("chirp", ELECTRICAL, (("voltage", "force"),), ("command", "capacitance"), "sweep of the voltage"),
     Protocol("chirp", OTHER, _IN_OUT, (), "sweep of a system of another kind"),
     Protocol(
         "sphs",

@@ -2,7 +2,8 @@
 
 Single sweep: local polynomials over the spectrum of the whole record (`local_polynomial`). Repeats: the spectra are brought
 to the same instant, averaged, and the scatter between repeats is the noise; H = ⟨Y⟩/⟨U⟩, never a mean of ratios. The
-first repeat is compared with the later ones. Periodic multisines belong to `sphs`.
+first repeat is compared with the later ones. Of a sweep of voltage the input is the square of what was measured: it sweeps twice
+the frequency, and the frequency itself where the voltage has a bias. Periodic multisines belong to `sphs`.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ HALF_WIDTH, SHORT_HALF_WIDTH = 12, 6
 _ENOUGH_LINES = 40
 """Fewer lines than this with windows of ±12 bins: take ±6."""
 _FEWEST_LINES = 5
+_BIASED = 0.02
+"""Bias over amplitude of a voltage from which its square also sweeps the frequency of the voltage itself."""
 _BEGINS_WITHIN, _ENDS_WITHIN = "the record begins within the sweep", "the record ends with the sweep"
 
 
@@ -53,7 +56,10 @@ def chirp_response(recording: Recording) -> tuple[FrequencyResponse, tuple[str, 
     names = source.input.quantity, source.output.quantity
     sampled = sample({names[0]: source.input, names[1]: source.output}, recording.start_ns)
     warnings = list(sampled.notes)
-    low, high = _band(recording, sampled, source)
+    bands = _bands(recording, sampled, source)
+    low, high = bands[0][0], bands[-1][1]
+    if source.square:
+        sampled = replace(sampled, values={**sampled.values, names[0]: sampled.values[names[0]] ** 2})
     finite = sampled.finite
     if not finite.all():
         sampled, found = without_short_gaps(sampled, high)
@@ -71,10 +77,24 @@ def chirp_response(recording: Recording) -> tuple[FrequencyResponse, tuple[str, 
         response,
         recording_id=recording.metadata.recording_id,
         specimen_id=recording.metadata.specimen_id,
-        amplitude=amplitude,
+        amplitude=None if source.square else amplitude,
     )
-    response = quality.mark_clipped_sweep(response, recording, source, sampled, pieces, low, high)
+    for begin, end in bands:
+        response = quality.mark_clipped_sweep(response, recording, source, sampled, pieces, begin, end)
     return quality.judged(response, sampled.band_hz), tuple(warnings)
+
+
+def _bands(recording: Recording, sampled: Sampled, source: Drive) -> list[tuple[float, float]]:
+    """Bands in Hz that the physical input sweeps, ascending: V = b + a sin φ squared holds 2ab sin φ and −a²/2 cos 2φ."""
+    low, high = _band(recording, sampled, source)
+    if not source.square:
+        return [(low, high)]
+    nyquist = 0.5 / sampled.interval_s
+    voltage = sampled.values[source.input.quantity]
+    voltage = voltage[np.isfinite(voltage)]
+    bias, amplitude = float(voltage.max() + voltage.min()) / 2, float(np.ptp(voltage)) / 2
+    twice = min(2 * low, nyquist), min(2 * high, nyquist)
+    return [(low, high), twice] if abs(bias) > _BIASED * amplitude else [twice]
 
 
 def _band(recording: Recording, sampled: Sampled, source: Drive) -> tuple[float, float]:
