@@ -28,7 +28,7 @@ from schemas.quantities import QUANTITIES, Quantity
 from schemas.recording import Channel, RawChannel, RawRecording, Recording, Source
 from schemas.units import ANY, conversion
 
-_DYNAMIC = ("chirp", "sphs", "cyclic", "cycle", "step", "tap")
+_DYNAMIC = ("chirp", "sphs", "noise", "cyclic", "cycle", "step", "tap")
 """Protocols in which every required channel must change."""
 _FORCES = ("force", "force_1", "force_2")
 _REPEATED_INSTANTS = 0.01

@@ -32,6 +32,7 @@ _PROTOCOLS = {
     ("chirp", "electrical"): "frequency sweep of the voltage",
     ("sphs", "electrical"): "harmonic sequence of the voltage",
     ("sphs", "mechanical"): "harmonic sequence",
+    ("noise", "mechanical"): "random movement",
     ("cyclic", "mechanical"): "cyclic test",
     ("step", "electrical"): "voltage steps",
     ("step", "mechanical"): "stress relaxation",

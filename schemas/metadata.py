@@ -164,8 +164,10 @@ class RecordingMetadata:
     largest_stretch: float | None = _key(
         _positive, "equilibrium law of large cycles: stretch at which the chains are at their end"
     )
-    frequency_start_hz: float | None = _key(_positive, "first frequency of a sweep or sequence")
-    frequency_stop_hz: float | None = _key(_positive, "last frequency of a sweep or sequence")
+    frequency_start_hz: float | None = _key(
+        _not_negative, "first frequency of a sweep or sequence; a linear sweep may begin at 0"
+    )
+    frequency_stop_hz: float | None = _key(_not_negative, "last frequency of a sweep or sequence")
     sweep: str | None = _key(_choice("linear", "log"), "how the frequency of a sweep runs")
     repeats: int | None = _key(_count, "sweeps in the record")
     period_s: float | None = _key(_positive, "from the start of one repeat to the start of the next, rest included")
@@ -210,6 +212,7 @@ class RecordingMetadata:
         """Metadata from text or TOML values. Raises `RefusedError` for what is missing or malformed."""
         metadata = cls(**_parsed(cls, raw, where))
         metadata.definition(where=where)
+        _check_sweep(metadata, where)
         return metadata
 
     def definition(self, *, where: str = "") -> Protocol:
@@ -369,6 +372,18 @@ def list_faults(raw: Mapping[str, Any], cls: type, *, where: str = "") -> tuple[
         except RefusedError as error:
             faults.append(error)
     return tuple(faults)
+
+
+def _check_sweep(metadata: RecordingMetadata, where: str) -> None:
+    """Raises `RefusedError` for a sweep that cannot be: at 0 Hz alone, or from 0 by equal ratios."""
+    ends = metadata.frequency_start_hz, metadata.frequency_stop_hz
+    if 0 in ends and (metadata.sweep == "log" or ends[0] == ends[1]):
+        raise RefusedError(
+            f"a {metadata.sweep or ''} sweep from {ends[0]} to {ends[1]} Hz cannot be".replace("  ", " "),
+            where=where,
+            expected="frequencies above 0; one end of a linear sweep may be 0",
+            remedy="Correct frequency_start_hz, frequency_stop_hz or sweep",
+        )
 
 
 def near_miss(key: str, cls: type) -> str | None:

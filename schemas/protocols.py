@@ -38,6 +38,8 @@ _ALL = (
         "Schroeder-phased harmonic sequence, periodic",
     ),
     Protocol("sphs", OTHER, _IN_OUT, (), "periodic multisine of a system of another kind"),
+    Protocol("noise", MECHANICAL, _DRIVEN, ("temperature",), "random movement"),
+    Protocol("noise", OTHER, _IN_OUT, (), "random input of a system of another kind"),
     Protocol("cyclic", MECHANICAL, _DRIVEN, ("capacitance",), "sinusoid at one frequency and one strain"),
     Protocol(
         "step",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,9 +104,20 @@ def session_features(recording: Recording) -> SessionFeatures:
     """The recording's features for the diagnosis of its specimen, or why there are none."""
     alone = alone_of(recording)
     try:
-        return SessionFeatures(pack(reduce(recording)), alone=alone)
+        return SessionFeatures(pack(reduce(_from_one_turn(recording))), alone=alone)
     except NotIdentifiableError as error:
         return SessionFeatures("", error.shortcoming, alone)
+
+
+def _from_one_turn(recording: Recording) -> Recording:
+    """A sweep from 0 Hz as one from the lowest frequency that its record tells of: one turn in all of it."""
+    about = recording.metadata
+    start, stop = about.frequency_start_hz, about.frequency_stop_hz
+    if 0 not in (start, stop) or not recording.duration_s > 0:
+        return recording
+    turn = 1 / recording.duration_s
+    start, stop = turn if start == 0 else start, turn if stop == 0 else stop
+    return replace(recording, metadata=replace(about, frequency_start_hz=start, frequency_stop_hz=stop))
 
 
 def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Analysis:

@@ -103,6 +103,8 @@ def _band(recording: Recording, sampled: Sampled, source: Drive) -> tuple[float,
     low, high = recording.metadata.frequency_start_hz, recording.metadata.frequency_stop_hz
     if low is not None and high is not None and low > high:
         low, high = high, low
+    if low == 0:  # no record tells of less than one turn
+        low = 1 / (sampled.count * sampled.interval_s)
     if low is None or high is None:
         x = np.nan_to_num(sampled.values[source.input.quantity] - np.nanmean(sampled.values[source.input.quantity]))
         power = np.abs(np.fft.rfft(x)) ** 2

@@ -8,6 +8,7 @@ from pipeline.transform import quality
 from pipeline.transform.channels import drive
 from pipeline.transform.chirp import chirp_response
 from pipeline.transform.cyclic import cyclic_response
+from pipeline.transform.random_noise import noise_response
 from pipeline.transform.relaxation import RelaxationCurve, relaxation_curve
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sphs import sphs_response
@@ -54,6 +55,9 @@ def _respond(recording: Recording) -> RecordingResponse:
     if protocol == "sphs":
         response, distortions, warnings = sphs_response(recording)
         return RecordingResponse((response,), distortions, warnings=warnings)
+    if protocol == "noise":
+        response, warnings = noise_response(recording)
+        return RecordingResponse((response,), warnings=warnings)
     if protocol == "cyclic":
         response, distortions, warnings = cyclic_response(recording)
         return RecordingResponse((response,), distortions, warnings=warnings)

@@ -199,7 +199,7 @@ def _period_error(u: Complex, cycles_per_sample: Float) -> float:
 
 def _lines(recording: Recording, u: Complex, period_s: float) -> Int:
     metadata = recording.metadata
-    first = 1 if metadata.frequency_start_hz is None else int(np.ceil(metadata.frequency_start_hz * period_s - 0.01))
+    first = max(1, int(np.ceil((metadata.frequency_start_hz or 0.0) * period_s - 0.01)))
     stop = metadata.frequency_stop_hz
     last = u.shape[1] - 1 if stop is None else int(np.floor(stop * period_s + 0.01))
     size = np.sqrt((np.abs(u) ** 2).mean(axis=0))
