@@ -29,6 +29,7 @@ from pipeline.commands import (
     status,
 )
 from pipeline.commands.command import FAILED, Command
+from pipeline.import_path import leave_working_folder
 from schemas.errors import DealabError, UsageError
 
 _USAGE, _INTERRUPTED, _PIPE_CLOSED = 2, 130, 141
@@ -58,6 +59,8 @@ COMMANDS: Mapping[str, Command] = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line and returns the exit status. Errors are one line on stderr, never a traceback."""
+    if argv is None:
+        leave_working_folder()
     given = sys.argv[1:] if argv is None else list(argv)
     wanted = next((word for word in given if not word.startswith("-")), None)
     arguments = _make_parser(wanted).parse_args(given)

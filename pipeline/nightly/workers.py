@@ -25,6 +25,7 @@ from importlib.abc import MetaPathFinder
 from types import ModuleType
 from typing import Any, Protocol, TypeAlias, TypeVar
 
+from pipeline.import_path import leave_working_folder, start_without_working_folder
 from pipeline.lab.journal import Outcome
 from pipeline.lab.settings import Settings
 from schemas.errors import LabError
@@ -228,7 +229,8 @@ def prepare_workers(preload: Sequence[str]) -> Any:
 
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(preload))
-    ensure_running()
+    with start_without_working_folder():
+        ensure_running()
     return context
 
 
@@ -370,7 +372,9 @@ def load_module(module: str) -> None:
 
 
 def _start_worker(memory_mb: int) -> None:
-    """A worker leaves interrupts to its parent, dies with it, and keeps to its memory."""
+    """A worker imports nothing from the working folder, leaves interrupts to its parent, dies with it, and keeps to its
+    memory."""
+    leave_working_folder()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if sys.platform == "linux":
