@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ingest.toml_files import content_hash, load_toml
-from schemas.errors import RefusedError
+from schemas.errors import AccidentError, RefusedError
 from schemas.metadata import RECORDING_ID
 
 FOLDER = "rigs"
@@ -32,15 +32,26 @@ def find_rig(rig_id: str | None, path: Path, *, root: Path | None = None, rigs: 
 
     Looks in `rigs` when given, else in a folder `rigs` beside the recording `path` and in each folder above it up to
     `root` (the folder named on the command line; the recording's own folder when absent). Raises `RefusedError` when
-    the file is not TOML or names another rig. A `rig_id` that is not a plain name has no file.
+    the file is not TOML or names another rig, `AccidentError` when file or folder cannot be read. A `rig_id` that is not a plain name has no file.
     """
     if rig_id is None or not RECORDING_ID.fullmatch(rig_id):
         return None
     for folder in (rigs,) if rigs is not None else _folders(path, root):
         candidate = folder / f"{rig_id}.toml"
-        if candidate.is_file():
+        if _is_file(candidate):
             return _loaded(candidate, rig_id)
     return None
+
+
+def _is_file(candidate: Path) -> bool:
+    try:
+        return candidate.is_file()
+    except OSError as error:
+        raise AccidentError(
+            f"the folder of rig files cannot be read: {error.strerror or error}",
+            where=str(candidate.parent),
+            remedy="Give this user the right to read it",
+        ) from None
 
 
 def _folders(path: Path, root: Path | None) -> list[Path]:

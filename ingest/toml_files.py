@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from schemas.errors import RefusedError
+from schemas.errors import AccidentError, RefusedError
 
 _SIZE_LIMIT = 1 << 20
 """Largest mapping file that is read, bytes."""
@@ -27,7 +27,13 @@ def content_hash(content: Mapping[str, Any]) -> str:
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file (UTF-8, with or without a byte-order mark). `RefusedError` when it is not TOML."""
+    """Content of a TOML file (UTF-8, with or without a byte-order mark).
+
+    Raises
+    ------
+    RefusedError : it is not TOML
+    AccidentError : it cannot be read now
+    """
     try:
         if path.stat().st_size > _SIZE_LIMIT:
             raise _refused(path.name, f"the file has {path.stat().st_size} bytes", f"at most {_SIZE_LIMIT}")
@@ -39,7 +45,9 @@ def load_toml(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:  # of ValueErrors, one is that of a whole number with too many digits
         raise _refused(path.name, f"not valid TOML: {error}", "a TOML file") from None
     except OSError as error:
-        raise _refused(path.name, f"cannot be read: {error.strerror}", "a TOML file") from None
+        raise AccidentError(
+            f"cannot be read: {error.strerror or error}", where=path.name, remedy="Give this user the right to read it"
+        ) from None
 
 
 def _check_sizes(content: Any, name: str) -> None:

@@ -74,6 +74,13 @@ class PendingError(DealabError):
     transient = True
 
 
+class AccidentError(DealabError):
+    """Trouble of the machine, such as a folder without rights or a dead worker, that says nothing about the content: no
+    verdict, tried again every night."""
+
+    transient = True
+
+
 class NotIdentifiableError(DealabError):
     """The data cannot carry the estimate that was asked for; the estimate is refused, the reason kept."""
 

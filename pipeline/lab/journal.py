@@ -19,7 +19,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from ingest.atomic import written_whole
-from schemas.errors import LabError
+from schemas.errors import AccidentError, LabError
 
 RECORDING: Final = "recording"
 SPECIMEN: Final = "specimen"
@@ -28,6 +28,8 @@ GROUP: Final = "group"
 """Stages that items belong to."""
 OK, DAMAGED, QUARANTINED, PENDING, FAILED = "ok", "damaged", "quarantined", "pending", "failed"
 USABLE = (OK, DAMAGED)
+ACCIDENT: Final = "accident"
+"""Fact of an outcome that says nothing about its item: the machine had trouble, and the next night tries again."""
 _MAGIC = b"dealab-journal-2\n"
 _ENDING = ".entry"
 
@@ -61,7 +63,7 @@ class Outcome:
     outcome : ok, damaged, quarantined, pending or failed
     seconds : time it took
     error : why it failed or was refused, None when it did not
-    facts : what the plan has to know about it, plain JSON values
+    facts : what the plan has to know about it, plain JSON values; `ACCIDENT` among them
     """
 
     item_id: str
@@ -71,6 +73,19 @@ class Outcome:
     seconds: float = 0.0
     error: str | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def accident(self) -> bool:
+        """Whether an accident of the night ended it, which is no verdict on what it is about."""
+        return bool(self.facts.get(ACCIDENT))
+
+
+def is_accident(error: BaseException) -> bool:
+    """Whether an exception tells of the machine (a disk, rights, a broken installation) rather than of the data.
+
+    Libraries raise `OSError` for damaged files as well, without a number.
+    """
+    return isinstance(error, AccidentError | ImportError) or (isinstance(error, OSError) and error.errno is not None)
 
 
 def make_item_id(stage: str, name: str) -> str:

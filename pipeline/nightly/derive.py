@@ -22,6 +22,7 @@ from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import RecordingInput
 from pipeline.lab.inputs import Included, fetch_inputs, fetch_results, read_members, split_kinds, write_members
 from pipeline.lab.journal import (
+    ACCIDENT,
     DIAGNOSIS,
     FAILED,
     GROUP,
@@ -29,12 +30,13 @@ from pipeline.lab.journal import (
     SPECIMEN,
     Freshness,
     Outcome,
+    is_accident,
     make_item_id,
     write_entry,
 )
 from pipeline.lab.reader import Reader, open_published
 from pipeline.nightly.freshness import digest_lists, leave_out_fresh
-from pipeline.nightly.ledger import book_outcomes
+from pipeline.nightly.ledger import book_accident, book_outcomes
 from pipeline.nightly.stages import (
     CALIBRATION_KINDS,
     DIAGNOSIS_KIND,
@@ -92,7 +94,7 @@ class DerivedTask:
         LabError : the lab cannot be read or written
         MemoryError : memory ends
         """
-        started = time.monotonic()
+        started, accident = time.monotonic(), False
         try:
             analysis = _ANALYSES[self.stage](self)
         except (LabError, MemoryError):
@@ -101,24 +103,28 @@ class DerivedTask:
             analysis = Analysis(failures=[str(error)])
         except Exception as error:
             analysis = Analysis(failures=[f"{type(error).__name__}: {error}\n{traceback.format_exc()}"])
-        outcome = Outcome(
-            self.item_id,
-            self.stage,
-            self.freshness,
-            FAILED if analysis.failures else OK,
-            round(time.monotonic() - started, 3),
-            "\n".join(analysis.failures) or None,
-            {"notes": analysis.notes},
-        )
+            accident = is_accident(error)
+        outcome = self._describe(analysis, round(time.monotonic() - started, 3), accident=accident)
         write_entry(self.journal, outcome, analysis.joined())
         return outcome
 
-    def give_up(self, reason: str, limits_hash: str) -> Outcome:
-        """Keeps that the item's worker did not come back: failed, until input, code or limits are others."""
-        made_from = replace(self.freshness, settings_hash=limits_hash)
-        outcome = Outcome(self.item_id, self.stage, made_from, FAILED, 0.0, f"failed twice: {reason}")
+    def give_up(self, reason: str) -> Outcome:
+        """Keeps that the item's worker did not come back: failed, until the next night tries again."""
+        outcome = self._describe(Analysis(failures=[f"failed twice: {reason}"]), 0.0, accident=True)
         write_entry(self.journal, outcome, {})
         return outcome
+
+    def _describe(self, analysis: Analysis, seconds: float, *, accident: bool) -> Outcome:
+        """How making the item ended. An accident is made from nothing that could be the same the next night."""
+        return Outcome(
+            self.item_id,
+            self.stage,
+            replace(self.freshness, input_hash="") if accident else self.freshness,
+            FAILED if analysis.failures else OK,
+            seconds,
+            "\n".join(analysis.failures) or None,
+            {"notes": analysis.notes, ACCIDENT: accident},
+        )
 
 
 def _analyse_specimen(task: DerivedTask) -> Analysis:
@@ -175,8 +181,7 @@ def derive_results(night: Night) -> None:
     ledger.add("derived", _list_all_items(night))
     ledger.run("INSERT INTO expected SELECT item_id, stage, input_hash FROM derived")
     for stage in _FIRST:
-        code_version, settings_hash = night.version(stage)
-        leave_out_fresh(ledger, stage, code_version, (settings_hash, night.limits_hash))
+        leave_out_fresh(ledger, stage, *night.version(stage))
     _make_stale(night)
 
 
@@ -229,6 +234,8 @@ def _make_stale(night: Night) -> None:
     ):
         for _, outcome in night.perform(_make_tasks(night, reader, Path(folder)), count, "analyses"):
             book_outcomes(ledger, [outcome], done=True)
+            if outcome.accident:
+                book_accident(ledger, outcome, night.run_id)
 
 
 def _make_tasks(night: Night, reader: Reader | None, folder: Path) -> Iterator[DerivedTask]:

@@ -142,18 +142,16 @@ def _find_source(module: str) -> Path | None:
 # --- what needs not be made -------------------------------------------------------------------------------------------
 
 
-def leave_out_fresh(ledger: Ledger, stage: str, code_version: str, settings_hashes: tuple[str, str]) -> None:
+def leave_out_fresh(ledger: Ledger, stage: str, code_version: str, settings_hash: str) -> None:
     """Of the items of a stage that are `expected`, leaves those that have to be made.
 
-    Fresh is one whose results, published or left in the journal, are what making it again would give. Either of the
-    `settings_hashes` will do: that of the stage, and that of the limits of time and memory, which an item has whose
-    worker did not come back.
+    Fresh is one whose results, published or left in the journal, are what making it again would give.
     """
     same = (
         "made.item_id = e.item_id AND made.input_hash = e.input_hash AND made.code_version = ?"
-        " AND made.settings_hash IN (?, ?) WHERE e.stage = ?"
+        " AND made.settings_hash = ? WHERE e.stage = ?"
     )
-    values = [code_version, *settings_hashes, stage]
+    values = [code_version, settings_hash, stage]
     fresh = f"IN (SELECT e.item_id FROM expected e CROSS JOIN {{}} made ON {same})"
     ledger.run(f"UPDATE outcomes SET done = 1 WHERE item_id {fresh.format('outcomes')}", values)
     ledger.run(f"DELETE FROM expected WHERE item_id {fresh.format('items')}", values)

@@ -41,10 +41,12 @@ _LEARNT: Mapping[str, tuple[str, ...]] = {
     "items": ("item_id", "stage", "input_hash", "code_version", "settings_hash", "outcome", "error"),
     "files": ("path", "size", "mtime_ns", "inode", "sha256"),
     "carried": ("recording_id", "kind"),
+    "accidents": ("item_id", "stage", "source_path", "reason", "nights", "first_run_id", "run_id"),
 }
 """Tables of the snapshot that a night wants, and their columns in the order that the ledger has as well."""
-_BOOKED = {"recordings": "known"}
+_BOOKED = {"recordings": "known", "accidents": "earlier_accidents"}
 """The ledger's name of a table, where it is another."""
+_ACCIDENTS = "item_id TEXT PRIMARY KEY, stage TEXT, source_path TEXT, reason TEXT, nights INTEGER, first_run_id TEXT, run_id TEXT"
 
 TABLES: Mapping[str, str] = {
     # What the lab knew before tonight: from the published snapshot.
@@ -58,6 +60,9 @@ TABLES: Mapping[str, str] = {
     ),
     "files": "path TEXT PRIMARY KEY, size INTEGER, mtime_ns INTEGER, inode INTEGER, sha256 TEXT",
     "carried": "recording_id TEXT, kind TEXT, PRIMARY KEY (recording_id, kind)",
+    "earlier_accidents": _ACCIDENTS,
+    # Tonight's accidents, with how many nights they have happened in a row.
+    "accidents": _ACCIDENTS,
     # What is made: outcomes in the journal, `done` where they are tonight's or still good. Kinds of results stand in
     # one text, a comma between two.
     "outcomes": (
@@ -224,6 +229,22 @@ def learn_lab(lab: Lab, ledger: Ledger) -> int:
 def book_outcomes(ledger: Ledger, outcomes: Iterable[Outcome], *, done: bool) -> None:
     """Books outcomes whose entries lie in the journal; `done` where they are tonight's."""
     ledger.add("outcomes", (_make_row(outcome, done) for outcome in outcomes))
+
+
+def book_accident(ledger: Ledger, outcome: Outcome, run_id: str) -> str:
+    """Books that trouble of the machine ended an item; returns that in words, with how often it has now."""
+    place = outcome.facts.get("source_path")
+    before = ledger.row("SELECT nights, first_run_id FROM earlier_accidents WHERE item_id = ?", [outcome.item_id])
+    nights, first = (1, run_id) if before is None else (before[0] + 1, before[1])
+    row = (outcome.item_id, outcome.stage, place, outcome.error, nights, first, run_id)
+    ledger.add("accidents", [row])
+    return describe_accident(outcome.error or "", nights)
+
+
+def describe_accident(reason: str, nights: int) -> str:
+    """An accident in words."""
+    often = "" if nights == 1 else f", {nights} nights in a row"
+    return f"an accident of the night{often}, no verdict: {reason}; the next nightly tries it again"
 
 
 def _make_row(outcome: Outcome, done: bool) -> tuple[Any, ...]:

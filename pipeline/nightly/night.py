@@ -52,7 +52,8 @@ class Summary:
     counts : of its files
     analysed : results that were made
     missing : known recordings whose file has gone
-    attention : every file that was refused or is damaged and every analysis that failed, with its reason
+    attention : every file that was refused or is damaged, every accident and every analysis that failed, with its
+        reason
     without_result : every recording or table in the lab that was taken in and led to no result, with what was missing
     notes : what was passed over
     report_problem : why the pages could not be written
@@ -90,7 +91,7 @@ class Summary:
             f"{number} {what}"
             for number, what in (
                 (c.duplicates, "duplicates"),
-                (c.pending, "still being written"),
+                (c.pending, "left for the next night"),
                 (c.unmapped, "without a mapping"),
                 (self.missing, "known recordings whose file has gone"),
             )

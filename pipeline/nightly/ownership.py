@@ -235,12 +235,11 @@ def _select_unseen(condition: str) -> str:
     )
 
 
-def set_aside_changing(ledger: Ledger, changing: Collection[str]) -> None:
-    """Contents that changed while they were read: their files are pending, earlier results stay as they are."""
-    for sha256 in changing:
+def set_aside(ledger: Ledger, aside: Mapping[str, str]) -> None:
+    """Contents of which nothing could be learnt, and why: their files are pending, earlier results stay as they are."""
+    for sha256, reason in aside.items():
         for look, place in list(ledger.each("SELECT id, place FROM looks WHERE sha256 = ?", [sha256])):
-            name = Path(os.fsdecode(place)).name
-            problem = str(PendingError("the file changed while it was read", where=name))
+            problem = str(PendingError(reason, where=Path(os.fsdecode(place)).name))
             ledger.run("UPDATE looks SET sha256 = NULL, problem = ?, pending = 1 WHERE id = ?", [problem, look])
         ledger.run("DELETE FROM contents WHERE sha256 = ?", [sha256])
         ledger.run(f"INSERT OR IGNORE INTO contents {_select_unseen('source_sha256 = ?')}", [sha256])

@@ -6,6 +6,7 @@ database is built, checked and put in place (`pipeline.lab.snapshot`).
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -37,7 +38,7 @@ from pipeline.lab.journal import (
 )
 from pipeline.lab.reader import Reader, open_published
 from pipeline.lab.snapshot import Changes, Deletion, Rows, Streamed, publish
-from pipeline.nightly.ledger import split
+from pipeline.nightly.ledger import describe_accident, split
 from pipeline.nightly.look import SOURCE, Found, make_source
 from pipeline.nightly.ownership import ANALYSED_SQL, DUPLICATE, ITEM
 from pipeline.nightly.stages import (
@@ -46,7 +47,7 @@ from pipeline.nightly.stages import (
     Night,
 )
 from schemas.errors import DealabError, RefusedError
-from schemas.tables import OWNERS, StageName, find_rows_made_by
+from schemas.tables import OWNERS, TABLES, StageName, find_rows_made_by
 from schemas.version import software_version
 
 _KEYS_AT_ONCE = 10_000
@@ -95,7 +96,7 @@ def count_files(night: Night, found: Found) -> Counts:
         ingested=ledger.number(f"{contents} {_AGAIN} AND {_RESULTS}"),
         reused=ledger.number(f"{contents} NOT {_AGAIN}"),
         quarantined=statuses.get(QUARANTINED, 0),
-        failed=len(list_failures(night)),
+        failed=len(list_failures(night)) + ledger.number("SELECT count(*) FROM accidents WHERE stage = ?", [RECORDING]),
         damaged=statuses.get(DAMAGED, 0),
         duplicates=statuses.get(DUPLICATE, 0),
         pending=statuses.get(PENDING, 0),
@@ -115,14 +116,19 @@ def list_failures(night: Night) -> dict[str, str]:
 
 
 def list_attention(night: Night) -> tuple[str, ...]:
-    """Every file that was refused or is damaged and every analysis that failed, with its reason."""
+    """Every file that was refused or is damaged, every accident and every analysis that failed, with its reason."""
     rows = night.ledger.each(
         "SELECT r.status, r.source_path, r.problem FROM rows r JOIN looks l ON l.id = r.look"
         " WHERE r.status IN (?, ?) ORDER BY l.place",
         [QUARANTINED, DAMAGED],
     )
     files = [f"{status}: {path}: {problem}" for status, path, problem in rows]
-    return (*files, *(f"failed: {item}: {reason}" for item, reason in list_failures(night).items()))
+    accidents = list(night.ledger.each("SELECT item_id, source_path, reason, nights FROM accidents ORDER BY item_id"))
+    told = [f"{place or item}: {describe_accident(reason, nights)}" for item, place, reason, nights in accidents]
+    failures = list_failures(night)
+    for item, *_ in accidents:
+        failures.pop(item, None)
+    return (*files, *told, *(f"failed: {item}: {reason}" for item, reason in failures.items()))
 
 
 def list_without_result(night: Night) -> tuple[str, ...]:
@@ -182,6 +188,7 @@ def _list_deletions(night: Night, found: Found) -> Iterator[Deletion]:
     yield from _delete_in_parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
     yield from _delete_in_parts("files", ("path",), ((path,) for path in _list_files_gone(night, found)))
     yield Deletion("annotations")
+    yield Deletion("accidents")
 
 
 def _delete_in_parts(
@@ -221,6 +228,11 @@ def _list_insertions(night: Night, found: Found) -> Iterator[Mapping[str, Rows]]
         yield {"items": [{**dict(zip(_ITEM, row, strict=True)), "run_id": night.run_id} for row in some]}
     for some in split(ledger.each(f"SELECT {', '.join(_FILE)} FROM looks WHERE settled ORDER BY path")):
         yield {"files": [dict(zip(_FILE, row, strict=True)) for row in some]}
+    # An accident stays booked until its file is met again: tonight's folders may be others.
+    kept = "SELECT * FROM earlier_accidents WHERE stage = ? AND source_path NOT IN (SELECT path FROM looks)"
+    earlier = (row for row in ledger.each(kept, [RECORDING]) if not any(is_below(row[2], root) for root in found.roots))
+    for some in split(itertools.chain(ledger.each("SELECT * FROM accidents"), earlier)):
+        yield {"accidents": [dict(zip(TABLES["accidents"].names, row, strict=True)) for row in some]}
     yield {
         "annotations": [{**asdict(one), "at": datetime.fromisoformat(one.at)} for one in night.annotations],
         "runs": [_describe_run(night, found)],

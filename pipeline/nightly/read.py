@@ -23,6 +23,7 @@ from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.description import recordings_table, refused_row
 from pipeline.lab.inputs import split_kinds
 from pipeline.lab.journal import (
+    ACCIDENT,
     DAMAGED,
     FAILED,
     OK,
@@ -33,12 +34,13 @@ from pipeline.lab.journal import (
     Outcome,
     entry_name,
     explain_unwritable,
+    is_accident,
     list_entries,
     make_item_id,
     write_entry,
 )
 from pipeline.nightly.freshness import hash_input, hash_mapping, hash_rig, leave_out_fresh
-from pipeline.nightly.ledger import book_outcomes
+from pipeline.nightly.ledger import book_accident, book_outcomes
 from pipeline.nightly.look import SOURCE, Found, make_source
 from pipeline.nightly.ownership import (
     ANALYSED_SQL,
@@ -46,10 +48,10 @@ from pipeline.nightly.ownership import (
     ITEM,
     collect_readings,
     place_contents,
-    set_aside_changing,
+    set_aside,
 )
 from pipeline.nightly.stages import CALIBRATION_KINDS, Night
-from schemas.errors import DealabError, LabError, PendingError
+from schemas.errors import AccidentError, DealabError, LabError, PendingError
 from schemas.recording import RawRecording
 
 if TYPE_CHECKING:
@@ -103,15 +105,19 @@ class RecordingTask:
         from pipeline.analyse.carried import carried_table
 
         started = time.monotonic()
-        found = self._read()
+        try:
+            found = self._read()
+        except PendingError as error:
+            return self._set_aside(error.problem, accident=False)
+        except AccidentError as error:
+            return self._set_aside(str(error), accident=True)
         outcome = self._describe(found, round(time.monotonic() - started, 3))
-        if outcome.outcome != PENDING:
-            row = found.row | {"rig_id": found.row.get("rig_id") or found.rig_id, "samples_path": found.samples}
-            found.analysis.add({"recordings": self._tabulate(row)})
-            tables = found.analysis.joined()
-            if row.get("recording_id") is not None:
-                tables["carried"] = carried_table(row["recording_id"], found.analysis.carried)
-            write_entry(self.journal, outcome, tables)
+        row = found.row | {"rig_id": found.row.get("rig_id") or found.rig_id, "samples_path": found.samples}
+        found.analysis.add({"recordings": self._tabulate(row)})
+        tables = found.analysis.joined()
+        if row.get("recording_id") is not None:
+            tables["carried"] = carried_table(row["recording_id"], found.analysis.carried)
+        write_entry(self.journal, outcome, tables)
         return outcome
 
     def _read(self) -> _Finding:
@@ -130,11 +136,13 @@ class RecordingTask:
                     samples = self._write(functools.partial(write_samples, recording, self.lab, staged=self.staged))
                     return _Finding(name_rig(raw), *analyse_content(recording, kind), samples)
                 return _Finding(name_rig(raw), *analyse_content(raw, kind))
-        except (LabError, MemoryError):
+        except (LabError, MemoryError, PendingError, AccidentError):
             raise
         except DealabError as error:
             problem = error
         except Exception as error:
+            if is_accident(error):
+                raise AccidentError(f"{type(error).__name__}: {error}") from error
             summary = f"reading it failed unexpectedly: {type(error).__name__}: {error}"
             problem = DealabError(summary, where=self.source.path.name, remedy="Report this with the file")
             trace = f"{summary}\n{traceback.format_exc()}"
@@ -147,36 +155,30 @@ class RecordingTask:
         except OSError as error:
             raise explain_unwritable(self.staged.parent, error) from error
 
-    def give_up(self, reason: str, limits_hash: str) -> Outcome:
-        """Keeps that the file's worker did not come back: refused, until content, code or limits are others."""
-        problem = DealabError(
-            f"reading or analysing it failed twice: {reason}",
-            where=self.source.path.name,
-            remedy="Raise deadline_s or memory_mb in the lab's settings.toml if the file is fine",
+    def give_up(self, reason: str) -> Outcome:
+        """The file's worker did not come back: an accident, which says nothing about the content."""
+        return self._set_aside(
+            f"reading or analysing it failed twice: {reason}; with other deadline_s or memory_mb in the lab's"
+            " settings.toml it may go well",
+            accident=True,
         )
-        outcome = Outcome(
-            self.item_id,
-            RECORDING,
-            Freshness(self._hash_input(None), self.code_version, limits_hash),
-            QUARANTINED,
-            0.0,
-            reason,
-            {"rig_id": None, "status": QUARANTINED, "problem": str(problem), "refusal": problem.as_dict()},
+
+    def _set_aside(self, reason: str, *, accident: bool) -> Outcome:
+        """Nothing is known of the content tonight: earlier results stay, and the next night reads it."""
+        facts = {ACCIDENT: accident, "source_path": spell_source(self.source)}
+        return Outcome(
+            self.item_id, RECORDING, Freshness("", self.code_version, self.settings_hash), PENDING, 0.0, reason, facts
         )
-        row = refused_row({}, str(problem), RECORDING)
-        write_entry(self.journal, outcome, {"recordings": self._tabulate(row)})
-        return outcome
 
     def _describe(self, found: _Finding, seconds: float) -> Outcome:
         """How reading the file ended.
 
-        What is to be tried again the next night is made from nothing that could be the same then.
+        What is to be tried again the next night is made from nothing that could be the same then: what failed
+        unexpectedly is no verdict either.
         """
         problem, failures = found.problem, found.analysis.failures
         ending, error_text = OK if found.row["status"] == "ok" else DAMAGED, None
-        if isinstance(problem, PendingError):
-            ending, error_text = PENDING, str(problem)
-        elif problem is not None:
+        if problem is not None:
             ending, error_text = QUARANTINED, found.trace or str(problem)
         elif failures:
             ending, error_text = FAILED, "\n".join(failures)
@@ -188,7 +190,8 @@ class RecordingTask:
             "carried": sorted({type(result).__name__ for result in found.analysis.carried}),
             "notes": found.analysis.missing,
         }
-        made_from = "" if problem is not None and problem.transient else self._hash_input(found.rig_id)
+        passes = problem is not None and (problem.transient or bool(found.trace))
+        made_from = "" if passes else self._hash_input(found.rig_id)
         freshness = Freshness(made_from, self.code_version, self.settings_hash)
         return Outcome(self.item_id, RECORDING, freshness, ending, seconds, error_text, facts)
 
@@ -242,13 +245,13 @@ def read_contents(night: Night, found: Found) -> None:
     place_contents(ledger, functools.partial(is_there, roots=found.roots))
     ledger.add("expected", _list_expected(night))
     code_version, settings_hash = night.version(RECORDING)
-    leave_out_fresh(ledger, RECORDING, code_version, (settings_hash, night.limits_hash))
+    leave_out_fresh(ledger, RECORDING, code_version, settings_hash)
     prefix = len(make_item_id(RECORDING, ""))
     ledger.run(
         "INSERT INTO stale SELECT DISTINCT substr(item_id, ?) FROM expected WHERE stage = ?", [prefix + 1, RECORDING]
     )
     while True:
-        set_aside_changing(ledger, _read_stale(night))
+        set_aside(ledger, _read_stale(night))
         collect_readings(ledger)
         ledger.run("DELETE FROM stale")
         ledger.run(
@@ -316,16 +319,18 @@ def _remember_rigs(rigs: Path | None) -> Callable[[str, SourceFile], str]:
     return lambda rig_id, source: look_up(rig_id, source.path.parent, source.root)
 
 
-def _read_stale(night: Night) -> list[str]:
-    """Reads the stale contents in workers; returns those that could not be read because they change."""
+def _read_stale(night: Night) -> dict[str, str]:
+    """Reads the stale contents in workers; returns those of which nothing could be learnt, each with the reason."""
     count = night.ledger.number("SELECT count(*) FROM stale")
-    changing = []
+    aside = {}
     for task, outcome in night.perform(_make_tasks(night), count, "recordings"):
-        if outcome.outcome == PENDING:
-            changing.append(task.sha256)
+        if outcome.accident:
+            aside[task.sha256] = book_accident(night.ledger, outcome, night.run_id)
+        elif outcome.outcome == PENDING:
+            aside[task.sha256] = outcome.error or "the file changed while it was read"
         else:
             book_outcomes(night.ledger, [outcome], done=True)
-    return changing
+    return aside
 
 
 def _make_tasks(night: Night) -> Iterator[RecordingTask]:

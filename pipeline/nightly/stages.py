@@ -12,7 +12,6 @@ knows (`pipeline.nightly.read`, `pipeline.nightly.derive`).
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -126,14 +125,7 @@ class Night:
         """Hash of a stage's code, and of the settings that it uses."""
         return STAGES[stage].version(self.settings)
 
-    @functools.cached_property
-    def limits_hash(self) -> str:
-        """Stands for the settings in what a lost item was made from: with other limits it is tried again."""
-        return digest([self.settings.deadline_s, self.settings.memory_mb])
-
     def perform(self, tasks: Iterable[AnyTask], count: int, what: str) -> Iterator[tuple[AnyTask, Outcome]]:
         """Has tasks done by the workers; outcomes as they are ready, also of those whose workers did not come back."""
         for task, result in self.workers.perform(tasks, count, what):
-            if isinstance(result, Casualty):
-                result = task.give_up(result.reason, self.limits_hash)
-            yield task, result
+            yield task, task.give_up(result.reason) if isinstance(result, Casualty) else result

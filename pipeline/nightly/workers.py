@@ -48,8 +48,8 @@ class Task(Protocol):
         """Makes the item and keeps its results in the journal."""
         ...
 
-    def give_up(self, reason: str, limits_hash: str) -> Outcome:
-        """Keeps in the journal that the item could not be made, with the limits that it was tried with."""
+    def give_up(self, reason: str) -> Outcome:
+        """The outcome of an item whose worker did not come back: an accident, which the next night tries again."""
         ...
 
 

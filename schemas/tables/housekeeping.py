@@ -74,6 +74,22 @@ TABLES: tuple[Table, ...] = (
         internal=True,
     ),
     Table(
+        "accidents",
+        "what trouble of the machine kept from being done: no verdict on it, tried again by every night",
+        (
+            text("item_id", "as in items", required=True),
+            text("stage", "recording, specimen, diagnosis or group"),
+            text("source_path", "the file, of a recording"),
+            text("reason", "what happened"),
+            whole("nights", "nights in a row on which it happened"),
+            text("first_run_id", "the first of them"),
+            text("run_id", "the last of them"),
+        ),
+        key=("item_id",),
+        made_by=(MadeBy("night"),),
+        pages=("index",),
+    ),
+    Table(
         "files",
         "bookkeeping: raw files as they were last seen, so that only changed ones are read again",
         (

@@ -8,12 +8,14 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import ingest.intake
 import pipeline.nightly.night
 import pipeline.nightly.workers
 from pipeline import Lab
@@ -22,7 +24,7 @@ from tests.conftest import ROOT
 from tests.faults import sabotage
 from tests.faults.harness import Bench, full_disk, kills, readers, two_at_once
 from tests.faults.lab_state import content, healthy, left_over, samples, select
-from tests.helpers.small_lab import life, small_campaign
+from tests.helpers.small_lab import RIG, life, small_campaign
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -51,7 +53,7 @@ def statuses(lab: Lab) -> dict[str, tuple[str, str]]:
 def test_a_lost_worker_costs_its_recording_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
 ) -> None:
-    """Killed, out of memory, stuck: each tried once more, alone, and refused with the reason. Lost once: read after all."""
+    """Killed, out of memory, stuck: each tried once more, alone, and told as an accident. Lost once: read after all."""
     monkeypatch.setattr(pipeline.nightly.workers, "perform", sabotage.perform)
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
     raw.mkdir()
@@ -63,9 +65,9 @@ def test_a_lost_worker_costs_its_recording_only(
     found = statuses(lab)
     assert summary.exit_status == 3
     assert {name: status for name, (status, _) in found.items()} == {
-        "kill-1": "quarantined",
-        "memory-1": "quarantined",
-        "stuck-1": "quarantined",
+        "kill-1": "pending",
+        "memory-1": "pending",
+        "stuck-1": "pending",
         "killonce-1": "ok",
         "good-1": "ok",
         "good-2": "ok",
@@ -74,17 +76,79 @@ def test_a_lost_worker_costs_its_recording_only(
     assert "more memory than a worker may have" in found["memory-1"][1]
     assert "longer than deadline_s allows" in found["stuck-1"][1]
     assert all("twice" in found[name][1] for name in ("kill-1", "memory-1", "stuck-1"))
-    assert len(list(lab.quarantine.iterdir())) == 3
+    assert all("no verdict" in found[name][1] for name in ("kill-1", "memory-1", "stuck-1"))
+    assert sum("an accident of the night" in line for line in summary.attention) == 3
+    assert not lab.quarantine.exists()
     assert select(lab, "SELECT count(*) FROM lifetimes") == [(3,)]
     assert left_over(lab) == []
     assert healthy(lab) == []
+    for name in ("memory-1", "stuck-1"):
+        (raw / f"{name}.mcap").unlink()
     again = nightly([raw], lab, jobs=2)
-    assert again.analysed == 0, "what failed twice is not tried every night"
+    assert again.analysed == 0
+    assert "2 nights in a row" in statuses(lab)["kill-1"][1], "accidents are tried again every night, and counted"
+    assert select(lab, "SELECT nights, first_run_id, run_id FROM accidents") == [(2, "000001", "000002")]
     monkeypatch.undo()
     monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
-    lab.settings.write_text("deadline_s = 60\nmemory_mb = 0\n")
-    assert nightly([raw], lab, jobs=2).exit_status == 0, "with other limits it is tried again"
-    assert list(lab.quarantine.iterdir()) == []
+    assert nightly([raw], lab, jobs=2).exit_status == 0
+    assert statuses(lab)["kill-1"] == ("ok", "")
+    assert select(lab, "SELECT count(*) FROM accidents") == [(0,)]
+
+
+def test_an_accident_takes_no_earlier_result_away(
+    made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
+) -> None:
+    """A folder of rig files without rights, a broken library, a disk that fails: all as it was, and told as what it is."""
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    shutil.copytree(made[0], raw)
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    before = content(lab)
+    is_file = Path.is_file
+
+    def refuse(path: Path) -> bool:
+        if path.parent.name == "rigs":
+            raise PermissionError(13, "Permission denied", str(path))
+        return is_file(path)
+
+    def fail(_error: Exception) -> Callable[..., Any]:
+        def read(*_: Any) -> Any:
+            raise _error
+
+        return read
+
+    for number, (where, name, trouble) in enumerate(
+        (
+            (Path, "is_file", refuse),
+            (ingest.intake, "read_raw", fail(ModuleNotFoundError("No module named 'numpy.x'"))),
+            (ingest.intake, "read_raw", fail(OSError(5, "Input/output error"))),
+        ),
+        start=2,
+    ):
+        with monkeypatch.context() as broken:
+            broken.setattr(where, name, trouble)
+            (raw / "rigs" / "rig-a.toml").write_text(RIG + f"# {number}\nload_cell_damping_n_s_per_mm = 0.{number}\n")
+            summary = nightly([raw], lab, jobs=0)
+        assert summary.exit_status == 3
+        assert sum("an accident of the night" in line for line in summary.attention) == 4, summary.attention
+        now = content(lab)
+        assert all(now[table] == before[table] for table in ("model_fits", "lifetimes", "carried"))
+        assert select(lab, "SELECT count(*) FROM recordings WHERE status = 'ok'") == [(4,)]
+    (raw / "rigs" / "rig-a.toml").write_text(RIG)
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    assert content(lab) == before
+
+
+def test_what_fails_unexpectedly_is_tried_again(
+    made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
+) -> None:
+    """A defect, or a foreign module in a library's place, is no verdict on the content."""
+    lab = Lab(tmp_path / "lab")
+    with monkeypatch.context() as broken:
+        broken.setattr(ingest.intake, "read_raw", lambda *_: json.of_somebody_else)  # type: ignore[attr-defined]
+        assert nightly([made[0]], lab, jobs=0).exit_status == 3
+    assert {status for status, _ in statuses(lab).values()} == {"quarantined"}
+    assert nightly([made[0]], lab, jobs=0).exit_status == 0
+    assert {status for status, _ in statuses(lab).values()} == {"ok"}
 
 
 def test_a_clock_set_back_changes_nothing(

@@ -15,7 +15,7 @@ from pipeline.nightly.ownership import (
     Row,
     collect_readings,
     place_contents,
-    set_aside_changing,
+    set_aside,
     write_rows,
 )
 from schemas.errors import DealabError, PendingError, RefusedError
@@ -105,7 +105,7 @@ def decide(
         about = {"recording_id": reading.recording_id, "status": reading.status, "problem": reading.problem}
         add("outcomes", item_id=f"recording:{sha256}", entry=sha256, done=True, **about)
     place_contents(LEDGER, lambda _path: not gone)
-    set_aside_changing(LEDGER, changing)
+    set_aside(LEDGER, dict.fromkeys(changing, "the file changed while it was read"))
     collect_readings(LEDGER)
     write_rows(LEDGER, ["/raw"], excluded)
     rows = LEDGER.each("SELECT source_path, source_sha256, status, problem, recording_id, source_present FROM rows")
