@@ -12,6 +12,7 @@ import faulthandler
 import os
 import pickle
 import signal
+import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,8 @@ Value = TypeVar("Value")
 _SHORTEST_S = 0.7
 _BYTES_PER_S = 5e6
 """Slowest parsing of a sound file: a deflated dataset on an old machine is an order of magnitude faster."""
+_SET_PARENT_DEATH_SIGNAL = 1
+"""PR_SET_PDEATHSIG of Linux."""
 _FREE_S = 0.02
 """Processor time of a child that does nothing."""
 
@@ -83,10 +86,20 @@ def _in_child(path: Path, seconds: float, call: Callable[[], Any]) -> tuple[bool
     return good, value, usage.ru_utime + usage.ru_stime
 
 
+def end_with_parent() -> None:
+    """Lets the kernel end this process when the one that started it ends, even by a kill (Linux)."""
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    ctypes.CDLL(None, use_errno=True).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+
+
 def _answer(writing: int, seconds: float, call: Callable[[], Any]) -> None:
     """The child: makes the call, writes what came of it, and ends without what a Python process does at its end."""
     code = 1
     try:
+        end_with_parent()
         faulthandler.disable()  # the parent says what happened
         for number in (signal.SIGPROF, signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)

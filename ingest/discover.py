@@ -19,6 +19,7 @@ from pathlib import Path
 
 from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
 from ingest.mapping_keys import IGNORE
+from ingest.plain_files import open_plain
 from ingest.remote import Mirror, RemoteFile
 from schemas.errors import DealabError, PendingError, UsageError
 
@@ -75,13 +76,15 @@ def discover(
             raise UsageError(
                 "there is no such file or folder", where=str(given), expected="recordings or folders of them"
             )
-        yield from walk.take(given, given)
+        yield from walk.take(given)
     for mirror in mirrors:
         for told in mirror.notes:
             note(told)
         for path, file in mirror.files:
             if not any(part.startswith((".", "~$")) for part in file.name.split("/")):
-                yield from walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
+                source = walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
+                if source is not None:
+                    yield source
 
 
 def with_mapping(source: SourceFile) -> SourceFile:
@@ -99,16 +102,19 @@ def file_sha256(path: Path, *, chunk: int = 1 << 20) -> str:
     """SHA-256 of a file's content. Raises `PendingError` when it changes while it is read, or has gone."""
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             before = os.fstat(file.fileno())
-            while block := file.read(chunk):
+            read = 0
+            while read <= before.st_size and (block := file.read(chunk)):  # what gives more has grown, or never ends
                 digest.update(block)
+                read += len(block)
             after = os.fstat(file.fileno())
     except FileNotFoundError:
         raise PendingError("the file has gone since it was found", where=path.name) from None
-    if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+    if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns) or read != after.st_size:
         raise PendingError(
-            f"the file changed while it was read ({before.st_size} to {after.st_size} bytes)", where=path.name
+            f"the file changed while it was read ({before.st_size} to {max(read, after.st_size)} bytes)",
+            where=path.name,
         )
     return digest.hexdigest()
 
@@ -145,7 +151,7 @@ def lacks_end(path: Path, found: str | None) -> bool:
     """Whether a file lacks what its format ends with: the closing magic of MCAP, the last line end of text, the directory
     of a zipped workbook. Formats without an end are taken to lack it."""
     try:
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             size = file.seek(0, os.SEEK_END)
             file.seek(max(0, size - len(_MCAP_MAGIC)))
             tail = file.read()
@@ -188,44 +194,49 @@ class _Walk:
         self.first_time = first_time
         self._beside = functools.lru_cache(maxsize=_FOLDERS_AT_ONCE)(_folder)
 
-    def take(self, path: Path, root: Path) -> Iterator[SourceFile]:
-        """One path: a file or a folder with all that is below it."""
-        try:
-            info = path.stat()
-        except OSError as error:
-            what = "a link that leads nowhere or in a circle" if path.is_symlink() else error.strerror or "unreadable"
-            self.note(f"{shown(path)}: {what}: passed over")
-            return
-        if stat.S_ISDIR(info.st_mode):
-            yield from self._folder(path, root, info)
-        elif stat.S_ISREG(info.st_mode):
-            yield from self.file(path, root, info.st_size, info.st_mtime_ns)
-        else:
-            self.note(f"{shown(path)}: a pipe, socket or device: passed over")
+    def take(self, root: Path) -> Iterator[SourceFile]:
+        """One path: a file or a folder with all that is below it, however deep."""
+        waiting = [iter([root])]
+        while waiting:
+            path = next(waiting[-1], None)
+            if path is None:
+                waiting.pop()
+                continue
+            try:
+                info = path.stat()
+                if stat.S_ISDIR(info.st_mode):
+                    waiting.append(self._list(path, info))
+                elif stat.S_ISREG(info.st_mode):
+                    source = self.file(path, root, info.st_size, info.st_mtime_ns)
+                    if source is not None:
+                        yield source
+                else:
+                    self.note(f"{shown(path)}: a pipe, socket or device: passed over")
+            except OSError as error:
+                what = "a link that leads nowhere or in a circle" if _is_link(path) else error.strerror or "unreadable"
+                self.note(f"{shown(path)}: {what}: passed over")
 
-    def _folder(self, path: Path, root: Path, info: os.stat_result) -> Iterator[SourceFile]:
-        if any(path.resolve() == s for s in self.skip) or not self.first_time(f"{info.st_dev}:{info.st_ino}"):
-            return
-        if path.suffix.lower() == ".mcap":
-            self.note(f"{shown(path)}: a folder with the name of a recording")
-        try:
-            names = sorted(os.listdir(path))
-        except OSError as error:
-            self.note(f"{shown(path)}: {error.strerror}: passed over")
-            return
-        for name in names:
-            if not name.startswith((".", "~$")):
-                yield from self.take(path / name, root)
+    def _list(self, folder: Path, info: os.stat_result) -> Iterator[Path]:
+        """What is in a folder, in order; nothing where that has been met before. Raises `OSError`."""
+        if any(folder.resolve() == s for s in self.skip) or not self.first_time(f"{info.st_dev}:{info.st_ino}"):
+            return iter(())
+        if folder.suffix.lower() == ".mcap":
+            self.note(f"{shown(folder)}: a folder with the name of a recording")
+        names = sorted(os.listdir(folder))
+        return (folder / name for name in names if not name.startswith((".", "~$")))
 
     def file(
         self, path: Path, root: Path, size: int, mtime_ns: int, remote: RemoteFile | None = None
-    ) -> Iterator[SourceFile]:
-        """One file, also one that is not here yet: nothing but what lies beside it is read."""
+    ) -> SourceFile | None:
+        """One file, also one that is not here yet: nothing but what lies beside it is read.
+
+        None where it is passed over, or has been met before. Raises `OSError`.
+        """
         if path.suffix.lower() == ".toml":
-            return
+            return None
         if path.name.lower().endswith(_UNFINISHED):
             self.note(f"{shown(path)}: an unfinished file: passed over")
-            return
+            return None
         beside = self._beside(os.path.dirname(path))
         mapping, error = None, None
         try:
@@ -235,19 +246,27 @@ class _Walk:
         file_format = format_of(path, mapping)
         if mapping is not None and mapping.kind == IGNORE:
             self.note(f"{shown(path)}: passed over, as {mapping.source} says")
-            return
+            return None
         if file_format is None and mapping is None and not own_mapping(path).is_file():
-            return
+            return None
         if mapping is None and error is None:
             if path.name.lower().startswith(_DOCUMENTS):
-                return
+                return None
             state = NATIVE if file_format == "mcap" else UNMAPPED
         else:
             state = NATIVE if file_format == "mcap" and mapping is None else MAPPED
         plain = beside.links is not None and path.name not in beside.links
         place = os.path.join(beside.place, path.name) if plain else os.path.realpath(path)
-        if self.first_time(place):
-            yield SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote)
+        if not self.first_time(place):
+            return None
+        return SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote)
+
+
+def _is_link(path: Path) -> bool:
+    try:
+        return path.is_symlink()
+    except OSError:
+        return False
 
 
 def _folder(folder: str) -> _Folder:

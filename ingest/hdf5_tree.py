@@ -23,6 +23,8 @@ _MOST = 20_000
 _PLAIN_CLASSES = ("", "double", "single", "logical", "char", "int8", "int16", "int32", "int64")
 _OBJECTS = ("function_handle", "table", "timetable", "datetime", "duration", "string", "categorical")
 _UNITS = ("unit", "units", "unit_string", "engineering_units")
+_LINKS = 16
+"""Soft links in a row that HDF5 follows."""
 _IN_OTHER_FILES = "an array whose values stand in other files"
 
 
@@ -75,7 +77,7 @@ def _below(file: Any, group: Any, path: str, above: frozenset[Any], depth: int) 
         if not isinstance(key, str) or (not path and key.startswith("#")):
             continue  # MATLAB's hidden groups; a name that is no UTF-8 comes as bytes, and no mapping can name it
         name = f"{path}/{key}" if path else key
-        if isinstance(group.get(key, getlink=True), h5py.ExternalLink):
+        if _leads_out(file, f"{group.name.rstrip('/')}/{key}"):
             yield name, Listed("", refusal="a link to another file", remedy="Copy its content into this file")
             continue
         try:
@@ -84,6 +86,28 @@ def _below(file: Any, group: Any, path: str, above: frozenset[Any], depth: int) 
             yield name, Listed("", refusal="a link that leads nowhere")
             continue
         yield from _item(file, item, name, above | {identity}, depth + 1)
+
+
+def _leads_out(file: Any, address: str, links: int = 0) -> bool:
+    """Whether a path in the file leads through a link to another file, which is asked without following it.
+
+    A soft link may lead to an external one, or through one; a chain of soft links is followed as far as HDF5 does.
+    """
+    if links > _LINKS:
+        return False  # HDF5 gives up there, and says so
+    here = "/"
+    parts = [part for part in address.split("/") if part not in ("", ".")]
+    for place, part in enumerate(parts):
+        if here not in file:
+            return False
+        link = file[here].get(part, getlink=True) if isinstance(file[here], h5py.Group) else None
+        if isinstance(link, h5py.ExternalLink):
+            return True
+        if isinstance(link, h5py.SoftLink):
+            base = link.path if link.path.startswith("/") else f"{here}/{link.path}"
+            return _leads_out(file, "/".join([base, *parts[place + 1 :]]), links + 1)
+        here = f"{here.rstrip('/')}/{part}"
+    return False
 
 
 def _item(file: Any, item: Any, name: str, above: frozenset[Any], depth: int) -> Iterator[tuple[str, Listed]]:
@@ -116,7 +140,9 @@ def _dataset(
         yield name, Listed(dataset.name, refusal=f"an array of a type that is not read ({str(error)[:80]})")
         return
     plain = Listed(dataset.name, (), shape[::-1] if matlab_class else shape, unit_of(dataset.attrs))
-    if h5py.check_ref_dtype(dtype) is not None:
+    if dataset.is_virtual or dataset.external:
+        yield name, replace(plain, refusal=_IN_OTHER_FILES, remedy="Copy them into one file (h5repack does it)")
+    elif h5py.check_ref_dtype(dtype) is not None:
         is_cell = matlab_class == "cell"
         yield (
             name,
@@ -124,8 +150,6 @@ def _dataset(
         )
         if h5py.check_ref_dtype(dtype) is h5py.Reference and math.prod(shape) <= _MOST and depth <= _DEPTH:
             yield from _referenced(file, dataset, name, above, depth)
-    elif dataset.is_virtual or dataset.external:
-        yield name, replace(plain, refusal=_IN_OTHER_FILES, remedy="Copy them into one file (h5repack does it)")
     elif lacking := _lacking_filter(dataset):
         remedy = "Save it with gzip: h5repack -f GZIP=4 does it"
         yield name, replace(plain, refusal=f"compressed with {lacking}, which is not installed", remedy=remedy)

@@ -226,7 +226,12 @@ def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping
     """
 
     def there(name: str) -> bool:
-        return (names is None or name in names) and path.with_name(name).is_file()
+        if names is not None:
+            return name in names and path.with_name(name).is_file()
+        try:
+            return path.with_name(name).is_file()
+        except OSError:  # a name that is too long, or in a folder that is closed now
+            return False
 
     own = path.name + _OWN
     if there(own) and path.with_name(own).stat().st_size:  # `dealab inspect FILE > FILE.toml` begins with an empty one

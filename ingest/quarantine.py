@@ -15,14 +15,15 @@ import json
 import os
 import re
 import shutil
-import tempfile
 import unicodedata
+import uuid
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from ingest.atomic import flush
+from ingest.plain_files import open_plain
 from ingest.remote import is_url
 from schemas.errors import DealabError
 
@@ -51,12 +52,14 @@ def quarantine(
     when: datetime | None = None,
     copy_limit: int = COPY_LIMIT,
     place: str | None = None,
+    root: Path | None = None,
 ) -> Path:
     """Copies a refused file into the lab with the reason beside it; returns the folder of the entry.
 
     The same file with the same content and reason leaves its entry as it is, `when` included. Raises `OSError` when the
-    lab cannot be written; a raw file that cannot be read (any more) is quarantined by its reason alone. `place` is the
-    address of a file that is here only for now.
+    lab cannot be written; a raw file that cannot be read (any more) is quarantined by its reason alone. `place` is how the
+    database spells where the file is (`ingest.paths.spell_source`). What a link leads to, out of the folder `root` that was
+    looked through, is not copied: whoever may read the lab might not be allowed to read that.
     """
     folder = lab / FOLDER / entry_name(place or path)
     reason: dict[str, Any] = {
@@ -69,9 +72,9 @@ def quarantine(
     if known is not None and _same_reason(known, reason):
         return folder
     folder.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=folder.parent))
+    partial = _make_partial(folder.parent)
     try:
-        reason |= _copied(path, partial, copy_limit)
+        reason |= _explain_link() if _leads_out(path, root) else _copied(path, partial, copy_limit)
         (partial / REASON).write_text(json.dumps(reason, indent=2) + "\n", encoding="utf-8")
         flush(partial / REASON)
         _replace_folder(partial, folder)
@@ -124,12 +127,33 @@ def _copied(path: Path, folder: Path, limit: int) -> dict[str, Any]:
         size = path.stat().st_size
         if size > limit:
             return {"file": None, "copied": False, "size": size}
-        shutil.copyfile(path, target)
+        with open_plain(path) as read, target.open("xb") as written:
+            shutil.copyfileobj(read, written, 1 << 20)
     except OSError as error:
         target.unlink(missing_ok=True)
         return {"file": None, "copied": False, "copy_error": error.strerror or str(error)}
     flush(target)
     return {"file": target.name, "copied": True, "size": size}
+
+
+def _leads_out(path: Path, root: Path | None) -> bool:
+    """Whether a file is a link, or lies below one in the folder that was looked through."""
+    if path.is_symlink():
+        return True
+    return (
+        root is not None and root.is_dir() and Path(os.path.realpath(root)) not in Path(os.path.realpath(path)).parents
+    )
+
+
+def _explain_link() -> dict[str, Any]:
+    return {"file": None, "copied": False, "copy_error": "what a link leads to is not copied"}
+
+
+def _make_partial(parent: Path) -> Path:
+    """A new folder with the permissions of any new folder."""
+    partial = parent / f"{_PARTIAL}{uuid.uuid4().hex}"
+    partial.mkdir()
+    return partial
 
 
 def _replace_folder(partial: Path, folder: Path) -> None:
@@ -141,7 +165,7 @@ def _replace_folder(partial: Path, folder: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    gone = Path(tempfile.mkdtemp(prefix=_PARTIAL, dir=folder.parent))
+    gone = _make_partial(folder.parent)
     os.rename(folder, gone / "old")
     shutil.rmtree(gone, ignore_errors=True)
     flush(folder.parent)

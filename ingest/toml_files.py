@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ingest.plain_files import read_plain
 from schemas.errors import AccidentError, RefusedError
 
 _SIZE_LIMIT = 1 << 20
@@ -35,9 +36,10 @@ def load_toml(path: Path) -> dict[str, Any]:
     AccidentError : it cannot be read now
     """
     try:
-        if path.stat().st_size > _SIZE_LIMIT:
-            raise _refused(path.name, f"the file has {path.stat().st_size} bytes", f"at most {_SIZE_LIMIT}")
-        content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        text = read_plain(path, _SIZE_LIMIT)
+        if len(text) > _SIZE_LIMIT:
+            raise _refused(path.name, f"the file has more than {_SIZE_LIMIT} bytes", f"at most {_SIZE_LIMIT}")
+        content = tomllib.loads(text.decode("utf-8-sig"))
         _check_sizes(content, path.name)
         return content
     except UnicodeDecodeError as error:

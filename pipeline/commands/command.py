@@ -61,6 +61,13 @@ def parse_jobs(text: str) -> int:
     return int(text)
 
 
+def parse_limit(text: str) -> int:
+    """A limit from the command line, 0 for none."""
+    if not text.isdecimal() or len(text) > 12:
+        raise argparse.ArgumentTypeError(f'"{text[:40]}" is not a whole number from 0')
+    return int(text)
+
+
 def count_processors() -> int:
     """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

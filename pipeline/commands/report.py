@@ -13,6 +13,7 @@ def run(arguments: Namespace) -> int:
 
     lab = Lab(arguments.lab)
     lab.require_database()
+    lab.refuse_links()
     build_reports(lab.folder, force=True)
     print(f"Report: {lab.reports / 'index.html'}")
     return DONE

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 
-from pipeline.commands.command import DONE, LAB, Command, argument
+from pipeline.commands.command import DONE, LAB, Command, argument, parse_limit
 from pipeline.lab.lab import Lab
 from schemas.errors import UsageError
 
 
 def run(arguments: Namespace) -> int:
     from pipeline.commands.show.rows import FORMATS
-    from pipeline.lab.query import Query
+    from pipeline.lab.query import Limits, Query
     from schemas.views import EXAMPLES
 
     if arguments.examples:
@@ -26,7 +26,8 @@ def run(arguments: Namespace) -> int:
             "Parquet is no text for a terminal", remedy="Send it to a file: … --format parquet > rows.parquet"
         )
     query = sys.stdin.read() if arguments.query == "-" else arguments.query
-    with Query(Lab(arguments.lab)) as database:
+    limits = Limits(arguments.timeout_s, arguments.rows, arguments.memory_mb)
+    with Query(Lab(arguments.lab), limits) as database:
         content = FORMATS[arguments.format](database.run(query))
     if isinstance(content, bytes):
         sys.stdout.buffer.write(content)
@@ -51,6 +52,13 @@ COMMAND = Command(
             choices=("table", "csv", "json", "parquet"),
             default="table",
             help="how rows are written (default: table)",
+        ),
+        argument("--timeout-s", type=parse_limit, default=600, help="longest time; 0 for no limit (default: 600)"),
+        argument(
+            "--rows", type=parse_limit, default=10_000_000, help="most rows; 0 for no limit (default: 10 million)"
+        ),
+        argument(
+            "--memory-mb", type=parse_limit, default=4096, help="most memory; 0 for what DuckDB likes (default: 4096)"
         ),
         argument("--examples", action="store_true", help="questions people ask, with the queries that answer them"),
         LAB,

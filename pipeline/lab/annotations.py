@@ -9,15 +9,22 @@ from __future__ import annotations
 import getpass
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
+from ingest.atomic import written_whole
+from ingest.plain_files import open_plain
 from pipeline.lab.lab import Lab
 from schemas.errors import LabError, UsageError
 from schemas.metadata import RECORDING_ID
 
-EXCLUDE = "exclude"
+EXCLUDE, INCLUDE = "exclude", "include"
+UNREADABLE = "unreadable"
+"""The only key of a line that holds what was no annotation."""
+_EARLIEST, _LATEST = 1970, 9998
 _WHY_LIMIT = 10_000
 
 
@@ -33,19 +40,68 @@ class Annotation:
 
 
 def annotate(lab: Lab, recording_id: str, action: str, why: str) -> Annotation:
-    """Appends an annotation, on disk when this returns. Raises `UsageError` for one that says nothing."""
+    """Appends an annotation, whole and on disk when this returns.
+
+    Lines that are none, such as half a line after a full disk, are kept as `UNREADABLE` lines, which say what stood
+    there and mean nothing.
+
+    Raises
+    ------
+    UsageError : an annotation that says nothing
+    LabError : the file cannot be written; it is as it was
+    """
     check_annotation(recording_id, why)
+    lab.refuse_links()
     annotation = Annotation(
         recording_id, action, why, _name_author(), datetime.now(UTC).isoformat(timespec="milliseconds")
     )
-    line = json.dumps(asdict(annotation), ensure_ascii=True) + "\n"
-    handle = os.open(lab.annotations, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
-        os.write(handle, line.encode("ascii"))
-        os.fsync(handle)
+        _set_broken_lines_aside(lab.annotations)
+        _append(lab.annotations, _spell(asdict(annotation)))
+    except OSError as error:
+        raise LabError(
+            f"what you said could not be written: {error.strerror or error}",
+            where=str(lab.annotations),
+            remedy="Free disk space or permissions and say it again",
+        ) from None
+    return annotation
+
+
+def _spell(values: Mapping[str, str]) -> bytes:
+    return json.dumps(values, ensure_ascii=True).encode("ascii") + b"\n"
+
+
+def _append(file: Path, line: bytes) -> None:
+    """Appends a line, or nothing of it. Raises `OSError`."""
+    handle = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+    try:
+        before = os.fstat(handle).st_size
+        try:
+            left = line
+            while left:
+                left = left[os.write(handle, left) :]
+            os.fsync(handle)
+        except OSError:
+            os.ftruncate(handle, before)
+            raise
     finally:
         os.close(handle)
-    return annotation
+
+
+def _set_broken_lines_aside(file: Path) -> None:
+    """Rewrites a file in which there are lines that are no annotations. Raises `OSError`."""
+    read = list(_parse_lines(file))
+    if all(one.problem is None and one.line.endswith(b"\n") for one in read):
+        return
+    with written_whole(file) as temporary:
+        temporary.write_bytes(
+            b"".join(
+                one.line.rstrip(b"\r\n") + b"\n"
+                if one.problem is None
+                else _spell({UNREADABLE: one.line.decode("utf-8", "backslashreplace").rstrip("\r\n")})
+                for one in read
+            )
+        )
 
 
 def check_annotation(recording_id: str, why: str) -> None:
@@ -60,23 +116,69 @@ def check_annotation(recording_id: str, why: str) -> None:
 
 
 def read_annotations(lab: Lab) -> tuple[Annotation, ...]:
-    """All annotations, oldest first. Raises `LabError` for a line that is none: what people said is never dropped."""
+    """All annotations, oldest first. What is none is left to `find_broken_lines`. Raises `LabError`."""
+    return tuple(one.annotation for one in _read_lines(lab) if one.annotation is not None)
+
+
+def find_broken_lines(lab: Lab) -> tuple[str, ...]:
+    """The lines of the file that are no annotations and say nothing to a night, each with its place and the remedy."""
+    return tuple(
+        f"{lab.annotations.name}, line {number}: {one.problem}; what it said does not count. Say it again with"
+        " `dealab exclude` or `dealab include`, which sets this line aside"
+        for number, one in enumerate(_read_lines(lab), start=1)
+        if one.problem is not None
+    )
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line of the file: the annotation in it, or what is wrong with it; neither for one that was set aside."""
+
+    line: bytes
+    annotation: Annotation | None = None
+    problem: str | None = None
+
+
+def _read_lines(lab: Lab) -> list[_Line]:
     try:
-        lines = lab.annotations.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        return ()
-    found = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            found.append(Annotation(**json.loads(line)))
-        except (ValueError, TypeError):
-            raise LabError(
-                "not an annotation",
-                where=f"{lab.annotations}, line {number}",
-                expected="a JSON object with recording_id, action, why, author, at",
-                remedy="Correct or remove this line",
-            ) from None
-    return tuple(found)
+        return list(_parse_lines(lab.annotations))
+    except OSError as error:
+        raise LabError(
+            f"the annotations cannot be read: {error.strerror or error}",
+            where=str(lab.annotations),
+            remedy="Give this user the right to read them",
+        ) from None
+
+
+def _parse_lines(file: Path) -> Iterator[_Line]:
+    if not os.path.lexists(file):
+        return
+    with open_plain(file) as lines:
+        for line in lines:
+            if not line.strip():
+                yield _Line(line)
+                continue
+            try:
+                content = json.loads(line.decode("utf-8"))
+                yield _Line(line) if set(content) == {UNREADABLE} else _Line(line, _check_line(content))
+            except (ValueError, TypeError, RecursionError, UsageError) as error:
+                yield _Line(line, problem=f"not an annotation ({str(error)[:120]})")
+
+
+def _check_line(content: Any) -> Annotation:
+    """The annotation in a line. Raises `ValueError`, `TypeError` or `UsageError` for one that was not written by us."""
+    found = Annotation(**content)
+    for name, value in asdict(found).items():
+        if not isinstance(value, str):
+            raise TypeError(f"{name} is {type(value).__name__}")
+        value.encode()
+    check_annotation(found.recording_id, found.why)
+    if found.action not in (EXCLUDE, INCLUDE):
+        raise ValueError(f"action is {found.action[:40]}")
+    at = datetime.fromisoformat(found.at)
+    if at.tzinfo is None or not _EARLIEST <= at.year <= _LATEST:
+        raise ValueError(f"at is {found.at[:40]}")
+    return found
 
 
 def list_excluded(found: Sequence[Annotation]) -> frozenset[str]:

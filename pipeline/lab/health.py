@@ -12,7 +12,7 @@ from typing import Any
 
 from ingest.quarantine import entries as quarantine_entries
 from ingest.quarantine import entry_name
-from pipeline.lab.annotations import read_annotations
+from pipeline.lab.annotations import find_broken_lines
 from pipeline.lab.checks import find_violations
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import is_busy
@@ -67,13 +67,15 @@ def check_lab(lab: Lab) -> Iterator[Finding]:
 
 
 def _check_readable(lab: Lab) -> Iterator[Finding]:
-    for what, check in (("settings", load_settings), ("annotations", read_annotations)):
+    for what, check in (("settings", load_settings), ("annotations", find_broken_lines)):
         try:
-            check(lab)
+            broken = check(lab)
         except DealabError as error:
             yield Finding(f"{what} can be read", str(error))
         else:
-            yield Finding(f"{what} can be read")
+            yield Finding(
+                f"{what} can be read", ("; ".join(broken[:_LISTED]) or None) if isinstance(broken, tuple) else None
+            )
 
 
 def _check_database(lab: Lab) -> Iterator[Finding]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from typing import TYPE_CHECKING
 
 from schemas.errors import LabError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 DEFAULT_LAB = "lab"
@@ -61,6 +63,11 @@ class Lab:
         return self.folder / ".lock"
 
     @property
+    def lock_holder(self) -> Path:
+        """Who holds the lock."""
+        return self.folder / ".lock-holder.json"
+
+    @property
     def work(self) -> Path:
         """Results that are finished and not yet published, and whatever is being written; empty between nights."""
         return self.folder / ".work"
@@ -98,6 +105,31 @@ class Lab:
                 where=str(self.folder),
                 remedy="Choose another folder with --lab",
             ) from None
+
+    def refuse_links(self) -> None:
+        """Raises `LabError` where something in the lab that is written or emptied is a link, and would be elsewhere."""
+        found = next(self._find_links(), None)
+        if found is not None:
+            raise LabError(
+                "a link in the lab, which is neither written through nor emptied",
+                where=found,
+                expected="files and folders of the lab's own",
+                remedy="Remove the link; to keep the lab on another disk, move the whole folder there",
+            )
+
+    def _find_links(self) -> Iterator[str]:
+        """Links among the files that are written in place, and among the folders."""
+        for file in (self.annotations, self.lock, self.lock_holder):
+            if file.is_symlink():
+                yield str(file)
+        waiting = [os.fspath(p) for p in (self.work, self.remote, self.samples_folder, self.reports, self.quarantine)]
+        while waiting:
+            folder = waiting.pop()
+            if os.path.islink(folder):
+                yield folder
+                continue
+            with contextlib.suppress(OSError), os.scandir(folder) as entries:  # a file, or gone meanwhile
+                waiting += [entry.path for entry in entries if entry.is_symlink() or entry.is_dir()]
 
     def require_database(self) -> Path:
         """The published database; `LabError` with the remedy where there is none."""

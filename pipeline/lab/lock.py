@@ -9,7 +9,6 @@ import socket
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from pathlib import Path
 
 from pipeline.lab.lab import Lab
 from schemas.errors import LabError
@@ -21,7 +20,7 @@ _LOOKS, _BETWEEN_S = 10, 0.05
 def describe_holder(lab: Lab) -> str:
     """Who holds the lock, in words, as far as the note beside it says."""
     try:
-        note = json.loads(_find_note(lab).read_text(encoding="utf-8"))
+        note = json.loads(lab.lock_holder.read_text(encoding="utf-8"))
         return f"process {note['pid']} on {note['host']}, since {note['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return _NOBODY
@@ -38,9 +37,13 @@ def _await_holder(lab: Lab) -> str:
 
 @contextlib.contextmanager
 def hold_lab(lab: Lab) -> Iterator[None]:
-    """Holds the lab for this process; `LabError` at once, naming the holder, when it is held already."""
+    """Holds the lab for this process; `LabError` at once, naming the holder, when it is held already.
+
+    Also `LabError` for a link in the lab, through which something elsewhere would be written or removed.
+    """
     from filelock import FileLock, Timeout
 
+    lab.refuse_links()
     lock = FileLock(lab.lock, timeout=0)
     try:
         lock.acquire()
@@ -62,10 +65,10 @@ def hold_lab(lab: Lab) -> Iterator[None]:
             "host": socket.gethostname(),
             "since": datetime.now(UTC).isoformat(timespec="seconds"),
         }
-        _find_note(lab).write_text(json.dumps(note), encoding="utf-8")
+        lab.lock_holder.write_text(json.dumps(note), encoding="utf-8")
         yield
     finally:
-        _find_note(lab).unlink(missing_ok=True)
+        lab.lock_holder.unlink(missing_ok=True)
         lock.release()
 
 
@@ -82,7 +85,3 @@ def is_busy(lab: Lab) -> bool:
         return True
     except OSError:
         return False
-
-
-def _find_note(lab: Lab) -> Path:
-    return lab.folder / ".lock-holder.json"

@@ -8,9 +8,13 @@ Samples reach DuckDB as Arrow data sets that are opened here, so that no query c
 
 from __future__ import annotations
 
+import contextlib
 import json
+import queue
 import re
+import threading
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,6 +26,10 @@ from schemas.errors import DealabError, LabError, UsageError
 _READING_NODES = frozenset({"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"})
 _EXPLAIN = re.compile(r"(?:\s|--[^\n]*\n|/\*.*?\*/)*EXPLAIN\b(?:(?:\s|--[^\n]*\n|/\*.*?\*/)*ANALYZE\b)?", re.I | re.S)
 _EXPLAIN_OPTIONS = re.compile(r"(?:\s|--[^\n]*\n|/\*.*?\*/)*\([^()]*\)")
+_AT_ONCE = 100_000
+"""Rows that are fetched together."""
+_STOPPED_S = 2.0
+"""How long a query may take to notice that it is to end."""
 _LOCKED = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
@@ -29,11 +37,27 @@ _LOCKED = {
 }
 
 
+@dataclass(frozen=True)
+class Limits:
+    """What one query may take; 0 lifts a limit. Nothing is written to the disk, whatever a query needs.
+
+    Parameters
+    ----------
+    seconds : time
+    rows : rows of the result
+    memory_mb : memory
+    """
+
+    seconds: float = 600.0
+    rows: int = 10_000_000
+    memory_mb: int = 4096
+
+
 class Query:
     """A locked connection to a lab's published snapshot; a context manager."""
 
-    def __init__(self, lab: Lab) -> None:
-        self._lab = lab
+    def __init__(self, lab: Lab, limits: Limits | None = None) -> None:
+        self._lab, self._limits = lab, limits or Limits()
         self._connection: Any = None
 
     def __enter__(self) -> Self:
@@ -43,6 +67,9 @@ class Query:
         try:
             self._connection = duckdb.connect(str(database), read_only=True, config=_LOCKED)
             self._connection.execute("SET TimeZone = 'UTC'")
+            self._connection.execute("SET temp_directory = ''")
+            if self._limits.memory_mb:
+                self._connection.execute(f"SET memory_limit = '{self._limits.memory_mb}MiB'")
         except duckdb.Error as error:
             raise LabError(
                 f"the database cannot be opened: {str(error).splitlines()[0]}",
@@ -66,14 +93,64 @@ class Query:
         try:
             self._connection.execute("SET enable_external_access = false")
             self._connection.execute("SET lock_configuration = true")
-            with (
-                warnings.catch_warnings()
-            ):  # execute() makes one copy more than sql(), but its errors point at the place
-                warnings.simplefilter("ignore", UserWarning)
-                result: pa.Table = self._connection.execute(query).to_arrow_table()
+            return self._fetch_in_time(query)
+        except duckdb.OutOfMemoryException as error:
+            raise DealabError(
+                f"the query needs more memory than it may take: {str(error).splitlines()[0]}",
+                expected=f"at most {self._limits.memory_mb} MB",
+                remedy="Select less, or allow more with --memory-mb",
+            ) from None
         except duckdb.Error as error:
             raise DealabError(str(error).strip()) from None
+
+    def _fetch_in_time(self, query: str) -> pa.Table:
+        """The result, fetched in a thread, so that the clock and an interrupt reach a query that is at work."""
+        ended: queue.SimpleQueue[pa.Table | BaseException] = queue.SimpleQueue()
+
+        def fetch() -> None:
+            try:
+                ended.put(self._fetch(query))
+            except BaseException as error:
+                ended.put(error)
+
+        threading.Thread(target=fetch, daemon=True).start()
+        try:
+            result = ended.get(timeout=self._limits.seconds or None)
+        except queue.Empty:
+            self._stop(ended)
+            raise DealabError(
+                f"the query was stopped after {self._limits.seconds:g} s",
+                remedy="Select less, or allow more with --timeout-s",
+            ) from None
+        except BaseException:
+            self._stop(ended)
+            raise
+        if isinstance(result, BaseException):
+            raise result
         return result
+
+    def _stop(self, ended: queue.SimpleQueue[Any]) -> None:
+        """Interrupts the query; one that takes no notice is left behind."""
+        self._connection.interrupt()
+        with contextlib.suppress(queue.Empty):
+            ended.get(timeout=_STOPPED_S)
+
+    def _fetch(self, query: str) -> pa.Table:
+        with warnings.catch_warnings():  # execute() makes one copy more than sql(), but its errors point at the place
+            warnings.simplefilter("ignore", UserWarning)
+            reader = self._connection.execute(query).to_arrow_reader(_AT_ONCE)
+        batches, rows = [], 0
+        with reader:  # one left open would keep the database open, and the next connection would wait for it
+            for batch in reader:
+                batches.append(batch)
+                rows += batch.num_rows
+                if self._limits.rows and rows > self._limits.rows:
+                    break
+            else:
+                return pa.Table.from_batches(batches, reader.schema)
+        raise DealabError(
+            f"the result has more than {self._limits.rows} rows", remedy="Select less, or allow more with --rows"
+        )
 
     def _refuse_what_writes(self, query: str) -> None:
         import duckdb

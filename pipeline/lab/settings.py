@@ -5,13 +5,17 @@ Only the settings that a stage uses (`pipeline.nightly.stages`) count for the fr
 
 from __future__ import annotations
 
-import tomllib
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from ingest.toml_files import load_toml
 from pipeline.lab.lab import Lab
-from schemas.errors import LabError
+from schemas.errors import DealabError, LabError
+
+_LARGEST = 1e9
+"""Largest limit that can be set: thirty years, or a thousand terabytes."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +43,12 @@ class Settings:
 
 def load_settings(lab: Lab) -> Settings:
     """The lab's settings, or the usual ones. Raises `LabError` for a file that is wrong."""
-    try:
-        content = tomllib.loads(lab.settings.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not os.path.lexists(lab.settings):
         return Settings()
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise _refuse(lab, f"cannot be read: {error}", "a TOML file") from None
+    try:
+        content = load_toml(lab.settings)
+    except DealabError as error:
+        raise _refuse(lab, error.problem, error.expected or "a TOML file") from None
     known = {f.name for f in fields(Settings)}
     for key in content:
         if key not in known:
@@ -59,8 +63,8 @@ def load_settings(lab: Lab) -> Settings:
 
 def _read_number(lab: Lab, content: dict[str, Any], key: str, usual: float, *, low: float) -> float:
     value = content.get(key, usual)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= low:
-        raise _refuse(lab, f"{key} is {str(value)[:80]!r}", f"a number of at least {low:g}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= _LARGEST:
+        raise _refuse(lab, f"{key} is {str(value)[:80]!r}", f"a number from {low:g} to {_LARGEST:g}")
     return value
 
 

@@ -13,7 +13,6 @@ import shutil
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,11 @@ from typing import Any
 from ingest.discover import UNMAPPED, SourceFile, check_unchanged, discover, file_sha256, growing, lacks_end
 from ingest.paths import spell_root, spell_source
 from ingest.remote import RemoteFile, fetch, is_staged, is_url, mirror
+from pipeline.lab.journal import ACCIDENT, PENDING, RECORDING, Freshness, Outcome, make_item_id
 from pipeline.lab.lab import Lab
 from pipeline.nightly.freshness import hash_mapping, hash_reads, plain_sha256
-from pipeline.nightly.ledger import Ledger, split
-from schemas.errors import DealabError, LabError, PendingError, RefusedError
+from pipeline.nightly.ledger import Ledger, book_accident, split
+from schemas.errors import AccidentError, DealabError, LabError, PendingError, RefusedError
 
 SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, version, whole"
 """Columns of `looks` that say which file it was."""
@@ -81,10 +81,13 @@ def has_newer_folder(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
     return False
 
 
-def look_at_files(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger) -> Found:
+def look_at_files(
+    raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger, *, run_id: str, deadline_s: float
+) -> Found:
     """Finds the raw files that may be recordings and books a look at each, with its content.
 
-    `raw` are files, folders and URLs. A file that is as it was last time is not read for its content again.
+    `raw` are files, folders and URLs. A file that is as it was last time is not read for its content again. Reading a
+    file for its content may take `deadline_s`.
 
     Raises `LabError` when there is not a single recording: nothing to do is a failure, not a success.
     """
@@ -94,7 +97,7 @@ def look_at_files(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledge
     notes: list[str] = []
 
     def first_time(place: str) -> bool:
-        return ledger.run("INSERT OR IGNORE INTO reached VALUES (?)", [place]) == 1
+        return ledger.run("INSERT OR IGNORE INTO reached VALUES (?)", [os.fsencode(place)]) == 1
 
     def look() -> Iterator[tuple[Any, ...]]:
         for source in discover(paths_given, notes.append, skip=[lab.folder], mirrors=mirrors, first_time=first_time):
@@ -112,7 +115,7 @@ def look_at_files(raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledge
             expected="*.mcap files, or data files with a mapping TOML",
             remedy="`dealab inspect FILE` says what a file holds and drafts a mapping",
         )
-    _hash_new(ledger, _Staging(lab.remote))
+    _hash_new(ledger, _Staging(lab.remote), run_id, deadline_s)
     separate_readings(ledger)
     roots = (*(spell_root(given) for given in paths_given), *(found.url for found in mirrors))
     some_new = bool(ledger.number("SELECT EXISTS (SELECT 1 FROM looks WHERE settled)"))
@@ -200,26 +203,60 @@ def _make_row(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
     )
 
 
-def _hash_new(ledger: Ledger, staging: _Staging) -> None:
+def _hash_new(ledger: Ledger, staging: _Staging, run_id: str, deadline_s: float) -> None:
     """Reads the content of what is new or changed, some files at a time."""
     last = 0
     query = (
         f"SELECT id, mtime_ns, {SOURCE} FROM looks WHERE id > ? AND sha256 IS NULL ORDER BY id LIMIT {_ASKED_AT_ONCE}"
     )
-    with ThreadPoolExecutor(max_workers=min(8, 2 * (os.cpu_count() or 1))) as pool:
-        while some := list(ledger.each(query, [last])):
-            last = some[-1][0]
-            sources = [make_source(*row[2:]) for row in some]
-            still_growing = {id(one) for one in growing(one for one in sources if one.remote is None)}
-            for part in split(zip(some, sources, strict=True), _AT_ONCE):
-                to_hash = [source for _, source in part if id(source) not in still_growing]
-                hashes = dict(zip(map(id, to_hash), pool.map(staging.hash_content, to_hash), strict=True))
-                hashed_at = time.time_ns()
-                for (look, mtime_ns, *_), source in part:
-                    content = hashes.get(id(source)) or PendingError(
-                        "the file is being written", where=source.path.name
-                    )
-                    _book_content(ledger, look, content, _is_settled(source, mtime_ns, hashed_at))
+    while some := list(ledger.each(query, [last])):
+        last = some[-1][0]
+        sources = [make_source(*row[2:]) for row in some]
+        still_growing = {id(one) for one in growing(one for one in sources if one.remote is None)}
+        for part in split(zip(some, sources, strict=True), _AT_ONCE):
+            to_hash = [source for _, source in part if id(source) not in still_growing]
+            hashes = dict(zip(map(id, to_hash), _hash_in_time(to_hash, staging, deadline_s), strict=True))
+            hashed_at = time.time_ns()
+            for (look, mtime_ns, *_), source in part:
+                content = hashes.get(id(source)) or PendingError("the file is being written", where=source.path.name)
+                if isinstance(content, AccidentError):
+                    content = _book_accident(ledger, source, content, run_id)
+                _book_content(ledger, look, content, _is_settled(source, mtime_ns, hashed_at))
+
+
+def _book_accident(ledger: Ledger, source: SourceFile, error: AccidentError, run_id: str) -> PendingError:
+    """Books trouble with a file whose content is not known."""
+    path = spell_source(source)
+    facts = {ACCIDENT: True, "source_path": path}
+    item_id = make_item_id("file", path)
+    outcome = Outcome(item_id, RECORDING, Freshness("", "", ""), PENDING, 0.0, error.problem, facts)
+    return PendingError(book_accident(ledger, outcome, run_id), where=source.path.name)
+
+
+def _hash_in_time(sources: Sequence[SourceFile], staging: _Staging, deadline_s: float) -> list[str | DealabError]:
+    """The content of each file, or why it cannot be had.
+
+    A thread that waits for a file system which does not answer cannot be ended: it is left behind, and the other files
+    go on in new threads.
+    """
+    from pebble import ThreadPool
+
+    found: list[str | DealabError] = []
+    while len(found) < len(sources):
+        pool = ThreadPool(max_workers=min(8, 2 * (os.cpu_count() or 1)))
+        hashes = [pool.schedule(staging.hash_content, args=[source]) for source in sources[len(found) :]]
+        pool.close()
+        for future in hashes:
+            try:
+                found.append(future.result(timeout=deadline_s))
+            except TimeoutError:
+                name = sources[len(found)].path.name
+                found.append(AccidentError("reading it took longer than deadline_s allows", where=name))
+                pool.stop()
+                break
+        else:
+            pool.join()
+    return found
 
 
 def _book_content(ledger: Ledger, look: int, content: str | DealabError, settled: bool) -> None:

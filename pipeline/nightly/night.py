@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 
-from pipeline.lab.annotations import list_excluded, read_annotations
+from pipeline.lab.annotations import find_broken_lines, list_excluded, read_annotations
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import hold_lab
 from pipeline.lab.settings import load_settings
@@ -52,8 +52,8 @@ class Summary:
     counts : of its files
     analysed : results that were made
     missing : known recordings whose file has gone
-    attention : every file that was refused or is damaged, every accident and every analysis that failed, with its
-        reason
+    attention : every broken line of the annotations, every file that was refused or is damaged, every accident and
+        every analysis that failed, with its reason
     without_result : every recording or table in the lab that was taken in and led to no result, with what was missing
     notes : what was passed over
     report_problem : why the pages could not be written
@@ -141,7 +141,7 @@ def nightly(
     with hold_lab(lab), _end_when_told():
         clock = time.monotonic()
         with _prepare(raw, lab, jobs, rigs, cluster, track) as night:
-            found = look_at_files(raw, lab, night.ledger)
+            found = look_at_files(raw, lab, night.ledger, run_id=night.run_id, deadline_s=night.settings.deadline_s)
             if found.some_new:
                 night.workers.prepare()
             reports = _load_beside(_REPORTS)
@@ -185,7 +185,7 @@ def _summarise(night: Night, found: Found, seconds: float, problem: str | None) 
         count_files(night, found),
         count_results(night),
         count_missing(night),
-        list_attention(night),
+        (*find_broken_lines(night.lab), *list_attention(night)),
         list_without_result(night),
         (*found.notes, *(f"{path}: no mapping, passed over" for path in found.unmapped)),
         problem,

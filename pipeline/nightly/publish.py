@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from ingest.atomic import flush
@@ -323,7 +324,7 @@ def _place_refused(night: Night) -> None:
             error = RefusedError(problem or "refused") if refusal is None else DealabError(**json.loads(refusal))
             _quarantine(night, make_source(*where), sha256, error)
         for there in (make_source(*where) for where in good):
-            release(_find_address(there) or there.path, night.lab.folder)
+            release(spell_source(there), night.lab.folder)
     except OSError as error:
         raise explain_unwritable(night.lab.quarantine, error) from error
 
@@ -331,13 +332,14 @@ def _place_refused(night: Night) -> None:
 def _quarantine(night: Night, source: SourceFile, sha256: str | None, error: DealabError) -> None:
     with staged(source.path, source.remote):
         quarantine(
-            source.path, night.lab.folder, error, sha256=sha256, when=night.started_at, place=_find_address(source)
+            source.path,
+            night.lab.folder,
+            error,
+            sha256=sha256,
+            when=night.started_at,
+            place=spell_source(source),
+            root=source.root,
         )
-
-
-def _find_address(source: SourceFile) -> str | None:
-    """The address of a file that is here only for now."""
-    return None if source.remote is None else spell_source(source)
 
 
 def _remove_old_samples(night: Night) -> None:
@@ -367,4 +369,17 @@ def discard_work(night: Night) -> None:
             shutil.rmtree(place, ignore_errors=True)
         else:
             place.unlink(missing_ok=True)
+    for folder in (night.lab.samples_folder, night.lab.quarantine, night.lab.reports):
+        _remove_half_written(folder)
     forget(night.lab.remote)
+
+
+def _remove_half_written(folder: Path) -> None:
+    """Removes what somebody who was killed wrote under a temporary name. The lab is ours: nobody writes it now."""
+    for place, folders, files in os.walk(folder):
+        for name in [one for one in folders if one.startswith(".partial-")]:
+            shutil.rmtree(os.path.join(place, name), ignore_errors=True)
+            folders.remove(name)
+        for name in files:
+            if name.startswith(".") and name.endswith(".tmp"):
+                os.unlink(os.path.join(place, name))

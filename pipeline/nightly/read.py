@@ -289,18 +289,24 @@ def include_recordings(night: Night, excluded: frozenset[str]) -> None:
 
 
 def _list_expected(night: Night) -> Iterator[tuple[str, str, str | None]]:
-    """The contents, each with what its results would be made from now; its rig is that of an earlier reading."""
+    """The contents, each with what its results would be made from now; its rig is that of an earlier reading.
+
+    One whose samples are lost is made anew, whatever it was made from.
+    """
     hash_rig_of = _remember_rigs(night.rigs)
     found = night.ledger.each(
-        f"SELECT c.sha256, l.mapping, o.item_id, o.rig_id, k.rowid, k.rig_id, {_CONTENT}"
+        f"SELECT c.sha256, l.mapping, o.item_id, o.rig_id, k.rowid, k.rig_id, k.samples_path, {_CONTENT}"
         " FROM contents c JOIN looks l ON l.id = c.look"
         f" LEFT JOIN outcomes o ON o.item_id = {ITEM} c.sha256"
         " LEFT JOIN known k ON k.rowid ="
         f" (SELECT max(rowid) FROM known WHERE source_sha256 = c.sha256 AND {HAS_CONTENT})"
         " WHERE c.at_home"
     )
-    for sha256, mapping, left, left_rig, row, known_rig, *where in found:
+    for sha256, mapping, left, left_rig, row, known_rig, samples, *where in found:
         item = make_item_id(RECORDING, sha256)
+        if samples is not None and not (night.lab.folder / samples).is_file():
+            yield item, RECORDING, None
+            continue
         rigs = {rig for there, rig in ((left, left_rig), (row, known_rig)) if there is not None}
         for rig_id in rigs:
             rig_hash = "" if rig_id is None else hash_rig_of(rig_id, make_source(*where))

@@ -25,6 +25,7 @@ from importlib.abc import MetaPathFinder
 from types import ModuleType
 from typing import Any, Protocol, TypeAlias, TypeVar
 
+from ingest.apart import end_with_parent
 from pipeline.import_path import leave_working_folder, start_without_working_folder
 from pipeline.lab.journal import Outcome
 from pipeline.lab.settings import Settings
@@ -35,6 +36,7 @@ AnyTask = TypeVar("AnyTask", bound="Task")
 Result = TypeVar("Result")
 Track: TypeAlias = Callable[[Iterable[Any], int, str], Iterable[Any]]
 """Shows progress: (items, how many, what they are) to the same items."""
+_MORTAL = "pipeline.mortal"
 _RESTARTS = 20
 """How often a pool that broke as a whole is opened again before the night gives up."""
 _CONNECT_S = "20s"
@@ -228,7 +230,8 @@ def prepare_workers(preload: Sequence[str]) -> Any:
     from multiprocessing.forkserver import ensure_running
 
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(preload))
+    os.environ["DEALAB_PARENT"] = str(os.getpid())  # for `pipeline.mortal`
+    context.set_forkserver_preload([_MORTAL, *preload])
     with start_without_working_folder():
         ensure_running()
     return context
@@ -377,10 +380,7 @@ def _start_worker(memory_mb: int) -> None:
     leave_working_folder()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL)
+    end_with_parent()
     if memory_mb:
         import resource
 

@@ -133,21 +133,23 @@ def kills(bench: Bench, times: int, seed: int) -> Result:
 
 
 def _session(leader: int) -> int:
-    """Processes of a session that are still there after a short while."""
-    proc = Path("/proc")
-    if not proc.is_dir():
-        return 0
-    for _ in range(100):
-        alive = 0
-        for path in proc.glob("[0-9]*/stat"):
-            try:
-                fields = path.read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            alive += int(fields[3]) == leader and fields[0] != "Z"
-        if not alive:
+    """Processes of a session that are still there after a second."""
+    for _ in range(20):
+        if not count_session(leader):
             return 0
         time.sleep(0.05)
+    return count_session(leader)
+
+
+def count_session(leader: int) -> int:
+    """Processes of a session that are there now; 0 where the system does not tell."""
+    alive = 0
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        alive += int(fields[3]) == leader and fields[0] != "Z"
     return alive
 
 

@@ -53,7 +53,7 @@ def statuses(lab: Lab) -> dict[str, tuple[str, str]]:
 def test_a_lost_worker_costs_its_recording_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
 ) -> None:
-    """Killed, out of memory, stuck: each tried once more, alone, and told as an accident. Lost once: read after all."""
+    """Killed, out of memory, stuck: each tried once more alone, and told as an accident. Lost once: read after all."""
     monkeypatch.setattr(pipeline.nightly.workers, "perform", sabotage.perform)
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
     raw.mkdir()
@@ -98,7 +98,7 @@ def test_a_lost_worker_costs_its_recording_only(
 def test_an_accident_takes_no_earlier_result_away(
     made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
 ) -> None:
-    """A folder of rig files without rights, a broken library, a disk that fails: all as it was, and told as what it is."""
+    """A folder of rig files without rights, a broken library, a failing disk: earlier results stay, all of it is told."""
     raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
     shutil.copytree(made[0], raw)
     assert nightly([raw], lab, jobs=0).exit_status == 0

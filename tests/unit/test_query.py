@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +16,7 @@ import pytest
 
 from pipeline import Lab
 from pipeline.commands.show.rows import FORMATS, as_csv, as_json, as_table
-from pipeline.lab.query import Query
+from pipeline.lab.query import Limits, Query
 from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import DealabError, LabError, UsageError
 from schemas.tables import TABLES
@@ -233,3 +235,39 @@ def test_a_plan_is_shown_as_it_is(lab: Lab) -> None:
 def test_parquet_is_refused_for_what_is_no_select(lab: Lab) -> None:
     with pytest.raises(UsageError, match="PIVOT"):
         ask(lab, "PIVOT recordings ON status USING count(*)")
+
+
+ENDLESS = "SELECT count(*) FROM range(10000000000) a, range(1000) b WHERE hash(a.range, b.range) = 1"
+
+
+def test_a_query_keeps_to_its_limits(lab: Lab) -> None:
+    """Of time, rows and memory; nothing is spilt into the lab, and each refusal names the switch."""
+    before = sorted(lab.folder.rglob("*"))
+    for limits, query, remedy in (
+        (Limits(seconds=0.3), ENDLESS, "--timeout-s"),
+        (Limits(rows=1000), "SELECT * FROM range(2000)", "--rows"),
+        (Limits(memory_mb=64), "SELECT range AS r FROM range(100000000) ORDER BY hash(r)", "--memory-mb"),
+    ):
+        began = time.monotonic()
+        with Query(lab, limits) as database, pytest.raises(DealabError, match=remedy):
+            database.run(query)
+        assert time.monotonic() - began < 20
+        assert sorted(lab.folder.rglob("*")) == before
+    with Query(lab, Limits(seconds=0, rows=0, memory_mb=0)) as database:
+        assert database.run("SELECT * FROM range(2000)").num_rows == 2000
+
+
+def test_an_interrupt_ends_a_query_at_once(lab: Lab) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.3)
+        began = time.monotonic()
+        with pytest.raises(KeyboardInterrupt), Query(lab) as database:
+            database.run(ENDLESS)
+        assert time.monotonic() - began < 5
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

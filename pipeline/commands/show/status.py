@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pipeline.commands.show.rows import make_safe
-from pipeline.lab.annotations import Annotation, list_excluded, read_annotations
+from pipeline.lab.annotations import Annotation, find_broken_lines, list_excluded, read_annotations
 from pipeline.lab.journal import Freshness
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import describe_holder, is_busy
@@ -38,7 +38,7 @@ def describe_lab(lab: Lab) -> str:
         lines += _describe_last_run(reader.rows("runs"))
         lines += _count_recordings(reader, list_excluded(annotations))
         for title, found in (
-            ("Needs attention", _list_attention(reader)),
+            ("Needs attention", [*find_broken_lines(lab), *_list_attention(reader)]),
             ("No result from", _list_without_result(reader)),
             ("Out of the analysis", _list_exclusions(annotations, published)),
             ("The file has gone, the results stay", _list_gone(reader)),

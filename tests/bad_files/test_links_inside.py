@@ -1,0 +1,91 @@
+"""A data file that points at other files of the machine gives nothing of them, whatever kind of link it uses."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+h5py = pytest.importorskip("h5py", reason="the extra `hdf5` is not installed")
+
+from ingest.hdf5_tree import list_arrays, read_array  # noqa: E402
+
+SECRET = 1234.5
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """A file of somebody else, with numbers as HDF5 and as plain bytes."""
+    path = tmp_path / "secret.h5"
+    with h5py.File(path, "w") as file:
+        file["key"] = np.full(8, SECRET)
+        file["group/key"] = np.full(8, SECRET)
+    np.full(64, SECRET).tofile(path.with_suffix(".raw"))
+    return path
+
+
+def put_external_link(file: Any, secret: Path) -> None:
+    file["out"] = h5py.ExternalLink(str(secret), "/key")
+
+
+def put_soft_link_to_one(file: Any, secret: Path) -> None:
+    file["hidden"] = h5py.ExternalLink(str(secret), "/key")
+    file["out"] = h5py.SoftLink("/hidden")
+
+
+def put_soft_link_through_one(file: Any, secret: Path) -> None:
+    file["a/hidden"] = h5py.ExternalLink(str(secret), "/")
+    file["a/out"] = h5py.SoftLink("hidden/group/key")
+
+
+def put_chain_of_soft_links(file: Any, secret: Path) -> None:
+    file["hidden"] = h5py.ExternalLink(str(secret), "/")
+    file["first"] = h5py.SoftLink("hidden")
+    file["second"] = h5py.SoftLink("first/group")
+    file["out"] = h5py.SoftLink("second/key")
+
+
+def put_external_storage(file: Any, secret: Path) -> None:
+    file.create_dataset("out", (64,), "f8", external=[(os.fspath(secret.with_suffix(".raw")), 0, h5py.h5f.UNLIMITED)])
+
+
+def put_external_references(file: Any, secret: Path) -> None:
+    place = (os.fspath(secret.with_suffix(".raw")), 0, h5py.h5f.UNLIMITED)
+    file.create_dataset("out", (8,), h5py.ref_dtype, external=[place])
+
+
+def put_virtual(file: Any, secret: Path) -> None:
+    layout = h5py.VirtualLayout((8,), "f8")
+    layout[:] = h5py.VirtualSource(os.fspath(secret), "key", shape=(8,))
+    file.create_virtual_dataset("out", layout)
+
+
+@pytest.mark.parametrize(
+    "put",
+    [
+        put_external_link,
+        put_soft_link_to_one,
+        put_soft_link_through_one,
+        put_chain_of_soft_links,
+        put_external_storage,
+        put_external_references,
+        put_virtual,
+    ],
+)
+def test_nothing_of_another_file_is_read(put: Any, secret: Path, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["own"] = np.arange(8.0)
+        file["link within"] = h5py.SoftLink("/own")
+        put(file, secret)
+    read = {}
+    with h5py.File(tmp_path / "run.h5", "r") as file:
+        found = list_arrays(file)
+        for name, listed in found.items():
+            if not listed.refusal:
+                read[name] = np.asarray(read_array(file, listed, matlab=False)).tolist()
+    out = next(name for name in found if name.endswith("out"))
+    assert "other file" in found[out].refusal or "another file" in found[out].refusal
+    assert read == {"own": list(range(8)), "link within": list(range(8))}

@@ -1,0 +1,65 @@
+"""Workers, their server and the children of parsers end with their night, however that ends, at most a second later."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ingest.apart import Apart
+from tests.conftest import ROOT
+from tests.faults.harness import count_session
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
+NIGHT = """
+import sys
+from pathlib import Path
+from pipeline.nightly.workers import LocalPool
+from tests.faults.test_end_of_a_night import parse_for_ever
+
+if __name__ == "__main__":
+    mark = Path(sys.argv[1])
+    pool = LocalPool(2, deadline_s=60, preload=("pipeline.nightly.read", "pipeline.nightly.derive"))
+    mark.touch()
+    [pool.submit(parse_for_ever, mark).result() for _ in range(2)]
+"""
+
+
+def parse_for_ever(mark: Path) -> None:
+    """A worker whose parser, in a child of its own, does not end."""
+    apart = Apart(mark)
+    apart._left_s = 60.0
+    apart(_spin, mark.with_suffix(".parsing"))
+
+
+def _spin(mark: Path) -> None:
+    mark.touch()
+    while True:
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
+@pytest.mark.parametrize("moment", ["while its workers load", "while they parse"])
+def test_all_end_with_the_night(number: signal.Signals, moment: str, tmp_path: Path) -> None:
+    script, mark = tmp_path / "night.py", tmp_path / "mark"
+    script.write_text(NIGHT)
+    night = subprocess.Popen(
+        [sys.executable, script, mark], env={**os.environ, "PYTHONPATH": str(ROOT)}, start_new_session=True
+    )
+    waited_for = mark if moment == "while its workers load" else mark.with_suffix(".parsing")
+    deadline = time.monotonic() + 120
+    while not waited_for.exists():
+        assert time.monotonic() < deadline
+        assert night.poll() is None
+        time.sleep(0.02)
+    night.send_signal(number)
+    night.wait(10)
+    deadline = time.monotonic() + 1 + os.getloadavg()[0]  # a second, where others leave us a processor
+    while count_session(night.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert count_session(night.pid) == 0
