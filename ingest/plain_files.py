@@ -16,7 +16,7 @@ from typing import BinaryIO
 def open_plain(path: Path) -> BinaryIO:
     """A regular file, opened for reading bytes. Raises `OSError` for what is none, or cannot be opened."""
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
+    if not stat.S_ISREG(os.stat(handle).st_mode):
         os.close(handle)
         raise OSError(errno.EINVAL, "it is a pipe, a folder or a device", os.fspath(path))
     return os.fdopen(handle, "rb")

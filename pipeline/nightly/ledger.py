@@ -46,7 +46,10 @@ _LEARNT: Mapping[str, tuple[str, ...]] = {
 """Tables of the snapshot that a night wants, and their columns in the order that the ledger has as well."""
 _BOOKED = {"recordings": "known", "accidents": "earlier_accidents"}
 """The ledger's name of a table, where it is another."""
-_ACCIDENTS = "item_id TEXT PRIMARY KEY, stage TEXT, source_path TEXT, reason TEXT, nights INTEGER, first_run_id TEXT, run_id TEXT"
+_ACCIDENTS = (
+    "item_id TEXT PRIMARY KEY, stage TEXT, source_path TEXT, reason TEXT, nights INTEGER,"
+    " first_run_id TEXT, run_id TEXT"
+)
 
 TABLES: Mapping[str, str] = {
     # What the lab knew before tonight: from the published snapshot.
