@@ -54,6 +54,13 @@ def parse_path(text: str) -> Path:
     return Path(text)
 
 
+def parse_folder(text: str) -> Path:
+    """An existing folder from the command line: one that is not there is a slip of the pen, not an empty one."""
+    if not os.path.isdir(text):
+        raise argparse.ArgumentTypeError(f'there is no folder "{text[:200]}"')
+    return parse_path(text)
+
+
 def parse_jobs(text: str) -> int:
     """A number of processes from the command line."""
     if not text.isdecimal() or int(text) > 1024:
@@ -85,5 +92,5 @@ def track(items: Iterable[Any], count: int, what: str) -> Iterable[Any]:
 
 LAB = argument("--lab", type=parse_path, default=DEFAULT_LAB, metavar="LAB", help="the lab (default ./lab)")
 RAW = argument("raw", nargs="+", metavar="RAW", help="files, folders or URLs (s3://…) with recordings")
-RIGS = argument("--rigs", type=parse_path, help="folder with <rig_id>.toml (default: rigs/ beside the recordings)")
+RIGS = argument("--rigs", type=parse_folder, help="folder with <rig_id>.toml (default: rigs/ beside the recordings)")
 CLUSTER = argument("--cluster", metavar="ADDRESS", help="dask scheduler whose workers do the work (tcp://host:8786)")

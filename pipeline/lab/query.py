@@ -9,11 +9,13 @@ Samples reach DuckDB as Arrow data sets that are opened here, so that no query c
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import queue
 import re
 import threading
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -147,7 +149,8 @@ class Query:
                 if self._limits.rows and rows > self._limits.rows:
                     break
             else:
-                return pa.Table.from_batches(batches, reader.schema)
+                table = pa.Table.from_batches(batches, reader.schema)
+                return table.rename_columns(_tell_apart(table.column_names))
         raise DealabError(
             f"the result has more than {self._limits.rows} rows", remedy="Select less, or allow more with --rows"
         )
@@ -225,6 +228,15 @@ class Query:
         root = self._lab.samples_folder.resolve()
         path = (self._lab.folder / samples_path).resolve()
         return path if root in path.parents and path.is_file() else None
+
+
+def _tell_apart(names: Sequence[str]) -> list[str]:
+    """Names of columns, a number behind those that came before: whoever takes rows by name would lose one otherwise."""
+    found: list[str] = []
+    for name in names:
+        numbered = (f"{name}_{number}" for number in itertools.count(1))
+        found.append(next(one for one in itertools.chain([name], numbered) if one not in found))
+    return found
 
 
 def _list_node_kinds(tree: Any) -> set[str]:

@@ -39,7 +39,7 @@ from pipeline.nightly.publish import (
 from pipeline.nightly.read import adopt_journal, include_recordings, read_contents
 from pipeline.nightly.stages import STAGES, Night
 from pipeline.nightly.workers import Track, Workers, load_module
-from schemas.errors import DealabError
+from schemas.errors import DealabError, UsageError
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,10 @@ def nightly(
     ------
     LabError : another nightly is at work, nothing was found, the lab cannot be written, the result failed its checks.
         The published database is then as it was, and what was finished is kept for the next run.
-    UsageError : a path that does not exist
+    UsageError : a path that does not exist, among the raw ones or for rig files
     """
+    if rigs is not None and not os.path.isdir(rigs):
+        raise UsageError("there is no such folder", where=str(rigs), expected="a folder of rig files")
     lab.create()
     with hold_lab(lab), _end_when_told():
         clock = time.monotonic()

@@ -391,6 +391,8 @@ def test_only_folders_without_recordings_are_a_failure(night: Any, tmp_path: Pat
         night(tmp_path / "empty")
     with pytest.raises(UsageError, match="no such file"):
         night(tmp_path / "nowhere")
+    with pytest.raises(UsageError, match="no such folder"):
+        night(rigs=tmp_path / "nowhere")
 
 
 def test_the_lab_among_the_raw_files_is_not_read(night: Any) -> None:

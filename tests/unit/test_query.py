@@ -271,3 +271,30 @@ def test_an_interrupt_ends_a_query_at_once(lab: Lab) -> None:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("form", ["table", "csv", "json"])
+def test_columns_of_one_name_are_all_there(lab: Lab, form: str) -> None:
+    with Query(lab) as database:
+        rows = database.run("SELECT 11 AS a, 22 AS a, 33 AS a_1, 44 AS a, 55 AS A")
+    assert rows.column_names == ["a", "a_1", "a_1_1", "a_2", "A"]
+    text = FORMATS[form](rows)
+    assert isinstance(text, str)
+    assert all(value in text for value in ("11", "22", "33", "44", "55"))
+    assert lab.sql("SELECT 1 AS a, 2 AS a").iloc[0].tolist() == [1, 2]
+
+
+def test_recordings_whose_ids_differ_by_case_are_two(tmp_path: Path) -> None:
+    made = Lab(tmp_path)
+    rows = []
+    for number, name in enumerate(("run-a", "RUN-A", "Run-A")):
+        path = tmp_path / f"samples/protocol=chirp/month=2026-03/{number}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({"time_ns": np.arange(3), "force": np.full(3, float(number))}), path)
+        about = {"status": "ok", "source_path": name, "samples_path": path.relative_to(tmp_path).as_posix()}
+        rows.append({"recording_id": name} | about)
+    publish(made, Changes(insertions=[{"recordings": TABLES["recordings"].rows(rows)}]))
+    for number, name in enumerate(("run-a", "RUN-A", "Run-A")):
+        assert made.sql(f"SELECT force FROM samples('{name}')")["force"].tolist() == [number] * 3
+    both = made.sql("SELECT a.force, b.force FROM samples('run-a') a JOIN samples('RUN-A') b USING (time_ns)")
+    assert both.iloc[0].tolist() == [0.0, 1.0]
