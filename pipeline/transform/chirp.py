@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from pipeline.transform import local_polynomial, quality, repeats, sweeps
 from pipeline.transform.channels import Drive, drive
 from pipeline.transform.local_polynomial import LocalFit
-from pipeline.transform.quality import input_noise, mark_weak, window_power
+from pipeline.transform.quality import input_noise, mark_tones, mark_weak, window_power
 from pipeline.transform.response import FrequencyResponse
 from pipeline.transform.sampling import Sampled, runs, sample, without_short_gaps
 from pipeline.transform.spectrum import delay_between, length_for, low_bins, ramp_bins
@@ -257,6 +257,7 @@ def _single(
         cut = _cut_off(spectra.input[0], lines, fitted.half_width)
         response = response.mark(cut, "the record begins or ends while the sweep passes here")
     noise = input_noise(x, at_zero, (low, high), sampled.interval_s, y.size)
+    response = mark_tones(response, spectra.input[0], lines, fitted.half_width)
     return mark_weak(response, spectra.input[0], lines, fitted.half_width, noise), warnings
 
 
@@ -350,8 +351,10 @@ def _repeated(
         details={**response.details, **details, "repeat_delay_s": [float(d) for d in spectra.delays_s]},
     )
     x = sampled.values[source.input.quantity]
+    mean = spectra.input[used].mean(axis=0)
     floor = input_noise(x, pieces, (low, high), sampled.interval_s, pieces.length) / used.size
-    return mark_weak(response, spectra.input[used].mean(axis=0), lines, result.half_width, floor), warnings
+    response = mark_tones(response, mean, lines, result.half_width)
+    return mark_weak(response, mean, lines, result.half_width, floor), warnings
 
 
 def _response(

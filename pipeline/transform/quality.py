@@ -165,6 +165,9 @@ def _limit(recording: Recording, source: Drive) -> float | None:
 
 _WEAK_INPUT = 0.1
 """Input spectrum below this share (−20 dB) of its median in the band is no excitation."""
+_TONE, _TONE_BINS = 20.0, 2
+"""A bin of the input with so many times the power of every bin of its window that is further away than this is a tone; what leaks
+from it there is at most a fiftieth, and the ripple of a sweep's spectrum is a factor of four."""
 _NOISY_INPUT = 0.1
 """Share of noise in the power of the input (−10 dB) from which on it is no excitation."""
 _FEWEST_AT_REST = 64
@@ -192,6 +195,24 @@ def input_noise(x: Float, pieces: Slices, band: tuple[float, float], interval_s:
     inside = (frequency > 0) & (frequency >= band[0]) & (frequency <= band[1])
     chosen = inside if inside.sum() >= _FEWEST_BINS else frequency > 0
     return float(power[chosen].mean()) / rest.size * count
+
+
+def mark_tones(response: FrequencyResponse, spectrum: Complex, lines: Int, half_width: Int) -> FrequencyResponse:
+    """Marks lines in whose window one bin of the input stands far above all others: a steady tone, as of the mains.
+
+    A sweep excites neighbouring bins alike. A tone on input and output is coherent, and its ratio is no response.
+
+    Parameters
+    ----------
+    spectrum : (bins,) of the input
+    lines, half_width : (L,) bins of the lines, and bins on each side that their windows hold
+    """
+    window = local_polynomial.windows(lines, half_width, spectrum.size)
+    power = np.abs(spectrum[window.index] * window.inside) ** 2
+    peak = power.argmax(axis=1)
+    beside = np.abs(np.arange(power.shape[1]) - peak[:, None]) > _TONE_BINS
+    others = np.where(beside, power, 0.0).max(axis=1)
+    return response.mark(power.max(axis=1) > _TONE * others, "no excitation: a steady tone stands above the sweep")
 
 
 def mark_weak(
