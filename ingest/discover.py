@@ -19,9 +19,10 @@ from pathlib import Path
 
 from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
 from ingest.mapping_keys import IGNORE
+from ingest.parts import list_parts, part_of
 from ingest.plain_files import open_plain
 from ingest.remote import Mirror, RemoteFile
-from schemas.errors import DealabError, PendingError, UsageError
+from schemas.errors import DealabError, PendingError, RefusedError, UsageError
 
 NATIVE, MAPPED, UNMAPPED = "native", "mapped", "unmapped"
 _YOUNG_S = 60.0
@@ -40,7 +41,7 @@ class SourceFile:
 
     `path` as found below what was given, `root` the file or folder that was given, `format` as `ingest.mapping.FORMATS`
     (None when unknown), `state` `native` (MCAP), `mapped` or `unmapped`. `error` says why its mapping cannot be used.
-    Of a `remote` file, `path` is the local place that it is fetched to when it is read, below `root`, which stands for
+    `part` is the label of one of several recordings in the file. Of a `remote` file, `path` is the local place that it is fetched to when it is read, below `root`, which stands for
     the address that was given.
     """
 
@@ -53,6 +54,7 @@ class SourceFile:
     mapping: FileMapping | None = None
     error: DealabError | None = None
     remote: RemoteFile | None = None
+    part: str = ""
 
 
 def discover(
@@ -82,9 +84,7 @@ def discover(
             note(told)
         for path, file in mirror.files:
             if not any(part.startswith((".", "~$")) for part in file.name.split("/")):
-                source = walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
-                if source is not None:
-                    yield source
+                yield from walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
 
 
 def with_mapping(source: SourceFile) -> SourceFile:
@@ -93,6 +93,11 @@ def with_mapping(source: SourceFile) -> SourceFile:
         mapping = find_mapping(source.path)
     except DealabError as error:
         return replace(source, error=error)
+    if mapping is not None and source.part:
+        try:
+            mapping = part_of(mapping, source.part)
+        except DealabError as error:
+            return replace(source, error=error)
     if (mapping is not None) != (source.state == MAPPED) or (mapping is not None and mapping.kind == IGNORE):
         return replace(source, error=PendingError("its mapping changed since it was found", where=source.path.name))
     return replace(source, mapping=mapping)
@@ -207,9 +212,7 @@ class _Walk:
                 if stat.S_ISDIR(info.st_mode):
                     waiting.append(self._list(path, info))
                 elif stat.S_ISREG(info.st_mode):
-                    source = self.file(path, root, info.st_size, info.st_mtime_ns)
-                    if source is not None:
-                        yield source
+                    yield from self.file(path, root, info.st_size, info.st_mtime_ns)
                 else:
                     self.note(f"{shown(path)}: a pipe, socket or device: passed over")
             except OSError as error:
@@ -227,16 +230,16 @@ class _Walk:
 
     def file(
         self, path: Path, root: Path, size: int, mtime_ns: int, remote: RemoteFile | None = None
-    ) -> SourceFile | None:
-        """One file, also one that is not here yet: nothing but what lies beside it is read.
+    ) -> Iterator[SourceFile]:
+        """One file, also one that is not here yet, or each of the recordings in it: nothing but what lies beside it is read.
 
-        None where it is passed over, or has been met before. Raises `OSError`.
+        Nothing where it is passed over, or has been met before. Raises `OSError`.
         """
         if path.suffix.lower() == ".toml":
-            return None
+            return
         if path.name.lower().endswith(_UNFINISHED):
             self.note(f"{shown(path)}: an unfinished file: passed over")
-            return None
+            return
         beside = self._beside(os.path.dirname(path))
         mapping, error = None, None
         try:
@@ -246,20 +249,38 @@ class _Walk:
         file_format = format_of(path, mapping)
         if mapping is not None and mapping.kind == IGNORE:
             self.note(f"{shown(path)}: passed over, as {mapping.source} says")
-            return None
+            return
         if file_format is None and mapping is None and not own_mapping(path).is_file():
-            return None
+            return
         if mapping is None and error is None:
             if path.name.lower().startswith(_DOCUMENTS):
-                return None
+                return
             state = NATIVE if file_format == "mcap" else UNMAPPED
         else:
             state = NATIVE if file_format == "mcap" and mapping is None else MAPPED
         plain = beside.links is not None and path.name not in beside.links
         place = os.path.join(beside.place, path.name) if plain else os.path.realpath(path)
-        if not self.first_time(place):
-            return None
-        return SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote)
+        if self.first_time(place):
+            found_file = SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote)
+            yield from _parts(found_file) if mapping is not None and mapping.parts_file else (found_file,)
+
+
+def _parts(file: SourceFile) -> Iterator[SourceFile]:
+    """The recordings of a file that holds several; the file itself, with the reason, where they cannot be told apart."""
+    assert file.mapping is not None
+    try:
+        if file.remote is not None:
+            raise RefusedError(
+                "[[select]] has each, and the file is not on this machine",
+                where=file.path.name,
+                expected="a local file: its values have to be read to know its recordings",
+            )
+        parts = list_parts(file.path, file.mapping)
+        yield from [replace(file, mapping=part_of(file.mapping, part), part=part) for part in parts]
+    except DealabError as error:
+        yield replace(file, error=error)
+    except OSError as problem:
+        yield replace(file, error=RefusedError(f"the file cannot be read: {problem.strerror}", where=file.path.name))
 
 
 def _is_link(path: Path) -> bool:

@@ -54,6 +54,8 @@ _WORDS = ("failed", "censored", "configuration", "specimen_id", "count")
 _DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
 _MOST_MATRIX_COLUMNS = 12
 _FIRST_CELLS = 200
+_FEWEST_DEGREES = 2.0
+"""Range of temperatures below which a table holds one sweep."""
 _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
 _EVEN = 1e-3
@@ -287,6 +289,7 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
                 questions.append(_ask_unit(f"columns.{name}", column, usual[name]))
         columns[name] = entry
     about: dict[str, Any] = {"recording_id": "{stem}"}
+    each = _several(opened, chosen) if kind == FREQUENCY_RESPONSE else None
     _take(opened.facts, about, remarks, ("operator", "material"))
     if kind != LIFETIMES:
         _take(opened.facts, about, remarks, ("specimen_id",))
@@ -300,6 +303,14 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
         about["configuration"] = "{stem}"
         questions.append(Question("recording.configuration", "how the films are built", opened.path.stem))
     content = {"kind": kind, **_format_keys(opened), "columns": columns, "recording": about}
+    if each is not None:
+        content["select"] = [each]
+        about["recording_id"] = "{stem}-{each}"
+        about["specimen_id"] = f"{about['specimen_id']} at {{each}} C"
+        remarks["recording.specimen_id"] = "one for each temperature: a model is that of one temperature"
+        questions = [
+            replace(q, suggestion=f"{q.suggestion} at {{each}} C") if _is_specimen(q) else q for q in questions
+        ]
     unmapped = tuple(c for c in opened.columns if c not in chosen.values())
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about)
 
@@ -520,6 +531,33 @@ def _relaxation_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedCo
     time = next((c for c in columns if c.meaning == TIME), None)
     modulus = _first([c for c in columns if c.unit in _MODULI and c.meaning is None], _RELAXED)
     return {} if time is None or modulus is None else {"time": time, "relaxation": modulus}
+
+
+def _is_specimen(question: Question) -> bool:
+    return question.key == "recording.specimen_id"
+
+
+def _several(opened: _Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:
+    """The selection of each temperature where a table holds several sweeps; None where it holds one."""
+    warm = chosen.get("temperature")
+    if warm is None:
+        return None
+    decimal = opened.options.get("decimal", ".")
+    cells = [read_cell(str(cell).strip(), decimal) for cell in opened.cells(warm)]
+    values = np.sort([c.value for c in cells if c is not None and np.isfinite(c.value)])
+    gaps = np.diff(values)
+    if values.size < 2 or values[-1] - values[0] < _FEWEST_DEGREES:
+        return None
+    wide = gaps[gaps > max(1.0, 5 * float(np.median(gaps)))]
+    if not wide.size:
+        return None
+    within = max(
+        (float(np.ptp(group)) for group in np.split(values, np.flatnonzero(np.isin(gaps, wide)) + 1)), default=0
+    )
+    tolerance = next((t for t in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if t >= within), None)
+    if tolerance is None or 2 * tolerance >= float(wide.min()):
+        return None
+    return {"column": warm.column, "each": True, "tolerance": tolerance}
 
 
 def _lifetime_columns(opened: _Opened) -> dict[str, GuessedColumn]:

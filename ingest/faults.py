@@ -11,7 +11,8 @@ from ingest.assemble import assemble
 from ingest.canonical import canonical
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping import list_faults as list_mapping_faults
-from ingest.mapping_keys import IGNORE, RECORDING
+from ingest.mapping_keys import EACH, IGNORE, RECORDING
+from ingest.parts import list_parts, part_of
 from ingest.read import open_columns, read_raw
 from ingest.rigs import find_rig
 from schemas.errors import DealabError
@@ -36,7 +37,9 @@ def find_faults(
     kind = content.get("kind", RECORDING)
     about = content.get("recording", {})
     if isinstance(about, Mapping) and kind != IGNORE:
-        stamped = {k: v.replace("{stem}", stem) if isinstance(v, str) else v for k, v in about.items()}
+        stamped = {
+            k: v.replace("{stem}", stem).replace(EACH, "each") if isinstance(v, str) else v for k, v in about.items()
+        }
         if kind == RECORDING and "started_at" not in stamped:
             stamped["started_at"] = "2020-01-01T00:00:00+00:00"  # the file's own times, or the zone, say it
         elif isinstance(stamped.get("started_at"), str) and isinstance(content.get("time"), Mapping):
@@ -46,12 +49,17 @@ def find_faults(
         return _each_once(faults)
     mapping = FileMapping.parse(content, stem=stem, suffix=path.suffix, source=source)
     try:
-        raw = read_raw(path, mapping)
-        if isinstance(raw, RawRecording):
-            check(raw, path, root=root, rigs=rigs)
-    except DealabError as first:
-        return _each_once([first, *_of_columns(path, mapping)])
-    return ()
+        parts = [part_of(mapping, label) for label in list_parts(path, mapping)] if mapping.parts_file else [mapping]
+    except DealabError as fault:
+        return (fault,)
+    for part in parts:
+        try:
+            raw = read_raw(path, part)
+            if isinstance(raw, RawRecording):
+                check(raw, path, root=root, rigs=rigs)
+        except DealabError as first:
+            faults += [first, *_of_columns(path, part)]
+    return _each_once(faults)
 
 
 def check(raw: RawRecording, path: Path, *, root: Path | None = None, rigs: Path | None = None) -> Recording:

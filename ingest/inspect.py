@@ -6,7 +6,7 @@ command line (pipeline.cli).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,9 @@ import numpy as np
 from ingest.discover import shown
 from ingest.draft import draft_mapping
 from ingest.faults import check, find_faults
-from ingest.mapping import find_mapping, format_of, own_mapping
-from ingest.read import read_raw
+from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
+from ingest.parts import list_parts, part_of
+from ingest.read import Content, read_raw
 from ingest.tables import LifetimeTable, RelaxationTable
 from ingest.toml_files import load_toml
 from schemas.errors import DealabError, RefusedError, UnmappedError
@@ -97,13 +98,35 @@ def inspect(path: Path, *, root: Path | None = None, rigs: Path | None = None) -
     try:
         mapping = find_mapping(path)
         found = format_of(path, mapping)
-        raw = read_raw(path, mapping)
-        if isinstance(raw, RawRecording):
-            return _recording(path, found, size, raw, root, rigs)
+        if mapping is not None and mapping.parts_file:
+            return _inspect_parts(path, mapping, size, root, rigs)
+        return _inspect_content(path, found, size, read_raw(path, mapping), root, rigs)
     except UnmappedError as error:
         return _unmapped(path, found, size, error)
     except DealabError as error:
         return Inspection(path, found, size, REFUSED, error=error, others=_others(path, error, root, rigs))
+
+
+def _inspect_parts(path: Path, mapping: FileMapping, size: int, root: Path | None, rigs: Path | None) -> Inspection:
+    """A file of several recordings: the first of them, or the first that does not fit, and which there are."""
+    labels = list_parts(path, mapping)
+    found = format_of(path, mapping)
+    told = f"{len(labels)} recordings in one file: {', '.join(labels[:20])}{', …' if len(labels) > 20 else ''}"
+    inspected = []
+    for label in labels:
+        try:
+            one = _inspect_content(path, found, size, read_raw(path, part_of(mapping, label)), root, rigs)
+        except DealabError as error:
+            one = Inspection(path, found, size, REFUSED, error=error)
+        inspected.append(replace(one, notes=(told, f"this is the part {label}", *one.notes)))
+    return max(inspected, key=lambda one: (FITS, DAMAGED, REFUSED).index(one.verdict))
+
+
+def _inspect_content(
+    path: Path, found: str | None, size: int, raw: Content, root: Path | None, rigs: Path | None
+) -> Inspection:
+    if isinstance(raw, RawRecording):
+        return _recording(path, found, size, raw, root, rigs)
     if isinstance(raw, LifetimeTable):
         kind, rows = "lifetimes", len(raw.rows)
         columns: tuple[ChannelSummary, ...] = (

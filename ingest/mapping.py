@@ -22,6 +22,7 @@ from typing import Any, TypeAlias
 from ingest.mapping_keys import (
     CHANNEL_METADATA,
     COLUMN,
+    EACH,
     FORMATS,
     IGNORE,
     KINDS,
@@ -114,10 +115,17 @@ class TimeMapping:
 
 @dataclass(frozen=True)
 class Selection:
-    """Only rows whose `column` holds one of `equals` belong to the table."""
+    """Only rows whose `column` holds one of `equals` belong to the table, numbers within `tolerance`, or one in a range.
+
+    `each`: every value of the column makes a recording of its own (`ingest.parts`).
+    """
 
     column: ColumnName
-    equals: tuple[Any, ...]
+    equals: tuple[Any, ...] = ()
+    tolerance: float = 0.0
+    at_least: float | None = None
+    at_most: float | None = None
+    each: bool = False
 
 
 @dataclass(frozen=True)
@@ -140,6 +148,13 @@ class FileMapping:
     hash: str = ""
     reads: str = ""
     """Hash of what of the file is read: columns, rows and how, without metadata. Another one is another recording."""
+    content: Mapping[str, Any] = dataclass_field(default_factory=dict, repr=False, compare=False)
+    """The tables it was made from."""
+
+    @property
+    def parts_file(self) -> bool:
+        """Whether one file holds several recordings."""
+        return any(s.each for s in self.select)
 
     @property
     def counts_rows_as_time(self) -> bool:
@@ -182,6 +197,7 @@ class FileMapping:
             source=source,
             hash=content_hash(content),
             reads=content_hash({k: v for k, v in content.items() if k not in ("recording", "rig")}),
+            content=content,
         )
 
 
@@ -477,8 +493,32 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
     selections = []
     for entry in entries:
         found = checked(entry, "select", SELECT, source)
-        if "column" not in found or "equals" not in found:
-            raise refused(source, "a select entry lacks column or equals", 'column = "Set" and equals = 0')
-        equals = found["equals"]
-        selections.append(Selection(found["column"], tuple(equals) if isinstance(equals, list) else (equals,)))
+        ways = [key for key in ("equals", "each", "at_least", "at_most") if key in found and found[key] is not False]
+        if "column" not in found or not ways:
+            raise refused(
+                source,
+                "a select entry lacks column or equals",
+                'column = "Set" and equals = 0, or at_least and at_most, or each = true in place of equals',
+            )
+        if len(ways) > 1 and set(ways) != {"at_least", "at_most"}:
+            raise refused(source, f"a select entry has {' and '.join(ways)}", "one of them")
+        if found.get("tolerance", 0) < 0 or ("tolerance" in found and ways[0] in ("at_least", "at_most")):
+            raise refused(source, "select.tolerance is not used so", "a tolerance from 0 beside equals or each")
+        equals = found.get("equals", ())
+        selections.append(
+            Selection(
+                found["column"],
+                tuple(equals) if isinstance(equals, list | tuple) else (equals,),
+                float(found.get("tolerance", 0.0)),
+                None if "at_least" not in found else float(found["at_least"]),
+                None if "at_most" not in found else float(found["at_most"]),
+                found.get("each", False),
+            )
+        )
+    if sum(s.each for s in selections) > 1:
+        raise refused(source, "two select entries have each", "one column that tells the recordings apart")
+    about = content.get("recording", {})
+    named = isinstance(about, dict) and EACH in str(about.get("recording_id"))
+    if any(s.each for s in selections) and not named:
+        raise refused(source, "each makes several recordings of one recording_id", f'recording_id = "{{stem}}-{EACH}"')
     return tuple(selections)

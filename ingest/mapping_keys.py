@@ -145,7 +145,17 @@ TABLE_COLUMN: Mapping[str, Key] = {
 SELECT: Mapping[str, Key] = {
     "column": Key(_COLUMN, "the column that is looked at"),
     "equals": Key((list, str, int, float, bool), "the value, or list of values, of the rows that are read"),
+    "tolerance": Key(_NUMBER, "how far a number may be from `equals`, or from the value that `each` stands for"),
+    "at_least": Key(_NUMBER, "in place of `equals`: the smallest number of the rows that are read"),
+    "at_most": Key(_NUMBER, "the largest one"),
+    "each": Key(
+        (bool,),
+        "true: each value makes a recording of its own; `{each}` in `[recording]` is the value, and has to stand in"
+        " `recording_id`",
+    ),
 }
+EACH = "{each}"
+"""Stands for the value that a part of a file has, in the texts of `[recording]`."""
 TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     LIFETIMES: {
         "lifetime": "required; a unit of time",

@@ -88,6 +88,13 @@ def open_columns(path: Path, found: str, mapping: FileMapping) -> ColumnFile:
 
 
 def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:
+    if mapping.parts_file:
+        raise RefusedError(
+            "the file holds several recordings: [[select]] has each",
+            where=path.name,
+            expected="one of its parts",
+            remedy="dealab nightly reads each part, dealab inspect lists them",
+        )
     file = open_columns(path, found, mapping)
     if mapping.kind == LIFETIMES:
         return lifetime_table(file, mapping, stem=path.stem.encode("utf-8", "replace").decode(), where=path.name)

@@ -11,8 +11,12 @@ import numpy as np
 
 from ingest.columns import ColumnFile, Numbers, OwnTime
 from ingest.mapping import ColumnName, Selection, column_label
+from ingest.notations import read_cell
 from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
+
+_LAST_DIGIT = 1e-9
+"""Share of a tolerance by which the last digit of a double may miss it."""
 
 
 def selected_rows(file: ColumnFile, select: Sequence[Selection], count: int, where: str) -> Bool:
@@ -26,15 +30,46 @@ def selected_rows(file: ColumnFile, select: Sequence[Selection], count: int, whe
                 where=where,
                 expected="columns of the same length",
             )
-        keep &= np.fromiter((any(same_cell(cell, v) for v in selection.equals) for cell in cells), bool, len(cells))
+        keep &= np.fromiter((_passes(cell, selection) for cell in cells), bool, len(cells))
         if not keep.any():
             shown = ", ".join(dict.fromkeys(str(cell)[:20] for cell in list(cells)[:200]))
             raise RefusedError(
-                f"no row has {list(selection.equals)} in column {column_label(selection.column)}",
+                f"no row has {_wanted(selection)} in column {column_label(selection.column)}",
                 where=where,
                 expected=f"one of {shown[:200]}",
             )
     return keep
+
+
+def _passes(cell: Any, selection: Selection) -> bool:
+    """Whether a cell is one of the values, within the tolerance, or lies in the range."""
+    if selection.at_least is None and selection.at_most is None and not selection.tolerance:
+        return any(same_cell(cell, v) for v in selection.equals)
+    number = _as_number(cell)
+    if number is None:
+        return False
+    if selection.tolerance:
+        wanted = [_as_number(v) for v in selection.equals]
+        return any(abs(number - v) <= selection.tolerance * (1 + _LAST_DIGIT) for v in wanted if v is not None)
+    low, high = selection.at_least, selection.at_most
+    return (low is None or number >= low) and (high is None or number <= high)
+
+
+def _as_number(cell: Any) -> float | None:
+    try:
+        number = float(cell)
+    except (TypeError, ValueError):
+        found = read_cell(str(cell).strip(), ",") if "," in str(cell) else read_cell(str(cell).strip())
+        number = math.nan if found is None else found.value
+    return number if math.isfinite(number) else None
+
+
+def _wanted(selection: Selection) -> str:
+    if selection.equals:
+        near = f" ± {selection.tolerance:g}" if selection.tolerance else ""
+        return f"{list(selection.equals)}{near}"
+    low, high = selection.at_least, selection.at_most
+    return f"a number{'' if low is None else f' from {low:g}'}{'' if high is None else f' to {high:g}'}"
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,8 @@ def _electrical(traces: Mapping[str, Trace]) -> Shape:
         return Shape("step", "electrical", SURE, f"{times} steps of voltage up to {drive.high:.3g} kV", steps)
     if len(drive.crossings_s) >= 3 and drive.periods_s.std() < _ALIKE * drive.periods_s.mean():
         return Shape("sphs", "electrical", LIKELY, "a voltage that repeats with one frequency")
+    if _is_smooth(drive) and not _period(drive):
+        return _sweep("electrical", drive)
     seen = f"a voltage that passes its mean {len(drive.crossings_s)} times in changing intervals"
     return Shape("sphs", "electrical", SURE if _period(drive) else LIKELY, seen)
 

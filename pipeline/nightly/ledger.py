@@ -78,7 +78,7 @@ TABLES: Mapping[str, str] = {
     "reached": "place TEXT PRIMARY KEY",
     "looks": (
         "id INTEGER PRIMARY KEY, path TEXT, place BLOB, root BLOB, found_size INTEGER, found_mtime_ns INTEGER,"
-        " format TEXT, state TEXT, url TEXT, name TEXT, version INTEGER, whole INTEGER, mapping TEXT,"
+        " format TEXT, state TEXT, url TEXT, name TEXT, version INTEGER, whole INTEGER, part TEXT, mapping TEXT,"
         " size INTEGER, mtime_ns INTEGER, inode INTEGER, sha256 TEXT, problem TEXT, refusal TEXT,"
         " pending INTEGER, settled INTEGER, reads TEXT"
     ),

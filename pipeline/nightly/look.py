@@ -26,7 +26,7 @@ from pipeline.nightly.freshness import hash_mapping, hash_reads, plain_sha256
 from pipeline.nightly.ledger import Ledger, book_accident, split
 from schemas.errors import AccidentError, DealabError, LabError, PendingError, RefusedError
 
-SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, version, whole"
+SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, version, whole, part"
 """Columns of `looks` that say which file it was."""
 _YOUNG_NS = 60_000_000_000
 _AT_ONCE = 500
@@ -165,7 +165,7 @@ def make_source(
     place: bytes, root: bytes, size: int, mtime_ns: int, file_format: str, state: str, *remote: Any
 ) -> SourceFile:
     """A file that was looked at, from its columns `SOURCE`; without its mapping, for `ingest.discover.with_mapping`."""
-    url, name, version, whole = remote
+    url, name, version, whole, part = remote
     return SourceFile(
         Path(os.fsdecode(place)),
         Path(os.fsdecode(root)),
@@ -174,6 +174,7 @@ def make_source(
         file_format,
         state,
         remote=None if url is None else RemoteFile(url, name, size, mtime_ns, version, bool(whole)),
+        part=part,
     )
 
 
@@ -192,6 +193,7 @@ def _make_row(source: SourceFile, ledger: Ledger) -> tuple[Any, ...]:
         source.format,
         source.state,
         *((None,) * 4 if remote is None else (remote.url, remote.name, remote.version, remote.whole)),
+        source.part,
         hash_mapping(source),
         *(identity or (None,) * 3),
         plain_sha256(known[3]) if known is not None and known[:3] == identity else None,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
 import tempfile
 import tomllib
@@ -348,7 +349,18 @@ def unit_row_time_conflict(night: NightOfOne) -> Wrong:
 def dma_multi_temperature(found: dict[str, object], text: str) -> Wrong:
     expected = {"frequency": "Frequency", "storage": "Storage modulus", "loss": "Loss modulus"}
     yield from _drafts(found, text, "frequency_response", expected)
-    yield "five responses and a master curve are not made yet"
+    data = next((FOLDER / "dma_multi_temperature").glob("*.csv"))
+    with tempfile.TemporaryDirectory() as place:
+        raw = Path(place) / "drafted"
+        raw.mkdir()
+        shutil.copy(data, raw)
+        (raw / f"{data.name}.toml").write_text(text, encoding="utf-8")
+        night = run_night(raw, Path(place))
+        lines = "SELECT recording_id, count(*) FROM frequency_responses WHERE stage = 'measured' GROUP BY 1"
+        sizes = [row[1] for row in night.rows(lines)]
+        if sizes != [19] * 5:
+            yield f"responses of {sizes} lines, not five of 19: {'; '.join(night.attention)}"
+    yield "a master curve is not made yet"
 
 
 @draft

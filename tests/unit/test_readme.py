@@ -21,6 +21,7 @@ from ingest.canonical import canonical
 from ingest.inspect import FITS, inspect
 from ingest.mapping import FileMapping, find_mapping
 from ingest.mapping_keys import IGNORE, RECORDING
+from ingest.parts import list_parts, part_of
 from ingest.read import read_raw
 from pipeline.cli import main
 from pipeline.simulate.plan import load_campaign
@@ -159,6 +160,8 @@ def test_a_file_with_its_mapping_is_what_the_example_says(content: str, mapping:
     path.write_text(content, encoding="utf-8")
     found = find_mapping(path)
     assert found is not None
+    if found.parts_file:
+        found = part_of(found, list_parts(path, found)[-1])
     read = read_raw(path, found)
     assert read.problems == ()
     assert inspect(path).verdict == FITS

@@ -9,6 +9,7 @@ import numpy as np
 
 from ingest.faults import check
 from ingest.mapping import FileMapping
+from ingest.parts import list_parts, part_of
 from ingest.read import read_raw
 from ingest.tables import LifetimeTable, RelaxationTable
 from schemas.arrays import Float
@@ -21,6 +22,7 @@ _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 _BRAILLE = 0x2800
 _GIVES = {
     ("chirp", "mechanical"): "the frequency response of the sweep and relaxation models of order 1 to 3",
+    ("chirp", "electrical"): "the response of the force to the voltage over the sweep",
     ("sphs", "electrical"): "the response of the force to the voltage, and its prediction from the film's model",
     ("cyclic", "mechanical"): "stiffness and damping at one frequency, cycle by cycle",
     ("step", "mechanical"): "a relaxation fit of order 1 to 3",
@@ -38,6 +40,10 @@ _SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
 
 def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
     """Lines with what was read, drawn, and what a night will give. Raises `DealabError` for a file that is refused."""
+    if mapping.parts_file:
+        labels = list_parts(path, mapping)
+        yield f"  parts      {len(labels)} recordings in one file: {', '.join(labels)}; the first of them:"
+        mapping = part_of(mapping, labels[0])
     raw = read_raw(path, mapping)
     if isinstance(raw, RawRecording):
         yield from _describe_recording(check(raw, path))

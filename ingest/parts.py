@@ -1,0 +1,114 @@
+"""One file that holds several recordings: the parts that `each = true` of a selection tells apart, each with its mapping.
+
+A part is known by its label, the value as it is written or, where a tolerance is given, the value that is meant: with
+`tolerance = 0.5` the rows at 24.98 and 25.03 are the part `25`. Does not belong here: which rows a selection keeps
+(`ingest.select`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ingest.mapping import FileMapping, Selection, column_label, format_of
+from ingest.mapping_keys import EACH
+from ingest.notations import read_cell
+from ingest.select import selected_rows
+from schemas.errors import RefusedError
+
+MOST = 1000
+"""Most recordings of one file: more are a column that counts samples."""
+_NOT_IN_IDS = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+def list_parts(path: Path, mapping: FileMapping) -> tuple[str, ...]:
+    """The labels of the parts of a file, in the order of their values; empty for a mapping that does not part it.
+
+    Raises `RefusedError` where the values of the column run into each other, are too many or are none.
+    """
+    from ingest.read import open_columns
+
+    by = _parting(mapping)
+    if by is None:
+        return ()
+    where = path.name
+    file = open_columns(path, str(format_of(path, mapping)), mapping)
+    cells = list(file.cells(by.column))
+    others = tuple(s for s in mapping.select if not s.each)
+    keep = selected_rows(file, others, len(cells), where) if others else np.ones(len(cells), dtype=bool)
+    texts = [str(cell).strip() for cell, kept in zip(cells, keep, strict=True) if kept and str(cell).strip()]
+    decimal = str(mapping.options.get("decimal", "."))
+    labels = _near(texts, by, decimal, where) if by.tolerance else tuple(dict.fromkeys(map(_plain, texts)))
+    if not 0 < len(labels) <= MOST:
+        raise RefusedError(
+            f"column {column_label(by.column)} of [[select]] holds {len(labels)} values",
+            where=where,
+            expected=f"1 to {MOST} of them, one for each recording",
+            remedy="Give tolerance beside each, or another column",
+        )
+    return labels
+
+
+def part_of(mapping: FileMapping, label: str) -> FileMapping:
+    """The mapping of one part: its rows alone, and `{each}` replaced by its label."""
+    by = _parting(mapping)
+    if by is None:
+        raise RefusedError("the mapping does not part the file", where=mapping.source, expected="each = true")
+    content = dict(mapping.content)
+    content["select"] = [
+        {k: v for k, v in entry.items() if k != "each"} | {"equals": label} if entry.get("each") else entry
+        for entry in mapping.content["select"]
+    ]
+    for table in ("recording", "rig"):
+        if table in content:
+            content[table] = _with_label(content[table], label)
+    about = content.get("recording", {})
+    if isinstance(about, Mapping) and isinstance(about.get("recording_id"), str):
+        content["recording"] = {**about, "recording_id": _NOT_IN_IDS.sub("_", about["recording_id"])}
+    suffix = f".{mapping.format}" if mapping.format is None else ""
+    return FileMapping.parse({**content, "format": mapping.format}, stem="", suffix=suffix, source=mapping.source)
+
+
+def _parting(mapping: FileMapping) -> Selection | None:
+    return next((s for s in mapping.select if s.each), None)
+
+
+def _near(texts: list[str], by: Selection, decimal: str, where: str) -> tuple[str, ...]:
+    """Labels of groups of numbers that lie within the tolerance of what they stand for."""
+    found = [read_cell(text, decimal) for text in texts]
+    wrong = next((text for text, number in zip(texts, found, strict=True) if number is None), None)
+    if wrong is not None:
+        raise RefusedError(
+            f'column {column_label(by.column)} of [[select]] holds "{wrong[:40]}"', where=where, expected="numbers"
+        )
+    values = np.sort([number.value for number in found if number is not None and np.isfinite(number.value)])
+    if not values.size:
+        return ()
+    groups = np.split(values, np.flatnonzero(np.diff(values) > by.tolerance) + 1)
+    for group in groups:
+        if group[-1] - group[0] > 2 * by.tolerance:
+            raise RefusedError(
+                f"column {column_label(by.column)} of [[select]] holds {group.size} values from {group[0]:g} to"
+                f" {group[-1]:g} without a gap",
+                where=where,
+                expected=f"groups no wider than twice the tolerance {by.tolerance:g}",
+                remedy="Give a tolerance that fits, or ranges with at_least and at_most",
+            )
+    step = 10.0 ** np.floor(np.log10(by.tolerance))
+    step = step * (5 if by.tolerance >= 5 * step else 2 if by.tolerance >= 2 * step else 1)
+    return tuple(f"{round(float(np.median(group)) / step) * step + 0.0:.10g}" for group in groups)
+
+
+def _plain(text: str) -> str:
+    """A value as it is written, whole numbers of spreadsheets without their `.0`."""
+    return text.removesuffix(".0") if re.fullmatch(r"-?\d+\.0", text) else text
+
+
+def _with_label(value: Any, label: str) -> Any:
+    if isinstance(value, str):
+        return value.replace(EACH, label)
+    return {k: _with_label(v, label) for k, v in value.items()} if isinstance(value, dict) else value
