@@ -53,8 +53,10 @@ class Query:
         return Verbatim(text + ";")
 
 
-def literal(value: str | float) -> str:
+def literal(value: str | float | None) -> str:
     """The value as SQL; characters that cannot be seen are spelt out with chr()."""
+    if value is None:
+        return "NULL"
     if not isinstance(value, str):
         return repr(value)
     texts: list[str] = []

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 from ingest.atomic import flush
@@ -374,12 +373,14 @@ def discard_work(night: Night) -> None:
     forget(night.lab.remote)
 
 
-def _remove_half_written(folder: Path) -> None:
+def _remove_half_written(folder: str | os.PathLike[str]) -> None:
     """Removes what somebody who was killed wrote under a temporary name. The lab is ours: nobody writes it now."""
-    for place, folders, files in os.walk(folder):
-        for name in [one for one in folders if one.startswith(".partial-")]:
-            shutil.rmtree(os.path.join(place, name), ignore_errors=True)
-            folders.remove(name)
-        for name in files:
-            if name.startswith(".") and name.endswith(".tmp"):
-                os.unlink(os.path.join(place, name))
+    with suppress(FileNotFoundError), os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                if entry.name.startswith(".partial-"):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    _remove_half_written(entry.path)
+            elif entry.name.startswith(".") and entry.name.endswith(".tmp"):
+                os.unlink(entry.path)

@@ -87,7 +87,7 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("item_id",),
         made_by=(MadeBy("night"),),
-        pages=("index",),
+        pages=(),
     ),
     Table(
         "files",

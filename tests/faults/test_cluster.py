@@ -90,8 +90,8 @@ def test_a_cluster_gives_the_same_and_outlives_its_workers(
     assert healthy(lab) == []
     life(raw / "kill-1.mcap", 6)
     summary = nightly([raw], lab, jobs=2, cluster=address)
-    assert summary.counts.quarantined == 1
-    assert "failed twice" in summary.attention[0]
+    assert (summary.counts.quarantined, summary.counts.pending) == (0, 1), "an accident is no verdict on the content"
+    assert "twice" in summary.attention[0]
     assert summary.counts.reused == 5
 
 

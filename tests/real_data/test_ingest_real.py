@@ -16,7 +16,6 @@ from ingest.mapping import find_mapping
 from ingest.read import read_raw
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.transform.channels import drive
-from schemas.errors import RefusedError
 from schemas.recording import RawRecording, Recording
 from tests.helpers.found_files import discover
 
@@ -199,9 +198,12 @@ def test_walton_table(real_folder: Layout) -> None:
     assert {row.configuration for row in table.rows} == {"miR-137", "control"}
 
 
-def test_left_censored_lives_are_refused(real_folder: Layout) -> None:
-    with pytest.raises(RefusedError, match="left-censored"):
-        lifetimes(real_folder("lifelines_km") / "CuZn-LeftCensoredDataset.csv")
+def test_left_censored_lives_failed_before_they_were_first_looked_at(real_folder: Layout) -> None:
+    path = real_folder("lifelines_km") / "CuZn-LeftCensoredDataset.csv"
+    left = [line.startswith("0,") for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+    rows = lifetimes(path).rows
+    assert [row.alive_at_s == 0.0 for row in rows] == left
+    assert all(row.failed for row in rows)
 
 
 @pytest.mark.parametrize(

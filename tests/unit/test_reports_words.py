@@ -170,7 +170,14 @@ def test_a_night_that_makes_what_is_known_again_says_so() -> None:
 def test_no_order_is_the_last_only_because_nobody_tried_on(chosen: int, p: float | None, heading: str) -> None:
     """ "The highest that was tried" stood beside p = 0.009 for the next."""
     fits = [
-        {"model_order": n, "loading": "mechanical", "method": "forward", "extension": "", "order_p_value": p}
+        {
+            "model_order": n,
+            "loading": "mechanical",
+            "method": "forward",
+            "weighting": "noise",
+            "extension": "",
+            "order_p_value": p,
+        }
         for n in (1, 2, 3)
     ]
     assert plain(models._order_heading(fits, fits[chosen - 1])) == heading
