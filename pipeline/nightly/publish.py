@@ -134,8 +134,13 @@ def list_attention(night: Night) -> tuple[str, ...]:
 def list_without_result(night: Night) -> tuple[str, ...]:
     """Every recording or table in the published lab that was taken in and led to no result, with what was missing."""
     with open_published(night.lab.database) as reader:
-        rows = [] if reader is None else reader.rows("without_result", where=f"status <> '{QUARANTINED}'")
-    return tuple(f"no result: {row['source_path']}: {row['what_was_missing']}" for row in rows)
+        if reader is None:
+            return ()
+        return tuple(
+            f"no result: {row['source_path']}: {row['what_was_missing']}"
+            for row in reader.each("without_result", ("status", "source_path", "what_was_missing"))
+            if row["status"] != QUARANTINED
+        )
 
 
 def count_results(night: Night) -> int:
