@@ -25,7 +25,7 @@ from ingest.columns import ColumnFile
 from ingest.draft_text import toml_text
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact, by_key, harvest_hdf5, harvest_rows
 from ingest.mapping import FileMapping, format_of
-from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION
+from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn, guess_columns
 from ingest.notations import read_cell
 from ingest.read import open_columns
@@ -39,6 +39,7 @@ from schemas.units import ANY, conversion
 _STORAGE = r"stor|speicher|^[eg]['1]|[eg]'$|^k'|^[ab]t?_?g'|re\b"
 _LOSS = r"loss|verlust|^[eg](''|\"|2)|^k''|im\b"
 _MAGNITUDE = r"^\|.*\|$|magnitude|betrag|complex modulus|\|?[egk]\*\|?|^k$|dyn.*stiff|amplitude ratio"
+_TAN_DELTA = r"\btan|loss factor|verlustfaktor"
 _PHASE = r"phase|phi|φ|delta|δ|winkel"
 _FREQUENCY = r"freq|omega|ω|^f$"
 _RELAXED = r"relax|^[eg]\s?\(t\)|modul"
@@ -277,7 +278,14 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
     questions: list[Question] = []
     columns: dict[str, dict[str, Any]] = {}
     usual = {"lifetime": "s", "voltage": "kV", "test_duration": "s", "frequency": "Hz", "time": "s", "phase": "deg"}
-    usual |= {"temperature": "degC", "storage": "MPa", "loss": "MPa", "relaxation": "MPa", "magnitude": "N/mm"}
+    usual |= {
+        TAN_DELTA: "1",
+        "temperature": "degC",
+        "storage": "MPa",
+        "loss": "MPa",
+        "relaxation": "MPa",
+        "magnitude": "N/mm",
+    }
     for name, column in chosen.items():
         entry: dict[str, Any] = _place(column)
         if name in ("failed", "censored"):
@@ -285,11 +293,11 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
             questions.append(Question(f"columns.{name}.failed_values", "which values mean failed, which censored", []))
         elif name not in _WORDS:
             entry["unit"] = column.unit or usual[name]
-            if not column.unit:
+            if not column.unit and name != TAN_DELTA:
                 questions.append(_ask_unit(f"columns.{name}", column, usual[name]))
         columns[name] = entry
     about: dict[str, Any] = {"recording_id": "{stem}"}
-    each = _several(opened, chosen) if kind == FREQUENCY_RESPONSE else None
+    each = _several(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else None
     _take(opened.facts, about, remarks, ("operator", "material"))
     if kind != LIFETIMES:
         _take(opened.facts, about, remarks, ("specimen_id",))
@@ -306,11 +314,7 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
     if each is not None:
         content["select"] = [each]
         about["recording_id"] = "{stem}-{each}"
-        about["specimen_id"] = f"{about['specimen_id']} at {{each}} C"
-        remarks["recording.specimen_id"] = "one for each temperature: a model is that of one temperature"
-        questions = [
-            replace(q, suggestion=f"{q.suggestion} at {{each}} C") if _is_specimen(q) else q for q in questions
-        ]
+        remarks["recording.specimen_id"] = "all temperatures of one specimen make a master curve"
     unmapped = tuple(c for c in opened.columns if c not in chosen.values())
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about)
 
@@ -511,11 +515,16 @@ def _response_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedColu
     """The columns of a table of a modulus or stiffness over frequency; empty where it is none."""
     stiff = [c for c in columns if c.unit in _MODULI]
     storage, loss, magnitude = (_first(stiff, pattern) for pattern in (_STORAGE, _LOSS, _MAGNITUDE))
-    phase = _first([c for c in columns if c.unit in ("deg", "°", "rad", None)], _PHASE)
+    ratio = _first([c for c in columns if c.unit in ("1", "", None)], _TAN_DELTA)
+    phase = _first([c for c in columns if c.unit in ("deg", "°", "rad", None) and c is not ratio], _PHASE)
     if storage is not None and loss is not None and storage is not loss:
         pair = {"storage": storage, "loss": loss}
     elif magnitude is not None and phase is not None:
         pair = {"magnitude": magnitude, "phase": phase}
+    elif storage is not None and ratio is not None:
+        pair = {"storage": storage, TAN_DELTA: ratio}
+    elif magnitude is not None and ratio is not None:
+        pair = {"magnitude": magnitude, TAN_DELTA: ratio}
     else:
         return {}
     others = [c for c in columns if c not in pair.values()]
@@ -530,11 +539,10 @@ def _relaxation_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedCo
     """The columns of a table of a relaxing modulus over time; empty where it is none."""
     time = next((c for c in columns if c.meaning == TIME), None)
     modulus = _first([c for c in columns if c.unit in _MODULI and c.meaning is None], _RELAXED)
-    return {} if time is None or modulus is None else {"time": time, "relaxation": modulus}
-
-
-def _is_specimen(question: Question) -> bool:
-    return question.key == "recording.specimen_id"
+    if time is None or modulus is None:
+        return {}
+    warm = next((c for c in columns if c.meaning == "temperature"), None)
+    return {"time": time, "relaxation": modulus} | ({} if warm is None else {"temperature": warm})
 
 
 def _several(opened: _Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:

@@ -31,6 +31,7 @@ RECORDING, LIFETIMES, FREQUENCY_RESPONSE, RELAXATION, IGNORE = (
     "relaxation",
     "ignore",
 )
+TAN_DELTA = "tan_delta"
 KINDS = (RECORDING, LIFETIMES, FREQUENCY_RESPONSE, RELAXATION, IGNORE)
 FORMATS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -181,7 +182,7 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
         "failure_mode": "in any words; `film_values`, `lead_values`, `edge_values`, `electrode_values` and `other_values` say what"
         " they mean, else it is told from words such as pinhole, contact or flashover. What no word tells is `other`, which a"
         " note says",
-        "temperature": "of the test",
+        "temperature": "of the test; absent: `temperature_c` of `[recording]`",
         "humidity": "relative humidity of the test, 0 to 1 or %",
         "frequency": "Hz, of an alternating voltage",
         "electrode": "material of the electrode",
@@ -189,14 +190,16 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     },
     FREQUENCY_RESPONSE: {
         "frequency": "Hz or rad/s, the two are told apart; required but of UFF, whose sets have their own",
-        "storage": "required with `loss`, or magnitude and phase, or response; N/mm (stiffness) or MPa (modulus)",
+        "storage": "required with `loss` or `tan_delta`, or magnitude and phase or tan_delta, or response; N/mm (stiffness)"
+        " or MPa (modulus)",
         "loss": "see storage",
-        "magnitude": "required with `phase`, or storage and loss, or response; N/mm or MPa",
+        TAN_DELTA: "in place of the loss or the phase: loss over storage",
+        "magnitude": "required with `phase` or `tan_delta`, or storage and loss, or response; N/mm or MPa",
         "phase": "deg or rad; a lossy material has a positive phase",
         "response": "in place of both pairs: complex numbers as e^{jωt}; N/mm or MPa, or what they are computed from:"
         " m/N (compliance), m/s/N (mobility), m/s²/N (accelerance) and their inverses",
         "standard_error": "√E|Δ|² of both components together, in the unit of storage or magnitude",
-        "temperature": "of the row",
+        "temperature": "of the row; several recordings of one specimen at different temperatures make a master curve",
         "displacement": "amplitude of the specimen's deformation",
         "transducer_displacement": "amplitude of the machine's own transducer, which it has taken off already, of the same"
         " kind as `displacement`: lines that are more the transducer's than the specimen's are not used",
@@ -205,6 +208,7 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
         "time": "required; time since the step",
         "relaxation": "required; N/mm (stiffness) or MPa (modulus)",
         "standard_error": "in the same unit",
+        "temperature": "of the row; several recordings of one specimen at different temperatures make a master curve",
     },
 }
 """Names that `columns.<name>` may have in each kind of table, with what they mean."""

@@ -118,6 +118,11 @@ class TableRows:
                 return canonical
         return unit_of(self.file, column, name, canonical, where=self.where)
 
+    def unit_as_written(self, name: str) -> str:
+        """The unit in which the file, or the mapping, has a column; "" where neither names one."""
+        column = self.mapping.columns[name]
+        return str(column.unit or ("" if column.column is None else self.file.unit(column.column)) or "")
+
     def refused_row(self, row: int, problem: str, expected: str, remedy: str = "") -> RefusedError:
         """The error for one row of the file, counted from 0."""
         return RefusedError(

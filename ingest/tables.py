@@ -25,6 +25,7 @@ import numpy as np
 from ingest.columns import ColumnFile
 from ingest.lives import read_failure_modes, read_lives
 from ingest.mapping import FileMapping
+from ingest.mapping_keys import TAN_DELTA
 from ingest.table_rows import TableRows, cell_text, ordered, standard_error, stiffness_scale
 from schemas.arrays import Complex, Float
 from schemas.assumptions import Assumption
@@ -54,7 +55,7 @@ class ResponseTable:
     `frequency_hz` (n,) ascending, `value` (n,) N/mm with e^{+jωt}, `standard_error` (n,) N/mm, √E|Δ|² of both components
     together, NaN where unknown, `temperature_c` (n,) or None. `own_deformation` (n,) or None: displacement of the machine's
     transducer over that of the specimen. `measured_as` is `modulus` or `stiffness`, `scale` the N/mm that one MPa became
-    (1 for a stiffness).
+    (1 for a stiffness). `unit`: in which the file has its values, "" where it names none.
     """
 
     metadata: TableMetadata
@@ -68,6 +69,7 @@ class ResponseTable:
     notes: tuple[str, ...] = ()
     own_deformation: Float | None = None
     assumptions: tuple[Assumption, ...] = ()
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ class RelaxationTable:
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
+    temperature_c: Float | None = None
+    unit: str = ""
 
 
 def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: str) -> LifetimeTable:
@@ -102,7 +106,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
     _check_places(fixed, where)
     modes = read_failure_modes(table)
     conditions = {
-        "temperature": table.numbers_or("temperature", "degC", None, count),
+        "temperature": table.numbers_or("temperature", "degC", metadata.temperature_c, count),
         "humidity": table.numbers_or("humidity", "1", None, count),
         "frequency": table.numbers_or("frequency", "Hz", None, count),
     }
@@ -184,7 +188,9 @@ def _copies(table: TableRows, count: int) -> list[int]:
 def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> ResponseTable:
     """A frequency response from a table. Rows without a number are left out, a problem. Raises `RefusedError`."""
     table = TableRows(file, mapping, where)
-    chosen = table.one_of(("storage", "loss"), ("magnitude", "phase"), ("response",))
+    chosen = table.one_of(
+        ("storage", "loss"), ("magnitude", "phase"), ("response",), ("storage", TAN_DELTA), ("magnitude", TAN_DELTA)
+    )
     frequency = _frequency(table, chosen[0])
     if chosen[0] == "response":
         value, measured_as = table.response(frequency)
@@ -192,7 +198,7 @@ def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> Res
         value, measured_as = _of_parts(table, chosen)
     scale = stiffness_scale(table.metadata, measured_as, where)
     error = standard_error(table, measured_as, frequency.size)
-    temperature = table.numbers("temperature", "degC") if "temperature" in mapping.columns else None
+    temperature = _temperature(table, frequency.size)
     own = table.ratio("transducer_displacement", "displacement")
     at_rest = (frequency == 0) & ("frequency" not in mapping.columns)  # the axis of an analyser begins there
     if at_rest.any():
@@ -210,7 +216,16 @@ def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> Res
         *table.remarks,
         own_deformation=None if own is None else own[keep],
         assumptions=tuple(table.assumptions),
+        unit=table.unit_as_written(chosen[0]),
     )
+
+
+def _temperature(table: TableRows, count: int) -> Float | None:
+    """The temperature of each row: its column, else that of the whole table; None where neither says it."""
+    if "temperature" in table.mapping.columns:
+        return table.numbers("temperature", "degC")
+    stated = table.metadata.temperature_c
+    return None if stated is None else np.full(count, stated)
 
 
 def _frequency(table: TableRows, name: str) -> Float:
@@ -226,10 +241,12 @@ def _frequency(table: TableRows, name: str) -> Float:
 def _of_parts(table: TableRows, chosen: tuple[str, ...]) -> tuple[Complex, str]:
     """A complex modulus or stiffness from its two columns, and which of the two it is."""
     first, measured_as = table.elastic(chosen[0])
+    if chosen == ("storage", TAN_DELTA):
+        return np.asarray(first * (1 + 1j * table.numbers(TAN_DELTA, "1")), dtype=np.complex128), measured_as
     if chosen[0] == "magnitude":
-        phase = table.numbers("phase", "rad")
+        phase = np.arctan(table.numbers(TAN_DELTA, "1")) if TAN_DELTA in chosen else table.numbers("phase", "rad")
         with np.errstate(invalid="ignore", over="ignore"):  # rows without a finite value are left out below
-            return first * np.exp(1j * phase), measured_as
+            return np.asarray(first * np.exp(1j * phase), dtype=np.complex128), measured_as
     second, same = table.elastic("loss")
     if same != measured_as:
         raise RefusedError(
@@ -248,6 +265,7 @@ def relaxation_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> R
     value, measured_as = table.elastic("relaxation")
     scale = stiffness_scale(table.metadata, measured_as, where)
     error = standard_error(table, measured_as, time.size)
+    temperature = _temperature(table, time.size)
     keep = ordered(table, time, np.isfinite(value) & (time > 0), "time", "s")
     return RelaxationTable(
         table.metadata,
@@ -258,6 +276,8 @@ def relaxation_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> R
         scale,
         *table.remarks,
         assumptions=tuple(table.assumptions),
+        temperature_c=None if temperature is None else temperature[keep],
+        unit=table.unit_as_written("relaxation"),
     )
 
 

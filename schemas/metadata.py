@@ -78,6 +78,13 @@ def _not_negative(value: Any) -> float:
     return number
 
 
+def _temperature(value: Any) -> float:
+    number = _number(value)
+    if number <= -273.15:
+        raise ValueError("a temperature above −273.15 °C")
+    return number
+
+
 def _count(value: Any) -> int:
     number = _number(value)
     if number < 1 or number != int(number):
@@ -205,6 +212,13 @@ class RecordingMetadata:
         "distance that separate electrodes keep from the rods; absent: one electrode over all of the film",
     )
     coats: int | None = _key(_count, "coats of electrode so far")
+    temperature_c: float | None = _key(_temperature, "temperature of a table's rows, °C, where no column says it")
+    reference_temperature_c: float | None = _key(
+        _temperature, "where a master curve of several temperatures stands, °C; absent: at the one nearest to 23 °C"
+    )
+    vertical_shift: str | None = _key(
+        _choice("none", "free"), "whether the temperatures of a master curve have vertical shifts as well; absent: none"
+    )
     extra: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -280,6 +294,9 @@ class TableMetadata:
     test_duration_s: float | None = _key(_positive)
     failure_site: str | None = _key(_choice("rod", "lead", "active", "edge", "none", "unknown"))
     failure_region: str | None = _key(_choice("left", "centre", "right"))
+    temperature_c: float | None = _key(_temperature)
+    reference_temperature_c: float | None = _key(_temperature)
+    vertical_shift: str | None = _key(_choice("none", "free"))
     extra: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod

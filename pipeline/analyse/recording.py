@@ -17,6 +17,7 @@ from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.signs import find_negative, sign_table
+from pipeline.analyse.temperatures import TEMPERATURE
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
 from pipeline.fit.sensing.migration import migration
@@ -287,7 +288,7 @@ def response_of(table: ResponseTable) -> FrequencyResponse:
         amplitude=table.metadata.strain_pp,
         recording_id=table.metadata.recording_id,
         specimen_id=table.metadata.specimen_id,
-        details={"measured_as": table.measured_as, "scale": table.scale},
+        details=_details(table),
     )
     return judged_machine(response, table.own_deformation)
 
@@ -309,5 +310,14 @@ def relaxation_of(table: RelaxationTable) -> RelaxationCurve:
         quantity=STIFFNESS,
         recording_id=table.metadata.recording_id,
         specimen_id=table.metadata.specimen_id,
-        details={"measured_as": table.measured_as, "scale": table.scale},
+        details=_details(table),
     )
+
+
+def _details(table: ResponseTable | RelaxationTable) -> dict[str, Any]:
+    """What a table says beside its values: what they are, in which unit they came, at which temperature."""
+    about = {"measured_as": table.measured_as, "scale": table.scale, "unit": table.unit}
+    given = table.temperature_c
+    if given is None or not np.isfinite(given).any():
+        return about
+    return about | {TEMPERATURE: float(np.nanmean(given))}

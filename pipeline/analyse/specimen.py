@@ -12,6 +12,7 @@ from pipeline.analyse.inputs import Measured
 from pipeline.analyse.model_fits import model_fits_table
 from pipeline.analyse.responses import AVERAGED, CORRECTED, response_table
 from pipeline.analyse.self_sensing import analyse_self_sensing
+from pipeline.analyse.temperatures import Unit, join_temperatures, prony_table
 from pipeline.fit.relaxation.damaged import weighed
 from pipeline.fit.relaxation.electrical import fit_electrical, fit_joint
 from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
@@ -61,10 +62,11 @@ def analyse_specimen(
 ) -> Analysis:
     """Everything that is computed from the recordings of one specimen together."""
     analysis = Analysis()
+    recordings, unit = join_temperatures(analysis, specimen_id, recordings)
     mechanical = _responses(analysis, recordings, calibrations, STIFFNESS)
     electrical = _responses(analysis, recordings, calibrations, FORCE_PER_VOLTAGE_SQUARED)
     mean = _corrected(analysis, mechanical)
-    fits = _mechanical_fits(analysis, specimen_id, recordings, calibrations, mechanical, mean, orders)
+    fits = _mechanical_fits(analysis, specimen_id, recordings, calibrations, mechanical, mean, orders, unit)
     forward = next((fit for fit in fits if fit.method == "forward"), None)
     predictions: list[Prediction | None] = []
     if electrical.responses:
@@ -139,7 +141,8 @@ def _add_corrected(analysis: Analysis, corrected: Sequence[FrequencyResponse]) -
     """Rows of corrected responses and of their average, which is returned."""
     if not corrected:
         return None
-    analysis.add({"frequency_responses": response_table(corrected, CORRECTED)})
+    own = [one for one in corrected if one.recording_id is not None]  # a master curve is no recording's
+    analysis.add({"frequency_responses": response_table(own, CORRECTED)})
     mean = analysis.attempt("average", average, corrected)
     if mean is not None:
         analysis.add({"frequency_responses": response_table([mean], AVERAGED)})
@@ -154,6 +157,7 @@ def _mechanical_fits(
     mechanical: _Responses,
     mean: FrequencyResponse | None,
     orders: tuple[int, ...],
+    unit: Unit | None,
 ) -> list[SpecimenFits]:
     """The forward fit of everything mechanical, and fits of the corrected average with all weightings for comparison."""
     stepped = [(curve, rig_of(one, calibrations)) for one in recordings for curve in one.of(RelaxationCurve)]
@@ -167,7 +171,7 @@ def _mechanical_fits(
             forward = _forward(analysis, "models without relaxation", specimen_id, mechanical, curves, orders, geometry)
         fits.append(forward)
         if forward is not None and wants_ladder(forward):
-            _ladder(analysis, specimen_id, mechanical, curves)
+            _ladder(analysis, specimen_id, mechanical, curves, unit)
     if mean is not None:
         fits.append(
             analysis.attempt(
@@ -216,6 +220,7 @@ def _ladder(
     specimen_id: str,
     mechanical: _Responses,
     curves: Sequence[tuple[RelaxationCurve, RigConstants | None]],
+    unit: Unit | None,
 ) -> None:
     """What each number of arms reaches, where the data span decades that a few arms cannot."""
     rungs = analysis.attempt(
@@ -228,7 +233,7 @@ def _ladder(
     )
     if rungs is not None:
         rows = TABLES["order_ladders"].from_objects(rungs, specimen_id=specimen_id)
-        analysis.add({"order_ladders": rows})
+        analysis.add({"order_ladders": rows, "prony_series": prony_table(specimen_id, rungs, unit)})
 
 
 def _blocked(analysis: Analysis, electrical: _Responses, forward: SpecimenFits | None) -> None:

@@ -7,6 +7,7 @@ shifts are searched for. Does not belong here: what the result means (`pipeline.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -113,7 +114,9 @@ def assemble(isotherms: Sequence[Isotherm], reference_c: float) -> Data:
         good = np.isfinite(value) & np.isfinite(one.axis) & (one.axis > 0) & (np.abs(value) > 0)
         if not good.any():
             raise NotIdentifiableError(
-                f"nothing can be used at {one.temperature_c:g} °C", where=one.recording_id or "", expected="finite values"
+                f"nothing can be used at {one.temperature_c:g} °C",
+                where=one.recording_id or "",
+                expected="finite values",
             )
         components = 1 if one.in_time else 2
         noise = np.sqrt(one.variance[good] / components) / np.abs(value[good])
@@ -352,9 +355,9 @@ def find_start(data: Data) -> Float:
         curves.append((data.log_rate[mask][order], np.maximum.accumulate(level)))
     by_level = np.argsort([np.median(level - rate * 1e-9) for rate, level in curves])[::-1]
     log_a = np.zeros(data.count)
-    for upper, lower in zip(by_level[:-1], by_level[1:], strict=True):
+    for upper, lower in itertools.pairwise(by_level):
         log_a[lower] = log_a[upper] + _offset(curves[upper], curves[lower])
-    return log_a - log_a[data.reference]
+    return np.asarray(log_a - log_a[data.reference])
 
 
 def _offset(upper: tuple[Float, Float], lower: tuple[Float, Float]) -> float:
@@ -375,4 +378,3 @@ def _orthonormal(columns: Float) -> Float:
         return np.zeros((columns.shape[0], 0))
     left, values, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     return np.asarray(left[:, values > 1e-9 * values[0]])
-

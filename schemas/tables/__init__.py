@@ -20,6 +20,7 @@ from schemas.tables import (
     recordings,
     responses,
     sensing,
+    temperatures,
     weak_regions,
 )
 from schemas.tables.fits import ARMS
@@ -41,6 +42,7 @@ _SUBJECTS = (
     recordings,
     responses,
     fits,
+    temperatures,
     sensing,
     electrodes,
     force,

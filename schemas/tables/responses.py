@@ -14,7 +14,9 @@ TABLES: tuple[Table, ...] = (
             text("loading", "mechanical, electrical or other"),
             text("quantity", "stiffness_n_per_mm, force_per_voltage_squared_n_per_kv2, or output_per_input"),
             text(
-                "stage", "measured, corrected (clamp and load cell taken out) or averaged (corrected, over recordings)"
+                "stage",
+                "measured, corrected (clamp and load cell taken out) or averaged (corrected, over recordings; of several"
+                " temperatures the master curve)",
             ),
             real("frequency_hz", "Hz", "frequency"),
             real("real", "unit of quantity", "real part"),

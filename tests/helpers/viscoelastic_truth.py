@@ -76,5 +76,10 @@ def _mittag_leffler(x: Float) -> Float:
     """E_α(−x) (n,) for α = `ORDER`, from its spectrum: an integral over rates, by the trapezoidal rule in their logarithm."""
     log_rate = np.linspace(-60.0, 60.0, 4001)
     rate = np.exp(log_rate)
-    weight = np.sin(np.pi * ORDER) / np.pi * rate**ORDER / (1 + 2 * rate**ORDER * np.cos(np.pi * ORDER) + rate ** (2 * ORDER))
+    weight = (
+        np.sin(np.pi * ORDER)
+        / np.pi
+        * rate**ORDER
+        / (1 + 2 * rate**ORDER * np.cos(np.pi * ORDER) + rate ** (2 * ORDER))
+    )
     return np.asarray(np.trapezoid(weight * np.exp(-np.multiply.outer(x ** (1 / ORDER), rate)), log_rate, axis=1))

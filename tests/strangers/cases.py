@@ -360,7 +360,13 @@ def dma_multi_temperature(found: dict[str, object], text: str) -> Wrong:
         sizes = [row[1] for row in night.rows(lines)]
         if sizes != [19] * 5:
             yield f"responses of {sizes} lines, not five of 19: {'; '.join(night.attention)}"
-    yield "a master curve is not made yet"
+        curves = night.rows("SELECT reference_c, temperatures, warnings FROM master_curves")
+        if [(round(at), count, said) for at, count, said in curves] != [(25, 5, None)]:
+            yield f"master curves: {curves}"
+        law = "SELECT c1_lower, c1_upper, c2_k_lower, c2_k_upper FROM shift_laws WHERE law = 'WLF' AND selected"
+        for low, high, least, most in night.rows(law) or [(9, 9, 9, 9)]:
+            if not (7.5 < low < 8 < high < 8.5 and 140 < least < 150 < most < 160):
+                yield f"C1 {low:.3g} to {high:.3g}, C2 {least:.4g} to {most:.4g} K, not around 8 and 150 K"
 
 
 @draft

@@ -128,5 +128,6 @@ def test_tolerance_and_ranges(tmp_path: Path, select: str, meant: int) -> None:
 def test_several_temperatures_are_drafted_as_several_recordings(tmp_path: Path) -> None:
     path = write_sweeps(tmp_path)
     draft = make_draft(path)
+    assert draft.content["recording"]["specimen_id"] == "{stem}"  # one specimen: its temperatures make a master curve
     assert draft.content["select"] == [{"column": "Temperature", "each": True, "tolerance": 0.2}]
     assert list_parts(path, FileMapping.parse(draft.content, stem="dma", suffix=".csv")) == ("0", "25", "40")

@@ -43,7 +43,14 @@ DESIGNS: Mapping[str, tuple[Callable[..., list[Isotherm]], Mapping[str, Any]]] =
 def judge(draw: Callable[..., list[Isotherm]], options: Mapping[str, Any], draws: int, seed: int) -> dict[str, float]:
     """Share of draws in which the limits contain the truth, by constant, and shares of alarms."""
     rng = np.random.default_rng(seed)
-    held: dict[str, list[bool]] = {"shifts": [], "C1": [], "C2": [], "alarm": [], "p below 5 %": [], "vertical below 5 %": []}
+    held: dict[str, list[bool]] = {
+        "shifts": [],
+        "C1": [],
+        "C2": [],
+        "alarm": [],
+        "p below 5 %": [],
+        "vertical below 5 %": [],
+    }
     for _ in range(draws):
         master = superpose(draw(rng, **options), reference_c=REFERENCE)
         held["shifts"] += [
@@ -60,7 +67,7 @@ def judge(draw: Callable[..., list[Isotherm]], options: Mapping[str, Any], draws
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--draws", type=int, default=1000, help="draws per design")
+    parser.add_argument("--draws", type=int, default=500, help="draws per design")
     parser.add_argument("--seed", type=int, default=35)
     arguments = parser.parse_args()
     print(f"{arguments.draws} draws of each, seed {arguments.seed}.\n")
@@ -69,7 +76,11 @@ def main() -> int:
         shares = judge(draw, options, arguments.draws, arguments.seed)
         print(f"- {name}: " + ", ".join(f"{what} {100 * share:.1f} %" for what, share in shares.items()), flush=True)
         low, high = WANTED
-        missed += [f"{name}: {what} {100 * shares[what]:.1f} %" for what in ("shifts", "C1", "C2") if not low <= shares[what] <= high]
+        missed += [
+            f"{name}: {what} {100 * shares[what]:.1f} %"
+            for what in ("shifts", "C1", "C2")
+            if not low <= shares[what] <= high
+        ]
     for text in missed:
         print(f"- **missed**: {text}")
     return int(bool(missed))

@@ -40,10 +40,12 @@ _SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
 
 def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
     """Lines with what was read, drawn, and what a night will give. Raises `DealabError` for a file that is refused."""
+    labels: tuple[str, ...] = ()
     if mapping.parts_file:
         labels = list_parts(path, mapping)
         yield f"  parts      {len(labels)} recordings in one file: {', '.join(labels)}; the first of them:"
         mapping = part_of(mapping, labels[0])
+    several = bool(labels)
     raw = read_raw(path, mapping)
     if isinstance(raw, RawRecording):
         yield from _describe_recording(check(raw, path))
@@ -55,13 +57,19 @@ def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
         yield "  will give  survival curves of each configuration, Weibull parameters where enough films failed"
     elif isinstance(raw, RelaxationTable):
         yield f"  read       {raw.time_s.size} rows from {raw.time_s.min():g} to {raw.time_s.max():g} s"
-        yield "  will give  a relaxation fit of order 1 to 3"
+        yield f"  will give  {_master_of(several and raw.temperature_c is not None)}a relaxation fit of order 1 to 3"
     else:
         low, high = raw.frequency_hz.min(), raw.frequency_hz.max()
         yield f"  read       {raw.frequency_hz.size} rows from {low:g} to {high:g} Hz"
-        yield "  will give  relaxation models of order 1 to 3 of this response"
+        joined = several and raw.temperature_c is not None
+        yield f"  will give  {_master_of(joined)}relaxation models of order 1 to 3 of {'it' if joined else 'this response'}"
     for note in getattr(raw, "problems", ()):
         yield f"  problem    {note}"
+
+
+def _master_of(joined: bool) -> str:
+    """What a specimen gets first whose parts are temperatures."""
+    return "a master curve of the temperatures with its shifts; " if joined else ""
 
 
 def _describe_recording(recording: Recording) -> Iterator[str]:

@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.fit.relaxation.identify import Rigs, film_stiffness, fit_specimen, per_recording
 from pipeline.fit.relaxation.order import LEVEL
 from pipeline.fit.relaxation.results import RelaxationFit, SpecimenFits
+from pipeline.physics.film import RelaxationModel
 from pipeline.physics.held_step import Hold, hold_stiffness
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FrequencyResponse
@@ -30,7 +31,7 @@ class Rung:
 
     `relative_error` root mean square of |model/measured − 1| over all lines, and all times of curves of the film alone; `r_squared_storage` and `_loss` of the
     real and the imaginary part, `r_squared_relaxation` of curves in time; None where there is none. `order_p_value`: of this
-    number against one more.
+    number against one more. `model`: its springs and dampers.
     """
 
     model_order: int
@@ -40,6 +41,7 @@ class Rung:
     r_squared_loss: float | None
     r_squared_relaxation: float | None
     order_p_value: float | None
+    model: RelaxationModel
 
 
 def wants_ladder(fits: SpecimenFits) -> bool:
@@ -78,6 +80,7 @@ def _rung(fit: RelaxationFit, films: Sequence[FrequencyResponse], relaxations: S
         r_squared_loss=_explained([(m.imag, v.imag) for m, v in pairs]),
         r_squared_relaxation=_explained(curves),
         order_p_value=fit.order_p_value,
+        model=fit.model,
     )
 
 

@@ -57,7 +57,7 @@ def response(
 
     first = Figure(
         drawn(phase=False, alt=f"Dynamic stiffness of {who} goes from {rise} {span}."),
-        flow(bold("Magnitude."), " ", misfits, " ", _legend(curves, found)),
+        flow(bold("Magnitude."), " ", misfits, " ", _legend(draft, curves, found)),
         left,
     )
     second = Figure(
@@ -131,12 +131,13 @@ def _misfits(curves: Sequence[Curve]) -> str:
     return f"Root mean square residual{where} in SD of the noise: {', '.join(parts)}."
 
 
-def _legend(curves: Sequence[Curve], found: Measured) -> str:
+def _legend(draft: Draft, curves: Sequence[Curve], found: Measured) -> str:
     texts = []
     if any(c.selected and c.sd is not None for c in curves):
         texts.append(f"Blue band: 95{NBSP}% of the model.")
     if found.averaged is not None:
-        texts.append("Points: averaged over the recordings.")
+        joined = draft.results.has("master_curves", "specimen_id", draft.item)
+        texts.append(f"Points: {'the master curve' if joined else 'averaged over the recordings'}.")
     return " ".join(texts)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from reports import findings
 from reports.blocks import Link, Page, Piece, Section, Text, flow, name, separated, tag
 from reports.evidence import Standing, choice, measured, told, unasked
@@ -24,6 +26,7 @@ from reports.pages.specimen import (
     models,
     relaxing,
     stepping,
+    temperatures,
     unused,
 )
 from reports.results import Query, Row, days
@@ -115,11 +118,13 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
     def recorded(table: str) -> bool:
         return any(draft.results.has(table, "recording_id", name) for name in names)
 
-    candidates: list[Section | None] = []
+    candidates: list[Section | None] = [temperatures.section(draft)] if has("master_curves") else []
     if has("frequency_responses"):
         constants: Rig | None = rig(chosen or {}, standing.stated)
         damaged = {r["recording_id"] for r in recordings if r["status"] == "damaged"}
         mechanical = measured(draft.results, draft.item, "mechanical")
+        if has("master_curves"):  # single temperatures are no record of the curve that the models describe
+            mechanical = replace(mechanical, by_recording={})
         candidates.append(film.response(draft, fits, chosen, mechanical, standing.stated, alarm=standing.alarm))
         if chosen:
             candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
