@@ -62,7 +62,8 @@ def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
         low, high = raw.frequency_hz.min(), raw.frequency_hz.max()
         yield f"  read       {raw.frequency_hz.size} rows from {low:g} to {high:g} Hz"
         joined = several and raw.temperature_c is not None
-        yield f"  will give  {_master_of(joined)}relaxation models of order 1 to 3 of {'it' if joined else 'this response'}"
+        of = "it" if joined else "this response"
+        yield f"  will give  {_master_of(joined)}relaxation models of order 1 to 3 of {of}"
     for note in getattr(raw, "problems", ()):
         yield f"  problem    {note}"
 
