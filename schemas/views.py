@@ -67,6 +67,20 @@ ORDER BY campaign, configuration, voltage_kv""",
         ("at_s",),
     ),
     View(
+        "life_model",
+        "the chosen life regression of each campaign: its coefficients with 95 % limits, beside those of Cox's model",
+        """
+SELECT c.campaign, r.family, r.stress_law, c.coefficient, c.value, c.value_lower, c.value_upper, c.p_value,
+    -x.value * r.sigma AS value_by_cox, r.p_value AS p_value_of_the_laws, r.failures, r.specimens
+FROM life_coefficients c
+JOIN life_regressions r ON r.campaign IS NOT DISTINCT FROM c.campaign AND r.family = c.family
+    AND r.stress_law IS NOT DISTINCT FROM c.stress_law
+LEFT JOIN life_coefficients x ON x.campaign IS NOT DISTINCT FROM c.campaign AND x.family = 'cox'
+    AND x.coefficient = c.coefficient
+WHERE r.chosen
+ORDER BY c.campaign, c.coefficient = 'intercept' DESC, c.coefficient""",
+    ),
+    View(
         "needs_attention",
         "recordings that were refused, are damaged, are waiting or led to no result, and analyses that failed, with the reason",
         """

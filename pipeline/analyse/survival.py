@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.life_models import life_model_tables
 from pipeline.fit.survival.groups import SurvivalGroup, SurvivalResults, survival_group
 from pipeline.fit.survival.kaplan_meier import KaplanMeier
 from pipeline.fit.survival.turnbull import Turnbull
@@ -33,7 +34,7 @@ def analyse_survival(lives: Sequence[LifetimeRow]) -> Analysis:
 
 def survival_tables(results: SurvivalResults) -> dict[str, pa.Table]:
     """Tables `survival_curves`, `survival_summaries`, `survival_comparisons`, `lifetime_distributions`,
-    `failure_causes`, `voltage_life` and `voltage_residuals`.
+    `failure_causes`, `voltage_life`, `voltage_residuals` and those of `life_model_tables`.
     """
     made: dict[str, list[pa.Table]] = {
         "survival_curves": [_curve(group) for group in results.groups],
@@ -48,7 +49,8 @@ def survival_tables(results: SurvivalResults) -> dict[str, pa.Table]:
         "voltage_life": [_law(*law) for law in results.voltage_life],
         "voltage_residuals": [_residuals(*law) for law in results.voltage_life],
     }
-    return {name: TABLES[name].stack(parts) for name, parts in made.items()}
+    found = {name: TABLES[name].stack(parts) for name, parts in made.items()}
+    return found | life_model_tables(results.life_models)
 
 
 def _law(campaign: str | None, configuration: str | None, law: VoltageLife) -> pa.Table:

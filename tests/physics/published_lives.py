@@ -29,3 +29,64 @@ TURBINE_WHEELS = _limits(
     " ".join(" ".join([f"0-{age}"] * cracked + [f"{age}+"] * sound) for age, (cracked, sound) in _WHEELS.items())
 )
 """Hundreds of hours to a crack, each wheel inspected once: W. Nelson, Applied Life Data Analysis (1982), p. 409."""
+
+
+def _by_stress(tested: dict[float, str]) -> tuple[Float, tuple[Float, Float]]:
+    """(n,) stress and limits of all lives; `90x5000+` stands for ninety survivors of 5000."""
+    words = {
+        stress: " ".join(
+            " ".join([word.partition("x")[2]] * int(word.partition("x")[0])) if "x" in word else word
+            for word in text.split()
+        )
+        for stress, text in tested.items()
+    }
+    stress = np.concatenate([np.full(len(text.split()), float(s)) for s, text in words.items()])
+    return stress, _limits(" ".join(words.values()))
+
+
+INSULATING_FLUID = _by_stress(
+    {
+        26: "5.79 1579.52 2323.7",
+        28: "68.85 108.29 110.29 426.07 1067.6",
+        30: "7.74 17.05 20.46 21.02 22.66 43.4 47.3 139.07 144.12 175.88 194.9",
+        32: ".27 .4 .69 .79 2.75 3.91 9.88 13.95 15.93 27.8 53.24 82.85 89.29 100.58 215.1",
+        34: ".19 .78 .96 1.31 2.78 3.16 4.15 4.67 4.85 6.5 7.35 8.01 8.27 12.06 31.75 32.52 33.91 36.71 72.89",
+        36: ".35 .59 .96 .99 1.69 1.97 2.07 2.58 2.71 2.9 3.67 3.99 5.35 13.77 25.5",
+        38: ".09 .39 .47 .73 .74 1.13 1.4 2.38",
+    }
+)
+"""Minutes to breakdown between electrodes at kV: W. Nelson, Applied Life Data Analysis (1982), table 3.1."""
+
+DEVICE_A = _by_stress(
+    {
+        10: "30x5000+",
+        40: "1298 1390 3187 3241 3261 3313 4501 4568 4841 4982 90x5000+",
+        60: "581 925 1432 1586 2452 2734 2772 4106 4674 11x5000+",
+        80: "283 361 515 638 854 1024 1030 1045 1767 1777 1856 1951 1964 2884 1x5000+",
+    }
+)
+"""Hours of a device at °C: W. Meeker, L. Escobar, Statistical Methods for Reliability Data (1998), table C.10."""
+
+MYLAR = _by_stress(
+    {
+        100.3: "606 1012 2520 2610 3988 4100 5025 6842",
+        122.4: "188 297 405 744 1218 1340 1715 3382",
+        157.1: "49 99 154.5 180 291 447 510 600 1656 1721",
+        219.0: "15 16 36 50 55 95 122 129 625 700",
+    }
+)
+"""Minutes of Mylar–polyurethane insulation at kV/mm, without the highest field: C. Kalkanis, E. Rosso (1989), as in Meeker
+and Escobar (1998), table 19.1."""
+
+BALL_BEARINGS = _limits(
+    "17.88 28.92 33.00 41.52 42.12 45.60 48.48 51.84 51.96 54.12 55.56 67.80 68.64 68.64 68.88 84.12 93.12 98.64 105.12 "
+    "105.84 127.92 128.04 173.40"
+)
+"""Millions of revolutions: J. Lieblein, M. Zelen, J. Res. Nat. Bur. Stand. 57 (1956) 273."""
+
+SHOCK_ABSORBERS = _limits(
+    "6700 6950+ 7820+ 8790+ 9120 9660+ 9820+ 11310+ 11690+ 11850+ 11880+ 12140+ 12200 12870+ 13150 13330+ 13470+ 14040+ "
+    "14300 17520 17540+ 17890+ 18420+ 18960+ 18980+ 19410+ 20100 20100+ 20150+ 20320+ 20900 22700 23490+ 26510 27410+ "
+    "27490 27890+ 28100+"
+)
+"""Kilometres: P. O'Connor, Practical Reliability Engineering (1985), p. 85."""

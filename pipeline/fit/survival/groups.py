@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.fit.survival.comparisons import NO_TEST, Comparison, compare, corrected
 from pipeline.fit.survival.competing_causes import CompetingCauses, aalen_johansen
 from pipeline.fit.survival.kaplan_meier import UNKNOWN, Estimate, KaplanMeier, kaplan_meier
+from pipeline.fit.survival.life_models import CampaignLives, fit_life_models
 from pipeline.fit.survival.lifetime_distributions import (
     DISTRIBUTIONS,
     WEIBULL,
@@ -86,13 +87,15 @@ class SurvivalGroup:
 class SurvivalResults:
     """Groups, comparisons of configurations at equal voltage, laws over the voltages, and what was left out and why.
 
-    `voltage_life` has one law per campaign and configuration tested at several voltages that can carry one.
+    `voltage_life` has one law per campaign and configuration tested at several voltages that can carry one,
+    `life_models` the regressions of each campaign in which something was varied.
     """
 
     groups: tuple[SurvivalGroup, ...]
     comparisons: tuple[Comparison, ...]
     voltage_life: tuple[tuple[str | None, str | None, VoltageLife], ...]
     warnings: tuple[str, ...]
+    life_models: tuple[CampaignLives, ...] = ()
 
 
 def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
@@ -128,7 +131,7 @@ def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
         ]
     )
     laws, refused = _laws(groups)
-    return SurvivalResults(groups, comparisons, laws, (*general, *refused))
+    return SurvivalResults(groups, comparisons, laws, (*general, *refused), fit_life_models(usable))
 
 
 def _checked(lifetimes: Sequence[LifetimeRow]) -> tuple[list[LifetimeRow], list[tuple[LifetimeRow, str]]]:

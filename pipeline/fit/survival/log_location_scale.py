@@ -57,7 +57,7 @@ def _sev_right(z: Float) -> tuple[Float, Float, Float]:
 
 def _sev_left(z: Float) -> tuple[Float, Float, Float]:
     u = np.maximum(np.exp(np.minimum(z, 30.0)), 1e-300)
-    slope = u / np.expm1(u)
+    slope = u / np.expm1(np.minimum(u, _LARGEST))
     return np.log(-np.expm1(-u)), slope, slope * (1 - u - slope)
 
 
@@ -163,7 +163,12 @@ class Maximum:
 
 
 def maximise(
-    lives: LogLives, design: Float, distribution: ErrorDistribution, *, sigma: float | Float | None = None
+    lives: LogLives,
+    design: Float,
+    distribution: ErrorDistribution,
+    *,
+    sigma: float | Float | None = None,
+    start: Float | None = None,
 ) -> Maximum:
     """Maximum of the likelihood of ln t = design·c + σ w.
 
@@ -172,6 +177,7 @@ def maximise(
     lives : (batch, n)
     design : (n, p), p may be 0; its columns should be of order one
     sigma : held at this value, or at these (batch,), instead of fitted
+    start : (batch, 1 + p) values of (1/σ, c/σ) to begin with; from far away Newton's method takes long without an intercept
 
     Data sets that do not converge (no maximum exists: all lives equal, for instance) have `converged` false.
     """
@@ -190,6 +196,12 @@ def maximise(
     scaled = lives.scaled(centre[:, None], spread[:, None])
     parameters = np.zeros((batch, 1 + p))
     parameters[:, 0] = 1.0
+    if start is not None:
+        parameters[:, 1:] = start[:, 1:]
+        if has_intercept:
+            parameters[:, 1] -= start[:, 0] * centre
+        if sigma is None:
+            parameters[:, 0] = start[:, 0] * spread
     free = slice(0 if sigma is None else 1, None)
     parameters, value, converged = _newton(scaled, design, distribution, parameters, free)
     alpha = parameters[:, 0] / spread
@@ -203,7 +215,7 @@ def _newton(
     lives: LogLives, design: Float, distribution: ErrorDistribution, start: Float, free: slice
 ) -> tuple[Float, Float, Bool]:
     parameters = start
-    value, gradient, hessian = _derivatives(lives, design, distribution, parameters)
+    value, gradient, hessian = differentiate(lives, design, distribution, parameters)
     size = parameters[:, free].shape[1]
     converged = np.zeros(parameters.shape[0], dtype=np.bool_)
     if size == 0:
@@ -225,7 +237,7 @@ def _newton(
         for _ in range(_HALVINGS):
             trial = parameters.copy()
             trial[:, free] += length[:, None] * step
-            new_value, new_gradient, new_hessian = _derivatives(lives, design, distribution, trial)
+            new_value, new_gradient, new_hessian = differentiate(lives, design, distribution, trial)
             bad = ~(new_value >= value + 1e-4 * length * gain) & (length > 0)
             bad &= length > 1e-15
             if not bad.any():
@@ -247,7 +259,7 @@ def _curved_down(hessian: Float) -> Float:
     return np.asarray((directions * curvature[:, None, :]) @ np.swapaxes(directions, 1, 2))
 
 
-def _derivatives(
+def differentiate(
     lives: LogLives, design: Float, distribution: ErrorDistribution, parameters: Float
 ) -> tuple[Float, Float, Float]:
     """Log-likelihood of ln t and its gradient and Hessian in (α, γ): shapes (batch,), (batch, q), (batch, q, q)."""
@@ -329,12 +341,14 @@ def _interval(
 ) -> tuple[Float, tuple[Float, Float], tuple[Float, Float], Float]:
     """ln[S(low) − S(high)] with slopes, curvatures and the cross derivative, stable in both tails."""
     log_survival_low = distribution.right(low)[0]
-    log_survival_high = distribution.right(high)[0]
-    value = log_survival_low + np.log(-np.expm1(np.minimum(log_survival_high - log_survival_low, -1e-300)))
+    early = log_survival_low > -np.log(2)  # there differences of S lose digits, those of 1 − S do not
+    near = np.where(early, distribution.left(high)[0], log_survival_low)
+    far = np.where(early, distribution.left(low)[0], distribution.right(high)[0])
+    value = near + np.log(-np.expm1(np.minimum(far - near, -1e-300)))
     slopes, curves = [], []
     for z, sign in ((low, -1.0), (high, 1.0)):
         log_density, slope, _ = distribution.exact(z)
-        share = sign * np.exp(np.minimum(log_density - value, _LARGEST))
+        share = sign * np.exp(np.minimum(log_density - value, _LARGEST / 2))
         slopes.append(share)
         curves.append(share * slope - share**2)
     return value, (slopes[0], slopes[1]), (curves[0], curves[1]), -slopes[0] * slopes[1]
@@ -343,7 +357,7 @@ def _interval(
 def coefficient_covariance(lives: LogLives, design: Float, distribution: ErrorDistribution, maximum: Maximum) -> Float:
     """(p, p) covariance of the coefficients c from the observed information, σ being estimated as well. Batch of one."""
     parameters = np.concatenate((maximum.alpha[:, None], maximum.gamma), axis=1)
-    _, _, hessian = _derivatives(lives, design, distribution, parameters)
+    _, _, hessian = differentiate(lives, design, distribution, parameters)
     jacobian = np.column_stack((-maximum.coefficients[0], np.eye(design.shape[1]))) / maximum.alpha[0]
     return np.asarray(jacobian @ np.linalg.inv(-hessian[0]) @ jacobian.T)
 

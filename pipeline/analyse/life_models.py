@@ -1,0 +1,182 @@
+"""Tables of the life regressions of each campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from pipeline.fit.survival.life_models import NO_FAMILY, CampaignLives, LifeModel
+from schemas.numbers import p_equals, significant
+from schemas.tables import TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_OWN_LOCATIONS = "location per group"
+
+
+def life_model_tables(campaigns: Sequence[CampaignLives]) -> dict[str, pa.Table]:
+    """Tables `life_regressions`, `life_coefficients`, `life_group_fits`, `life_lines`, `life_residuals`, `mode_effects`."""
+    made = {
+        "life_regressions": _regressions,
+        "life_coefficients": _coefficients,
+        "life_group_fits": _groups,
+        "life_lines": _lines,
+        "life_residuals": _residuals,
+        "mode_effects": _modes,
+    }
+    return {name: TABLES[name].rows([row for one in campaigns for row in rows(one)]) for name, rows in made.items()}
+
+
+def _bounded(name: str, estimate: Any) -> dict[str, float | None]:
+    if estimate is None:
+        return {}
+    return {name: estimate.value, f"{name}_lower": estimate.lower, f"{name}_upper": estimate.upper}
+
+
+def _regressions(one: CampaignLives) -> list[dict[str, Any]]:
+    warnings = "; ".join(one.refused) or None
+    if not one.models:
+        failures = sum(row.failed for row in one.rows)
+        return [
+            {
+                "campaign": one.campaign,
+                "family": NO_FAMILY,
+                "specimens": len(one.rows),
+                "failures": failures,
+                "warnings": warnings,
+            }
+        ]
+    return [_regression(one, model, warnings) for model in one.models]
+
+
+def _regression(one: CampaignLives, model: LifeModel, warnings: str | None) -> dict[str, Any]:
+    fit = model.regression
+    own = next((test.p_value for test in fit.tests if test.against == _OWN_LOCATIONS), None)
+    tests = (
+        f"{'against ' if test.against == _OWN_LOCATIONS else 'without ' if i < len(fit.coefficients) - 1 else ''}"
+        f"{test.against}: likelihood ratio {significant(test.statistic)}, {test.degrees_of_freedom} d.f., "
+        f"{p_equals(test.p_value)}"
+        for i, test in enumerate(fit.tests)
+    )
+    return {
+        "campaign": one.campaign,
+        "family": fit.family,
+        "stress_law": model.stress_law or None,
+        "chosen": model.chosen,
+        "specimens": fit.specimens,
+        "failures": fit.failures,
+        **_bounded("sigma", fit.sigma),
+        **_bounded("shape", fit.shape),
+        "log_likelihood": fit.log_likelihood,
+        "aic": fit.aic,
+        "p_value": own,
+        "tests": "; ".join(tests) or None,
+        "method": fit.method,
+        "warnings": warnings if model.chosen else None,
+    }
+
+
+def _coefficients(one: CampaignLives) -> list[dict[str, Any]]:
+    rows = [
+        {
+            "campaign": one.campaign,
+            "family": model.regression.family,
+            "stress_law": model.stress_law or None,
+            "coefficient": found.name,
+            **_bounded("value", found.value),
+            "standard_error": found.standard_error,
+            "p_value": found.p_value,
+        }
+        for model in one.models
+        for found in model.regression.coefficients
+    ]
+    chosen = one.chosen
+    if one.cox is None or chosen is None:
+        return rows
+    for effect in one.cox.effects:
+        rows.append(
+            {
+                "campaign": one.campaign,
+                "family": "cox",
+                "stress_law": chosen.stress_law or None,
+                "coefficient": effect.name,
+                **_bounded("value", effect.value),
+                "standard_error": effect.standard_error,
+                "p_value": effect.p_value,
+            }
+        )
+    return rows
+
+
+def _groups(one: CampaignLives) -> list[dict[str, Any]]:
+    if one.chosen is None:
+        return []
+    points = {point.group: point for point in one.group_points}
+    rows = []
+    for group in one.chosen.regression.groups:
+        point = points.get(group.name)
+        rows.append(
+            {
+                "campaign": one.campaign,
+                "conditions": group.name,
+                "specimens": group.specimens,
+                "failures": group.failures,
+                "expected_failures": group.expected,
+                "factor": group.factor,
+                "p_value": group.p_value,
+                "stress": point and point.stress,
+                "stress_value": point and point.value,
+                "life_s": point and point.life_s,
+            }
+        )
+    return rows
+
+
+def _lines(one: CampaignLives) -> list[dict[str, Any]]:
+    return [
+        {
+            "campaign": one.campaign,
+            "category": point.group,
+            "stress": point.stress,
+            "stress_value": point.value,
+            **_bounded("life_s", point.life_s),
+            "extrapolated": point.is_extrapolated,
+        }
+        for point in one.points
+    ]
+
+
+def _residuals(one: CampaignLives) -> list[dict[str, Any]]:
+    if one.chosen is None:
+        return []
+    fit = one.chosen.regression
+    return [
+        {
+            "campaign": one.campaign,
+            "specimen_id": row.specimen_id,
+            "conditions": conditions,
+            "failed": row.failed,
+            "cox_snell": hazard,
+            "deviance": deviance,
+        }
+        for row, conditions, hazard, deviance in zip(one.rows, one.conditions, fit.cox_snell, fit.deviance, strict=True)
+    ]
+
+
+def _modes(one: CampaignLives) -> list[dict[str, Any]]:
+    return [
+        {
+            "campaign": one.campaign,
+            "failure_mode": found.mode,
+            "model": model,
+            "coefficient": effect.name,
+            "failures": found.failures,
+            **_bounded("value", effect.value),
+            "standard_error": effect.standard_error,
+            "p_value": effect.p_value,
+        }
+        for found in one.modes
+        for model, regression in (("cause-specific", found.cause_specific), ("fine-gray", found.fine_gray))
+        for effect in regression.effects
+    ]

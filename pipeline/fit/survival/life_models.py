@@ -1,0 +1,292 @@
+"""Life regressions of each campaign: which covariates its lives can tell about, which family describes them, Cox's check.
+
+Belongs here: the choice of covariates and of the model, and what is asked of it. A covariate that the lives tell nothing
+about is left out with its reason. The regressions themselves are in `life_regression`, `cox_regression`,
+`cause_regression`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.fit.survival.cause_regression import CauseRegression, fit_cause_regression
+from pipeline.fit.survival.covariates import (
+    ARRHENIUS,
+    CATEGORY,
+    EXPONENTIAL_LAW,
+    INVERSE_POWER,
+    LAWS,
+    Covariate,
+    make_design,
+)
+from pipeline.fit.survival.cox_regression import CoxRegression, fit_cox
+from pipeline.fit.survival.kaplan_meier import Estimate
+from pipeline.fit.survival.life_regression import FAMILIES, LifeRegression, fit_life_regression
+from pipeline.fit.survival.lifetime_distributions import Lives
+from schemas.errors import DealabError
+from schemas.lifetimes import LifetimeRow
+
+NO_FAMILY = "none"
+_STRESSES = (
+    ("voltage_kv", INVERSE_POWER, "kV"),
+    ("temperature_c", ARRHENIUS, "°C"),
+    ("humidity", INVERSE_POWER, ""),
+    ("frequency_hz", INVERSE_POWER, "Hz"),
+)
+"""Humidity by a power law is Peck's, in ln of the relative humidity."""
+_CATEGORIES = ("configuration", "electrode")
+_POINTS = 31
+_BELOW = 0.6
+"""The life–stress line goes down to this share of the lowest stress tested: use conditions lie there."""
+
+
+@dataclass(frozen=True)
+class LifeModel:
+    """A regression of a campaign's lives by a family, with the voltage by a law ("" where it is no covariate)."""
+
+    stress_law: str
+    regression: LifeRegression
+    chosen: bool = False
+
+
+@dataclass(frozen=True)
+class LifePoint:
+    """Median life in s by the chosen model at a stress, all other stresses at their mean; outside of the tests or not."""
+
+    group: str
+    stress: str
+    value: float
+    life_s: Estimate
+    is_extrapolated: bool
+
+
+@dataclass(frozen=True)
+class GroupPoint:
+    """Where a group of specimens stands against the chosen model: its stress, and its own median life in s."""
+
+    group: str
+    stress: str
+    value: float
+    life_s: float
+
+
+@dataclass(frozen=True)
+class CampaignLives:
+    """Everything the regressions tell about a campaign.
+
+    `rows` are the lives that were used, in the order of the residuals; `refused` says what could not be had, and why.
+    """
+
+    campaign: str | None
+    rows: tuple[LifetimeRow, ...]
+    models: tuple[LifeModel, ...]
+    cox: CoxRegression | None
+    points: tuple[LifePoint, ...]
+    group_points: tuple[GroupPoint, ...]
+    modes: tuple[CauseRegression, ...]
+    refused: tuple[str, ...]
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Of each row, as the groups of the regressions are called."""
+        return tuple(_describe_conditions(row) for row in self.rows)
+
+    @property
+    def chosen(self) -> LifeModel | None:
+        return next((model for model in self.models if model.chosen), None)
+
+
+def fit_life_models(rows: Sequence[LifetimeRow]) -> tuple[CampaignLives, ...]:
+    """Regressions of every campaign whose lives were tested under more than one condition.
+
+    Parameters
+    ----------
+    rows : usable lives of all campaigns
+
+    Returns
+    -------
+    tuple of CampaignLives
+        Campaigns in which nothing was varied are not among them.
+    """
+    campaigns: dict[str | None, list[LifetimeRow]] = defaultdict(list)
+    for row in rows:
+        if row.failed or row.lifetime_s > 0:
+            campaigns[row.campaign or None].append(row)
+    found = (_Campaign(name, members).fit() for name, members in sorted(campaigns.items(), key=lambda c: c[0] or ""))
+    return tuple(one for one in found if one is not None)
+
+
+@dataclass
+class _Campaign:
+    """The lives of a campaign on their way to a `CampaignLives`."""
+
+    name: str | None
+    rows: list[LifetimeRow]
+    refused: list[str] = field(default_factory=list)
+
+    def fit(self) -> CampaignLives | None:
+        varied = [name for name in (*(s[0] for s in _STRESSES), *_CATEGORIES) if self._values(name) > 1]
+        if not varied:
+            return None
+        for name in varied:
+            self._keep_those_with(name)
+        if not any(row.failed for row in self.rows):
+            return self._without("nobody failed: no regression")
+        lives = _limits(self.rows)
+        covariates = self._informative(varied, np.isfinite(lives.upper))
+        if not covariates:
+            return self._without()
+        models = self._models(lives, covariates)
+        if not models:
+            return self._without()
+        best = min(range(len(models)), key=lambda i: models[i].regression.aic)
+        models = [LifeModel(m.stress_law, m.regression, i == best) for i, m in enumerate(models)]
+        if models[best].stress_law == EXPONENTIAL_LAW:
+            covariates = _with_law(covariates, EXPONENTIAL_LAW)
+        points, group_points = _stress_lines(models[best].regression, covariates, self._groups())
+        return CampaignLives(
+            self.name,
+            tuple(self.rows),
+            tuple(models),
+            self._cox(lives, covariates),
+            points,
+            group_points,
+            self._modes(lives, covariates),
+            tuple(self.refused),
+        )
+
+    def _without(self, *reasons: str) -> CampaignLives:
+        self.refused += reasons
+        return CampaignLives(self.name, tuple(self.rows), (), None, (), (), (), tuple(self.refused))
+
+    def _values(self, name: str) -> int:
+        return len({getattr(row, name) for row in self.rows} - {None})
+
+    def _keep_those_with(self, name: str) -> None:
+        without = [row for row in self.rows if getattr(row, name) is None]
+        if without:
+            self.rows = [row for row in self.rows if getattr(row, name) is not None]
+            self.refused.append(f"{len(without)} lives have no {name}: left out of the regression")
+
+    def _informative(self, varied: Sequence[str], failed: np.ndarray) -> list[Covariate]:
+        """The covariates that the lives tell something about; the reasons of the others are kept."""
+        kept: list[Covariate] = []
+        for name in varied:
+            law, unit = next(((law, unit) for n, law, unit in _STRESSES if n == name), (CATEGORY, ""))
+            values = [getattr(row, name) for row in self.rows]
+            one = Covariate(name, law, values if law == CATEGORY else np.array(values, dtype=float), unit)
+            try:
+                make_design([*kept, one], failed)
+            except DealabError as error:
+                self.refused.append(f"{name} is not in the regression: {error.problem}")
+            else:
+                kept.append(one)
+        return kept
+
+    def _groups(self) -> list[str]:
+        """One name for each different set of conditions."""
+        return [_describe_conditions(row) for row in self.rows]
+
+    def _models(self, lives: Lives, covariates: Sequence[Covariate]) -> list[LifeModel]:
+        by_voltage = covariates[0].name == "voltage_kv"
+        law = INVERSE_POWER if by_voltage else ""
+        found = [
+            LifeModel(law, fit)
+            for family in FAMILIES
+            if (fit := self._regression(lives, covariates, family)) is not None
+        ]
+        if by_voltage and found:
+            family = min(found, key=lambda m: m.regression.aic).regression.family
+            other = self._regression(lives, _with_law(covariates, EXPONENTIAL_LAW), family)
+            found += [LifeModel(EXPONENTIAL_LAW, other)] if other is not None else []
+        return found
+
+    def _regression(self, lives: Lives, covariates: Sequence[Covariate], family: str) -> LifeRegression | None:
+        try:
+            return fit_life_regression(lives, covariates, family, groups=self._groups())
+        except DealabError as error:
+            self.refused.append(f"{family}: {error.problem}")
+        except np.linalg.LinAlgError:
+            self.refused.append(f"{family}: the lives do not tell its parameters apart")
+        return None
+
+    def _cox(self, lives: Lives, covariates: Sequence[Covariate]) -> CoxRegression | None:
+        try:
+            return fit_cox(lives, make_design(covariates, np.isfinite(lives.upper)))
+        except DealabError as error:
+            self.refused.append(f"Cox's model: {error.problem}")
+        return None
+
+    def _modes(self, lives: Lives, covariates: Sequence[Covariate]) -> tuple[CauseRegression, ...]:
+        modes = [row.mode for row in self.rows]
+        named = sorted({mode for mode in modes if mode})
+        found = []
+        for mode in named if len(named) > 1 else ():
+            try:
+                found.append(fit_cause_regression(lives, modes, covariates, mode))
+            except DealabError as error:
+                self.refused.append(f"effects on the mode {mode}: {error.problem}")
+        return tuple(found)
+
+
+def _limits(rows: Sequence[LifetimeRow]) -> Lives:
+    """What is known of the lives; a failure at 0 s came before the shortest life above 0."""
+    shortest = min(row.lifetime_s for row in rows if row.lifetime_s > 0)
+    entered = np.array([row.entered_s or 0.0 for row in rows])
+    return Lives(
+        np.array([row.lower_s for row in rows]),
+        np.array([row.upper_s or shortest for row in rows]),
+        entered if entered.any() else None,
+    )
+
+
+def _describe_conditions(row: LifetimeRow) -> str:
+    shown = [] if row.configuration is None else [row.configuration]
+    shown += [] if row.electrode is None else [row.electrode]
+    for name, _, unit in _STRESSES:
+        value = getattr(row, name)
+        shown += [] if value is None else [f"{value:g} {unit or name}"]
+    return ", ".join(shown)
+
+
+def _with_law(covariates: Sequence[Covariate], law: str) -> list[Covariate]:
+    first, *others = covariates
+    return [Covariate(first.name, law, first.values, first.unit), *others]
+
+
+def _stress_lines(
+    fit: LifeRegression, covariates: Sequence[Covariate], groups: Sequence[str]
+) -> tuple[tuple[LifePoint, ...], tuple[GroupPoint, ...]]:
+    """Median life over the first stress for each category, and each group's own; nothing where no stress was varied."""
+    stress = next((c for c in covariates if not c.is_category), None)
+    if stress is None:
+        return (), ()
+    design = make_design(covariates, np.ones(len(groups), dtype=bool))
+    column = design.names.index(stress.name)
+    category = next((c for c in covariates if c.is_category), None)
+    own = np.asarray(stress.values, dtype=np.float64)
+    low, high = float(own.min()), float(own.max())
+    reach = np.linspace(low - 0.4 * (high - low), high, _POINTS)
+    if LAWS[stress.law].above == 0.0 or stress.name == "voltage_kv":
+        reach = np.geomspace(_BELOW * low, high, _POINTS)
+    points: list[LifePoint] = []
+    for level in category.levels if category else ("",):
+        x = design.x.mean(axis=0)
+        for i, name in enumerate(design.names):
+            if category and design.owners[i] == category.name:
+                x[i] = float(name == f"{category.name}: {level}")
+        for value, entered in zip(reach, LAWS[stress.law].transform(reach), strict=True):
+            x[column] = entered
+            outside = not low * (1 - 1e-9) <= value <= high * (1 + 1e-9)
+            points.append(LifePoint(level, stress.name, float(value), fit.life_at(x), outside))
+    names = np.array(groups)
+    found = []
+    for group in fit.groups:
+        first = int(np.argmax(names == group.name))
+        median = fit.life_at(design.x[first]).value
+        found.append(GroupPoint(group.name, stress.name, float(own[first]), median * group.factor))
+    return tuple(points), tuple(found)

@@ -1,0 +1,284 @@
+"""Life regressions and Cox's model against published analyses, digit by digit; competing modes; named refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.analyse.survival import analyse_survival
+from pipeline.fit.survival.cause_regression import fit_cause_regression, fit_fine_gray
+from pipeline.fit.survival.covariates import (
+    ARRHENIUS,
+    CATEGORY,
+    EXPONENTIAL_LAW,
+    INVERSE_POWER,
+    Covariate,
+    make_design,
+)
+from pipeline.fit.survival.cox_regression import EFRON, EXACT, fit_cox
+from pipeline.fit.survival.life_regression import FAMILIES, LifeRegression, fit_life_regression
+from pipeline.fit.survival.lifetime_distributions import Lives
+from schemas.errors import DealabError
+from schemas.lifetimes import LifetimeRow
+from tests.physics.published_lives import (
+    BALL_BEARINGS,
+    DEVICE_A,
+    INSULATING_FLUID,
+    MYLAR,
+    SHOCK_ABSORBERS,
+)
+
+pytestmark = pytest.mark.quick
+
+TREATED = "6+ 6 6 6 7 9+ 10+ 10 11+ 13 16 17+ 19+ 20+ 22 23 25+ 32+ 32+ 34+ 35+"
+PLACEBO = "1 1 2 2 3 4 4 5 5 8 8 8 8 11 11 12 12 15 17 22 23"
+
+
+def shown(fit: LifeRegression, *digits: int) -> list[str]:
+    values = [*(c.value.value for c in fit.coefficients), fit.sigma.value, fit.log_likelihood]
+    return [f"{value:.{d}f}" for value, d in zip(values, digits, strict=True)]
+
+
+def test_insulating_fluid() -> None:
+    """Nelson, Accelerated Testing (1990): Weibull, life over V^17.73 with the shape 1/1.288; no level departs."""
+    voltage, limits = INSULATING_FLUID
+    names = [str(v) for v in voltage]
+    fit = fit_life_regression(Lives(*limits), [Covariate("voltage", INVERSE_POWER, voltage, "kV")], groups=names)
+    assert shown(fit, 2, 2, 3, 1) == ["64.85", "-17.73", "1.288", "-300.8"]
+    own = next(test for test in fit.tests if test.against == "location per group")
+    assert (own.degrees_of_freedom, own.p_value > 0.5) == (5, True)
+    assert all(group.p_value > 0.05 for group in fit.groups)
+    assert fit.cox_snell.sum() == pytest.approx(76, rel=1e-6)
+
+
+def test_device_a() -> None:
+    """Meeker and Escobar (1998), example 19.2: log-normal, Arrhenius with 0.63 eV; table 19.3 and the 10 % life at 10 °C."""
+    celsius, limits = DEVICE_A
+    fit = fit_life_regression(Lives(*limits), [Covariate("temperature", ARRHENIUS, celsius, "°C")], "log-normal")
+    assert shown(fit, 1, 2, 2, 1) == ["-13.5", "0.63", "0.98", "-321.7"]
+    assert [f"{c.standard_error:.2g}" for c in fit.coefficients] == ["2.9", "0.083"]
+
+
+def test_mylar() -> None:
+    """Meeker and Escobar (1998), table 19.2: log-normal, inverse power of the field."""
+    field, limits = MYLAR
+    fit = fit_life_regression(Lives(*limits), [Covariate("field", INVERSE_POWER, field, "kV/mm")], "log-normal")
+    assert shown(fit, 1, 2, 2, 1) == ["27.5", "-4.29", "1.05", "-271.4"]
+    assert [f"{c.standard_error:.2f}" for c in fit.coefficients] == ["3.00", "0.60"]
+
+
+def test_ball_bearings() -> None:
+    """Lawless, Statistical Models and Methods for Lifetime Data (1982): Weibull 81.88 and 2.102; generalised gamma after
+    Meeker and Escobar (1998), section 11.3: μ 4.23, σ 0.51, λ 0.31."""
+    lives = Lives(*BALL_BEARINGS)
+    weibull = fit_life_regression(lives, [])
+    assert f"{np.exp(weibull.coefficients[0].value.value):.2f} {1 / weibull.sigma.value:.3f}" == "81.88 2.102"
+    normal = fit_life_regression(lives, [], "log-normal")
+    assert shown(normal, 2, 3, 2) == ["4.15", "0.522", "-113.13"]
+    gamma = fit_life_regression(lives, [], "generalised gamma")
+    assert gamma.shape is not None
+    assert [*shown(gamma, 2, 2, 2), f"{gamma.shape.value:.2f}"] == ["4.23", "0.51", "-112.97", "0.31"]
+
+
+def test_shock_absorbers() -> None:
+    """Meeker and Escobar (1998), table 8.1: Weibull 27 719 km and 3.16; log-normal 10.14 and 0.53."""
+    weibull = fit_life_regression(Lives(*SHOCK_ABSORBERS), [])
+    assert np.exp(weibull.coefficients[0].value.value) == pytest.approx(27719, abs=5)
+    assert f"{1 / weibull.sigma.value:.2f}" == "3.16"
+    normal = fit_life_regression(Lives(*SHOCK_ABSORBERS), [], "log-normal")
+    assert [normal.coefficients[0].value.value, normal.sigma.value] == pytest.approx([10.14, 0.530], abs=0.006)
+
+
+def leukaemia() -> tuple[Lives, np.ndarray]:
+    words = f"{TREATED} {PLACEBO}".split()
+    time = np.array([float(word.rstrip("+")) for word in words])
+    upper = np.array([np.inf if word.endswith("+") else t for word, t in zip(words, time, strict=True)])
+    return Lives(time, upper), np.repeat([0.0, 1.0], 21)
+
+
+def test_leukaemia_by_cox() -> None:
+    """R's coxph: Efron 1.5721 (0.4124), exact 1.6282 (0.4331). Freireich and others, Blood 21 (1963) 699."""
+    lives, placebo = leukaemia()
+    design = make_design([Covariate("placebo", EXPONENTIAL_LAW, placebo)], lives.exact)
+    for ties, expected, error in ((EFRON, "1.5721", "0.4124"), (EXACT, "1.6282", "0.4331")):
+        effect = fit_cox(lives, design, ties).effects[0]
+        assert (f"{effect.value.value:.4f}", f"{effect.standard_error:.4f}") == (expected, error)
+    assert f"{fit_cox(lives, design).likelihood_ratio:.2f}" == "16.35"
+
+
+def test_cox_of_late_entries_is_that_of_the_risk_sets() -> None:
+    """Against the sum over failures written out: no ties, so Efron's is Breslow's."""
+    rng = np.random.default_rng(4)
+    x, entered, life = rng.normal(size=80), rng.uniform(0, 1, 80), rng.exponential(size=80) + 0.3
+    seen = life > entered
+    x, entered, life = x[seen], entered[seen], life[seen]
+    lives = Lives(life, np.where(rng.random(life.size) < 0.8, life, np.inf), entered)
+    fit = fit_cox(lives, make_design([Covariate("x", EXPONENTIAL_LAW, x)], lives.exact))
+    beta = fit.effects[0].value.value
+    score = 0.0
+    for i in np.flatnonzero(lives.exact):
+        risk = (entered < life[i]) & (life >= life[i])
+        weight = np.exp(beta * x[risk])
+        score += x[i] - weight @ x[risk] / weight.sum()
+    assert score == pytest.approx(0.0, abs=1e-6)
+
+
+def draw(family: str, seed: int, n: int = 240) -> tuple[Lives, list[Covariate]]:
+    """Lives of every kind of censoring with an exponent −6, 0.5 between categories, scatter 0.6."""
+    rng = np.random.default_rng(seed)
+    voltage, kind = rng.choice([4.0, 5.0, 6.0], n), rng.choice(["a", "b"], n)
+    w = {
+        "exponential": np.log(rng.exponential(size=n)) / 0.6,
+        "weibull": np.log(rng.exponential(size=n)),
+        "log-normal": rng.normal(size=n),
+        "log-logistic": rng.logistic(size=n),
+        "generalised gamma": rng.normal(size=n),
+    }[family]
+    life = np.exp(12 - 6 * np.log(voltage) + 0.5 * (kind == "b") + 0.6 * w)
+    how = rng.integers(0, 4, n)
+    entered = np.where(rng.random(n) < 0.2, life * rng.uniform(0, 0.5, n), 0.0)
+    lower = np.select(
+        [how == 0, how == 1, how == 2], [life, life * rng.uniform(0.5, 1, n), np.maximum(life * 0.8, entered)], life
+    )
+    upper = np.select([how == 0, how == 1, how == 2], [life, np.inf, life * 1.1], life)
+    covariates = [Covariate("voltage", INVERSE_POWER, voltage, "kV"), Covariate("kind", CATEGORY, kind.tolist())]
+    return Lives(lower, upper, np.minimum(entered, lower)), covariates
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_limits_hold_what_was_drawn(family: str) -> None:
+    lives, covariates = draw(family, 11)
+    fit = fit_life_regression(lives, covariates, family)
+    for found, truth in zip(fit.coefficients[1:], (-6.0, 0.5), strict=True):
+        assert found.value.lower < found.value.value < found.value.upper
+        assert abs(found.value.value - truth) < 4 * found.standard_error
+    assert fit.cox_snell.min() >= 0
+
+
+@pytest.mark.parametrize("family", ["weibull", "log-normal"])
+def test_scaled_times_move_the_intercept_only(family: str) -> None:
+    lives, covariates = draw(family, 12)
+    assert lives.entered is not None
+    first = fit_life_regression(lives, covariates, family)
+    other = fit_life_regression(Lives(60 * lives.lower, 60 * lives.upper, 60 * lives.entered), covariates, family)
+    moved = [b.value.value - a.value.value for a, b in zip(first.coefficients, other.coefficients, strict=True)]
+    assert moved == pytest.approx([np.log(60), 0, 0], abs=1e-6)
+    assert other.sigma.value == pytest.approx(first.sigma.value, rel=1e-6)
+
+
+def test_fine_gray_without_censoring_is_cox_with_the_others_immortal() -> None:
+    rng = np.random.default_rng(5)
+    x, life = rng.normal(size=120), rng.exponential(size=120)
+    modes = np.where(rng.random(120) < 0.5, "film", "lead").tolist()
+    own = np.array(modes) == "film"
+    design = make_design([Covariate("x", EXPONENTIAL_LAW, x)], own)
+    found = fit_fine_gray(Lives(life, life), own, design).effects[0]
+    immortal = fit_cox(Lives(np.where(own, life, 1e9), np.where(own, life, np.inf)), design).effects[0]
+    assert found.value.value == pytest.approx(immortal.value.value, abs=1e-8)
+
+
+def test_covariate_of_one_mode_is_told_from_that_of_the_other() -> None:
+    rng = np.random.default_rng(6)
+    x = rng.integers(0, 2, 600).astype(float)
+    film, lead = rng.exponential(size=600) * np.exp(-1.0 * x), rng.exponential(size=600)
+    end = rng.uniform(0, 2, 600)
+    life = np.minimum.reduce([film, lead, end])
+    modes = np.select([film == life, lead == life], ["film", "lead"], "").tolist()
+    lives = Lives(life, np.where(life < end, life, np.inf))
+    covariates = [Covariate("x", EXPONENTIAL_LAW, x)]
+    by_film = fit_cause_regression(lives, modes, covariates, "film")
+    by_lead = fit_cause_regression(lives, modes, covariates, "lead")
+    assert by_film.cause_specific.effects[0].value.lower < 1.0 < by_film.cause_specific.effects[0].value.upper
+    assert by_lead.cause_specific.effects[0].value.lower < 0.0 < by_lead.cause_specific.effects[0].value.upper
+    # The lead fails less often because the film fails first, although nothing acts on it.
+    assert by_lead.fine_gray.effects[0].value.upper < 0.0
+
+
+FIVE = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("covariate", "upper", "problem"),
+    [
+        (Covariate("voltage", INVERSE_POWER, np.full(5, 6.0), "kV"), FIVE, r"voltage has one value \(6 kV\)"),
+        (Covariate("voltage", INVERSE_POWER, FIVE, "kV"), np.full(5, np.inf), "nobody failed"),
+        (Covariate("kind", CATEGORY, list("aabbb")), np.array([1, 2, np.inf, np.inf, np.inf]), "separation"),
+        (
+            Covariate("voltage", INVERSE_POWER, np.array([5.0, 5, 4, 4, 4]), "kV"),
+            np.array([1, 2, np.inf, np.inf, np.inf]),
+            "all failures came at one value",
+        ),
+        (Covariate("voltage", INVERSE_POWER, np.array([0.0, 5, 4, 4, 4]), "kV"), FIVE, "voltage of 0 kV"),
+        (Covariate("voltage", INVERSE_POWER, FIVE[:3], "kV"), FIVE, "voltage has 3 values"),
+        (
+            Covariate("kind", CATEGORY, list("abcab")),
+            np.array([1, 2, 3, np.inf, np.inf]),
+            "3 distinct failure times for 4",
+        ),
+    ],
+)
+def test_refusals_have_names(covariate: Covariate, upper: np.ndarray, problem: str) -> None:
+    with pytest.raises(DealabError, match=problem):
+        fit_life_regression(Lives(FIVE, upper), [covariate])
+
+
+def test_covariates_that_change_together_and_modes_without_a_failure() -> None:
+    both = [Covariate("voltage", INVERSE_POWER, FIVE), Covariate("field", INVERSE_POWER, 3 * FIVE)]
+    with pytest.raises(DealabError, match="voltage and field change together"):
+        fit_life_regression(Lives(FIVE, FIVE), both)
+    with pytest.raises(DealabError, match="nobody failed by edge"):
+        fit_cause_regression(Lives(FIVE, FIVE), ["film"] * 5, both[:1], "edge")
+    inspected = Lives(FIVE, 2 * FIVE)
+    with pytest.raises(DealabError, match="between inspections"):
+        fit_cox(inspected, make_design(both[:1], np.ones(5, dtype=bool)))
+
+
+def lives_of_a_campaign() -> list[LifetimeRow]:
+    rng = np.random.default_rng(3)
+    rows = []
+    for voltage in (4.0, 5.0, 6.0):
+        for electrode in ("carbon", "silver"):
+            for k in range(5):
+                life = float(
+                    np.exp(18 - 7 * np.log(voltage) + 0.8 * (electrode == "silver") + 0.5 * np.log(rng.exponential()))
+                )
+                conditions: dict[str, Any] = {"voltage_kv": voltage, "electrode": electrode, "campaign": "C"}
+                mode = str(rng.choice(["film", "lead"])) if life < 4000 else None
+                rows.append(
+                    LifetimeRow(
+                        specimen_id=f"{voltage:g}{electrode}{k}",
+                        lifetime_s=min(life, 4000.0),
+                        failed=life < 4000,
+                        failure_mode=mode,
+                        **conditions,
+                    )
+                )
+    return rows
+
+
+def test_tables_of_a_campaign() -> None:
+    tables = analyse_survival(lives_of_a_campaign()).joined()
+    models = tables["life_regressions"].to_pylist()
+    assert sum(bool(model["chosen"]) for model in models) == 1
+    assert {model["stress_law"] for model in models} == {"inverse power", "exponential"}
+    chosen = next(model for model in models if model["chosen"])
+    coefficients = {
+        row["coefficient"]: row["value"]
+        for row in tables["life_coefficients"].to_pylist()
+        if (row["family"], row["stress_law"]) == (chosen["family"], chosen["stress_law"])
+    }
+    assert set(coefficients) == {"intercept", "voltage_kv", "electrode: silver"}
+    assert tables["life_residuals"].num_rows == 30
+    assert any(row["extrapolated"] for row in tables["life_lines"].to_pylist())
+    assert {row["model"] for row in tables["mode_effects"].to_pylist()} == {"cause-specific", "fine-gray"}
+
+
+def test_a_campaign_of_survivors_says_why_it_has_no_regression() -> None:
+    rows = [
+        LifetimeRow(specimen_id=f"s{k}", lifetime_s=10.0, failed=False, voltage_kv=4.0 + k, campaign="C")
+        for k in range(3)
+    ]
+    (model,) = analyse_survival(rows).joined()["life_regressions"].to_pylist()
+    assert (model["family"], model["warnings"]) == ("none", "nobody failed: no regression")
