@@ -14,8 +14,10 @@ from scipy import special
 from pipeline.fit.survival.log_location_scale import NORMAL, ErrorDistribution
 from schemas.arrays import Float
 
-_NEARLY_NORMAL = 0.01
-"""Shapes |q| below this are taken as normal: beyond, the incomplete gamma functions lose digits."""
+_NEARLY_NORMAL = 1e-4
+"""Shapes |q| below this are taken as normal, from which they differ by less than the rounding."""
+_STIRLING = 100.0
+"""From this k on three terms of Stirling's series give ln Γ(k) to all digits, without a difference of large numbers."""
 _TINY = 1e-290
 _Terms = tuple[Float, Float, Float]
 
@@ -50,21 +52,25 @@ def log_gamma(q: float) -> ErrorDistribution:
 
     Notes
     -----
-    ln f(w) = ln|q| + k ln k − ln Γ(k) + k (q w − e^{q w}) with k = 1/q²; S(w) = Γ(k, k e^{q w})/Γ(k) for q > 0, one less
-    that for q < 0.
+    ln f(w) = ln|q| + k ln k − k − ln Γ(k) + k (q w − e^{q w} + 1) with k = 1/q²; S(w) = Γ(k, k e^{q w})/Γ(k) for q > 0,
+    one less that for q < 0.
     """
     if abs(q) < _NEARLY_NORMAL:
         return NORMAL
     k = 1 / q**2
-    constant = np.log(abs(q)) + k * np.log(k) - special.gammaln(k)
+    constant = (
+        -np.log(2 * np.pi) / 2 - 1 / (12 * k) + 1 / (360 * k**3) - 1 / (1260 * k**5)
+        if k > _STIRLING
+        else np.log(abs(q)) + k * np.log(k) - k - special.gammaln(k)
+    )
     upper, lower = (special.gammaincc, special.gammainc) if q > 0 else (special.gammainc, special.gammaincc)
 
     def power(z: Float) -> Float:
         return np.asarray(np.exp(np.minimum(q * z, 600.0)))
 
     def exact(z: Float) -> _Terms:
-        u = power(z)
-        return constant + k * (q * z - u), k * q * (1 - u), -u
+        less = np.expm1(np.minimum(q * z, 600.0))
+        return constant + k * (q * z - less), -k * q * less, -1 - less
 
     def tail(z: Float, share: Callable[[float, Float], Float], sign: float) -> _Terms:
         """ln of the probability beyond z on one side; far out from the density over its own slope."""

@@ -40,6 +40,11 @@ _SHAPES = (-6.0, 6.0)
 """Shapes of the generalised gamma that are searched."""
 _MOST_PROFILED = 2000
 """Above so many different lives intervals come from the information: there they and profiles are one to three digits."""
+_MOST_SEARCHED = 2000
+"""Up to so many lives the shape of a generalised gamma is searched with all of them, above with a sample and refined."""
+_NEWTON_STEPS, _HALVINGS = 25, 30
+_SHAPE_STEP, _SMALL_STEP = 1e-3, 1e-4
+"""Differences over the shape, and the step of Newton's after which the next one would not be seen."""
 _FAR = 60.0
 """A standardised coefficient beyond this, in units of the scatter, is on its way to infinity."""
 
@@ -88,7 +93,7 @@ class LifeRegression:
     gamma. `log_likelihood` is that of the times in s. `tests`: each covariate without effect, nested families, a location of
     its own for each group. `cox_snell` (n,) are the cumulative hazards −ln S at the ends of the lives, exponential with mean
     1 where the model is right (for a failure between inspections, their mean over the interval); `deviance` (n,) the
-    deviance residuals. `covariance` is that of the coefficients and ln σ; `method` says where the limits come from.
+    deviance residuals. `covariance` is that of the coefficients, ln σ and the shape where they are fitted; `method` says where the limits come from.
     """
 
     family: str
@@ -123,10 +128,22 @@ class LifeRegression:
         w = float(self.error.quantile_of_survival(np.array(1 - failed_share)))
         row = np.concatenate(([1.0], x))
         centre = float(row @ [c.value.value for c in self.coefficients]) + self.sigma.value * w
-        slope = np.append(row, self.sigma.value * w)[: self.covariance.shape[0]]
+        slope = np.concatenate((row, self.sigma.value * np.array([w, self._quantile_slope(failed_share)])))
+        slope = slope[: self.covariance.shape[0]]
         drop = critical_drop(self.failures, len(self.coefficients))
         half = float(np.sqrt(2 * drop * max(float(slope @ self.covariance @ slope), 0.0)))
         return Estimate(*(float(np.exp(centre + side * half)) for side in (0, -1, 1)))
+
+
+    def _quantile_slope(self, failed_share: float) -> float:
+        """Change of w at a share with the shape of a generalised gamma."""
+        if self.shape is None:
+            return 0.0
+        less, more = (
+            float(log_gamma(self.shape.value + step).quantile_of_survival(np.array(1 - failed_share)))
+            for step in (-_SHAPE_STEP, _SHAPE_STEP)
+        )
+        return (more - less) / (2 * _SHAPE_STEP)
 
 
 def fit_life_regression(
@@ -223,7 +240,37 @@ class _Model:
     def maximum(self) -> _Best:
         if self.family != GENERALISED_GAMMA:
             return self._best(_ERRORS[self.family], float("nan"))
-        # Concave at each shape, so that only the shape is searched; where it starts from tells the parabola of three.
+        sample = self._sample()
+        shape, start = sample.search_shape()
+        if sample is not self:
+            start = self._bring(sample, start)
+            shape, start = self.refine_shape(shape, start)
+        if min(shape - _SHAPES[0], _SHAPES[1] - shape) < 1e-3:
+            raise NotIdentifiableError(
+                "the likelihood has no maximum at a finite shape",
+                expected="more failures, or another family",
+            )
+        return self._best(log_gamma(shape), shape, start)
+
+    def _sample(self) -> _Model:
+        """Every so many-th of the lives where there are too many to search the shape with all of them."""
+        every = self.lives.lower.size // _MOST_SEARCHED
+        if every < 2:
+            return self
+        order = np.lexsort((self.lives.lower, np.isfinite(self.lives.upper)))
+        rows = np.zeros(order.size, dtype=np.bool_)
+        rows[order[every // 2 :: every]] = True
+        x = self.x[rows]
+        if np.linalg.matrix_rank(np.column_stack((np.ones(x.shape[0]), x))) <= x.shape[1]:
+            return self
+        return _Model(self.lives.keep(rows), x, self.family)
+
+    def _bring(self, other: _Model, start: Float) -> Float:
+        """(1/σ, c/σ) of another model in the columns of this one."""
+        return np.concatenate((start[:1], np.linalg.solve(self.to_plain, other.to_plain @ start[1:])))
+
+    def search_shape(self) -> tuple[float, Float]:
+        """The best shape, and (1/σ, c/σ) there. The likelihood is concave at each shape, so that only the shape is searched."""
         start: Float | None = None
 
         def loss(q: float) -> float:
@@ -241,15 +288,45 @@ class _Model:
         low = coarse[middle - 1] if middle else _SHAPES[0]
         high = coarse[middle + 1] if middle + 1 < coarse.size else _SHAPES[1]
         shape = float(optimize.minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": 1e-6}).x)
-        if min(shape - _SHAPES[0], _SHAPES[1] - shape) < 1e-3:
-            raise NotIdentifiableError(
-                "the likelihood has no maximum at a finite shape",
-                expected="more failures, or another family",
-            )
-        return self._best(log_gamma(shape), shape)
+        if start is None:
+            raise NotIdentifiableError("the likelihood of the generalised gamma has no maximum at finite parameters")
+        return shape, start[0]
 
-    def _best(self, error: ErrorDistribution, shape: float) -> _Best:
-        found = maximise(self.logs, self.design, error, sigma=self.held_sigma)
+    def refine_shape(self, shape: float, start: Float) -> tuple[float, Float]:
+        """The best shape and its (1/σ, c/σ) from one nearby and its (1/σ, c/σ), by Newton's steps in all of them at once."""
+        at = np.append(start, shape)
+        value, gradient, hessian = self.around_shape(at)
+        for _ in range(_NEWTON_STEPS):
+            step = np.linalg.solve(-hessian, gradient)
+            for _ in range(_HALVINGS):
+                trial = at + step
+                if trial[0] > 0 and _SHAPES[0] < trial[-1] < _SHAPES[1]:
+                    there = self.around_shape(trial)
+                    if there[0] >= value - 1e-12 * abs(value):
+                        break
+                step = step / 2
+            else:
+                break
+            at, (value, gradient, hessian) = trial, there
+            if abs(step[-1]) < _SMALL_STEP:
+                break
+        return float(at[-1]), at[:-1]
+
+    def around_shape(self, at: Float) -> tuple[float, Float, Float]:
+        """Log-likelihood of (1/σ, c/σ, shape), with two derivatives; those by the shape are differences."""
+        here, less, more = (
+            differentiate(self.logs, self.design, log_gamma(at[-1] + step), at[None, :-1])
+            for step in (0.0, -_SHAPE_STEP, _SHAPE_STEP)
+        )
+        own = (more[0][0] + less[0][0] - 2 * here[0][0]) / _SHAPE_STEP**2
+        mixed = (more[1][0] - less[1][0]) / (2 * _SHAPE_STEP)
+        slope = (more[0][0] - less[0][0]) / (2 * _SHAPE_STEP)
+        hessian = np.block([[here[2][0], mixed[:, None]], [mixed[None, :], np.array([[own]])]])
+        return float(here[0][0]), np.append(here[1][0], slope), hessian
+
+    def _best(self, error: ErrorDistribution, shape: float, start: Float | None = None) -> _Best:
+        begin = None if start is None else start[None, :]
+        found = maximise(self.logs, self.design, error, sigma=self.held_sigma, start=begin)
         found = converged_single(found, f"{self.family} regression")
         c, sigma = found.coefficients[0], float(found.sigma[0])
         if (np.abs(c[1:]) > _FAR * max(sigma, 1e-3)).any() and sigma < 1e-4:
@@ -277,10 +354,10 @@ class _Fitted:
     def __init__(self, model: _Model, design: Design, best: _Best) -> None:
         self.model, self.names, self.best = model, design, best
         self.error = _ERRORS.get(model.family) or log_gamma(best.shape)
-        self.covariance, self.shape_sd = self._covariance()
+        self.covariance = self._covariance()
 
-    def _covariance(self) -> tuple[Float, float]:
-        """Of plain coefficients and ln σ (none of σ where it is held), and the standard deviation of the shape."""
+    def _covariance(self) -> Float:
+        """Of plain coefficients, ln σ (not where it is held) and the shape (of a generalised gamma)."""
         model, best = self.model, self.best
         scaled = np.linalg.solve(model.to_plain, best.coefficients)
         p = scaled.size
@@ -295,27 +372,15 @@ class _Fitted:
         if model.family == EXPONENTIAL:
             information, change = information[1:, 1:], change[1:, :p]
             inverse = np.linalg.inv(change.T @ information @ change)
-            return np.asarray(model.to_plain @ inverse @ model.to_plain.T), float("nan")
-        full = change.T @ information @ change
+            return np.asarray(model.to_plain @ inverse @ model.to_plain.T)
         if model.family == GENERALISED_GAMMA:
-            full = self._with_shape(full, change, at)
+            information = -model.around_shape(np.append(at[0], best.shape))[2]
+            change = np.block([[change, np.zeros((1 + p, 1))], [np.zeros((1, 1 + p)), np.ones((1, 1))]])
+        full = change.T @ information @ change
         inverse = np.linalg.inv(full)
         back = np.eye(full.shape[0])
         back[:p, :p] = model.to_plain
-        covariance = back @ inverse @ back.T
-        sd = float(np.sqrt(covariance[-1, -1])) if model.family == GENERALISED_GAMMA else float("nan")
-        return np.asarray(covariance[: p + 1, : p + 1]), sd
-
-    def _with_shape(self, information: Float, change: Float, at: Float) -> Float:
-        """The information with a row for the shape, from differences over it."""
-        step = 1e-3
-        around = [
-            differentiate(self.model.logs, self.model.design, log_gamma(self.best.shape + s), at) for s in (-step, step)
-        ]
-        here = self.best.log_likelihood
-        mixed = -(around[1][1][0] - around[0][1][0]) / (2 * step) @ change
-        own = -(around[0][0][0] + around[1][0][0] - 2 * here) / step**2
-        return np.block([[information, mixed[:, None]], [mixed[None, :], np.array([[own]])]])
+        return np.asarray(back @ inverse @ back.T)
 
     @property
     def coefficients(self) -> int:
@@ -413,11 +478,12 @@ class _Fitted:
         if model.family == EXPONENTIAL:
             sigma = Estimate(1.0, 1.0, 1.0)
         else:
-            ends = self._profile_sigma(drop, errors[-1]) if profiled else _around(log_sigma, drop, errors[-1])
+            step = errors[best.coefficients.size]
+            ends = self._profile_sigma(drop, step) if profiled else _around(log_sigma, drop, step)
             sigma = Estimate(best.sigma, *(float(np.exp(end)) for end in ends))
         shape = None
         if model.family == GENERALISED_GAMMA:
-            shape = Estimate(best.shape, *_around(best.shape, drop, self.shape_sd))
+            shape = Estimate(best.shape, *_around(best.shape, drop, errors[-1]))
         return tuple(found), sigma, shape, "profile likelihood" if profiled else "observed information"
 
     def _profile(self, column: int, drop: float, step: float) -> tuple[float, float]:

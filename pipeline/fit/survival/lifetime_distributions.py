@@ -101,7 +101,7 @@ class Lives:
     def distinct_failures(self) -> int:
         """Number of different failure times or intervals."""
         known = np.isfinite(self.upper)
-        return len(set(zip(self.lower[known].tolist(), self.upper[known].tolist(), strict=True)))
+        return int(np.unique(self.lower[known] + 1j * self.upper[known]).size)
 
     @property
     def simple(self) -> bool:

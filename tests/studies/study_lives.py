@@ -1,0 +1,151 @@
+"""Do the 95 % intervals of the life regressions hold their level, family by family, down to ten specimens per group?
+
+    python -m tests.studies.study_lives [--draws N] [--seed N]
+
+Lives are drawn at three voltages by each family, and fitted by the family that they were drawn by; the shares of draws whose
+interval contains the truth are printed for the exponent, the scatter, the shape, and the median life at a voltage below the
+lowest one tested.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.fit.survival.covariates import CATEGORY, INVERSE_POWER, Covariate, make_design
+from pipeline.fit.survival.cox_regression import fit_cox
+from pipeline.fit.survival.error_distributions import LOGISTIC, log_gamma
+from pipeline.fit.survival.kaplan_meier import Estimate
+from pipeline.fit.survival.life_regression import FAMILIES, fit_life_regression
+from pipeline.fit.survival.lifetime_distributions import EXPONENTIAL, WEIBULL, Lives
+from pipeline.fit.survival.log_location_scale import NORMAL, SMALLEST_EXTREME_VALUE
+from schemas.arrays import Float
+from schemas.errors import DealabError
+
+VOLTAGES_KV, USE_KV = (4.0, 5.0, 6.0), 3.0
+INTERCEPT, EXPONENT, SIGMA, SHAPE = 18.0, -6.0, 0.6, 0.5
+ESTIMATES = ("exponent", "scatter", "shape", f"median life at {USE_KV:g} kV")
+ERRORS = {
+    "exponential": SMALLEST_EXTREME_VALUE,
+    "weibull": SMALLEST_EXTREME_VALUE,
+    "log-normal": NORMAL,
+    "log-logistic": LOGISTIC,
+    "generalised gamma": log_gamma(SHAPE),
+}
+
+
+@dataclass(frozen=True)
+class Design:
+    """Specimens per voltage, share of all lives that the end of the test cuts off, and whether failures are inspected."""
+
+    specimens: int
+    censored: float
+    inspected: bool = False
+
+    def __str__(self) -> str:
+        how = "found at inspections" if self.inspected else "timed"
+        return f"{self.specimens} per voltage, {100 * self.censored:.0f} % censored, {how}"
+
+
+DESIGNS = (Design(10, 0.0), Design(10, 0.3), Design(10, 0.3, inspected=True), Design(40, 0.3))
+
+
+def draw(family: str, design: Design, rng: np.random.Generator) -> tuple[Lives, Float, Float]:
+    """Lives in s of one campaign, their voltages in kV, and w: standardised lives."""
+    voltage = np.repeat(VOLTAGES_KV, design.specimens)
+    w = ERRORS[family].quantile_of_survival(rng.uniform(size=voltage.size))
+    sigma = 1.0 if family == EXPONENTIAL else SIGMA
+    life = np.exp(INTERCEPT + EXPONENT * np.log(voltage) + sigma * w)
+    # Each voltage has an end of its own, at the same share of its lives.
+    end = np.inf
+    if design.censored:
+        cut = float(ERRORS[family].quantile_of_survival(np.array(design.censored)))
+        end = np.exp(INTERCEPT + EXPONENT * np.log(voltage) + sigma * cut)
+    failed = life <= end
+    if not design.inspected:
+        return Lives(np.minimum(life, end), np.where(failed, life, np.inf)), voltage, w
+    step = np.exp(INTERCEPT + EXPONENT * np.log(voltage)) / 8
+    before = np.floor(np.minimum(life, end) / step) * step
+    return Lives(np.where(failed, before, end), np.where(failed, before + step, np.inf)), voltage, w
+
+
+def judge(family: str, design: Design, draws: int, seed: int) -> tuple[dict[str, float], int, str]:
+    """Share of the intervals that hold the truth by estimate, how many draws were refused, and the method in use."""
+    rng = np.random.default_rng((seed, FAMILIES.index(family), DESIGNS.index(design)))
+    sigma = 1.0 if family == EXPONENTIAL else SIGMA
+    middle = float(ERRORS[family].quantile_of_survival(np.array(0.5)))
+    life = float(np.exp(INTERCEPT + EXPONENT * np.log(USE_KV) + sigma * middle))
+    truth = dict(zip(ESTIMATES, (EXPONENT, sigma, SHAPE, life), strict=True))
+    held: Counter[str] = Counter()
+    counted: Counter[str] = Counter()
+    refused, methods = 0, set()
+    for _ in range(draws):
+        lives, voltage, _ = draw(family, design, rng)
+        try:
+            fit = fit_life_regression(lives, [Covariate("voltage", INVERSE_POWER, voltage, "kV")], family)
+        except DealabError:
+            refused += 1
+            continue
+        methods.add(fit.method)
+        found: tuple[Estimate | None, ...] = (
+            fit.coefficients[1].value,
+            None if family == EXPONENTIAL else fit.sigma,
+            fit.shape,
+            fit.life_at(np.log([USE_KV])),
+        )
+        for name, one in zip(ESTIMATES, found, strict=True):
+            if one is not None:
+                counted[name] += 1
+                held[name] += not one.lower > truth[name] and not one.upper < truth[name]
+    return {name: held[name] / number for name, number in counted.items()}, refused, " or ".join(sorted(methods))
+
+
+def judge_cox(design: Design, draws: int, seed: int) -> tuple[int, int, int]:
+    """(held, counted, refused) of the logarithm of Cox's hazard ratio between two electrodes, of Weibull lives."""
+    rng = np.random.default_rng((seed, len(FAMILIES), DESIGNS.index(design)))
+    held = counted = refused = 0
+    for _ in range(draws):
+        lives, voltage, _ = draw(WEIBULL, design, rng)
+        kind = rng.permutation(np.repeat([0.0, 1.0], [voltage.size // 2, voltage.size - voltage.size // 2]))
+        # A life longer by 0.5 in ln t is a hazard lower by 0.5/σ; the end of the test moves along.
+        longer = np.exp(0.5 * kind)
+        moved = Lives(lives.lower * longer, lives.upper * longer)
+        covariates = [
+            Covariate("voltage", INVERSE_POWER, voltage, "kV"),
+            Covariate("electrode", CATEGORY, np.where(kind > 0, "b", "a").tolist()),
+        ]
+        try:
+            effect = fit_cox(moved, make_design(covariates, moved.exact)).effects[1].value
+        except DealabError:
+            refused += 1
+            continue
+        counted += 1
+        held += effect.lower <= -0.5 / SIGMA <= effect.upper
+    return held, counted, refused
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--draws", type=int, default=1000, help="draws per family and design")
+    parser.add_argument("--seed", type=int, default=3)
+    arguments = parser.parse_args()
+    print(f"| family | specimens | {' | '.join(ESTIMATES)} | not fitted | method |\n|---|---|{'---:|' * (len(ESTIMATES) + 1)}---|")
+    for family in FAMILIES:
+        for design in DESIGNS:
+            shares, refused, method = judge(family, design, arguments.draws, arguments.seed)
+            cells = (f"{100 * shares[name]:.1f} %" if name in shares else "" for name in ESTIMATES)
+            print(f"| {family} | {design} | {' | '.join(cells)} | {refused} | {method} |", flush=True)
+    for design in DESIGNS:
+        if not design.inspected:
+            held, counted, refused = judge_cox(design, arguments.draws, arguments.seed)
+            print(f"| Cox, ln hazard ratio | {design} | {100 * held / counted:.1f} % | | | | {refused} | information |", flush=True)
+    print(f"\n{arguments.draws} draws each; the shares of those that were fitted.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
