@@ -13,7 +13,6 @@ import numpy as np
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.life_models import life_model_tables
 from pipeline.fit.survival.groups import SurvivalGroup, SurvivalResults, survival_group
-from pipeline.fit.survival.kaplan_meier import KaplanMeier
 from pipeline.fit.survival.turnbull import Turnbull
 from pipeline.fit.survival.voltage_life import VoltageLife
 from schemas.lifetimes import LifetimeRow
@@ -72,49 +71,34 @@ def _residuals(campaign: str | None, configuration: str | None, law: VoltageLife
 
 
 def _curve(group: SurvivalGroup) -> pa.Table:
-    """The curve's rows, after a row at time 0 where nobody had failed yet (unless somebody did, at 0 s)."""
-    return _turnbull(group, group.curve) if isinstance(group.curve, Turnbull) else _kaplan_meier(group, group.curve)
+    """The curve's rows, after a row at time 0 where nobody had failed yet (unless somebody did, at 0 s).
 
-
-def _turnbull(group: SurvivalGroup, curve: Turnbull) -> pa.Table:
-    def column(first: float, values: np.ndarray) -> np.ndarray:
-        return np.concatenate((np.array([first], dtype=values.dtype), values))
-
-    return TABLES["survival_curves"].arrays(
-        curve.ends.size + 1,
-        campaign=group.campaign,
-        configuration=group.configuration,
-        voltage_kv=group.voltage_kv,
-        time_s=column(0.0, curve.ends),
-        at_risk=column(curve.specimens, curve.at_risk),
-        survival=column(1.0, curve.survival),
-        lower_95=column(np.nan, curve.lower),
-        upper_95=column(np.nan, curve.upper),
-        method="turnbull",
-        from_s=column(0.0, curve.begins),
-    )
-
-
-def _kaplan_meier(group: SurvivalGroup, curve: KaplanMeier) -> pa.Table:
-    lead = int(curve.time[0] > 0)
+    Of Turnbull's curve nobody knows who failed at its times.
+    """
+    curve = group.curve
+    if isinstance(curve, Turnbull):
+        method, time, begins, counts = "turnbull", curve.ends, curve.begins, {}
+    else:
+        counts = {"failures": curve.failures, "censored": curve.censored}
+        method, time, begins = "kaplan-meier", curve.time, curve.time
+    lead = int(time[0] > 0)
 
     def column(first: float, values: np.ndarray) -> np.ndarray:
         return np.concatenate((np.full(lead, first, dtype=values.dtype), values))
 
     return TABLES["survival_curves"].arrays(
-        curve.time.size + lead,
+        time.size + lead,
         campaign=group.campaign,
         configuration=group.configuration,
         voltage_kv=group.voltage_kv,
-        time_s=column(0.0, curve.time),
+        time_s=column(0.0, time),
         at_risk=column(curve.specimens, curve.at_risk),
-        failures=column(0, curve.failures),
-        censored=column(0, curve.censored),
         survival=column(1.0, curve.survival),
         lower_95=column(np.nan, curve.lower),
         upper_95=column(np.nan, curve.upper),
-        method="kaplan-meier",
-        from_s=column(0.0, curve.time),
+        method=method,
+        from_s=column(0.0, begins),
+        **{name: column(0, number) for name, number in counts.items()},
     )
 
 
