@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.life_models import NO_FAMILY, CampaignLives, LifeModel
 from schemas.numbers import p_equals, significant
 from schemas.tables import TABLES
@@ -87,6 +90,7 @@ def _coefficients(one: CampaignLives) -> list[dict[str, Any]]:
             **_bounded("value", found.value),
             "standard_error": found.standard_error,
             "p_value": found.p_value,
+            **(_factor(one, found.name, found.value) if model.chosen else {}),
         }
         for model in one.models
         for found in model.regression.coefficients
@@ -104,9 +108,20 @@ def _coefficients(one: CampaignLives) -> list[dict[str, Any]]:
                 **_bounded("value", effect.value),
                 "standard_error": effect.standard_error,
                 "p_value": effect.p_value,
+                **_factor(one, effect.name, effect.value),
             }
         )
     return rows
+
+
+def _factor(one: CampaignLives, coefficient: str, value: Estimate) -> dict[str, Any]:
+    """The effect of a coefficient over the contrast of its covariate, as a factor."""
+    for contrast in one.contrasts:
+        if contrast.coefficient == coefficient:
+            ends = sorted(np.exp(contrast.change * np.array([value.lower, value.upper])).tolist())
+            factor = Estimate(float(np.exp(contrast.change * value.value)), *ends)
+            return {"contrast": contrast.words, **_bounded("factor", factor)}
+    return {}
 
 
 def _groups(one: CampaignLives) -> list[dict[str, Any]]:
@@ -159,8 +174,11 @@ def _residuals(one: CampaignLives) -> list[dict[str, Any]]:
             "failed": row.failed,
             "cox_snell": hazard,
             "deviance": deviance,
+            "observed_hazard": observed,
         }
-        for row, conditions, hazard, deviance in zip(one.rows, one.conditions, fit.cox_snell, fit.deviance, strict=True)
+        for row, conditions, hazard, deviance, observed in zip(
+            one.rows, one.conditions, fit.cox_snell, fit.deviance, one.observed_hazards, strict=True
+        )
     ]
 
 

@@ -32,8 +32,8 @@ def analyse_survival(lives: Sequence[LifetimeRow]) -> Analysis:
 
 
 def survival_tables(results: SurvivalResults) -> dict[str, pa.Table]:
-    """Tables `survival_curves`, `survival_summaries`, `survival_comparisons`, `lifetime_distributions`,
-    `failure_causes`, `voltage_life`, `voltage_residuals` and those of `life_model_tables`.
+    """Tables `survival_curves`, `survival_summaries`, `survival_comparisons`, `survival_notes`, `lifetime_distributions`,
+    `lifetime_quantiles`, `failure_causes`, `voltage_life`, `voltage_residuals` and those of `life_model_tables`.
     """
     made: dict[str, list[pa.Table]] = {
         "survival_curves": [_curve(group) for group in results.groups],
@@ -44,6 +44,8 @@ def survival_tables(results: SurvivalResults) -> dict[str, pa.Table]:
             )
         ],
         "lifetime_distributions": [_distributions(group) for group in results.groups],
+        "lifetime_quantiles": [_quantiles(group) for group in results.groups],
+        "survival_notes": [TABLES["survival_notes"].from_objects(results.notes, statement=lambda note: note.text)],
         "failure_causes": [cause for group in results.groups for cause in _causes(group)],
         "voltage_life": [_law(*law) for law in results.voltage_life],
         "voltage_residuals": [_residuals(*law) for law in results.voltage_life],
@@ -130,6 +132,15 @@ def _distributions(group: SurvivalGroup) -> pa.Table:
         }
         for fit in group.distributions
         for name, estimate in fit.parameters.items()
+    )
+
+
+def _quantiles(group: SurvivalGroup) -> pa.Table:
+    return TABLES["lifetime_quantiles"].from_objects(
+        group.quantiles,
+        campaign=group.campaign,
+        configuration=group.configuration,
+        voltage_kv=group.voltage_kv,
     )
 
 

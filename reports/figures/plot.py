@@ -239,6 +239,10 @@ class Panel:
             back = list(zip(p[::-1].tolist(), lower[::-1].tolist(), strict=True))
             self.drawing.area(there + back, colour, opacity=opacity, clip=self._clip)
 
+    def area(self, points: Sequence[tuple[float, float]], colour: str, opacity: str = ".18") -> None:
+        """A shaded area around points in px, cut at the edges of the axes."""
+        self.drawing.area(points, colour, opacity=opacity, clip=self._clip)
+
     def dots(
         self, x: ArrayLike, y: ArrayLike, colour: str, size: float = 4.2, *, marker: str = "circle", open_: bool = False
     ) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import NormalDist
 from textwrap import wrap
 
 import numpy as np
@@ -15,15 +16,29 @@ from reports.figures.plot import WIDE, Panel, Scale, logarithmic, note, symmetri
 from reports.figures.svg import Drawing
 from reports.names import short
 from schemas.arrays import Float, Int
-from schemas.numbers import pm
 
 _FEW = 3
 """Up to so many groups have room for a second line beside their name."""
 
 
+WEIBULL, LOG_NORMAL = "weibull", "log-normal"
+
+
+@dataclass(frozen=True)
+class FittedLaw:
+    """A fitted line ln t = location + sigma w of a probability plot, what to say of it, and its band at q shares failed."""
+
+    location: float
+    sigma: float
+    words: str
+    share: Float
+    lower: Float
+    upper: Float
+
+
 @dataclass(frozen=True)
 class GroupCurve:
-    """Survival curve of a group at m times, and its Weibull law where one was fitted.
+    """Survival curve of a group at m times, and the laws that were fitted to it, by name.
 
     `failures` says where the curve falls; where only inspections tell that, `inspected_failed` is how many failed in all.
     """
@@ -37,9 +52,7 @@ class GroupCurve:
     at_risk: Int
     censored: Int
     failures: Int
-    shape: float | None = None
-    shape_sd: float | None = None
-    scale: float | None = None
+    laws: Mapping[str, FittedLaw] = field(default_factory=dict)
     inspected_failed: int | None = None
 
     @property
@@ -133,49 +146,72 @@ def _at_risk(panel: Panel, groups: Sequence[GroupCurve], ticks: Sequence[float],
             panel.drawing.text(p, y, str(g.still_at_risk(t)), size=11.3, anchor="middle")
 
 
-def weibull(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> Markup:
-    """Share failed on Weibull scales: on a line where the law holds; the residual is read from the line itself."""
+def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt: str) -> Markup:
+    """Share failed on the scale of a law, with the band of its fit: points on the line where the law holds."""
+    w, name = _LAWS[law]
     drawing = Drawing(WIDE, 286 + 17.0 * (len(groups) + 1))
     points = [(g, *_plotted(g)) for g in groups]
     times = [t for _, t, _ in points]
     panel = Panel(
-        drawing, 46, 26, 380, drawing.height - 26 - 54, logarithmic(*times, margin=0.08), Scale(_w(0.015), _w(0.985))
+        drawing, 46, 26, 380, drawing.height - 26 - 54, logarithmic(*times, margin=0.08), Scale(w(0.015), w(0.985))
     )
-    ticks = (0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98)
-    panel.axes("Failed, % (Weibull scale)", time_title, y_ticks=[])
-    for share in ticks:
-        y = float(panel.py([_w(share)])[0])
+    panel.axes(f"Failed, % ({name} scale)", time_title, y_ticks=[])
+    for share in (0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98):
+        y = float(panel.py([w(share)])[0])
         drawing.segments([(panel.left - 4.5, y, panel.left, y)], SECOND)
         drawing.text(panel.left - 7, y + 4, tick_text(100 * share), size=11.3, colour=SECOND, anchor="end")
-    entries: list[tuple[GroupCurve, float, float]] = []
+    fitted = [(g, g.laws[law]) for g in groups if law in g.laws]
+    for g, line in fitted:
+        heights = panel.py([w(share) for share in line.share.tolist()]).tolist()
+        if heights:
+            there = list(zip(panel.px(line.lower).tolist(), heights, strict=True))
+            back = list(zip(panel.px(line.upper).tolist(), heights, strict=True))[::-1]
+            panel.area([p for p in there + back if all(map(math.isfinite, p))], g.drawn.colour, ".12")
     for g, time, failed in points:
-        panel.dots(time, [_w(s) for s in failed.tolist()], g.drawn.colour, 5.2, marker=g.drawn.marker)
-        if g.shape and g.scale:
-            height = np.linspace(panel.y.low, panel.y.high, 3)
-            panel.curve(g.scale * np.exp(height / g.shape), height, g.drawn.colour, 1.5)
-            entries.append((g, g.shape, g.scale))
-    for i, (g, shape, scale) in enumerate(sorted(entries, key=lambda e: e[2])):
-        words = f"shape {pm(shape, g.shape_sd)}" if g.shape_sd else f"shape {shape:.2g}"
-        lines = [*wrap(short(g.name, 44), 24), words][: None if len(entries) <= _FEW else 1]
-        wide = 6.6 * max(len(line) for line in lines)
-        level, side = (0.93, "end") if i == 0 else (0.035 if i % 2 else 0.12, None)
-        x = float(panel.px([scale * math.exp(_w(level) / shape)])[0])
-        if side and x - wide - 14 < panel.left:
-            level, side = 0.05, None
-            x = float(panel.px([scale * math.exp(_w(level) / shape)])[0])
-        if not side and x + wide + 14 > panel.right + 44:
-            side = "end"
-        y = float(panel.py([_w(level)])[0])
-        for k, line in enumerate(lines):
-            drawing.text(
-                x + (-14 if side else 14), y + 14 * k, line, size=11.3, colour=g.drawn.colour, anchor=side, bold=True
-            )
+        panel.dots(time, [w(s) for s in failed.tolist()], g.drawn.colour, 5.2, marker=g.drawn.marker)
+    for g, line in fitted:
+        height = np.linspace(panel.y.low, panel.y.high, 3)
+        panel.curve(np.exp(line.location + line.sigma * height), height, g.drawn.colour, 1.5)
+    for i, (g, line) in enumerate(sorted(fitted, key=lambda e: e[1].location)):
+        _name_line(panel, g, line, w, i, words=len(fitted) <= _FEW)
     return drawing.image(alt)
+
+
+def _name_line(
+    panel: Panel, g: GroupCurve, line: FittedLaw, w: Callable[[float], float], place: int, *, words: bool
+) -> None:
+    """The group's name beside its line: of the first one left of it, high up, of the others right of it, low down."""
+    lines = [*wrap(short(g.name, 44), 24), line.words][: None if words else 1]
+    wide = 6.6 * max(len(text) for text in lines)
+
+    def at(level: float) -> float:
+        return float(panel.px(math.exp(line.location + line.sigma * w(level))))
+
+    level, side = (0.93, "end") if place == 0 else (0.035 if place % 2 else 0.12, None)
+    x = at(level)
+    if side and x - wide - 14 < panel.left:
+        level, side = 0.05, None
+        x = at(level)
+    if not side and x + wide + 14 > panel.right + 44:
+        side = "end"
+    y = float(panel.py(w(level)))
+    # The line leans: left of it each line of text ends as far from it as the first one.
+    lean = (at(0.9) - at(0.1)) / float(panel.py(w(0.9)) - panel.py(w(0.1)))
+    for k, text in enumerate(lines):
+        moved = x + 14 * k * lean - 14 if side else x + 14
+        panel.drawing.text(moved, y + 14 * k, text, size=11.3, colour=g.drawn.colour, anchor=side, bold=True)
 
 
 def _w(share: float) -> float:
     """ln(−ln(1 − F)): Weibull laws are straight lines in it against ln t."""
     return math.log(-math.log1p(-share))
+
+
+_LAWS: Mapping[str, tuple[Callable[[float], float], str]] = {
+    WEIBULL: (_w, "Weibull"),
+    LOG_NORMAL: (NormalDist().inv_cdf, "log-normal"),
+}
+"""The scale of each law, on which it is a straight line against ln t, and its name."""
 
 
 def _plotted(g: GroupCurve) -> tuple[Float, Float]:

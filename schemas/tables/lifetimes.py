@@ -165,12 +165,42 @@ TABLES: tuple[Table, ...] = (
         pages=("campaign",),
     ),
     Table(
+        "lifetime_quantiles",
+        "time by which a share has failed by the fitted Weibull and log-normal distributions",
+        (
+            CONFIGURATION,
+            real("voltage_kv", "kV", "voltage"),
+            text("distribution", "weibull or log-normal"),
+            real("failed_share", "", "share failed"),
+            *with_bounds("time_s", "s", "time by which it has failed; limits of the profile likelihood"),
+            CAMPAIGN,
+        ),
+        key=("campaign", "configuration", "voltage_kv", "distribution", "failed_share"),
+        made_by=(MadeBy("group", group="survival"),),
+        pages=("campaign",),
+    ),
+    Table(
+        "survival_notes",
+        "lives that were left out or contradict themselves, and what the lives of a campaign cannot tell",
+        (
+            CAMPAIGN,
+            CONFIGURATION,
+            text("specimen_id", "the specimen; NULL where the note is about more than one"),
+            text("statement", "what is odd or was left out, and why"),
+        ),
+        key=("campaign", "configuration", "specimen_id", "statement"),
+        made_by=(MadeBy("group", group="survival"),),
+        pages=("campaign",),
+    ),
+    Table(
         "failure_causes",
         "probability of having failed by each cause (Aalen-Johansen)",
         (
             CONFIGURATION,
             real("voltage_kv", "kV", "voltage"),
-            text("failure_site", "the cause; unknown sites are one of their own"),
+            text(
+                "failure_site", "the cause: the site of the failure, else its mode; unknown ones are one of their own"
+            ),
             real("time_s", "s", "time"),
             whole("failures", "failures by this cause at this time"),
             real("probability", "", "probability to have failed by this cause"),
@@ -254,7 +284,7 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("campaign", "family", "stress_law"),
         made_by=(MadeBy("group", group="survival"),),
-        pages=(),
+        pages=("campaign",),
     ),
     Table(
         "life_coefficients",
@@ -269,10 +299,14 @@ TABLES: tuple[Table, ...] = (
             ),
             real("standard_error", "as value", "its standard error"),
             real("p_value", "", "that the covariate has no effect: likelihood ratio, of Cox's model Wald's"),
+            text("contrast", "what factor is over, such as 6 kV over 4 kV; NULL for models that were not chosen"),
+            *with_bounds(
+                "factor", "", "how many times as long lives are over the contrast; of Cox's model the ratio of hazards"
+            ),
         ),
         key=("campaign", "family", "stress_law", "coefficient"),
         made_by=(MadeBy("group", group="survival"),),
-        pages=(),
+        pages=("campaign",),
     ),
     Table(
         "life_group_fits",
@@ -291,7 +325,7 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("campaign", "conditions"),
         made_by=(MadeBy("group", group="survival"),),
-        pages=(),
+        pages=("campaign",),
     ),
     Table(
         "life_lines",
@@ -306,7 +340,7 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("campaign", "category", "stress", "stress_value"),
         made_by=(MadeBy("group", group="survival"),),
-        pages=(),
+        pages=("campaign",),
     ),
     Table(
         "life_residuals",
@@ -322,10 +356,15 @@ TABLES: tuple[Table, ...] = (
                 "cumulative hazard at the end of its life: exponential with mean 1 where the model is right",
             ),
             real("deviance", "", "deviance residual: above 0 failed early, below 0 late"),
+            real(
+                "observed_hazard",
+                "",
+                "cumulative hazard of the residuals there (Nelson-Aalen): equal to cox_snell where the model is right",
+            ),
         ),
         key=("campaign", "specimen_id", "cox_snell"),
         made_by=(MadeBy("group", group="survival"),),
-        pages=(),
+        pages=("campaign",),
     ),
     Table(
         "mode_effects",
@@ -342,6 +381,6 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("campaign", "failure_mode", "model", "coefficient"),
         made_by=(MadeBy("group", group="survival"),),
-        pages=(),
+        pages=("campaign",),
     ),
 )

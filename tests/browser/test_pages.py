@@ -27,6 +27,7 @@ KINDS = {
     "campaign": "campaigns/film-dynamics.html",
     "campaign-survival": "campaigns/RP-DEA*.html",
     "campaign-voltages": "campaigns/PET*.html",
+    "campaign-conditions": "campaigns/Endurance.html",
     "campaign-hostile": "campaigns/style*.html",
     "recording": "recordings/P-05_chirp-2.html",
     "recording-step": "recordings/P-07_step.html",

@@ -306,6 +306,24 @@ def test_what_was_refused_damaged_or_taken_out_appears(site: Path) -> None:
     assert "the fit did not converge" in (site / "specimens" / "P-06.html").read_text(encoding="utf-8")
 
 
+def test_what_lives_depend_on_and_what_was_left_out_stand_on_the_page(site: Path) -> None:
+    page = Parsed((site / "campaigns" / "Endurance.html").read_text(encoding="utf-8"))
+    text = "".join(page.text).replace("\u00a0", " ")
+    for said in (
+        "Life depends on electrode and voltage", "D-left-out: negative lifetime", "Log-normal check.", "Causes compete.",
+        "Dashed where nothing was tested", "Each group against the regression", "Effects on each mode of failure", "6 kV over 4 kV",
+    ):  # fmt: skip
+        assert said in text, said
+    drawn = " ".join(str(image["alt"]) for image in page.images)
+    for figure in (
+        "Median life against voltage, tested from 4 to 6",
+        "Effects on life",
+        "Cox–Snell",
+        "Deviance residuals",
+    ):
+        assert figure in drawn
+
+
 def test_findings_stand_in_the_index(site: Path) -> None:
     index = "".join(Parsed((site / "index.html").read_text(encoding="utf-8")).text).replace("\u00a0", " ")
     assert "Three specimens need a look; four behave as simulated; two are fitted, not diagnosed" in index

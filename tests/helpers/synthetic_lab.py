@@ -1,6 +1,7 @@
 """A lab's database without a lab: rows written straight into the tables, for tests of the pages.
 
-The numbers are those of a plausible campaign and come from closed forms written here; nothing of the analysis is used.
+The numbers are those of a plausible campaign and come from closed forms written here; nothing of the analysis is used but
+for the regressions of lives.
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ from typing import Any
 import duckdb
 import numpy as np
 
+from pipeline.analyse.survival import analyse_survival
 from pipeline.lab.snapshot import READABLE_FROM
 from schemas.control import REMEMBER
+from schemas.lifetimes import LifetimeRow
 from schemas.tables import TABLES
 from schemas.views import VIEWS
 
@@ -575,6 +578,7 @@ def whole_story() -> Story:
         )  # fmt: skip
     film_maps(story)
     voltages(story)
+    conditions(story)
     for direction in (1, 2):
         for stretch in np.arange(1.5, 3.05, 0.25):
             predicted = 2.0e-3 * 49 * stretch ** (2 if direction == 1 else 1)
@@ -705,6 +709,43 @@ def voltages(story: Story) -> None:
     story.rows["lifetime_distributions"].append(
         {"campaign": "RP-DEA lifetime", "configuration": "single AR", "voltage_kv": 7.5, "distribution": "weibull", "parameter": "shape", "value": 1.57, "lower_95": 1.1, "upper_95": 2.2, "log_likelihood": -90.0, "aic": 184.0, "distance": 0.1, "p_value": 0.6, "statement": "describes the lives"}
     )  # fmt: skip
+
+
+def conditions(story: Story) -> None:
+    """Lives over voltage, temperature and electrode, inspected in part, with modes that compete and rows left out.
+
+    The rows of the results are the pipeline's own: what belongs together in so many tables is too much to be made up.
+    """
+    story.recording("endurance", None, "lifetime", "electrical", campaign="Endurance", configuration=None)
+    random = np.random.default_rng(37)
+    rows = []
+    for voltage in (4.0, 5.0, 6.0):
+        for electrode, celsius in (("carbon grease", 23.0), ("silver", 23.0), ("carbon grease", 60.0)):
+            for k in range(8):
+                name = f"D-{voltage:g}-{electrode[:2]}-{celsius:g}-{k}"
+                film = 16 - 6 * np.log(voltage) + 0.9 * (electrode == "silver") - 0.5 * (celsius > 50)
+                lead = 10.6 - 1.5 * np.log(voltage) + 0.6 * np.log(random.exponential())
+                life = min(film + 0.5 * np.log(random.exponential()), lead)
+                failed = bool(life < np.log(2400))
+                mode = ("lead" if life == lead else "film") if failed else None
+                row = {
+                    "specimen_id": name, "configuration": "patch", "campaign": "Endurance", "voltage_kv": voltage, "lifetime_s": float(min(np.exp(life), 2400)),
+                    "failed": failed, "failure_mode": mode, "electrode": electrode, "temperature_c": celsius,
+                }  # fmt: skip
+                rows.append(LifetimeRow(**row))
+                story.rows["lifetimes"].append({**row, "recording_id": None})
+    rows.append(
+        LifetimeRow(
+            specimen_id="D-left-out",
+            lifetime_s=-3.0,
+            failed=True,
+            configuration="patch",
+            campaign="Endurance",
+            voltage_kv=9.0,
+        )
+    )
+    for name, table in analyse_survival(rows).joined().items():
+        story.rows[name] += table.to_pylist()
 
 
 def refused(story: Story) -> None:

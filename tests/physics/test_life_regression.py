@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pipeline.analyse.survival import analyse_survival
+from pipeline.fit.survival import life_regression
 from pipeline.fit.survival.cause_regression import fit_cause_regression, fit_fine_gray
 from pipeline.fit.survival.covariates import (
     ARRHENIUS,
@@ -18,8 +20,10 @@ from pipeline.fit.survival.covariates import (
     make_design,
 )
 from pipeline.fit.survival.cox_regression import EFRON, EXACT, fit_cox
+from pipeline.fit.survival.error_distributions import log_gamma
 from pipeline.fit.survival.life_regression import FAMILIES, LifeRegression, fit_life_regression
-from pipeline.fit.survival.lifetime_distributions import Lives
+from pipeline.fit.survival.lifetime_distributions import Lives, estimate_quantiles, fit_distribution
+from pipeline.fit.survival.log_location_scale import NORMAL
 from schemas.errors import DealabError
 from schemas.lifetimes import LifetimeRow
 from tests.physics.published_lives import (
@@ -196,6 +200,43 @@ def test_covariate_of_one_mode_is_told_from_that_of_the_other() -> None:
     assert by_lead.fine_gray.effects[0].value.upper < 0.0
 
 
+def test_shape_of_many_lives_is_found_with_a_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    lives, covariates = draw("generalised gamma", 21, 1200)
+    plain = fit_life_regression(lives, covariates, "generalised gamma")
+    monkeypatch.setattr(life_regression, "_MOST_SEARCHED", 300)
+    sampled = fit_life_regression(lives, covariates, "generalised gamma")
+    assert plain.shape is not None
+    assert sampled.shape is not None
+    assert sampled.shape.value == pytest.approx(plain.shape.value, abs=2e-5)
+    assert sampled.log_likelihood == pytest.approx(plain.log_likelihood, abs=1e-8)
+    first, second = (fit.life_at(np.array([np.log(4.0), 0.0])) for fit in (plain, sampled))
+    assert [second.lower, second.upper] == pytest.approx([first.lower, first.upper], rel=1e-3)
+
+
+@pytest.mark.parametrize("q", [-1e-3, 2e-4, 1e-3])
+def test_log_gamma_goes_over_into_the_normal(q: float) -> None:
+    z = np.linspace(-3, 3, 7)
+    for near, limit in (
+        (log_gamma(q).exact, NORMAL.exact),
+        (log_gamma(q).right, NORMAL.right),
+        (log_gamma(q).left, NORMAL.left),
+    ):
+        for found, expected in zip(near(z), limit(z), strict=True):
+            assert found == pytest.approx(expected, abs=30 * abs(q))
+
+
+def test_quantile_at_the_scale_has_the_limits_of_the_scale() -> None:
+    """The share 1 − 1/e of a Weibull law and the half of a log-normal one have failed at their scale parameters."""
+    lives = Lives(*SHOCK_ABSORBERS)
+    for name, parameter, share in (("weibull", "scale_s", 1 - np.exp(-1)), ("log-normal", "median_s", 0.5)):
+        fit = fit_distribution(lives, name, goodness=False)
+        (found,) = estimate_quantiles(lives, fit, [share])
+        expected = fit.parameters[parameter]
+        assert [found.time_s.value, found.time_s.lower, found.time_s.upper] == pytest.approx(
+            [expected.value, expected.lower, expected.upper], rel=1e-5
+        )
+
+
 FIVE = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
 
 
@@ -273,6 +314,87 @@ def test_tables_of_a_campaign() -> None:
     assert tables["life_residuals"].num_rows == 30
     assert any(row["extrapolated"] for row in tables["life_lines"].to_pylist())
     assert {row["model"] for row in tables["mode_effects"].to_pylist()} == {"cause-specific", "fine-gray"}
+
+
+def test_effects_over_contrasts_and_hazards_of_residuals() -> None:
+    tables = analyse_survival(lives_of_a_campaign()).joined()
+    chosen = next(model for model in tables["life_regressions"].to_pylist() if model["chosen"])
+    rows = {
+        (row["family"], row["coefficient"]): row
+        for row in tables["life_coefficients"].to_pylist()
+        if row["stress_law"] == chosen["stress_law"]
+    }
+    change = np.log(6 / 4) if chosen["stress_law"] == "inverse power" else 2.0
+    for family in (chosen["family"], "cox"):
+        row = rows[family, "voltage_kv"]
+        assert row["contrast"] == "6\u00a0kV over 4\u00a0kV"
+        assert row["factor"] == pytest.approx(np.exp(change * row["value"]))
+        assert row["factor_lower"] < row["factor"] < row["factor_upper"]
+    assert rows[chosen["family"], "electrode: silver"]["contrast"] == "silver over carbon"
+    residuals = sorted(tables["life_residuals"].to_pylist(), key=lambda r: r["cox_snell"])
+    hazard = 0.0
+    for i, row in enumerate(residuals):
+        hazard += row["failed"] / (len(residuals) - i)
+        assert row["observed_hazard"] == pytest.approx(hazard)
+
+
+def test_batches_are_a_covariate_and_too_many_are_left_out_with_the_reason() -> None:
+    rows = [replace(row, batch=f"B{i % 2}") for i, row in enumerate(lives_of_a_campaign())]
+    found = analyse_survival(rows).joined()["life_coefficients"].to_pylist()
+    assert "batch: B1" in {row["coefficient"] for row in found}
+    rows = [replace(row, batch=f"B{i % 14}") for i, row in enumerate(lives_of_a_campaign())]
+    models = analyse_survival(rows).joined()["life_regressions"].to_pylist()
+    (text,) = {row["warnings"] for row in models if row["chosen"]}
+    assert "batch is not in the regression: " in text
+
+
+def life(name: str, lifetime_s: float, **more: Any) -> LifetimeRow:
+    return LifetimeRow(
+        **{"specimen_id": name, "lifetime_s": lifetime_s, "failed": True, "campaign": "C", "voltage_kv": 5.0} | more
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([life("N", -4.0)], "N: negative lifetime -4 s; left out"),
+        ([life("M", float("nan"))], "M: no lifetime; left out"),
+        ([life("T", 40.0, staircase=True, voltage_kv=9.0)], "T: staircase test: no life at one voltage; left out"),
+        ([life("B", 7.0, censored_because="end of test")], "B: failed and censored at once (end of test); left out"),
+    ],
+)
+def test_rows_left_out_are_in_the_notes(rows: list[LifetimeRow], said: str) -> None:
+    notes = analyse_survival([*(life(f"g{k}", 10.0 + k) for k in range(3)), *rows]).joined()["survival_notes"]
+    assert [(n["campaign"], n["specimen_id"], n["statement"]) for n in notes.to_pylist()] == [
+        ("C", rows[0].specimen_id, said)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([life(f"g{k}", 10.0 + k) for k in range(4)], None),
+        ([life(f"a{k}", 10.0 + k, electrode="a" if k < 4 else "b", failed=k < 4) for k in range(8)], "none of its 4 specimens failed"),
+        ([life(f"v{k}", 10.0 + k, voltage_kv=5.0 + (k > 3), failed=k > 3) for k in range(8)], "all failures came at one value of voltage_kv"),
+        ([life(f"n{k}", 10.0 + k, voltage_kv=5.0 * (k > 3)) for k in range(8)], "voltage_kv of 0 kV"),
+        ([life(f"f{k}", 10.0 + k, voltage_kv=5.0 + k % 2) for k in range(3)], "3 distinct failures do not carry 1 effects"),
+        ([life(f"z{k}", 0.0 if k % 2 else 10.0 + k, voltage_kv=5.0 + (k > 3)) for k in range(8)], None),
+    ],
+    ids=["one group", "separation", "one stress failed", "no voltage", "too few", "failures at zero"],
+)  # fmt: skip
+def test_why_a_campaign_has_no_regression(rows: list[LifetimeRow], said: str | None) -> None:
+    models = analyse_survival(rows).joined()["life_regressions"].to_pylist()
+    if said is None:
+        assert all(model["family"] != "none" for model in models)
+    else:
+        assert said in next(model["warnings"] for model in models if model["warnings"])
+
+
+def test_limits_in_the_wrong_order_and_late_entries_after_the_end_are_refused() -> None:
+    with pytest.raises(DealabError, match="lifetime between 5 and 3 s"):
+        Lives(np.array([5.0]), np.array([3.0]))
+    with pytest.raises(DealabError, match="came under watch at 9 s"):
+        Lives(np.array([5.0]), np.array([5.0]), np.array([9.0]))
 
 
 def test_a_campaign_of_survivors_says_why_it_has_no_regression() -> None:

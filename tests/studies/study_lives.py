@@ -133,7 +133,9 @@ def main() -> int:
     parser.add_argument("--draws", type=int, default=1000, help="draws per family and design")
     parser.add_argument("--seed", type=int, default=3)
     arguments = parser.parse_args()
-    print(f"| family | specimens | {' | '.join(ESTIMATES)} | not fitted | method |\n|---|---|{'---:|' * (len(ESTIMATES) + 1)}---|")
+    print(
+        f"| family | specimens | {' | '.join(ESTIMATES)} | not fitted | method |\n|---|---|{'---:|' * (len(ESTIMATES) + 1)}---|"
+    )
     for family in FAMILIES:
         for design in DESIGNS:
             shares, refused, method = judge(family, design, arguments.draws, arguments.seed)
@@ -142,7 +144,10 @@ def main() -> int:
     for design in DESIGNS:
         if not design.inspected:
             held, counted, refused = judge_cox(design, arguments.draws, arguments.seed)
-            print(f"| Cox, ln hazard ratio | {design} | {100 * held / counted:.1f} % | | | | {refused} | information |", flush=True)
+            print(
+                f"| Cox, ln hazard ratio | {design} | {100 * held / counted:.1f} % | | | | {refused} | information |",
+                flush=True,
+            )
     print(f"\n{arguments.draws} draws each; the shares of those that were fitted.")
     return 0
 

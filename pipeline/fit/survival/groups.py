@@ -20,15 +20,18 @@ from pipeline.fit.survival.kaplan_meier import UNKNOWN, Estimate, KaplanMeier, k
 from pipeline.fit.survival.life_models import CampaignLives, fit_life_models
 from pipeline.fit.survival.lifetime_distributions import (
     DISTRIBUTIONS,
+    EXPONENTIAL,
     WEIBULL,
     DistributionFit,
+    LifeQuantile,
     Lives,
+    estimate_quantiles,
     fit_distribution,
 )
 from pipeline.fit.survival.turnbull import Turnbull, estimate_turnbull
 from pipeline.fit.survival.voltage_life import VoltageLife, fit_inverse_power_law
 from schemas.arrays import Bool, Float
-from schemas.errors import NotIdentifiableError
+from schemas.errors import DealabError, NotIdentifiableError
 from schemas.lifetimes import RAISED, LifetimeRow
 from schemas.numbers import compact, joined, significant, with_unit
 
@@ -75,12 +78,23 @@ class SurvivalGroup:
     curve: KaplanMeier | Turnbull
     summary: SurvivalSummary
     distributions: tuple[DistributionFit, ...]
+    quantiles: tuple[LifeQuantile, ...]
     causes: CompetingCauses
 
     @property
     def name(self) -> str:
         voltage = "" if self.voltage_kv is None else f" at {self.voltage_kv:g} kV"
         return f"{self.configuration or 'no configuration'}{voltage}"
+
+
+@dataclass(frozen=True)
+class SurvivalNote:
+    """What is odd about a row, or was left out, and why; `specimen_id` is None where it is about more than one."""
+
+    campaign: str | None
+    configuration: str | None
+    specimen_id: str | None
+    text: str
 
 
 @dataclass(frozen=True)
@@ -94,20 +108,25 @@ class SurvivalResults:
     groups: tuple[SurvivalGroup, ...]
     comparisons: tuple[Comparison, ...]
     voltage_life: tuple[tuple[str | None, str | None, VoltageLife], ...]
-    warnings: tuple[str, ...]
+    notes: tuple[SurvivalNote, ...]
     life_models: tuple[CampaignLives, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The texts of the notes."""
+        return tuple(note.text for note in self.notes)
 
 
 def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
     """Survival of all specimens, by campaign, configuration and voltage, with comparisons at equal voltage in a campaign.
 
     Rows that cannot be used (negative or missing life, flags that contradict each other) are left out and named in
-    `warnings` and in the summary of their group; staircase tests have no life at one voltage and are left out as well.
+    `notes` and in the summary of their group; staircase tests have no life at one voltage and are left out as well.
     """
     usable, problems = _checked(lifetimes)
     grouped = _grouped(usable)
     notes: dict[_Key, list[str]] = defaultdict(list)
-    general = [text for _, text in problems]
+    general = [SurvivalNote(row.campaign or None, row.configuration, row.specimen_id, text) for row, text in problems]
     for row, text in problems:
         notes[_home(row, grouped)].append(text)
     voltages: dict[tuple[str | None, str | None], list[float | None]] = defaultdict(list)
@@ -116,7 +135,7 @@ def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
     for (campaign, configuration), levels in voltages.items():
         if len(levels) > 1:
             text = f"{configuration or 'no configuration'} was tested at {_listed(levels)}: one group per voltage"
-            general.append(text)
+            general.append(SurvivalNote(campaign, configuration, None, text))
             for level in levels:
                 notes[campaign, configuration, level].append(text)
     ends = _common_ends(grouped)
@@ -288,8 +307,11 @@ def _group(key: _Key, rows: Sequence[LifetimeRow], end: float, notes: tuple[str,
     )
     causes = CompetingCauses((), np.empty(0))
     if isinstance(curve, KaplanMeier):
-        causes = aalen_johansen(*_arrays(rows), [row.failure_site for row in rows])
-    return SurvivalGroup(*key, tuple(rows), curve, summary, fits, causes)
+        causes = aalen_johansen(*_arrays(rows), [row.failure_site or row.failure_mode for row in rows])
+    quantiles = tuple(
+        q for fit in fits if lives and fit.distribution != EXPONENTIAL for q in estimate_quantiles(lives, fit)
+    )
+    return SurvivalGroup(*key, tuple(rows), curve, summary, fits, quantiles, causes)
 
 
 def _lives(rows: Sequence[LifetimeRow]) -> Lives | None:
@@ -406,13 +428,13 @@ def _compared(a: SurvivalGroup, b: SurvivalGroup, end: float) -> list[Comparison
 
 def _laws(
     groups: Sequence[SurvivalGroup],
-) -> tuple[tuple[tuple[str | None, str | None, VoltageLife], ...], tuple[str, ...]]:
+) -> tuple[tuple[tuple[str | None, str | None, VoltageLife], ...], tuple[SurvivalNote, ...]]:
     by_configuration: dict[tuple[str | None, str | None], list[SurvivalGroup]] = defaultdict(list)
     for group in groups:
         if group.voltage_kv is not None:
             by_configuration[group.campaign, group.configuration].append(group)
     laws: list[tuple[str | None, str | None, VoltageLife]] = []
-    refused: list[str] = []
+    refused: list[SurvivalNote] = []
     for (campaign, configuration), members in by_configuration.items():
         if len(members) < 2:
             continue
@@ -422,8 +444,9 @@ def _laws(
             continue
         try:
             law = fit_inverse_power_law(lives, np.array([voltage for _, voltage in known]))
-        except NotIdentifiableError as error:
-            refused.append(f"{configuration or 'no configuration'}: {error.problem}")
+        except DealabError as error:
+            text = f"{configuration or 'no configuration'}, inverse power law: {error.problem}"
+            refused.append(SurvivalNote(campaign, configuration, None, text))
         else:
             laws.append((campaign, configuration, law))
     return tuple(laws), tuple(refused)

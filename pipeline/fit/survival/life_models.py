@@ -27,8 +27,10 @@ from pipeline.fit.survival.cox_regression import CoxRegression, fit_cox
 from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.life_regression import FAMILIES, LifeRegression, fit_life_regression
 from pipeline.fit.survival.lifetime_distributions import Lives
-from schemas.errors import DealabError
+from schemas.arrays import Float
+from schemas.errors import DealabError, NotIdentifiableError
 from schemas.lifetimes import LifetimeRow
+from schemas.numbers import compact, with_unit
 
 NO_FAMILY = "none"
 _STRESSES = (
@@ -38,7 +40,9 @@ _STRESSES = (
     ("frequency_hz", INVERSE_POWER, "Hz"),
 )
 """Humidity by a power law is Peck's, in ln of the relative humidity."""
-_CATEGORIES = ("configuration", "electrode")
+_CATEGORIES = ("configuration", "electrode", "batch")
+_PER_COLUMN = 2
+"""Distinct failures that a column of the design needs: with fewer, profiles of all coefficients are open."""
 _POINTS = 31
 _BELOW = 0.6
 """The life–stress line goes down to this share of the lowest stress tested: use conditions lie there."""
@@ -75,6 +79,15 @@ class GroupPoint:
 
 
 @dataclass(frozen=True)
+class Contrast:
+    """What a column of the chosen regression is read over: `change` of its values, `words` such as "6 kV over 4 kV"."""
+
+    coefficient: str
+    words: str
+    change: float
+
+
+@dataclass(frozen=True)
 class CampaignLives:
     """Everything the regressions tell about a campaign.
 
@@ -89,6 +102,18 @@ class CampaignLives:
     group_points: tuple[GroupPoint, ...]
     modes: tuple[CauseRegression, ...]
     refused: tuple[str, ...]
+    contrasts: tuple[Contrast, ...] = ()
+
+    @property
+    def observed_hazards(self) -> Float:
+        """(n,) Nelson and Aalen's cumulative hazard of the Cox–Snell residuals of the chosen model, at each of them."""
+        fit = self.chosen.regression if self.chosen else None
+        if fit is None:
+            return np.empty(0)
+        failed = np.array([row.failed for row in self.rows])
+        ends, place = np.unique(fit.cox_snell, return_inverse=True)
+        at_risk = failed.size - np.searchsorted(np.sort(fit.cox_snell), ends, side="left")
+        return np.asarray(np.cumsum(np.bincount(place[failed], minlength=ends.size) / at_risk)[place])
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -137,7 +162,7 @@ class _Campaign:
         if not any(row.failed for row in self.rows):
             return self._without("nobody failed: no regression")
         lives = _limits(self.rows)
-        covariates = self._informative(varied, np.isfinite(lives.upper))
+        covariates = self._informative(varied, np.isfinite(lives.upper), lives.distinct_failures)
         if not covariates:
             return self._without()
         models = self._models(lives, covariates)
@@ -157,6 +182,7 @@ class _Campaign:
             group_points,
             self._modes(lives, covariates),
             tuple(self.refused),
+            tuple(contrast for one in covariates for contrast in _contrasts(one)),
         )
 
     def _without(self, *reasons: str) -> CampaignLives:
@@ -172,7 +198,7 @@ class _Campaign:
             self.rows = [row for row in self.rows if getattr(row, name) is not None]
             self.refused.append(f"{len(without)} lives have no {name}: left out of the regression")
 
-    def _informative(self, varied: Sequence[str], failed: np.ndarray) -> list[Covariate]:
+    def _informative(self, varied: Sequence[str], failed: np.ndarray, distinct: int) -> list[Covariate]:
         """The covariates that the lives tell something about; the reasons of the others are kept."""
         kept: list[Covariate] = []
         for name in varied:
@@ -180,7 +206,9 @@ class _Campaign:
             values = [getattr(row, name) for row in self.rows]
             one = Covariate(name, law, values if law == CATEGORY else np.array(values, dtype=float), unit)
             try:
-                make_design([*kept, one], failed)
+                design = make_design([*kept, one], failed)
+                if distinct < _PER_COLUMN * design.x.shape[1] + 2:
+                    raise NotIdentifiableError(f"{distinct} distinct failures do not carry {design.x.shape[1]} effects")
             except DealabError as error:
                 self.refused.append(f"{name} is not in the regression: {error.problem}")
             else:
@@ -251,6 +279,18 @@ def _describe_conditions(row: LifetimeRow) -> str:
         value = getattr(row, name)
         shown += [] if value is None else [f"{value:g} {unit or name}"]
     return ", ".join(shown)
+
+
+def _contrasts(one: Covariate) -> list[Contrast]:
+    """Of a category each level over the first one, of a stress its highest value over its lowest."""
+    names, x = one.columns()
+    if one.is_category:
+        first, *others = one.levels
+        return [Contrast(name, f"{level} over {first}", 1.0) for name, level in zip(names, others, strict=True)]
+    values = np.asarray(one.values, dtype=np.float64)
+    low, high = int(np.argmin(values)), int(np.argmax(values))
+    words = f"{with_unit(compact(values[high]), one.unit)} over {with_unit(compact(values[low]), one.unit)}"
+    return [Contrast(names[0], words, float(x[high, 0] - x[low, 0]))]
 
 
 def _with_law(covariates: Sequence[Covariate], law: str) -> list[Covariate]:

@@ -134,7 +134,6 @@ class LifeRegression:
         half = float(np.sqrt(2 * drop * max(float(slope @ self.covariance @ slope), 0.0)))
         return Estimate(*(float(np.exp(centre + side * half)) for side in (0, -1, 1)))
 
-
     def _quantile_slope(self, failed_share: float) -> float:
         """Change of w at a share with the shape of a generalised gamma."""
         if self.shape is None:

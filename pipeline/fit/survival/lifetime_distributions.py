@@ -30,6 +30,8 @@ from schemas.numbers import p_equals, significant
 WEIBULL, EXPONENTIAL, LOG_NORMAL = "weibull", "exponential", "log-normal"
 DISTRIBUTIONS = (WEIBULL, EXPONENTIAL, LOG_NORMAL)
 _NAMES = {WEIBULL: "Weibull", EXPONENTIAL: "exponential", LOG_NORMAL: "log-normal"}
+PLOTTED_SHARES = (0.015, 0.1, 0.3, 0.6, 0.9, 0.985)
+"""Shares failed at which probability plots know the time."""
 _SIMULATIONS = 999
 _LARGEST_SIMULATED = 300
 """Above this number of specimens the goodness of fit is stated without simulated p-value."""
@@ -173,6 +175,15 @@ class DistributionFit:
         return _error(self.distribution).survival(np.asarray(z))
 
 
+@dataclass(frozen=True)
+class LifeQuantile:
+    """Time in s by which a share has failed by a fitted distribution, with 95 % profile-likelihood limits."""
+
+    distribution: str
+    failed_share: float
+    time_s: Estimate
+
+
 def _error(distribution: str) -> ErrorDistribution:
     return NORMAL if distribution == LOG_NORMAL else SMALLEST_EXTREME_VALUE
 
@@ -226,6 +237,39 @@ def fit_distribution(lives: Lives, distribution: str, *, goodness: bool = True) 
     if not goodness or not lives.simple:
         return fit
     return DistributionFit(**{**fit.__dict__, "goodness": goodness_of_fit(lives, fit)})
+
+
+def estimate_quantiles(
+    lives: Lives, fit: DistributionFit, failed_shares: ArrayLike = PLOTTED_SHARES
+) -> tuple[LifeQuantile, ...]:
+    """Quantiles of a fitted distribution of two parameters: the line of a probability plot and its band.
+
+    Parameters
+    ----------
+    lives : those that were fitted
+    fit : a Weibull or log-normal fit
+    failed_shares : (m,) between 0 and 1
+
+    Notes
+    -----
+    With w moved by its own quantile the location is the quantile of ln t, so that its profile is that of a location.
+    """
+    data, error = lives.distinct(), _error(fit.distribution)
+    nothing = np.empty((data.lower.shape[1], 0))
+    drop, step = critical_drop(lives.failures), fit.sigma / np.sqrt(lives.failures)
+    top = fit.log_likelihood + lives.log_jacobian
+    found = []
+    for share in np.asarray(failed_shares, dtype=np.float64).tolist():
+        w = float(error.quantile_of_survival(np.array(1 - share)))
+        moved = error.moved(w)
+
+        def profile(values: Float, moved: ErrorDistribution = moved) -> Float:
+            return maximise(data.shifted(values[:, None]), nothing, moved).log_likelihood
+
+        centre = fit.location + fit.sigma * w
+        limits = profile_limits(profile, centre, top, drop, step * float(np.sqrt(1 + w**2)))
+        found.append(LifeQuantile(fit.distribution, share, Estimate(*np.exp([centre, *limits]).tolist())))
+    return tuple(found)
 
 
 def goodness_of_fit(lives: Lives, fit: DistributionFit) -> Goodness:

@@ -40,6 +40,17 @@ class ErrorDistribution:
     quantile_of_survival: Callable[[Float], Float]
     """w at a survival probability."""
 
+    def moved(self, by: float) -> ErrorDistribution:
+        """The distribution of w less `by`."""
+        return ErrorDistribution(
+            self.name,
+            lambda z: self.exact(z + by),
+            lambda z: self.right(z + by),
+            lambda z: self.left(z + by),
+            lambda z: self.survival(z + by),
+            lambda s: self.quantile_of_survival(s) - by,
+        )
+
 
 def _exp(z: Float) -> Float:
     return np.asarray(np.exp(np.minimum(z, _LARGEST)))

@@ -139,12 +139,6 @@ WHERE campaign = $campaign
 ORDER BY configuration, voltage_kv, aic, distribution, parameter"""
 _LAWS = {"weibull": "Weibull"}
 _PARAMETERS = {"scale_s": "scale, s", "mean_s": "mean, s", "median_s": "median, s", "log_sd": "SD of ln t"}
-_CAUSE_SQL = """SELECT configuration, voltage_kv, failure_site, sum(failures) AS failed, max_by(probability, time_s) AS probability,
-       max_by(lower_95, time_s) AS lower_95, max_by(upper_95, time_s) AS upper_95
-FROM failure_causes
-WHERE campaign = $campaign
-GROUP BY configuration, voltage_kv, failure_site
-ORDER BY configuration, voltage_kv, failed DESC, failure_site"""
 
 
 def distributions(draft: Draft) -> Fold | None:
@@ -176,35 +170,3 @@ def distributions(draft: Draft) -> Fold | None:
         kind="wide",
     )
     return Fold("Distributions fitted to the lifetimes", (table,))
-
-
-def causes(draft: Draft) -> Table | None:
-    """Probability of having failed by each cause at the end of the test; causes compete."""
-    query = Query(_CAUSE_SQL, {"campaign": draft.item})
-    found = draft.results.rows(query)
-    if not found:
-        return None
-    rows = tuple(
-        Row(
-            (
-                f"{short(r['configuration'] or '', 40)}, {compact(r['voltage_kv'])}{NBSP}kV", visible(r["failure_site"] or "unknown"),
-                str(r["failed"] or 0), bounds(r["probability"], r["lower_95"], r["upper_95"], 100.0),
-            )
-        )
-        for r in found
-    )  # fmt: skip
-    heads = (
-        Head("Group"),
-        Head("Cause"),
-        Head("Failures", "n"),
-        Head("Probability, % (95 %)", "n"),
-    )
-    below = "Aalen–Johansen: the causes compete, so their probabilities and survival add up to one."
-    return Table(
-        "Probability of failing by each cause, by the end of the test",
-        heads,
-        rows,
-        query.shown(),
-        below=below,
-        kind="narrow",
-    )

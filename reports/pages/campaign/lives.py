@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from markupsafe import Markup
@@ -13,11 +15,11 @@ from reports import words
 from reports.blocks import Block, Figure, Fold, Head, Pair, Row, Section, Table, bold, filled, flow
 from reports.figures import palette
 from reports.figures import survival as figures
-from reports.figures.survival import GroupCurve
+from reports.figures.survival import FittedLaw, GroupCurve
 from reports.findings import survival_title
 from reports.names import short, visible
 from reports.pages import listing
-from reports.pages.campaign import laws
+from reports.pages.campaign import causes, laws
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
@@ -31,6 +33,7 @@ from schemas.numbers import (
     digits,
     p_equals,
     p_value,
+    pm,
     significant,
     time_unit,
     with_unit,
@@ -51,6 +54,8 @@ class Lives:
     curves: list[Record]
     summaries: list[Record]
     comparisons: list[Record]
+    quantiles: list[Record]
+    notes: list[Record]
     queries: dict[str, Query]
 
     @property
@@ -102,6 +107,17 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
             "ORDER BY configuration_a, configuration_b, voltage_kv, test",
             parameters,
         ),
+        "quantiles": Query(
+            "SELECT configuration, voltage_kv, distribution, failed_share, time_s, time_s_lower, time_s_upper\n"
+            "FROM lifetime_quantiles\nWHERE campaign = $campaign\n"
+            "ORDER BY configuration, voltage_kv, distribution, failed_share",
+            parameters,
+        ),
+        "notes": Query(
+            "SELECT configuration, specimen_id, statement\nFROM survival_notes\nWHERE campaign = $campaign\n"
+            "ORDER BY configuration, specimen_id, statement",
+            parameters,
+        ),
     }
     counted = Query(
         "SELECT count(*) AS tested, count(*) FILTER (WHERE failed) AS failed, coalesce(max(lifetime_s), 0) AS longest_s\n"
@@ -119,6 +135,8 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
         rows["curves"],
         rows["summaries"],
         rows["comparisons"],
+        rows["quantiles"],
+        rows["notes"],
         queries,
     )
 
@@ -196,17 +214,34 @@ def survival(draft: Draft, lives: Lives) -> Section | None:
         ),
         href,
     )
-    fitted = [g for g in groups if g.shape is not None]
-    if not any(g.failed > 1 for g in groups):
+    plotted = [g for g in groups if g.failed > 1]
+    if not plotted:
         return Section("survival", "Survival", "Survival", (first,))
-    shapes = "; ".join(f"{g.name}: shape {significant(g.shape, 2)}" for g in fitted)
-    meaning = " Shape near 1: failure at random, weak spots; well above: wear-out." if fitted else ""
+    quantiles = lives.quantiles
+    files: tuple[str, ...] = (href,)
+    if quantiles:
+        files += (draft.data("probability", {n: [r[n] for r in quantiles] for n in quantiles[0]}),)
+    shapes = "; ".join(f"{g.name}: {g.laws[figures.WEIBULL].words}" for g in groups if figures.WEIBULL in g.laws)
+    meaning = " Shape near 1: failure at random, weak spots; well above: wear-out." if shapes else ""
     second = Figure(
-        figures.weibull([g for g in groups if g.failed > 1], axis, alt=f"Share failed on Weibull scales. {shapes or 'No law was fitted'}."),
+        figures.probability(plotted, figures.WEIBULL, axis, alt=f"Share failed on Weibull scales. {shapes or 'No law was fitted'}."),
         flow(bold("Weibull check."), f" Points on the line: the law holds. {shapes + '.' if shapes else 'No law was fitted.'}{meaning}"),
-        href,
+        files,
     )  # fmt: skip
-    return Section("survival", "Survival", "Survival", (Pair((first, second)),))
+    further: list[Figure] = []
+    spreads = "; ".join(f"{g.name}: {g.laws[figures.LOG_NORMAL].words}" for g in groups if figures.LOG_NORMAL in g.laws)
+    if spreads:
+        further.append(
+            Figure(
+                figures.probability(plotted, figures.LOG_NORMAL, axis, alt=f"Share failed on log-normal scales. {spreads}."),
+                flow(bold("Log-normal check."), f" The same lives on scales on which log-normal ones are a line. {spreads}. Bands: 95 %, by profile likelihood."),
+                files,
+            )
+        )  # fmt: skip
+    competing = causes.incidence(draft, lives.unit[0], {key: lives.label(key) for key in lives.groups}, axis)
+    further += [competing] if competing is not None else []
+    pairs = [Pair((first, second)), *([Pair(tuple(further))] if further else [])]
+    return Section("survival", "Survival", "Survival", tuple(pairs))
 
 
 def _curves(lives: Lives) -> list[GroupCurve]:
@@ -223,16 +258,40 @@ def _curves(lives: Lives) -> list[GroupCurve]:
         def count(column: str, rows: list[Record] = rows) -> Int:
             return np.array([r[column] or 0 for r in rows], dtype=np.int64)
 
-        lower, upper = summary["weibull_shape_lower"], summary["weibull_shape_upper"]
+        inspected = any(r["method"] == "turnbull" for r in rows)
         found.append(
             GroupCurve(
                 lives.label(key), palette.group(i), lives.unit[0] * real("time_s"), real("survival"), real("lower_95"), real("upper_95"),
-                count("at_risk"), count("censored"), _falls(rows), summary["weibull_shape"],
-                None if lower is None or upper is None else (upper - lower) / 3.92,
-                None if summary["weibull_scale_s"] is None else lives.unit[0] * summary["weibull_scale_s"],
-                summary["failures"] if any(r["method"] == "turnbull" for r in rows) else None,
+                count("at_risk"), count("censored"), _falls(rows), _laws_of(lives, key, summary), summary["failures"] if inspected else None,
             )
         )  # fmt: skip
+    return found
+
+
+def _laws_of(lives: Lives, key: tuple[str | None, float | None], summary: Record) -> dict[str, FittedLaw]:
+    """The Weibull and log-normal laws of a group, with their bands where the quantiles are known."""
+    factor, found = lives.unit[0], {}
+    for law in (figures.WEIBULL, figures.LOG_NORMAL):
+        rows = [r for r in lives.quantiles if (r["configuration"], r["voltage_kv"], r["distribution"]) == (*key, law)]
+        share, time, low, high = (
+            np.array([np.nan if r[name] is None else r[name] for r in rows], dtype=float)
+            for name in ("failed_share", "time_s", "time_s_lower", "time_s_upper")
+        )
+        if law == figures.WEIBULL:
+            shape, scale = summary["weibull_shape"], summary["weibull_scale_s"]
+            if not shape or not scale:
+                continue
+            lower, upper = summary["weibull_shape_lower"], summary["weibull_shape_upper"]
+            spread = None if lower is None or upper is None else (upper - lower) / 3.92
+            words = f"shape {pm(shape, spread)}" if spread else f"shape {significant(shape, 2)}"
+            location, sigma = math.log(factor * scale), 1 / shape
+        elif len(rows) > 1:
+            place = [NormalDist().inv_cdf(s) for s in share.tolist()]
+            sigma, location = np.polyfit(place, np.log(factor * time), 1).tolist()
+            words = f"median {compact(math.exp(location))}{NBSP}{lives.unit[1]}, SD of ln t {significant(sigma, 2)}"
+        else:
+            continue
+        found[law] = FittedLaw(location, sigma, words, share, factor * low, factor * high)
     return found
 
 
@@ -301,10 +360,26 @@ def groups(draft: Draft, lives: Lives) -> Section | None:
         )
     ]
     blocks += _comparisons(lives)
+    blocks += _notes(lives)
     fitted = laws.distributions(draft)
     if fitted is not None:
         blocks.append(fitted)
     return Section("groups", "Groups and their comparison", "Groups", tuple(blocks))
+
+
+def _notes(lives: Lives) -> list[Block | Fold]:
+    """What was left out or contradicts itself, and what these lives cannot tell, where it does not stand with a group."""
+    with_groups = "; ".join(s["warnings"] or "" for s in lives.summaries)
+    notes = [r for r in lives.notes if r["statement"] not in with_groups]
+    if not notes:
+        return []
+    rows = tuple(
+        Row((visible(r["specimen_id"] or "several"), short(r["configuration"] or ABSENT, 44), visible(r["statement"])))
+        for r in notes
+    )
+    heads = (Head("Specimen"), Head("Configuration"), Head("What, and why", "text"))
+    caption = "Left out, contradictory, or not to be told"
+    return [Table(caption, heads, rows, lives.queries["notes"].shown())]
 
 
 def _bounded(row: Record, column: str, scale: float = 1.0) -> str:

@@ -11,7 +11,7 @@ from reports.figures import film, palette
 from reports.figures import survival as figures
 from reports.figures.survival import Share
 from reports.names import short, visible
-from reports.pages.campaign import laws
+from reports.pages.campaign import causes
 from reports.pages.campaign.lives import Lives
 from reports.pages.draft import Draft
 from reports.results import Query
@@ -57,7 +57,7 @@ def failures(draft: Draft, found: Lives) -> Section | None:
             )
         )  # fmt: skip
     blocks.append(_site_table(draft))
-    competing = laws.causes(draft)
+    competing = causes.at_end(draft)
     if competing is not None:
         blocks.append(competing)
     if expected:

@@ -1,0 +1,367 @@
+"""The part of a campaign's page about what lives depend on: the regression on stresses and categories, and its checks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from reports.blocks import Block, Figure, Fold, Head, Pair, Row, Section, Table, Text, bold, flow
+from reports.figures import life_models as figures
+from reports.figures import palette
+from reports.figures.life_models import Effect, StressLine, Strip
+from reports.names import short, visible
+from reports.pages.draft import Draft
+from reports.results import Query
+from reports.results import Row as Record
+from schemas.arrays import Float
+from schemas.numbers import (
+    ABSENT,
+    bounds,
+    capital,
+    compact,
+    digits,
+    joined,
+    p_equals,
+    p_value,
+    significant,
+)
+
+_SQL = {
+    "regressions": """SELECT family, stress_law, chosen, specimens, failures, sigma, sigma_lower, sigma_upper, shape, shape_lower,
+       shape_upper, log_likelihood, aic, p_value, tests, method, warnings
+FROM life_regressions
+WHERE campaign = $campaign
+ORDER BY chosen DESC, aic, family, stress_law""",
+    "coefficients": """SELECT family, stress_law, coefficient, "value", value_lower, value_upper, p_value, contrast, factor, factor_lower,
+       factor_upper
+FROM life_coefficients
+WHERE campaign = $campaign
+ORDER BY family, stress_law, coefficient""",
+    "groups": """SELECT conditions, specimens, failures, expected_failures, factor, p_value, stress, stress_value, life_s
+FROM life_group_fits
+WHERE campaign = $campaign
+ORDER BY conditions""",
+    "lines": """SELECT category, stress, stress_value, life_s, life_s_lower, life_s_upper, extrapolated
+FROM life_lines
+WHERE campaign = $campaign
+ORDER BY category, stress_value""",
+    "residuals": """SELECT specimen_id, conditions, failed, cox_snell, observed_hazard, deviance
+FROM life_residuals
+WHERE campaign = $campaign
+ORDER BY conditions, cox_snell, specimen_id""",
+    "modes": """SELECT failure_mode, model, coefficient, failures, "value", value_lower, value_upper, p_value
+FROM mode_effects
+WHERE campaign = $campaign
+ORDER BY failure_mode, coefficient, model""",
+}
+_COVARIATES = {
+    "voltage_kv": ("voltage", "Voltage, kV"),
+    "temperature_c": ("temperature", "Temperature, °C"),
+    "humidity": ("humidity", "Relative humidity"),
+    "frequency_hz": ("frequency", "Frequency, Hz"),
+}
+"""How covariates are called in text, and on an axis."""
+_MEANINGS = {
+    "slope": "The coefficient of voltage is the change of ln t per kV. ",
+    "exponent": "The coefficient of a stress is the exponent of its power law. ",
+    "energy": "The coefficient of temperature is the activation energy in eV. ",
+}
+_LINEAR = ("temperature_c",)
+_COX = "cox"
+_MOST_STRIPS = 14
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Everything that the regressions of a campaign left."""
+
+    rows: dict[str, list[Record]]
+    queries: dict[str, Query]
+
+    @property
+    def chosen(self) -> Record | None:
+        return next((r for r in self.rows["regressions"] if r["chosen"]), None)
+
+    @property
+    def own(self) -> list[Record]:
+        """Coefficients of the chosen model but the intercept."""
+        best = self.chosen
+        of = [] if best is None else [best["family"], best["stress_law"]]
+        return [
+            r
+            for r in self.rows["coefficients"]
+            if [r["family"], r["stress_law"]] == of and r["coefficient"] != "intercept"
+        ]
+
+    def by_cox(self, coefficient: str) -> Record | None:
+        found = (r for r in self.rows["coefficients"] if (r["family"], r["coefficient"]) == (_COX, coefficient))
+        return next(found, None)
+
+
+def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
+    """What the lives depend on; None where nothing was varied."""
+    queries = {name: Query(sql, {"campaign": draft.item}) for name, sql in _SQL.items()}
+    found = _Found({name: draft.results.rows(query) for name, query in queries.items()}, queries)
+    if not found.rows["regressions"]:
+        return None
+    refused = visible("; ".join(r["warnings"] for r in found.rows["regressions"] if r["warnings"]))
+    if found.chosen is None:
+        told = Text(f"No regression of the lives on what was varied: {refused or 'no reason was kept'}.")
+        return Section("depends", "What the lives depend on", "What lives depend on", (told,))
+    blocks: list[Block | Fold] = [_evidence(draft, found, unit), _checks(draft, found)]
+    blocks.append(_coefficient_table(found, f"Not in the regression: {refused}." if refused else ""))
+    blocks.append(_group_table(found, unit))
+    if found.rows["modes"]:
+        blocks.append(_mode_table(found))
+    families = found.rows["regressions"]
+    if len(families) > 1:
+        blocks.append(Fold(f"All {digits(len(families), 'regression')} that were tried", (_family_table(found),)))
+    return Section("depends", _heading(found), "What lives depend on", tuple(blocks))
+
+
+def _heading(found: _Found) -> str:
+    """Which covariates have an effect, of which none is shown, and whether the groups follow the regression."""
+    known = [(_covariate(r["coefficient"]), r["p_value"]) for r in found.own if r["p_value"] is not None]
+    acting = list(dict.fromkeys(name for name, p in known if p < 0.05))
+    idle = [name for name in dict.fromkeys(name for name, _ in known) if name not in acting]
+    parts = []
+    if acting:
+        parts.append(f"Life depends on {joined(acting)}")
+        parts += [f"no effect of {joined(idle)} is shown"] if idle else []
+    elif idle:
+        parts.append(f"No effect of {joined(idle)} on life is shown")
+    best = found.chosen
+    if best is not None and best["p_value"] is not None and best["p_value"] < 0.05:
+        parts.append(f"the groups do not follow the law ({p_equals(best['p_value'])})")
+    return "; ".join(parts) or "What the lives depend on"
+
+
+def _covariate(coefficient: str) -> str:
+    name = coefficient.partition(":")[0]
+    return _COVARIATES.get(name, (name,))[0]
+
+
+def _label(coefficient: str) -> str:
+    """`electrode: silver` stays, `voltage_kv` becomes `voltage`."""
+    name, colon, level = coefficient.partition(":")
+    return _covariate(name) + colon + level
+
+
+def _family(record: Record) -> str:
+    family = str(record["family"]).replace("weibull", "Weibull")
+    return f"{family}, {record['stress_law']}" if record["stress_law"] else family
+
+
+def _evidence(draft: Draft, found: _Found, unit: tuple[float, str]) -> Pair:
+    """Life against the first stress where one was varied, and the forest of all effects."""
+    shown = [figure for figure in (_stress_figure(draft, found, unit), _forest(draft, found)) if figure is not None]
+    return Pair(tuple(shown))
+
+
+def _numbers(rows: Sequence[Record], column: str) -> Float:
+    return np.array([np.nan if r[column] is None else r[column] for r in rows], dtype=float)
+
+
+def _stress_figure(draft: Draft, found: _Found, unit: tuple[float, str]) -> Figure | None:
+    rows, best = found.rows["lines"], found.chosen
+    if not rows or best is None:
+        return None
+    stress = rows[0]["stress"]
+    name, axis = _COVARIATES.get(stress, (stress, capital(stress)))
+    categories = list(dict.fromkeys(r["category"] for r in rows))
+    lines = []
+    for i, category in enumerate(categories):
+        own = [r for r in rows if r["category"] == category]
+        groups = [
+            g for g in found.rows["groups"] if g["life_s"] and (not category or category in g["conditions"].split(", "))
+        ]
+        lines.append(
+            StressLine(
+                category or "", palette.group(i), _numbers(own, "stress_value"), unit[0] * _numbers(own, "life_s"),
+                unit[0] * _numbers(own, "life_s_lower"), unit[0] * _numbers(own, "life_s_upper"),
+                np.array([bool(r["extrapolated"]) for r in own]), _numbers(groups, "stress_value"), unit[0] * _numbers(groups, "life_s"),
+            )
+        )  # fmt: skip
+    tested = [r["stress_value"] for r in rows if not r["extrapolated"]]
+    span = f"tested from {compact(min(tested))} to {compact(max(tested))}"
+    others = (
+        " Other stresses at their mean."
+        if len({r["coefficient"].partition(":")[0] for r in found.own} & set(_COVARIATES)) > 1
+        else ""
+    )
+    return Figure(
+        figures.against_stress(lines, axis, unit[1], log=stress not in _LINEAR, alt=f"Median life against {name}, {span}."),
+        flow(
+            bold(f"Life against {name}."), f" Median life by the {_family(best)} regression with 95 % band; points: each group by itself.",
+            f" Dashed where nothing was tested: there the line rests on the law alone.{others}",
+        ),
+        draft.data("life_lines", {n: [r[n] for r in rows] for n in rows[0]}),
+    )  # fmt: skip
+
+
+def _forest(draft: Draft, found: _Found) -> Figure | None:
+    rows, best = [r for r in found.own if r["factor"]], found.chosen
+    if not rows or best is None:
+        return None
+    effects = []
+    for r in rows:
+        cox = found.by_cox(r["coefficient"])
+        by_cox = None
+        if cox is not None and cox["factor"] and best["sigma"]:
+            # A ratio of hazards h is one of lives h^(−σ) where the lives are Weibull.
+            ends = sorted(cox[name] ** -best["sigma"] for name in ("factor_lower", "factor_upper"))
+            by_cox = (cox["factor"] ** -best["sigma"], ends[0], ends[1])
+        low, high = (math.nan if r[n] is None else r[n] for n in ("factor_lower", "factor_upper"))
+        effects.append(Effect(_label(r["coefficient"]), r["contrast"] or "", r["factor"], low, high, by_cox))
+    words = "; ".join(f"{e.label}, {e.contrast}: × {bounds(e.factor, e.low, e.high)}" for e in effects)
+    check = (
+        " Open: what Cox’s model, which assumes no distribution, says, turned into lives as for Weibull ones."
+        if any(e.by_cox for e in effects)
+        else ""
+    )
+    return Figure(
+        figures.forest(effects, alt=f"Effects on life. {words}."),
+        flow(bold("Effects."), f" How many times as long lives are over each contrast, all others being equal, with 95 % limits.{check}"),
+        draft.data(
+            "effects",
+            {
+                "covariate": [e.label for e in effects], "contrast": [e.contrast for e in effects], "factor": [e.factor for e in effects],
+                "factor_lower": [e.low for e in effects], "factor_upper": [e.high for e in effects],
+                "factor_by_cox": [e.by_cox[0] if e.by_cox else None for e in effects],
+            },
+        ),
+    )  # fmt: skip
+
+
+def _checks(draft: Draft, found: _Found) -> Pair:
+    rows = found.rows["residuals"]
+    href = draft.data("life_residuals", {n: [r[n] for r in rows] for n in rows[0]})
+    failed = np.array([bool(r["failed"]) for r in rows])
+    residual, observed, deviance = (_numbers(rows, n) for n in ("cox_snell", "observed_hazard", "deviance"))
+    conditions = list(dict.fromkeys(r["conditions"] for r in rows))
+    shown = sorted(conditions, key=lambda c: -sum(r["conditions"] == c for r in rows))[:_MOST_STRIPS]
+    strips = []
+    for name in (c for c in conditions if c in shown):
+        here = np.array([r["conditions"] == name for r in rows])
+        strips.append(Strip(_own_words(name, conditions), deviance[here], failed[here]))
+    left = (
+        f" The {len(conditions) - len(shown)} smallest groups are in the data." if len(conditions) > len(shown) else ""
+    )
+    outside = int((np.abs(deviance) > 1.96).sum())
+    first = Figure(
+        figures.cox_snell(residual, observed, failed, alt="Cumulative hazard of the Cox–Snell residuals against themselves."),
+        flow(bold("Is it the right distribution?"), " Points on the line, within the 95 % band: yes. A bend: another family; see the table of all that were tried."),
+        href,
+    )  # fmt: skip
+    second = Figure(
+        figures.deviances(strips, alt=f"Deviance residuals by conditions; {outside} of {len(rows)} beyond 1.96."),
+        flow(bold("Does each group follow?"), f" Deviance residuals by conditions, open for survivors; a group off zero does not follow. {outside} of {len(rows)} beyond the 95 % stripe.{left}"),
+        href,
+    )  # fmt: skip
+    return Pair((first, second))
+
+
+def _own_words(conditions: str, everyone: Sequence[str]) -> str:
+    """The conditions of a group less what is the same in all groups."""
+    shared = set.intersection(*(set(one.split(", ")) for one in everyone)) if len(everyone) > 1 else set()
+    return ", ".join(part for part in conditions.split(", ") if part not in shared) or conditions
+
+
+def _in_words(tests: str) -> str:
+    """Likelihood-ratio tests with covariates as they are called in text."""
+    for name, (called, _) in _COVARIATES.items():
+        tests = tests.replace(name, called)
+    return tests
+
+
+def _coefficient_table(found: _Found, below: str) -> Table:
+    rows = []
+    for r in found.own:
+        cox = found.by_cox(r["coefficient"])
+        rows.append(
+            Row(
+                (
+                    _label(r["coefficient"]), short(r["contrast"] or ABSENT, 40), bounds(r["value"], r["value_lower"], r["value_upper"]),
+                    bounds(r["factor"], r["factor_lower"], r["factor_upper"]), p_value(r["p_value"]),
+                    ABSENT if cox is None else bounds(cox["factor"], cox["factor_lower"], cox["factor_upper"]),
+                    ABSENT if cox is None else p_value(cox["p_value"]),
+                )
+            )
+        )  # fmt: skip
+    best = found.chosen
+    heads = (
+        Head("Covariate"), Head("Over"), Head("Coefficient", "n"), Head("Life times", "n"), Head("p", "n"), Head("Hazard times, Cox", "n"), Head("p, Cox", "n"),
+    )  # fmt: skip
+    scatter = ""
+    if best is not None:
+        scatter = f"Scatter of ln t {bounds(best['sigma'], best['sigma_lower'], best['sigma_upper'])}; limits: {best['method']}. "
+        scatter += f"{capital(_in_words(visible(best['tests'])))}. " if best["tests"] else ""
+    meaning = "".join(_MEANINGS[name] for name in dict.fromkeys(_meaning(r, best) for r in found.own) if name)
+    caption = f"Regression of the lives: {_family(best)}" if best is not None else "Regression of the lives"
+    query = found.queries["coefficients"].shown()
+    return Table(caption, heads, tuple(rows), query, "95 % intervals in brackets", meaning + scatter + below, "wide")
+
+
+def _meaning(coefficient: Record, best: Record | None) -> str:
+    name = coefficient["coefficient"]
+    if name == "voltage_kv" and best is not None and best["stress_law"] == "exponential":
+        return "slope"
+    return "energy" if name == "temperature_c" else "exponent" if name in _COVARIATES else ""
+
+
+def _group_table(found: _Found, unit: tuple[float, str]) -> Table:
+    rows = tuple(
+        Row(
+            (
+                short(r["conditions"] or ABSENT, 60), f"{r['failures']} of {r['specimens']}", significant(r["expected_failures"], 2),
+                ABSENT if not r["life_s"] else significant(unit[0] * r["life_s"]), ABSENT if not r["factor"] else f"× {significant(r['factor'], 2)}",
+                p_value(r["p_value"]),
+            )
+        )
+        for r in found.rows["groups"]
+    )  # fmt: skip
+    heads = (
+        Head("Conditions"), Head("Failed", "n"), Head("Expected", "n"), Head(f"Median life, {unit[1]}", "n"), Head("Off the law", "n"),
+        Head("p of its own location", "n"),
+    )  # fmt: skip
+    return Table("Each group against the regression", heads, rows, found.queries["groups"].shown(), kind="wide")
+
+
+def _mode_table(found: _Found) -> Table:
+    rows = tuple(
+        Row(
+            (
+                visible(r["failure_mode"]), str(r["failures"]), _label(r["coefficient"]), capital(visible(r["model"])).replace("gray", "Gray"),
+                bounds(r["value"], r["value_lower"], r["value_upper"]), p_value(r["p_value"]),
+            )
+        )
+        for r in found.rows["modes"]
+    )  # fmt: skip
+    heads = (
+        Head("Mode"), Head("Failures", "n"), Head("Covariate"), Head("Model"), Head("ln hazard per unit", "n"), Head("p", "n"),
+    )  # fmt: skip
+    below = "Cause-specific: on the hazard of the mode. Fine–Gray: on the probability to fail by it, others competing."
+    return Table(
+        "Effects on each mode of failure", heads, rows, found.queries["modes"].shown(), below=below, kind="wide"
+    )
+
+
+def _family_table(found: _Found) -> Table:
+    rows = tuple(
+        Row(
+            (
+                _family(r), compact(r["aic"], 5), bounds(r["sigma"], r["sigma_lower"], r["sigma_upper"]),
+                ABSENT if r["shape"] is None else bounds(r["shape"], r["shape_lower"], r["shape_upper"]), p_value(r["p_value"]), _in_words(visible(r["tests"] or ABSENT)),
+            ),
+            "sel" if r["chosen"] else "",
+        )
+        for r in found.rows["regressions"]
+    )  # fmt: skip
+    heads = (
+        Head("Family"), Head("AIC", "n"), Head("Scatter of ln t", "n"), Head("Shape", "n"), Head("p of the laws", "n"), Head("Tests", "text"),
+    )  # fmt: skip
+    caption = "Regressions that were tried"
+    return Table(caption, heads, rows, found.queries["regressions"].shown(), "smaller AIC is better", kind="wide")
