@@ -35,11 +35,15 @@ _SQL = {
 FROM life_regressions
 WHERE campaign = $campaign
 ORDER BY chosen DESC, aic, family, stress_law""",
-    "coefficients": """SELECT family, stress_law, coefficient, "value", value_lower, value_upper, p_value, contrast, factor, factor_lower,
-       factor_upper
-FROM life_coefficients
-WHERE campaign = $campaign
-ORDER BY family, stress_law, coefficient""",
+    "effects": """SELECT c.coefficient, c.contrast, c."value", c.value_lower, c.value_upper, c.factor, c.factor_lower, c.factor_upper,
+       c.p_value, x.factor AS hazard_ratio, x.factor_lower AS hazard_ratio_lower, x.factor_upper AS hazard_ratio_upper,
+       x.p_value AS p_value_by_cox
+FROM life_coefficients c
+JOIN life_regressions r ON r.chosen AND r.campaign = c.campaign AND r.family = c.family
+    AND r.stress_law IS NOT DISTINCT FROM c.stress_law
+LEFT JOIN life_coefficients x ON x.family = 'cox' AND x.campaign = c.campaign AND x.coefficient = c.coefficient
+WHERE c.campaign = $campaign AND c.coefficient <> 'intercept'
+ORDER BY c.coefficient""",
     "groups": """SELECT conditions, specimens, failures, expected_failures, factor, p_value, stress, stress_value, life_s
 FROM life_group_fits
 WHERE campaign = $campaign
@@ -70,7 +74,6 @@ _MEANINGS = {
     "energy": "The coefficient of temperature is the activation energy in eV. ",
 }
 _LINEAR = ("temperature_c",)
-_COX = "cox"
 _MOST_STRIPS = 14
 
 
@@ -86,19 +89,9 @@ class _Found:
         return next((r for r in self.rows["regressions"] if r["chosen"]), None)
 
     @property
-    def own(self) -> list[Record]:
-        """Coefficients of the chosen model but the intercept."""
-        best = self.chosen
-        of = [] if best is None else [best["family"], best["stress_law"]]
-        return [
-            r
-            for r in self.rows["coefficients"]
-            if [r["family"], r["stress_law"]] == of and r["coefficient"] != "intercept"
-        ]
-
-    def by_cox(self, coefficient: str) -> Record | None:
-        found = (r for r in self.rows["coefficients"] if (r["family"], r["coefficient"]) == (_COX, coefficient))
-        return next(found, None)
+    def effects(self) -> list[Record]:
+        """Coefficients of the chosen model but the intercept, each beside Cox's ratio of hazards."""
+        return self.rows["effects"]
 
 
 def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
@@ -124,7 +117,7 @@ def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
 
 def _heading(found: _Found) -> str:
     """Which covariates have an effect, of which none is shown, and whether the groups follow the regression."""
-    known = [(_covariate(r["coefficient"]), r["p_value"]) for r in found.own if r["p_value"] is not None]
+    known = [(_covariate(r["coefficient"]), r["p_value"]) for r in found.effects if r["p_value"] is not None]
     acting = list(dict.fromkeys(name for name, p in known if p < 0.05))
     idle = [name for name in dict.fromkeys(name for name, _ in known) if name not in acting]
     parts = []
@@ -189,7 +182,7 @@ def _stress_figure(draft: Draft, found: _Found, unit: tuple[float, str]) -> Figu
     span = f"tested from {compact(min(tested))} to {compact(max(tested))}"
     others = (
         " Other stresses at their mean."
-        if len({r["coefficient"].partition(":")[0] for r in found.own} & set(_COVARIATES)) > 1
+        if len({r["coefficient"].partition(":")[0] for r in found.effects} & set(_COVARIATES)) > 1
         else ""
     )
     return Figure(
@@ -203,17 +196,16 @@ def _stress_figure(draft: Draft, found: _Found, unit: tuple[float, str]) -> Figu
 
 
 def _forest(draft: Draft, found: _Found) -> Figure | None:
-    rows, best = [r for r in found.own if r["factor"]], found.chosen
+    rows, best = [r for r in found.effects if r["factor"]], found.chosen
     if not rows or best is None:
         return None
     effects = []
     for r in rows:
-        cox = found.by_cox(r["coefficient"])
         by_cox = None
-        if cox is not None and cox["factor"] and best["sigma"]:
+        if r["hazard_ratio"] and best["sigma"]:
             # A ratio of hazards h is one of lives h^(−σ) where the lives are Weibull.
-            ends = sorted(cox[name] ** -best["sigma"] for name in ("factor_lower", "factor_upper"))
-            by_cox = (cox["factor"] ** -best["sigma"], ends[0], ends[1])
+            ends = sorted(r[name] ** -best["sigma"] for name in ("hazard_ratio_lower", "hazard_ratio_upper"))
+            by_cox = (r["hazard_ratio"] ** -best["sigma"], ends[0], ends[1])
         low, high = (math.nan if r[n] is None else r[n] for n in ("factor_lower", "factor_upper"))
         effects.append(Effect(_label(r["coefficient"]), r["contrast"] or "", r["factor"], low, high, by_cox))
     words = "; ".join(f"{e.label}, {e.contrast}: × {bounds(e.factor, e.low, e.high)}" for e in effects)
@@ -279,15 +271,14 @@ def _in_words(tests: str) -> str:
 
 def _coefficient_table(found: _Found, below: str) -> Table:
     rows = []
-    for r in found.own:
-        cox = found.by_cox(r["coefficient"])
+    for r in found.effects:
         rows.append(
             Row(
                 (
                     _label(r["coefficient"]), short(r["contrast"] or ABSENT, 40), bounds(r["value"], r["value_lower"], r["value_upper"]),
                     bounds(r["factor"], r["factor_lower"], r["factor_upper"]), p_value(r["p_value"]),
-                    ABSENT if cox is None else bounds(cox["factor"], cox["factor_lower"], cox["factor_upper"]),
-                    ABSENT if cox is None else p_value(cox["p_value"]),
+                    bounds(r["hazard_ratio"], r["hazard_ratio_lower"], r["hazard_ratio_upper"]),
+                    p_value(r["p_value_by_cox"]),
                 )
             )
         )  # fmt: skip
@@ -299,9 +290,9 @@ def _coefficient_table(found: _Found, below: str) -> Table:
     if best is not None:
         scatter = f"Scatter of ln t {bounds(best['sigma'], best['sigma_lower'], best['sigma_upper'])}; limits: {best['method']}. "
         scatter += f"{capital(_in_words(visible(best['tests'])))}. " if best["tests"] else ""
-    meaning = "".join(_MEANINGS[name] for name in dict.fromkeys(_meaning(r, best) for r in found.own) if name)
+    meaning = "".join(_MEANINGS[name] for name in dict.fromkeys(_meaning(r, best) for r in found.effects) if name)
     caption = f"Regression of the lives: {_family(best)}" if best is not None else "Regression of the lives"
-    query = found.queries["coefficients"].shown()
+    query = found.queries["effects"].shown()
     return Table(caption, heads, tuple(rows), query, "95 % intervals in brackets", meaning + scatter + below, "wide")
 
 

@@ -114,7 +114,8 @@ def load(draft: Draft, *, single: bool = True) -> Lives:
             parameters,
         ),
         "notes": Query(
-            "SELECT configuration, specimen_id, statement\nFROM survival_notes\nWHERE campaign = $campaign\n"
+            "SELECT configuration, specimen_id, statement\nFROM survival_notes AS n\nWHERE campaign = $campaign AND NOT EXISTS (\n"
+            "    SELECT 1 FROM survival_summaries AS s WHERE s.campaign = n.campaign AND contains(s.warnings, n.statement)\n)\n"
             "ORDER BY configuration, specimen_id, statement",
             parameters,
         ),
@@ -369,13 +370,11 @@ def groups(draft: Draft, lives: Lives) -> Section | None:
 
 def _notes(lives: Lives) -> list[Block | Fold]:
     """What was left out or contradicts itself, and what these lives cannot tell, where it does not stand with a group."""
-    with_groups = "; ".join(s["warnings"] or "" for s in lives.summaries)
-    notes = [r for r in lives.notes if r["statement"] not in with_groups]
-    if not notes:
+    if not lives.notes:
         return []
     rows = tuple(
         Row((visible(r["specimen_id"] or "several"), short(r["configuration"] or ABSENT, 44), visible(r["statement"])))
-        for r in notes
+        for r in lives.notes
     )
     heads = (Head("Specimen"), Head("Configuration"), Head("What, and why", "text"))
     caption = "Left out, contradictory, or not to be told"
