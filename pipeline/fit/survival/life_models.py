@@ -8,7 +8,7 @@ about is left out with its reason. The regressions themselves are in `life_regre
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,9 +43,11 @@ _STRESSES = (
 _CATEGORIES = ("configuration", "electrode", "batch")
 _PER_COLUMN = 2
 """Distinct failures that a column of the design needs: with fewer, profiles of all coefficients are open."""
-_POINTS = 31
-_BELOW = 0.6
-"""The life–stress line goes down to this share of the lowest stress tested: use conditions lie there."""
+_POINTS = 11
+"""Of a life–stress line below the lowest stress that was tested; between the tests there are twice as many."""
+_BELOW, _BEYOND = 0.6, 0.4
+"""A line goes down to this share of the lowest stress, of one with a zero of no meaning by this share of the tested range: use
+conditions lie there."""
 
 
 @dataclass(frozen=True)
@@ -310,9 +312,10 @@ def _stress_lines(
     category = next((c for c in covariates if c.is_category), None)
     own = np.asarray(stress.values, dtype=np.float64)
     low, high = float(own.min()), float(own.max())
-    reach = np.linspace(low - 0.4 * (high - low), high, _POINTS)
-    if LAWS[stress.law].above == 0.0 or stress.name == "voltage_kv":
-        reach = np.geomspace(_BELOW * low, high, _POINTS)
+    is_ratio = LAWS[stress.law].above == 0.0 or stress.name == "voltage_kv"
+    spread: Callable[..., Float] = np.geomspace if is_ratio else np.linspace
+    below = _BELOW * low if is_ratio else low - _BEYOND * (high - low)
+    reach = np.concatenate((spread(below, low, _POINTS)[:-1], spread(low, high, 2 * _POINTS)))
     points: list[LifePoint] = []
     for level in category.levels if category else ("",):
         x = design.x.mean(axis=0)
