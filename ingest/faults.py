@@ -33,18 +33,8 @@ def find_faults(
     root, rigs : where rig files are looked for, as in `ingest.rigs.find_rig`
     """
     stem = path.stem.encode("utf-8", "replace").decode()
-    faults: list[DealabError] = list(list_mapping_faults(content, stem=stem, suffix=path.suffix, source=source))
+    faults = list(list_static_faults(content, stem=stem, suffix=path.suffix, source=source))
     kind = content.get("kind", RECORDING)
-    about = content.get("recording", {})
-    if isinstance(about, Mapping) and kind != IGNORE:
-        stamped = {
-            k: v.replace("{stem}", stem).replace(EACH, "each") if isinstance(v, str) else v for k, v in about.items()
-        }
-        if kind == RECORDING and "started_at" not in stamped:
-            stamped["started_at"] = "2020-01-01T00:00:00+00:00"  # the file's own times, or the zone, say it
-        elif isinstance(stamped.get("started_at"), str) and isinstance(content.get("time"), Mapping):
-            stamped["started_at"] += "" if "zone" not in content["time"] or "+" in stamped["started_at"] else "+00:00"
-        faults += list_faults(stamped, RecordingMetadata if kind == RECORDING else TableMetadata, where=source)
     if faults or kind == IGNORE:
         return _each_once(faults)
     mapping = FileMapping.parse(content, stem=stem, suffix=path.suffix, source=source)
@@ -60,6 +50,25 @@ def find_faults(
         except DealabError as first:
             faults += [first, *_of_columns(path, part)]
     return _each_once(faults)
+
+
+def list_static_faults(
+    content: Mapping[str, Any], *, stem: str, suffix: str, source: str = ""
+) -> tuple[DealabError, ...]:
+    """All that is wrong with a mapping and the metadata in it, whatever the file; `stem` and `suffix` are the file's name."""
+    faults: list[DealabError] = list(list_mapping_faults(content, stem=stem, suffix=suffix, source=source))
+    kind = content.get("kind", RECORDING)
+    about = content.get("recording", {})
+    if isinstance(about, Mapping) and kind != IGNORE:
+        stamped = {
+            k: v.replace("{stem}", stem).replace(EACH, "each") if isinstance(v, str) else v for k, v in about.items()
+        }
+        if kind == RECORDING and "started_at" not in stamped:
+            stamped["started_at"] = "2020-01-01T00:00:00+00:00"  # the file's own times, or the zone, say it
+        elif isinstance(stamped.get("started_at"), str) and isinstance(content.get("time"), Mapping):
+            stamped["started_at"] += "" if "zone" not in content["time"] or "+" in stamped["started_at"] else "+00:00"
+        faults += list_faults(stamped, RecordingMetadata if kind == RECORDING else TableMetadata, where=source)
+    return tuple(faults)
 
 
 def check(raw: RawRecording, path: Path, *, root: Path | None = None, rigs: Path | None = None) -> Recording:

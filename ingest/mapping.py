@@ -280,7 +280,7 @@ def own_mapping(path: Path) -> Path:
 @functools.lru_cache(maxsize=64)
 def _folder_entries(path: Path, mtime_ns: int, size: int) -> tuple[dict[str, Any], ...]:
     """Entries of a folder's file in this state of it: a folder of thousands of recordings parses it once."""
-    return tuple(_entries(load_toml(path), path.name))
+    return tuple(list_entries(load_toml(path), path.name))
 
 
 def format_of(path: Path, mapping: FileMapping | None = None) -> str | None:
@@ -295,7 +295,8 @@ def format_of_suffix(suffix: str) -> str | None:
     return next((name for name, suffixes in FORMATS.items() if suffix.lower() in suffixes), None)
 
 
-def _entries(content: Mapping[str, Any], source: str) -> list[dict[str, Any]]:
+def list_entries(content: Mapping[str, Any], source: str) -> list[dict[str, Any]]:
+    """The `[[files]]` of a folder's file. Raises `RefusedError` for anything else in it, and for one without `match`."""
     for key in content:
         if key != "files":
             raise refused(source, f'key "{key[:80]}" is unknown at the top level', "only [[files]] entries")

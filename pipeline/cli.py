@@ -27,6 +27,7 @@ from pipeline.commands import (
     simulate,
     sql,
     status,
+    validate,
 )
 from pipeline.commands.command import FAILED, Command
 from pipeline.import_path import leave_working_folder
@@ -44,6 +45,7 @@ COMMANDS: Mapping[str, Command] = {
         simulate.COMMAND,
         inspect.COMMAND,
         add.COMMAND,
+        validate.COMMAND,
         status.COMMAND,
         annotate.EXCLUSION,
         annotate.INCLUSION,

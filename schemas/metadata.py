@@ -378,7 +378,11 @@ def list_faults(raw: Mapping[str, Any], cls: type, *, where: str = "") -> tuple[
             if key in parsers and not (isinstance(value, str) and value.strip() == ""):
                 _checked(parsers[key], key, value, where)
             elif key not in parsers:
-                check_keys({k: v for k, v in raw.items() if k == key or k in parsers}, cls, "recording", where)
+                table = "rig" if cls is RigConstants else "recording"
+                if table == "rig" and key in known_keys(cls):  # the noise of a channel
+                    _checked(_not_negative, key, value, where)
+                else:
+                    check_keys({k: v for k, v in raw.items() if k == key or k in parsers}, cls, table, where)
         except RefusedError as error:
             faults.append(error)
     remedy = "Add it to the recording's metadata or to its TOML"

@@ -1,0 +1,95 @@
+"""The JSON Schema of a mapping, derived from `ingest.mapping_keys`; and all schemas by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ingest.mapping_keys import (
+    COLUMN,
+    EACH,
+    FORMATS,
+    IGNORE,
+    KINDS,
+    OPTIONS,
+    RECORDING,
+    SELECT,
+    TABLE_COLUMN,
+    TABLE_COLUMNS,
+    TIME,
+    TOP,
+    Key,
+)
+from schemas.json_schema import describe_keys, head, recording_schema, rig_schema
+from schemas.metadata import RecordingMetadata, RigConstants, TableMetadata
+from schemas.quantities import QUANTITIES
+
+_NAMES = {str: "string", int: "integer", float: "number", bool: "boolean", list: "array"}
+_PLACEHOLDERS = ("{stem}", EACH)
+
+
+def mapping_schema() -> dict[str, Any]:
+    """Of a mapping: `<file>.toml`, with the keys at the top, or `recordings.toml`, with `[[files]]` entries."""
+    one: dict[str, Any] = {
+        "type": "object",
+        "properties": {
+            "kind": {"enum": list(KINDS), "description": TOP["kind"]},
+            "format": {"enum": list(FORMATS), "description": TOP["format"]},
+            "match": {"type": "string", "description": "of an entry of recordings.toml: which files it is for"},
+            "time": _table(TIME),
+            "columns": {"type": "object"},
+            "recording": {"type": "object"},
+            "rig": describe_keys(RigConstants, placeholders=_PLACEHOLDERS),
+            "select": {"type": "array", "items": _table(SELECT)},
+            **{name: _table(keys) for name, keys in OPTIONS.items()},
+        },
+        "additionalProperties": False,
+        "allOf": [_of_kind(kind) for kind in KINDS if kind != IGNORE],
+    }
+    definitions = {
+        "mapping": one,
+        "entry": {"allOf": [_refer("mapping")], "required": ["match"]},
+        "channel": _table(COLUMN),
+        "column": _table(TABLE_COLUMN),
+        "recording": describe_keys(RecordingMetadata, placeholders=_PLACEHOLDERS, required=False),
+        "table": describe_keys(TableMetadata, placeholders=_PLACEHOLDERS),
+    }
+    folder = {"properties": {"files": {"type": "array", "items": _refer("entry")}}, "additionalProperties": False}
+    return head("mapping", "Mapping of a file for dealab") | {
+        "if": {"required": ["files"]},
+        "then": folder,
+        "else": _refer("mapping"),
+        "$defs": definitions,
+    }
+
+
+SCHEMAS: Mapping[str, Callable[[], dict[str, Any]]] = {
+    "recording": recording_schema,
+    "rig": rig_schema,
+    "mapping": mapping_schema,
+}
+"""By name, as `dealab validate --schema NAME` prints them."""
+
+
+def _of_kind(kind: str) -> dict[str, Any]:
+    """Columns and metadata of a mapping of one kind; one that names no kind is that of a recording."""
+    is_kind: dict[str, Any] = {"properties": {"kind": {"const": kind}}}
+    if kind == RECORDING:
+        columns = {name: _refer("channel") for name in QUANTITIES}
+        about = _refer("recording")
+    else:
+        is_kind["required"] = ["kind"]
+        columns = {name: {"description": said} | _refer("column") for name, said in TABLE_COLUMNS[kind].items()}
+        about = _refer("table")
+    named = {"type": "object", "properties": columns, "additionalProperties": False}
+    return {"if": is_kind, "then": {"properties": {"columns": named, "recording": about}}}
+
+
+def _refer(name: str) -> dict[str, Any]:
+    return {"$ref": f"#/$defs/{name}"}
+
+
+def _table(keys: Mapping[str, Key]) -> dict[str, Any]:
+    """A table whose keys are all known and of their types."""
+    found = {name: {"description": key.meaning, "type": [_NAMES[t] for t in key.types]} for name, key in keys.items()}
+    return {"type": "object", "properties": found, "additionalProperties": False}
