@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ingest.draft import Draft, Question, make_draft
-from ingest.mapping_keys import COLUMN, OPTIONS, TABLE_COLUMN, TABLE_COLUMNS, TIME
+from ingest.formats import list_options
+from ingest.mapping_keys import COLUMN, TABLE_COLUMN, TABLE_COLUMNS, TIME
 from ingest.meanings import NOTHING
 from ingest.meanings import TIME as TIMES
 from schemas.errors import UsageError
@@ -123,7 +124,7 @@ def _full_key(key: str, draft: Draft) -> str | None:
     table, _, last = key.rpartition(".")
     kind = str(draft.content.get("kind"))
     names = TABLE_COLUMNS.get(kind, QUANTITIES)
-    formats = tuple(OPTIONS)
+    formats = list_options()
     if not table:
         if last in known_keys(RecordingMetadata):
             return f"recording.{last}"
@@ -133,7 +134,7 @@ def _full_key(key: str, draft: Draft) -> str | None:
     if table == "time":
         return key if last in TIME else None
     if table in formats:
-        return key if last in OPTIONS[table] else None
+        return key if last in formats[table] else None
     name = table.removeprefix("columns.")
     return f"columns.{name}.{last}" if name in names and last in {**COLUMN, **TABLE_COLUMN} else None
 

@@ -164,7 +164,8 @@ def resolved(
             raise _odd(numbers, int(rows[0]), label, where, expected + (", and no scale" if scaled else ""))
         else:
             values[rows] = change.apply(values[rows])
-    values[lost] = np.nan if lost.any() else values[lost]
+    if lost.any():
+        values[lost] = np.nan
     example = numbers.example or next((numbers.odd[int(r)] for r in np.flatnonzero(lost) if int(r) in numbers.odd), "")
     found = replace(
         numbers, values=values, texts=numbers.texts + int(lost.sum()), example=example, units={}, notations={}

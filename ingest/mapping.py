@@ -19,14 +19,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from ingest.formats import list_formats, list_options
 from ingest.mapping_keys import (
     CHANNEL_METADATA,
     COLUMN,
     EACH,
-    FORMATS,
     IGNORE,
     KINDS,
-    OPTIONS,
     RECORDING,
     SELECT,
     TABLE_COLUMN,
@@ -174,7 +173,7 @@ class FileMapping:
         Raises `RefusedError` for keys that are unknown, of a wrong type or missing.
         """
         content = {k: _with_stem(v, stem) for k, v in content.items() if k != "match"}
-        known = {*TOP, "time", "columns", "recording", "rig", "select", *OPTIONS}
+        known = {*TOP, "time", "columns", "recording", "rig", "select", *list_options()}
         for key in content:
             if key not in known:
                 raise unknown(source, key, known)
@@ -188,7 +187,7 @@ class FileMapping:
         return cls(
             kind=kind,
             format=chosen,
-            options=checked(content.get(chosen or "", {}), chosen or "", OPTIONS.get(chosen or "", {}), source),
+            options=checked(content.get(chosen or "", {}), chosen or "", list_options().get(chosen or "", {}), source),
             time=_time(content, kind, source),
             columns=columns,
             recording=table(content, "recording", source),
@@ -216,14 +215,14 @@ def list_faults(
                 faults.append(error)
             return None
 
-    known = {*TOP, "time", "columns", "recording", "rig", "select", *OPTIONS}
+    known = {*TOP, "time", "columns", "recording", "rig", "select", *list_options()}
     faults += [unknown(source, key, known) for key in content if key not in known]
     kind = attempt(lambda: choice(content.get("kind", RECORDING), "kind", KINDS, source)) or RECORDING
     chosen = attempt(lambda: _format(content, source)) or format_of_suffix(suffix)
     options = content.get(chosen or "", {})
     for key in options if isinstance(options, dict) else ():
         own = {key: options[key]}
-        attempt(functools.partial(checked, own, str(chosen), OPTIONS.get(chosen or "", {}), source))
+        attempt(functools.partial(checked, own, str(chosen), list_options().get(chosen or "", {}), source))
     columns = content.get("columns", {})
     for name in columns if isinstance(columns, dict) and kind != IGNORE else ():
         alone = {"columns": {name: columns[name]}}
@@ -292,7 +291,7 @@ def format_of(path: Path, mapping: FileMapping | None = None) -> str | None:
 
 def format_of_suffix(suffix: str) -> str | None:
     """The format that a file ending stands for, in capitals or not; None for an unknown one."""
-    return next((name for name, suffixes in FORMATS.items() if suffix.lower() in suffixes), None)
+    return next((name for name, suffixes in list_formats().items() if suffix.lower() in suffixes), None)
 
 
 def list_entries(content: Mapping[str, Any], source: str) -> list[dict[str, Any]]:
@@ -320,12 +319,12 @@ def _with_stem(value: Any, stem: str) -> Any:
 
 
 def _format(content: Mapping[str, Any], source: str) -> str | None:
-    named = [name for name in OPTIONS if name in content]
+    named = [name for name in list_options() if name in content]
     if len(named) > 1:
         raise refused(source, f"tables of {len(named)} formats: {', '.join(named)}", "the table of one format")
     if "format" not in content:
         return named[0] if named else None
-    chosen = choice(content["format"], "format", tuple(FORMATS), source)
+    chosen = choice(content["format"], "format", tuple(list_formats()), source)
     if named and named[0] != chosen:
         raise refused(source, f'format is "{chosen}" but the options are in [{named[0]}]', f"[{chosen}]")
     return chosen

@@ -13,6 +13,7 @@ from ingest.assemble import assemble
 from ingest.columns import ColumnFile
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION
+from ingest.readers import find_reader
 from ingest.tables import (
     LifetimeTable,
     RelaxationTable,
@@ -62,29 +63,7 @@ def read_raw(path: Path, mapping: FileMapping | None) -> Content:
 
 def open_columns(path: Path, found: str, mapping: FileMapping) -> ColumnFile:
     """The columns of a file of a foreign format."""
-    if found == "csv":
-        from ingest.csv_reader import read_csv
-
-        return read_csv(path, mapping)
-    if found == "excel":
-        from ingest.excel_reader import read_excel
-
-        return read_excel(path, mapping)
-    if found == "matlab":
-        from ingest.matlab_reader import read_matlab
-
-        return read_matlab(path, mapping)
-    if found == "hdf5":
-        from ingest.hdf5_reader import read_hdf5
-
-        return read_hdf5(path, mapping)
-    if found == "tdms":
-        from ingest.tdms_reader import read_tdms
-
-        return read_tdms(path, mapping)
-    from ingest.uff_reader import read_uff
-
-    return read_uff(path, mapping)
+    return find_reader(found)(path, mapping)
 
 
 def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:

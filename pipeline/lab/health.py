@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from ingest.formats import find_plugins
 from ingest.quarantine import entries as quarantine_entries
 from ingest.quarantine import entry_name
 from pipeline.lab.annotations import find_broken_lines
@@ -49,6 +50,12 @@ def check_installation() -> Iterator[Finding]:
     required = f"{sys.version_info.major}.{sys.version_info.minor}"
     yield Finding(f"Python {required}", None if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed")
     yield _tell("required libraries are installed", _list_missing_libraries(), "run `make` or pip install again")
+    plugins = find_plugins().values()
+    yield _tell(
+        "readers of other packages can be used",
+        [f"{plugin.name} of {plugin.origin}: {plugin.trouble}" for plugin in plugins if plugin.trouble],
+        "mend or remove that package",
+    )
 
 
 def check_lab(lab: Lab) -> Iterator[Finding]:

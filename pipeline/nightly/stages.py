@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from ingest.formats import identify_plugins
 from pipeline.lab.annotations import Annotation
 from pipeline.lab.journal import DIAGNOSIS, GROUP, RECORDING, SPECIMEN, Outcome
 from pipeline.lab.lab import Lab
@@ -69,8 +70,9 @@ class Stage:
     settings: tuple[str, ...] = ()
 
     def version(self, settings: Settings) -> tuple[str, str]:
-        """Hash of its code, and of the settings that it uses."""
-        return hash_code(self.modules), digest(settings.choose(self.settings))
+        """Hash of its code, of the readers of other packages where it reads files, and of the settings that it uses."""
+        code, plugins = hash_code(self.modules), identify_plugins() if self.name == RECORDING else ()
+        return digest([code, *plugins]) if plugins else code, digest(settings.choose(self.settings))
 
 
 STAGES: Mapping[str, Stage] = {

@@ -1,0 +1,77 @@
+"""Which formats there are: ours, and those of other packages, which register a reader under the entry-point group `dealab.readers`.
+
+A reader of another package is looked for only here; it is imported as soon as the first mapping or file ending is asked about.
+Does not belong here: what reads a format (`ingest.readers`).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from typing import Any
+
+from ingest.mapping_keys import FORMATS, OPTIONS, Key
+
+GROUP = "dealab.readers"
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A reader of another package.
+
+    Parameters
+    ----------
+    name : of the format, as `format` of a mapping says it
+    origin : package and version that it comes from
+    suffixes : its file endings, in small letters
+    options : keys of its own table in a mapping
+    reader : the object itself (`ingest.readers.Reader`), None where it cannot be used
+    trouble : why it cannot; empty where it can
+    """
+
+    name: str
+    origin: str
+    suffixes: tuple[str, ...] = ()
+    options: Mapping[str, Key] = field(default_factory=dict)
+    reader: Any = None
+    trouble: str = ""
+
+
+@functools.cache
+def find_plugins() -> Mapping[str, Plugin]:
+    """The readers of other packages, by format."""
+    return {entry.name: _load(entry) for entry in metadata.entry_points(group=GROUP)}
+
+
+@functools.cache
+def list_formats() -> Mapping[str, tuple[str, ...]]:
+    """File endings by format, ours first: an ending that is ours stays ours."""
+    return {**FORMATS, **{name: plugin.suffixes for name, plugin in find_plugins().items() if name not in FORMATS}}
+
+
+@functools.cache
+def list_options() -> Mapping[str, Mapping[str, Key]]:
+    """Keys of each format's own table."""
+    return {**OPTIONS, **{name: plugin.options for name, plugin in find_plugins().items() if name not in OPTIONS}}
+
+
+def identify_plugins() -> tuple[str, ...]:
+    """Names and versions of the readers of other packages: results of a night depend on them."""
+    return tuple(f"{plugin.name}={plugin.origin}" for _, plugin in sorted(find_plugins().items()))
+
+
+def _load(entry: metadata.EntryPoint) -> Plugin:
+    origin = f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else entry.value
+    if entry.name in FORMATS:
+        return Plugin(entry.name, origin, trouble=f"the format {entry.name} is dealab's own")
+    try:
+        reader = entry.load()
+        suffixes = tuple(str(suffix).lower() for suffix in reader.suffixes)
+        options = {str(name): key for name, key in reader.options.items()}
+        if not callable(reader.read) or not all(isinstance(key, Key) for key in options.values()):
+            raise TypeError("it has no method read, or options that are no ingest.mapping_keys.Key")
+    except Exception as error:  # whatever another package does, the night goes on without it
+        return Plugin(entry.name, origin, trouble=f"{type(error).__name__}: {error}")
+    return Plugin(entry.name, origin, suffixes, options, reader)
