@@ -29,6 +29,8 @@ LEAST_NOISE = 1e-6
 """Relative: numbers in a file have no more digits."""
 ROUNDS = 6
 """Most rounds of noise and weights."""
+_NOTHING = 1e-100
+"""Standard deviations; an arm that relaxes long before or after all points changes them by less."""
 _SEARCH = Options(fall=1e-3, share=1e-7, most=60)
 
 
@@ -301,9 +303,10 @@ class _Problem:
         by_rate = slope @ x
         jacobian = np.concatenate([self._of_curve(x, matrix, slope), self.by_shift(model, by_rate)], axis=1)
         size = np.linalg.norm(jacobian, axis=0)
-        left, values, right = np.linalg.svd(jacobian / np.where(size > 0, size, 1.0), full_matrices=False)
+        size[size < _NOTHING] = 1.0
+        left, values, right = np.linalg.svd(jacobian / size, full_matrices=False)
         kept = values > 1e-9 * values[0]
-        inverse = (right[kept].T / values[kept]) / np.where(size > 0, size, 1.0)[:, None]
+        inverse = (right[kept].T / values[kept]) / size[:, None]
         covariance = inverse @ inverse.T
         residual = self.rows(model) - self.target
         shifts = u.size
