@@ -225,6 +225,17 @@ def test_log_gamma_goes_over_into_the_normal(q: float) -> None:
             assert found == pytest.approx(expected, abs=30 * abs(q))
 
 
+def test_limits_of_complete_log_normal_lives_are_those_of_student() -> None:
+    """The median's limits are mean ± t s/√n of ln t, those of the information as well as those of the profile."""
+    logs = np.random.default_rng(9).normal(3.0, 0.7, 8)
+    fit = fit_life_regression(Lives(np.exp(logs), np.exp(logs)), [], "log-normal")
+    half = 2.3646242510103 * logs.std(ddof=1) / np.sqrt(8)  # t of 7 degrees of freedom
+    expected = [logs.mean() - half, logs.mean() + half]
+    median, intercept = fit.life_at(np.empty(0)), fit.coefficients[0].value
+    assert np.log([median.lower, median.upper]) == pytest.approx(expected, abs=1e-6)
+    assert [intercept.lower, intercept.upper] == pytest.approx(expected, abs=1e-4)
+
+
 def test_quantile_at_the_scale_has_the_limits_of_the_scale() -> None:
     """The share 1 − 1/e of a Weibull law and the half of a log-normal one have failed at their scale parameters."""
     lives = Lives(*SHOCK_ABSORBERS)

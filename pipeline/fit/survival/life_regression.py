@@ -14,7 +14,7 @@ from scipy import optimize, special
 
 from pipeline.fit.survival.covariates import Covariate, Design, make_design
 from pipeline.fit.survival.error_distributions import LOGISTIC, log_gamma
-from pipeline.fit.survival.kaplan_meier import Estimate
+from pipeline.fit.survival.kaplan_meier import Estimate, Z
 from pipeline.fit.survival.lifetime_distributions import EXPONENTIAL, LOG_NORMAL, WEIBULL, Lives
 from pipeline.fit.survival.log_location_scale import (
     NORMAL,
@@ -24,7 +24,12 @@ from pipeline.fit.survival.log_location_scale import (
     differentiate,
     maximise,
 )
-from pipeline.fit.survival.profile_likelihood import critical_drop, profile_limits
+from pipeline.fit.survival.profile_likelihood import (
+    LARGE_SAMPLE_DROP,
+    critical_deviations,
+    critical_drop,
+    profile_limits,
+)
 from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
 
@@ -130,8 +135,8 @@ class LifeRegression:
         centre = float(row @ [c.value.value for c in self.coefficients]) + self.sigma.value * w
         slope = np.concatenate((row, self.sigma.value * np.array([w, self._quantile_slope(failed_share)])))
         slope = slope[: self.covariance.shape[0]]
-        drop = critical_drop(self.failures, len(self.coefficients))
-        half = float(np.sqrt(2 * drop * max(float(slope @ self.covariance @ slope), 0.0)))
+        deviations = _deviations(self.family, self.failures, len(self.coefficients))
+        half = deviations * float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
         return Estimate(*(float(np.exp(centre + side * half)) for side in (0, -1, 1)))
 
     def _quantile_slope(self, failed_share: float) -> float:
@@ -171,7 +176,9 @@ def fit_life_regression(
     Notes
     -----
     Limits are those of the profile likelihood with the critical value of `profile_likelihood.critical_drop`, for the
-    generalised gamma and more than 2000 different lives those of the observed information with the same critical value.
+    generalised gamma and more than 2000 different lives those of the observed information with
+    `profile_likelihood.critical_deviations`; of exponential lives, whose scatter is known, those of χ² and the normal.
+    How often they hold the truth: tests/studies/results.md.
     W. Meeker, L. Escobar, Statistical Methods for Reliability Data (1998), chapters 8, 17, 19.
     """
     if family not in FAMILIES:
@@ -462,12 +469,13 @@ class _Fitted:
     def intervals(self, p_values: dict[str, float]) -> tuple[tuple[Coefficient, ...], Estimate, Estimate | None, str]:
         """Coefficients, σ and shape with their limits, and where these come from."""
         model, best = self.model, self.best
-        drop = critical_drop(model.lives.failures, self.coefficients)
+        drop = _drop(model.family, model.lives.failures, self.coefficients)
+        deviations = _deviations(model.family, model.lives.failures, self.coefficients)
         errors = np.sqrt(np.diag(self.covariance))
         profiled = model.family != GENERALISED_GAMMA and model.lives.distinct().lower.size <= _MOST_PROFILED
         found = []
         for i, value in enumerate(best.coefficients):
-            limits = self._profile(i, drop, errors[i]) if profiled else _around(value, drop, errors[i])
+            limits = self._profile(i, drop, errors[i]) if profiled else _around(value, deviations * errors[i])
             owner = self.names.owners[i - 1] if i else ""
             name = self.names.names[i - 1] if i else "intercept"
             found.append(
@@ -478,11 +486,11 @@ class _Fitted:
             sigma = Estimate(1.0, 1.0, 1.0)
         else:
             step = errors[best.coefficients.size]
-            ends = self._profile_sigma(drop, step) if profiled else _around(log_sigma, drop, step)
+            ends = self._profile_sigma(drop, step) if profiled else _around(log_sigma, deviations * step)
             sigma = Estimate(best.sigma, *(float(np.exp(end)) for end in ends))
         shape = None
         if model.family == GENERALISED_GAMMA:
-            shape = Estimate(best.shape, *_around(best.shape, drop, errors[-1]))
+            shape = Estimate(best.shape, *_around(best.shape, deviations * errors[-1]))
         return tuple(found), sigma, shape, "profile likelihood" if profiled else "observed information"
 
     def _profile(self, column: int, drop: float, step: float) -> tuple[float, float]:
@@ -532,9 +540,18 @@ def _recentre_covariance(covariance: Float, centre: Float) -> Float:
     return np.asarray(change @ covariance @ change.T)
 
 
-def _around(value: float, drop: float, error: float) -> tuple[float, float]:
-    half = float(np.sqrt(2 * drop)) * error
+def _around(value: float, half: float) -> tuple[float, float]:
     return value - half, value + half
+
+
+def _drop(family: str, failures: int, coefficients: int) -> float:
+    """Drop of the profile at 95 % limits. Where no scatter is estimated it is that of χ² for few failures, too."""
+    return LARGE_SAMPLE_DROP if family == EXPONENTIAL else critical_drop(failures, coefficients)
+
+
+def _deviations(family: str, failures: int, coefficients: int) -> float:
+    """Standard deviations of the information on either side of 95 % limits."""
+    return Z if family == EXPONENTIAL else critical_deviations(failures, coefficients)
 
 
 def _ratio_test(against: str, gain: float, freedom: int) -> RatioTest:

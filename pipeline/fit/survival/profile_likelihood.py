@@ -36,6 +36,18 @@ def critical_drop(failures: int, coefficients: int = 1) -> float:
     return failures * float(np.log1p(t**2 / freedom)) / 2
 
 
+def critical_deviations(failures: int, coefficients: int = 1) -> float:
+    """Standard deviations of the observed information on either side of a 95 % interval for `failures` failures.
+
+    t √[r/(r − p)] with r failures, p location `coefficients` and Student's t of r − p degrees of freedom: exact for the
+    coefficients of a normal linear model, whose scatter by maximum likelihood is too small by √[(r − p)/r].
+    """
+    freedom = failures - coefficients
+    if freedom < 1:
+        return Z
+    return float(special.stdtrit(freedom, 0.5 + LEVEL / 2)) * float(np.sqrt(failures / freedom))
+
+
 def profile_limits(
     profile: Callable[[Float], Float], best: float, top: float, drop: float, step: float
 ) -> tuple[float, float]:
