@@ -19,7 +19,7 @@ from pipeline.fit.survival.tests import permutation_test
 from pipeline.transform.breakdown import detect_breakdown
 from tests.helpers.breakdown_circuits import simulate
 
-SAMPLES, LIVES, KINDS = 100, 40, ("right-censored", "left-censored", "inspected")
+SAMPLES, LIVES, KINDS = 50, 40, ("right-censored", "left-censored", "inspected")
 _DRAWN = f"""
 import numpy as np
 def draw(kind):
