@@ -83,6 +83,7 @@ def test_ball_bearings() -> None:
     assert shown(normal, 2, 3, 2) == ["4.15", "0.522", "-113.13"]
     gamma = fit_life_regression(lives, [], "generalised gamma")
     assert gamma.shape is not None
+    assert "wide" in gamma.method
     assert [*shown(gamma, 2, 2, 2), f"{gamma.shape.value:.2f}"] == ["4.23", "0.51", "-112.97", "0.31"]
 
 
