@@ -41,6 +41,7 @@ def diagnosis_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures]
             form=lambda candidate: candidate.variant or None,
             **specimen,
         ),
+        "diagnosis_terms": TABLES["diagnosis_terms"].from_objects(diagnosis.terms, **specimen),
         "diagnosis_parameters": TABLES["diagnosis_parameters"].rows(_parameters(diagnosis)),
         **residual_tables(diagnosis, features),
     }
@@ -101,6 +102,9 @@ def _diagnosis_row(d: Diagnosis) -> dict[str, Any]:
         "could_not_ask": list(d.could_not_ask),
         "unexplained": list(d.unexplained),
         "recordings": len(d.residuals),
+        "probabilities": json.dumps(dict(d.probabilities)) if d.probabilities else None,
+        "stage": d.stage,
+        "depends_on": list(d.depends_on),
     }
     if d.extension is not None:
         row |= {

@@ -12,23 +12,29 @@ import numpy as np
 
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.judge import judge_session
-from pipeline.diagnose.proposals.next_recording import propose_separating
-from pipeline.diagnose.proposals.proving import propose_proving
+from pipeline.diagnose.proposals.next_recording import Rival, propose_separating
 from pipeline.diagnose.report import report_session
 from pipeline.diagnose.results import AMBIGUOUS, Diagnosis, NextRecording
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.alternatives import find_alternatives
-from pipeline.diagnose.search.doubt import find_beside_causes, find_instead_of_causes, meets_demand
-from pipeline.diagnose.search.evidence import Evidence
+from pipeline.diagnose.search.consensus import find_consensus, search_from_consensus
+from pipeline.diagnose.search.evidence import Evidence, find_best
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
-from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, rank_by_evidence, settle_outliers
-from pipeline.diagnose.search.free_quantities import fit_free_quantities
+from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, order_causes, settle_outliers
 from pipeline.diagnose.search.held_out import predict_left_out
 from pipeline.diagnose.search.patterns import test_patterns
 from pipeline.diagnose.search.plain_fit import PlainFit, fit_plain
-from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
-from pipeline.diagnose.search.several_causes import combine_causes
-from pipeline.diagnose.search.tempering import measure_explained_share, temper_weights
+from pipeline.diagnose.search.posterior import (
+    Hypothesis,
+    Posterior,
+    refit_under,
+    settle_hypotheses,
+    settle_hypothesis,
+    weigh_fit,
+    weigh_regions,
+)
+from pipeline.diagnose.search.screen import Secants, compute_secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.several_causes import add_causes
+from pipeline.diagnose.search.tempering import temper_weights
 from pipeline.diagnose.simulation.hum import with_hum
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -58,26 +64,26 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     session = with_hum(make_session(recordings))
     simulation = Simulation(session)
     plain = fit_plain(session, simulation)
-    # 2. to 7. What is left, and which mechanisms explain it.
+    # 2. to 6. What is left, and which mechanisms explain it.
     evidence = _search_causes(Extended(session, simulation, plain.model, (), np.ones(session.size)), plain)
-    # 8. Parts are left out and predicted.
+    # 7. Parts are left out and predicted.
     final = evidence.final
     held_out = None if final is None else predict_left_out(evidence.plain, final)
-    # 9. The verdict.
-    verdict = judge_session(evidence, held_out)
-    # 10. What to measure next.
+    # 8. The verdict.
+    verdict = judge_session(evidence)
+    # 9. What to measure next.
     proposal = _propose_recording(evidence) if verdict == AMBIGUOUS else None
-    # 11. Numbers and words.
+    # 10. Numbers and words.
     extended = None if final is None else settle_outliers(final)
     return report_session(simulation, evidence, verdict, held_out, extended, proposal)
 
 
 def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
-    """Steps 2 to 7, begun anew where they find that the plain model was not at its optimum."""
+    """Steps 2 to 6, begun anew where they find that the plain model was not at its optimum."""
     start = plain.theta
     of = replace(of, simulation=of.simulation.about(of.model.physical(start)))
     for _ in range(RULES.plain.restarts):
-        evidence = _search_from(of, start)
+        evidence = _search_from(of, start, plain.mechanical)
         better = _find_better_plain(evidence)
         if better is None:
             break
@@ -85,8 +91,8 @@ def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
     return evidence
 
 
-def _search_from(of: Extended, start: Float) -> Evidence:
-    """Steps 2 to 7 from entries `start` (P,) of the plain model."""
+def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Evidence:
+    """Steps 2 to 6 from entries `start` (P,) of the plain model; `mechanical` (P,): those of the mechanical tests alone."""
     # 2. Is there anything? Signatures of all mechanisms, and smooth patterns that none of them proposes.
     noise_fit = _fit_under_noise(of, start)
     changes = compute_secants(noise_fit)
@@ -96,7 +102,7 @@ def _search_from(of: Extended, start: Float) -> Evidence:
     p_value = signatures.compute_p(scores[0].statistic) if scores else 1.0
     threshold = signatures.find_threshold(RULES.alarm.mechanism_level) if scores else float("inf")
     nothing = Evidence(
-        noise_fit, signatures, p_value, threshold, patterns, is_discrepant=False, plain=noise_fit
+        noise_fit, signatures, p_value, threshold, patterns, plain=noise_fit
     )  # fmt: skip
     by_mechanism, by_pattern = p_value < RULES.alarm.mechanism_level, patterns.p_value < RULES.alarm.pattern_level
     if not (by_mechanism or by_pattern):
@@ -118,50 +124,48 @@ def _search_from(of: Extended, start: Float) -> Evidence:
         # model.
         return replace(nothing, p_value=signatures.compute_p(fall)) if singles else nothing
 
-    # 5. Further causes beside the best one.
-    found = combine_causes(noise_fit, plain, singles, changes)
-    plain, singles, final = found.plain, found.singles, found.final
-    evidence = replace(
+    # 5. All hypotheses under one likelihood: single causes, further ones beside the best, regions without a name.
+    agreed = find_consensus([plain, noise_fit], mechanical)
+    hypotheses = settle_hypotheses([*map(weigh_fit, singles), *search_from_consensus(plain, agreed)])
+    hypotheses += add_causes(hypotheses, changes)
+    noise = max(
+        (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),
+        key=lambda h: h.log_evidence,
+    )
+    posterior = Posterior.of([noise, agreed, *hypotheses, *weigh_regions(agreed)])
+    if posterior.hypotheses[0] is noise:
+        again = _test_again(changes, noise)
+        if again >= RULES.alarm.mechanism_level:
+            return replace(nothing, p_value=again)
+    best = find_best(posterior)
+    final = None if best is None else order_causes(refit_under(plain, best))
+
+    # 6. What the causes leave.
+    return replace(
         nothing,
-        is_discrepant=True,
         p_value=min(p_value, patterns.p_value if by_pattern else 1.0),
         plain=plain,
         singles=singles,
-    )
-    if final is None:
-        return replace(evidence, explained=0.0, patterns_after=left or test_patterns(plain))
-
-    # 6. Other mechanisms in place of the strongest cause.
-    singles = rank_by_evidence([final if _is_better_optimum(final, f) else f for f in singles])
-    alternatives = find_alternatives(plain, final, singles)
-
-    # 7. What the causes leave: patterns, and quantities left free beside them or in their place.
-    alone = fit_free_quantities(plain)
-    beside = find_beside_causes(plain, final, alone)
-    return replace(
-        evidence,
-        singles=singles,
+        posterior=posterior,
         final=final,
-        alternatives=alternatives,
-        explained=measure_explained_share(plain, final),
-        patterns_after=test_patterns(final),
-        surely_beside=tuple(d for d in beside if meets_demand(RULES.doubt.sure, d, plain.chi2 - final.chi2)),
-        beside=beside,
-        instead=find_instead_of_causes(plain, final, alone),
+        patterns_after=test_patterns(plain if final is None else final),
     )
+
+
+def _test_again(changes: Secants, noise: Hypothesis) -> float:
+    """Probability of what the search finds by chance under the weights that the likelihood gives the plain model."""
+    signatures = compute_signatures(changes, noise.model)
+    scores = find_best_scores(signatures)
+    return signatures.compute_p(scores[0].statistic) if scores else 1.0
 
 
 def _fit_under_noise(of: Extended, start: Float) -> ExtendedFit:
     """The plain model at its optimum under the noise alone, with a simulation whose nodes are about its film."""
+    of = replace(of, model=of.model.free_actuation(start, RULES.prior.contradicted))
     found = of.refine(of.fit(start, most=_FEW_STEPS))
     film = of.model.physical(found.theta)
     of = replace(of, simulation=of.simulation.about(film).measured_against(film))
     return ExtendedFit(of, found.solution)
-
-
-def _is_better_optimum(final: ExtendedFit, single: ExtendedFit) -> bool:
-    """Whether what is left of several causes is a better optimum of the same one."""
-    return final.of.chosen == single.of.chosen and final.log_evidence > single.log_evidence
 
 
 def _find_better_plain(evidence: Evidence) -> Float | None:
@@ -183,10 +187,13 @@ def _find_better_plain(evidence: Evidence) -> Float | None:
 
 
 def _propose_recording(evidence: Evidence) -> NextRecording | None:
-    """The recording that would tell causes apart or, where one stands alone that may be none of the list, would show it
-    again."""
-    if evidence.final is None:
+    """The recording that would tell the credible hypotheses apart."""
+    best, final = evidence.best, evidence.final
+    if best is None or final is None:
         return None
-    if evidence.alternatives:
-        return propose_separating(evidence.final, evidence.alternatives)
-    return propose_proving(evidence.plain, evidence.final, evidence.beside, evidence.instead)
+    rivals = [
+        Rival(h.fit or evidence.plain, h.region, 2 * (best.log_joint - h.log_joint))
+        for h in evidence.credible
+        if h is not best
+    ]
+    return propose_separating(final, rivals)

@@ -22,6 +22,7 @@ from pipeline.diagnose.results import (
     HeldOut,
     NextRecording,
     Residuals,
+    Term,
 )
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.detectable import discount_further_arms, find_smallest, report_smallest
@@ -31,13 +32,17 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.held_out import list_supporting_protocols
 from pipeline.diagnose.search.intervals import NORMAL_90, find_interval_ends, make_linear_ends
 from pipeline.diagnose.search.patterns import name_variable
+from pipeline.diagnose.search.posterior import Posterior
 from pipeline.diagnose.search.tempering import measure_explained_share
+from pipeline.diagnose.simulation.parameters import ACTUATION
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.mechanisms import UNLISTED
 
+NORMAL_95 = 1.96
+"""Half width of a 95 % interval of the normal distribution, in standard deviations."""
 _SMALL = 1e-3
 """Part of an interval at which the slope of a reported severity is taken."""
 
@@ -63,12 +68,17 @@ def report_session(
     final, session = evidence.final, evidence.noise_fit.of.session
     context = make_context(simulation, evidence.noise_fit)
     smallest = find_smallest(discount_further_arms(evidence.noise_fit, evidence.signatures), evidence.threshold)
-    others = [fit.of.chosen[0].id for fit in evidence.alternatives]
-    unlisted = [UNLISTED] if evidence.beside or evidence.instead else []
+    named = () if final is None else final.of.mechanism_ids
+    others = list(dict.fromkeys(id for h in evidence.credible for id in h.causes if id not in named))
+    unlisted = [UNLISTED] if evidence.may_be_unlisted else []
+    posterior = evidence.posterior
+    stages, covariates = (
+        ({}, {}) if posterior is None else (posterior.sum_by(stage=True), posterior.sum_by(stage=False))
+    )
     return Diagnosis(
         specimen_id=session.specimen_id,
         verdict=verdict,
-        mechanisms=() if final is None else tuple(c.id for c in final.of.chosen),
+        mechanisms=named,
         also_possible=(*others, *unlisted) if verdict == AMBIGUOUS else (),
         p_value=evidence.p_value,
         supported_by=() if final is None else list_supporting_protocols(evidence.plain, final),
@@ -84,7 +94,13 @@ def report_session(
         plain_film=_take_film(evidence.noise_fit),
         residuals=_list_residuals(evidence.noise_fit, extended),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
-        explained=evidence.explained,
+        explained=float("nan") if final is None else measure_explained_share(evidence.plain, final),
+        probabilities={} if posterior is None else posterior.probability,
+        stage=max(stages, key=lambda name: stages[name], default=None),
+        depends_on=tuple(
+            sorted((n for n, p in covariates.items() if p >= RULES.verdict.listed), key=lambda n: -covariates[n])
+        ),
+        terms=() if posterior is None else _list_terms(posterior),
         left_p_value=float("nan") if evidence.patterns_after is None else evidence.patterns_after.p_value,
     )
 
@@ -196,26 +212,27 @@ def _estimate_severity(
 
 def _list_candidates(evidence: Evidence, context: Context, held_out: HeldOut | None) -> tuple[Candidate, ...]:
     """Every mechanism that was fitted alone, best evidence first."""
-    if not evidence.singles:
+    posterior, plain = evidence.posterior, evidence.plain
+    if posterior is None:
         return ()
-    plain, causes = evidence.plain, () if evidence.final is None else evidence.final.of.chosen
-    log_evidence = np.array([f.log_evidence for f in evidence.singles])
-    probability = np.exp(log_evidence - log_evidence.max())
-    probability /= probability.sum()
+    causes = () if evidence.final is None else evidence.final.of.mechanism_ids
     size = _estimate_effective_size(plain)
     found = []
-    for fit, share in zip(evidence.singles, probability, strict=True):
+    for hypothesis in posterior.listed:
+        fit = hypothesis.fit
+        if fit is None or len(hypothesis.causes) > 1:
+            continue
         chosen = fit.of.chosen[0]
         estimates = _estimate_severity(fit, 0, make_linear_ends(fit.estimate_spread()), context)
         key = find_main_key(chosen.id, estimates)
         ratio = plain.chi2 - fit.chi2
-        is_the_cause = [c.id for c in causes] == [chosen.id]
+        is_the_cause = causes == (chosen.id,)
         found.append(
             Candidate(
                 mechanism=chosen.id,
                 likelihood_ratio=float(ratio),
                 bic=float(ratio - len(chosen.mechanism.parameters) * np.log(size)),
-                probability=float(share),
+                probability=posterior.probability[hypothesis.name],
                 severity=estimates[key].value,
                 severity_sd=estimates[key].sd,
                 explained=measure_explained_share(plain, fit),
@@ -260,9 +277,24 @@ def _list_residuals(plain_fit: ExtendedFit, extended_fit: ExtendedFit | None) ->
     return tuple(found)
 
 
+def _list_terms(posterior: Posterior) -> tuple[Term, ...]:
+    """The function of the most probable region without a name."""
+    found = []
+    for h in posterior.regions[:1]:
+        if h.region is None:
+            continue
+        region, (values, sd) = h.region.region, h.region.tell()
+        for at, value, spread in zip(region.at.tolist(), values.tolist(), sd.tolist(), strict=True):
+            half = NORMAL_95 * spread
+            found.append(
+                Term(h.name, region.stage, region.covariate, at, region.unit, value, value - half, value + half, "1")
+            )
+    return tuple(found)
+
+
 def _describe_unexplained(evidence: Evidence, verdict: str, extended: ExtendedFit | None) -> tuple[str, ...]:
     """What speaks against the causes, and where they mend next to nothing."""
-    found = []
+    found = _describe_sizes(evidence.noise_fit)
     if verdict == UNKNOWN:
         found += _describe_patterns(evidence)
     if verdict == AMBIGUOUS:
@@ -272,13 +304,31 @@ def _describe_unexplained(evidence: Evidence, verdict: str, extended: ExtendedFi
     return tuple(found)
 
 
+def _describe_sizes(fit: ExtendedFit) -> list[str]:
+    """What the actuation contradicts, where sizes and permittivity are not believed."""
+    model = fit.of.model
+    place = model.index(ACTUATION)
+    if place is None or np.isfinite(model.prior_sd[place]):
+        return []
+    of_sizes = fit.of.session.base_model(model.arms).entries[place]
+    if not np.isfinite(of_sizes.sd):
+        return []
+    apart = fit.theta[place] - of_sizes.mean
+    return [
+        f"The actuation is {float(np.exp(apart)):.3g} times what sizes and permittivity give, {abs(apart) / of_sizes.sd:.0f} standard "
+        "deviations away: thickness, layers, active region or permittivity are wrong."
+    ]
+
+
 def _describe_patterns(evidence: Evidence) -> list[str]:
     """Patterns that stay, quantities that surely differ beside the causes, and what both depend on."""
     left = evidence.patterns_after or evidence.patterns_before
     told = RULES.verdict.told_pattern
     by_kind = sorted(left.kind_p.items(), key=lambda item: item[1])
     found = [f"A pattern stays in {name_kind(kind)}." for kind, p in by_kind if p < told]
-    found += [f"Beside the causes named, {d.text}." for d in evidence.surely_beside]
+    found += [
+        f"Most probable without a name: {h.region.region.text}." for h in evidence.credible[:1] if h.region is not None
+    ]
     by_variable = sorted(left.variable_p.items(), key=lambda item: item[1])
     depends = [name_variable(name) for name, p in by_variable if p < told]
     if depends:
@@ -287,14 +337,9 @@ def _describe_patterns(evidence: Evidence) -> list[str]:
 
 
 def _describe_doubt(evidence: Evidence) -> list[str]:
-    """What speaks for a cause that is in no list: the free quantity that differs most beside the causes, or explains
-    more alone."""
-    if evidence.beside:
-        return [f"It may be a cause that is in no list: beside the one named, {evidence.beside[0].text}."]
-    best = max(evidence.instead, key=lambda d: d.evidence, default=None)
-    if best is None:
-        return []
-    return [f"It may be a cause that is in no list: that {best.text} would explain all of it as well."]
+    """What speaks for a cause that is in no list: the most probable region among the credible hypotheses."""
+    found = [h.region.region.text for h in evidence.credible if h.region is not None]
+    return [f"It may be a cause that is in no list: that {found[0]} would explain it as well."] if found else []
 
 
 def _list_unaskable(session: Session) -> tuple[str, ...]:

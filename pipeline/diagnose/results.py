@@ -152,6 +152,28 @@ class Residuals:
 
 
 @dataclass(frozen=True)
+class Term:
+    """A point of an estimated function: what a stage is changed by at a value of what it depends on.
+
+    Parameters
+    ----------
+    hypothesis : `stage/covariate`
+    stage, covariate, covariate_value, covariate_unit : where
+    term, lower_95, upper_95, unit : the value with its 95 % interval
+    """
+
+    hypothesis: str
+    stage: str
+    covariate: str
+    covariate_value: float
+    covariate_unit: str
+    term: float
+    lower_95: float
+    upper_95: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What the simulation of a specimen's session gets wrong, and why.
 
@@ -169,6 +191,10 @@ class Diagnosis:
     unexplained : what is left where the verdict is unknown, what speaks for a cause that is in no list, and where the
         causes mend next to nothing of what is far beyond the noise, in words
     explained : share of the plain model's misfit that the mechanisms explain together; NaN for none
+    probabilities : hypothesis → posterior probability; they sum to 1; empty for none
+    stage : where something acts, most probably; None for none
+    depends_on : what it depends on, more probably than not
+    terms : the function of the most probable region without a name
     left_p_value : of smooth patterns that they leave, on the scale that allows their form to be a little wrong; NaN for
         none
     """
@@ -193,6 +219,10 @@ class Diagnosis:
     smallest_parameters: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     explained: float = float("nan")
     left_p_value: float = float("nan")
+    probabilities: Mapping[str, float] = field(default_factory=dict)
+    stage: str | None = None
+    depends_on: tuple[str, ...] = ()
+    terms: tuple[Term, ...] = ()
 
     @property
     def mechanism(self) -> str | None:

@@ -16,6 +16,7 @@ NOT_CALIBRATED = "not calibrated"
 STUDY = "study of hidden effects (`tests/studies/results.md`)"
 TEMPERING = f"{STUDY}, starting from 10 to 20 % of a block's misfit"
 BAYES_100 = "theory: odds of 100 to 1 (ln 100), decisive on Jeffreys' scale"
+RIGS = "sessions of rigs written apart (`tests/studies/results.md`)"
 COST = "time of a diagnosis; no verdict of the study changed"
 
 
@@ -35,6 +36,9 @@ class FeatureRules:
     noise_samples: int = _rule(16, "fewest samples of a rest that say anything of the noise", unit="samples")
     hum_rest: float = _rule(0.3, "shortest rest in which mains are looked for", unit="s")
     per_cycle: int = _rule(10, "fewest samples per cycle of which harmonics are taken", unit="samples")
+    per_turn: float = _rule(
+        5.0, "fewest samples per turn of the clamp at which its ringing after an edge is followed", RIGS, "samples"
+    )
     most_cycles: int = _rule(400, "most cycles of a recording that are taken one by one", COST, "cycles")
     most_groups: int = _rule(24, "most groups of voltage steps that are taken one by one", COST, "groups")
     ramp_windows: int = _rule(4, "fewest windows of a hold that are worth having", unit="windows")
@@ -47,7 +51,6 @@ class FeatureRules:
     same_level: float = _rule(0.02, "relative difference of voltages within which steps have one level")
     most_lost: float = _rule(0.2, "share of the samples that may be lost before a recording is refused")
     clear_response: float = _rule(0.3, "least |1 + (−Mω² + jωc)/kL| at which a response says anything of the film")
-    red_noise: float = _rule(12.0, "twice the gain in log likelihood that noise with a red part must bring", unit="χ²")
     own_noise_count: float = _rule(
         8.0, "fewest independent ordinates of a rest that may have its own noise", unit="ordinates"
     )
@@ -116,9 +119,6 @@ class TemperRules:
     """Model-form error: how wrong the form of a right mechanism may be."""
 
     share: float = _rule(0.15, "share of a block's misfit that a form which is not quite right may leave", TEMPERING)
-    of_median: float = _rule(2.0, "share that is allowed, over the median of those that blocks are seen to have", STUDY)
-    clearly: float = _rule(10.0, "misfit of a block from which it is seen to have a share", unit="SD of its χ²")
-    fewest_blocks: int = _rule(4, "fewest such blocks from which their median counts", unit="blocks")
     outlier: float = _rule(3.0, "misfit of a block from which it counts for less in the film of the extended model",
                            unit="SD of its χ²")  # fmt: skip
 
@@ -153,6 +153,16 @@ class FitRules:
         12.0, "log evidence behind the best within which a search is brought to its optimum", unit="ln"
     )
     close_call_share: float = _rule(0.02, "the same, as a share of the best log evidence")
+    bent: float = _rule(
+        20.0,
+        "log likelihood by which the film that most recordings agree on must be better to be searched from",
+        COST,
+        "ln",
+    )
+    from_consensus: int = _rule(5, "mechanisms that are fitted from there at least", COST, "mechanisms")
+    settled: int = _rule(
+        6, "hypotheses that are brought to the optimum under their own weights at most", COST, "hypotheses"
+    )
     settled_chi2: float = _rule(0.1, "fall of χ² below which an optimum is confirmed", unit="χ²")
     settled_share: float = _rule(2e-4, "the same, as a share of χ²")
     alternative_chi2: float = _rule(
@@ -162,108 +172,61 @@ class FitRules:
 
 @dataclass(frozen=True)
 class CauseRules:
-    """When causes cannot be told apart, and when a further one is believed beside those before it."""
+    """How further causes are looked for beside the first."""
 
     close: float = _rule(
         4.6, "difference of log evidence within which causes cannot be told apart (9.2 of Λ)", BAYES_100, "ln"
     )
     most: int = _rule(3, "causes that are named together at most", "given: at most three", "causes")
     bases: int = _rule(2, "best single mechanisms on which a second one is tried", COST, "mechanisms")
-    hopeless_base: float = _rule(3.0, "χ² over that of the best beyond which a single mechanism is no base", COST)
     level: float = _rule(1e-3, "false-alarm level of a further cause", STUDY)
-    look_level: float = _rule(
-        0.1, "level at which changes about the plain model say that a further cause may be there", COST
-    )
-    of_explained: float = _rule(
-        0.05, "share of what the causes so far explain where it adds, that a further cause must add", STUDY
-    )
-    of_left: float = _rule(0.4, "share of what they leave there that it must add", STUDY)
-    of_all: float = _rule(0.045, "share of what they explain anywhere that it must add", STUDY)
-    of_all_if_alike: float = _rule(0.13, "the same of a cause that can be taken for one of those before it", STUDY)
-    leaving_noise: float = _rule(
-        0.2, "part of these shares that is asked of a cause which leaves nothing but noise", STUDY
-    )
-    nothing_explained: float = _rule(
-        0.05, "share of what a cause adds, explained there before, below which it is no form of the others", STUDY
-    )
-    place: float = _rule(0.9, "share of what a cause adds that is the place where it adds")
-    noise: float = _rule(3.0, "χ² beyond its expectation up to which it is noise", unit="SD of χ²")
-    finer_scale: float = _rule(
-        0.5, "share of the assumed form error below which a cause is on a finer scale of its own", STUDY
-    )
-    exact_form: float = _rule(
-        0.02, "form error below which the form is exact, and what stays is another cause's", STUDY
-    )
-    screen_part: float = _rule(0.5, "part of what a further cause must add that the screen must promise", COST)
-    out_of_reach: float = _rule(24.0, "χ² over that of other causes for which no evidence makes up", COST, "χ²")
 
 
 @dataclass(frozen=True)
-class Demand:
-    """What a quantity left free beside the causes must be for the causes to be none, or in doubt.
+class FormRules:
+    """How wrong the form of a model may be: the likelihood of all hypotheses."""
 
-    level : probability below which it differs
-    share : of what it and the causes explain together, over the share that forms of right causes leave
-    of_weak : the part of that share for causes that explain next to nothing
-    in_place : share of what the causes explain that it must explain in their place
-    """
-
-    level: float
-    share: float
-    of_weak: float
-    in_place: float = 0.0
+    modes: float = _rule(6.0, "smooth modes of a group of features by which a form is wrong", RIGS, "modes")
+    shares: tuple[float, ...] = _rule(
+        (0.01, 0.03, 0.1, 0.3),
+        "shares of its own effect by which the form of a hypothesis may be wrong, each as likely",
+        RIGS,
+    )
+    louder: tuple[float, ...] = _rule(
+        (1.5, 2.0, 3.0), "noise of a test over that of its rests", "driven noise of rigs written apart", "SD"
+    )
+    noisy: float = _rule(0.03, "probability that a test is as noisy as that", RIGS)
+    drifting: float = _rule(0.03, "probability that a group drifts as no rest shows", RIGS)
+    widest_drift: float = _rule(100.0, "largest variance of such a drift", RIGS, "variances of the noise")
+    outlier: float = _rule(0.01, "probability that a group is wrong by something else", RIGS)
+    widest: float = _rule(1e9, "largest variance of such a group", unit="variances of the noise")
 
 
 @dataclass(frozen=True)
-class DoubtRules:
-    """Whether it may be a cause that is in no list: quantities left free beside the causes and in their place."""
+class PriorRules:
+    """What is believed beforehand."""
 
-    sure: Demand = _rule(Demand(1e-4, 1.0, 0.5), "for `unknown`: level, share, of weak causes, in place", STUDY)
-    faint: Demand = _rule(Demand(0.03, 0.6, 0.25, 0.5), "for a doubt, by one to three numbers", STUDY)
-    faint_of_some: Demand = _rule(Demand(5e-3, 0.6, 0.25, 0.5), "for a doubt, by four to twelve numbers", STUDY)
-    faint_of_many: Demand = _rule(Demand(2e-3, 0.6, 0.5, 1.0), "for a doubt, by more numbers", STUDY)
-    few: int = _rule(3, "numbers up to which a quantity may stand in place of a single cause", STUDY, "numbers")
-    some: int = _rule(12, "numbers up to which a quantity stands for one thing", STUDY, "numbers")
-    better: float = _rule(2.0, "χ² by which a quantity alone must explain more than one cause", STUDY, "χ²")
-    all_of_form: float = _rule(
-        1000.0, "χ² that causes explain from which all that forms differ by is tolerated", STUDY, "χ²"
+    plain: float = _rule(0.5, "that nothing is beside the plain model but noise")
+    anything: float = _rule(0.05, "that it is something that nobody has thought of, in a few groups of features")
+    listed: float = _rule(0.4, "that one of the listed causes is")
+    contradicted: float = _rule(
+        4.0, "deviation of the actuation from what sizes and permittivity say, from which these are wrong", unit="SD"
     )
-    tolerated: float = _rule(
-        0.08, "share that right causes whose form is not quite the rig's leave to a free quantity", STUDY
-    )
-    tolerated_by_frequency: float = _rule(0.2, "the same of a stiffness that is free over frequency", STUDY)
-    visible: float = _rule(
-        10.0, "standard deviations that a change by the whole must make for a number to be free", STUDY, "SD"
-    )
-    most_recordings: int = _rule(12, "free numbers over the recordings of a session at most", COST, "numbers")
-    most_moments: int = _rule(80, "moments at which the stiffness may have changed for good at most", COST, "moments")
+    further: float = _rule(0.05, "that another of them is beside it")
+    unnamed: float = _rule(0.05, "that it is something without a name in one of the regions")
 
 
 @dataclass(frozen=True)
 class VerdictRules:
-    """From fits, patterns and the held-out gain to one of the four verdicts."""
+    """From probabilities to one of the four verdicts."""
 
-    explained: float = _rule(
-        0.6, "share of the misfit that causes must explain where more than noise and a pattern are left", STUDY
+    credible: float = _rule(0.95, "probability of what is named, and of the set that is possible", "given: 95 %")
+    listed: float = _rule(
+        0.5, "probability of all listed causes together below which the verdict is `unknown`", "given: 50 %"
     )
-    close_misfit: float = _rule(
-        1.3, "ratio of what two causes leave (root mean square) within which neither is better", STUDY
-    )
-    more_than_noise: float = _rule(3.0, "χ² beyond the noise up to which what is left may be noise", unit="SD of χ²")
-    much_left: float = _rule(
-        6.0, "χ² beyond the noise from which much is left and the ratio of misfits decides", unit="SD of χ²"
-    )
-    gain_with_pattern: float = _rule(
-        0.4, "held-out gain that causes which leave a pattern must be able to have (upper end)", STUDY
-    )
-    in_features: float = _rule(
-        0.2, "share of what causes explain that is in the features, below which no gain is asked", STUDY
-    )
-    strong: float = _rule(
-        9.0, "Λ over its threshold from which causes must predict what they were not fitted to", STUDY
-    )
-    strong_gain: float = _rule(
-        0.1, "held-out gain that they must have then, where they do not predict most parts better", STUDY
+    adequate: float = _rule(
+        0.01,
+        "probability of as many groups of features that are wrong by something else, below which nothing is named without doubt",
     )
     told_pattern: float = _rule(1e-3, "probability of a pattern below which it is told")
 
@@ -313,12 +276,6 @@ class ProposalRules:
     undecided: tuple[float, ...] = _rule((0.5, 0.1, 0.03), "probability of leaving causes undecided above which a recording is not "
                                          "proposed; above which much longer and longer ones are tried", STUDY)  # fmt: skip
     most_certain: float = _rule(0.99, "largest probability that is stated")
-    proving: float = _rule(
-        1.0, "what is tolerated of a doubt over what would be left of it, from which a recording is proposed", STUDY
-    )
-    form_of_added: float = _rule(
-        0.02, "share of what causes add in a recording that a free quantity follows of their form", STUDY
-    )
     shown: float = _rule(1.0, "χ² that causes must add in a recording to show there", unit="χ²")
 
 
@@ -326,6 +283,7 @@ class ProposalRules:
 class SingleRules:
     """Records that are asked without a session: one large cycle, a system of another kind."""
 
+    explained: float = _rule(0.6, "share of the misfit that a mechanism must explain to be named", STUDY)
     interval: float = _rule(0.95, "probability of the interval of a gain, and of one model being better than another")
     detectable: float = _rule(2.8, "smallest detectable severity", "theory: 80 % power at a level of 5 %", "SD")
     noise_doubt: float = _rule(
@@ -357,7 +315,8 @@ class Rules:
     temper: TemperRules = TemperRules()
     fit: FitRules = FitRules()
     cause: CauseRules = CauseRules()
-    doubt: DoubtRules = DoubtRules()
+    form: FormRules = FormRules()
+    prior: PriorRules = PriorRules()
     verdict: VerdictRules = VerdictRules()
     gain: GainRules = GainRules()
     detectable: DetectableRules = DetectableRules()
@@ -391,8 +350,6 @@ def list_rules(rules: Rules = RULES) -> Iterator[Rule]:
 
 
 def _write_value(value: Any) -> str:
-    if isinstance(value, Demand):
-        return ", ".join(f"{getattr(value, f.name):g}" for f in fields(value))
     if isinstance(value, tuple):
         return ", ".join(f"({_write_value(v)})" if isinstance(v, tuple) else f"{v:g}" for v in value)
     return f"{value:g}"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.proposals.imagined import Seen
 from pipeline.diagnose.search.extended_model import Chosen, Coordinate, Extended, ExtendedFit
-from tests.physics.test_departures import plain_model
+from tests.physics.test_regions import plain_model
 
 COORDINATES = [Coordinate(0, p) for m in MECHANISMS.values() for p in m.parameters]
 

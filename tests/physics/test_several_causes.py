@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism
+from pipeline.diagnose.search.posterior import Posterior, settle_hypotheses, weigh_fit
 from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
-from pipeline.diagnose.search.several_causes import Combination, combine_causes
+from pipeline.diagnose.search.several_causes import add_causes
 from pipeline.diagnose.search.tempering import temper_weights
 from tests.helpers.truth_rig import Effect
-from tests.physics.test_departures import plain_model
+from tests.physics.test_regions import plain_model
 
 
-def combine(seed: int, *effects: Effect) -> Combination:
+def combine(seed: int, *effects: Effect) -> Posterior:
     """What is combined of the mechanisms that each explain something of a session."""
     noise_fit = plain_model(seed, *effects)
     changes = compute_secants(noise_fit)
@@ -20,19 +21,16 @@ def combine(seed: int, *effects: Effect) -> Combination:
     signatures = compute_signatures(changes, plain)
     scores = find_best_scores(signatures)
     singles = confirm_best(fit_each_mechanism(plain, scores, signatures, RULES.fit.mechanisms))
-    return combine_causes(noise_fit, plain, singles, changes)
+    hypotheses = settle_hypotheses([weigh_fit(f) for f in singles])
+    return Posterior.of([weigh_fit(noise_fit), *hypotheses, *add_causes(hypotheses, changes)])
 
 
 def test_one_effect_is_one_cause() -> None:
     found = combine(331, Effect("field_dependent_permittivity", 0.05))
-    assert found.final is not None
-    assert [c.id for c in found.final.of.chosen] == ["field_dependent_permittivity"]
-    assert found.final.chi2 <= found.singles[0].chi2 + 1e-6
+    assert found.hypotheses[0].causes == ("field_dependent_permittivity",)
 
 
 def test_two_effects_are_two_causes() -> None:
     found = combine(331, Effect("field_dependent_permittivity", 0.05), Effect("baseline_drift", 0.05))
-    assert found.final is not None
-    assert {c.id for c in found.final.of.chosen} == {"field_dependent_permittivity", "baseline_drift"}
-    falls = [found.plain.chi2 - f.chi2 for f in found.singles]
-    assert found.plain.chi2 - found.final.chi2 > 1.2 * max(falls)
+    assert set(found.hypotheses[0].causes) == {"field_dependent_permittivity", "baseline_drift"}
+    assert found.probability[found.hypotheses[0].name] > RULES.verdict.credible

@@ -11,7 +11,7 @@ import scipy.sparse
 
 from pipeline.diagnose.features.functionals import Component, Functionals, Operator
 from pipeline.diagnose.features.kinds import FeatureBlock
-from schemas.arrays import Complex, Float
+from schemas.arrays import Bool, Complex, Float
 
 _MATTERS = 0.1
 """Sum of dropped weights times the largest response, in standard deviations of the feature; most of it cancels."""
@@ -162,11 +162,12 @@ def drift_support(kernels: Float, first: int, interval_s: float) -> dict[str, Fl
     return {"drift_s": (edges[:-1] + edges[1:] - 1) / 2 * interval_s, "drift_weight": weight.ravel()}
 
 
-def window_means(edges: Sequence[tuple[int, int]], first: int, count: int) -> Float:
-    """(windows, count) kernels of the means over samples a…b−1, relative to sample `first`."""
+def window_means(edges: Sequence[tuple[int, int]], first: int, count: int, lost: Bool | None = None) -> Float:
+    """(windows, count) kernels of the means over samples a…b−1 that are not `lost` (n,), relative to sample `first`."""
     rows = np.zeros((len(edges), count))
     for row, (a, b) in zip(rows, edges, strict=True):
-        row[a - first : b - first] = 1 / (b - a)
+        kept = np.ones(b - a) if lost is None else (~lost[a:b]).astype(float)
+        row[a - first : b - first] = kept / kept.sum()
     return rows
 
 

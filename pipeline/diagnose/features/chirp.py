@@ -119,7 +119,7 @@ def chirp_blocks(
         blocks += _harmonics(recent, sweep, piece, bands, length)
     if not blocks:
         raise NotIdentifiableError("every sweep has gaps", where=where)
-    blocks += _levels(signals, found, pieces, rest, amplitude / length)
+    blocks += _levels(signals, found, pieces, rest if start.rests else None, amplitude / length)
     values = {"largest_strain": amplitude / length, "rest_force_n": float(found.values[names[1]][:rest].mean())}
     return blocks, [n for n in noise if n is not None], values, warnings
 
@@ -276,21 +276,33 @@ def _harmonics(signals: Signals, sweep: Sweep, piece: Piece, bands: Bands, lengt
     ]
 
 
-def _levels(signals: Signals, found: Record, pieces: list[Sweep], rest: int, strain: float) -> list[FeatureBlock]:
-    """Mean force of each sweep and of the late rest after it, against the rest before the first."""
+def _levels(
+    signals: Signals, found: Record, pieces: list[Sweep], rest: int | None, strain: float
+) -> list[FeatureBlock]:
+    """Mean force of each sweep and of the late rest after it, against the `rest` samples before the first, or, where there are none,
+    against the last of these."""
     rows, cycles, times, moving = [], [], [], []
-    for sweep in pieces:
-        late = sweep.end + (sweep.stop - sweep.end) // 2
-        for a, b, strained in ((sweep.start, sweep.end, strain), (late, sweep.stop, 0.0)):
-            if b - a < 8 or found.lost[a:b].any():
-                continue
-            row = np.zeros(found.count)
-            row[:rest] = -1 / rest
-            row[a:b] += 1 / (b - a)
-            rows.append(row)
-            cycles.append(float(sweep.number))
-            times.append((a + b) / 2 * found.interval_s)
-            moving.append(strained)
+    spans = [
+        (a, b, strained, float(sweep.number))
+        for sweep in pieces
+        for a, b, strained in (
+            (sweep.start, sweep.end, strain),
+            (sweep.end + (sweep.stop - sweep.end) // 2, sweep.stop, 0.0),
+        )
+        if b - a >= 8 and not found.lost[a:b].any()
+    ]
+    if rest is None and spans:
+        first, stop, *_ = spans.pop()
+    else:
+        first, stop = 0, rest or 1
+    for a, b, strained, number in spans:
+        row = np.zeros(found.count)
+        row[first:stop] = -1 / (stop - first)
+        row[a:b] += 1 / (b - a)
+        rows.append(row)
+        cycles.append(number)
+        times.append((a + b) / 2 * found.interval_s)
+        moving.append(strained)
     if not rows:
         return []
     return [

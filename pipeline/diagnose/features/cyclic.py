@@ -107,8 +107,10 @@ def cyclic_blocks(
             largest_response=float(np.ptp(sensed) / np.ptp(x)),
         )
     blocks: list[FeatureBlock] = []
+    # One sample is no level, least of all that at which the motion begins: without rest the last cycles are the reference.
+    reference = (0, rest) if start.rests else (groups[-1].start, groups[-1].stop)
     for group in groups:
-        blocks += _blocks(signals, group, names, frequency, length, rest)
+        blocks += _blocks(signals, group, names, frequency, length, reference)
         if "capacitance" in channels:
             blocks.append(_capacitance(sensing, group, frequency, length))
     noise = [found.noise(q, quiet(v)) for q, v in zip(names, (x, y), strict=True)]
@@ -150,7 +152,12 @@ def _groups(rest: int, per_cycle: float, whole: int, count: int, lost: Bool) -> 
 
 
 def _blocks(
-    signals: Signals, group: _Group, names: tuple[str, str], frequency: float, length: float, rest: int
+    signals: Signals,
+    group: _Group,
+    names: tuple[str, str],
+    frequency: float,
+    length: float,
+    reference: tuple[int, int],
 ) -> list[FeatureBlock]:
     window = slice(group.start, group.stop)
     first = complex(group.kernels[0] @ signals.input[window])
@@ -173,10 +180,7 @@ def _blocks(
     place = {"mean_strain": np.array([mean])}
     orders = np.arange(2, _HARMONICS + 1)
     turned = group.kernels[1:] * np.exp(-1j * np.angle(first) * orders)[:, None]
-    level = np.zeros(group.stop)
-    level[:rest] = -1 / rest
-    level[window] += 1 / (group.stop - group.start)
-    return [
+    made = [
         block(
             CYCLIC_RESPONSE,
             group.label,
@@ -203,21 +207,29 @@ def _blocks(
             time=time,
             support=place | {"order": orders.astype(float)},
         ),
-        block(
-            CYCLIC_LEVEL,
-            group.label,
-            signals,
-            level[None, :],
-            0,
-            is_complex=False,
-            frequency=frequency,
-            amplitude=strain,
-            cycle=cycle,
-            time=time,
-            support=place,
-            drifts=True,
-        ),
     ]
+    if (group.start, group.stop) != reference:
+        a, b = reference
+        level = np.zeros(max(group.stop, b))
+        level[a:b] = -1 / (b - a)
+        level[window] += 1 / (group.stop - group.start)
+        made.append(
+            block(
+                CYCLIC_LEVEL,
+                group.label,
+                signals,
+                level[None, :],
+                0,
+                is_complex=False,
+                frequency=frequency,
+                amplitude=strain,
+                cycle=cycle,
+                time=time,
+                support=place,
+                drifts=True,
+            )
+        )
+    return made
 
 
 def _capacitance(signals: Signals, group: _Group, frequency: float, length: float) -> FeatureBlock:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -26,6 +25,8 @@ _MAINS_WIDTH_HZ = 1.5
 
 _MOST_DOUBT = 1.0
 """Largest variance of a logarithm that is allowed for: what the stretches leave open altogether is not noise."""
+_RANGE, _RED_STEP = (16.0, 6.0), 1.0
+"""How far coloured densities at 1 Hz may be below and above the white one, and steps of the red one, as logarithms."""
 _LEAST_POWER = 1e-12
 """Share of the middle power below which an ordinate is no noise: a channel that stands still."""
 _ALIKE = 0.3
@@ -116,10 +117,10 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
     groups = sorted({s.setting for _, s in samples})
     pool = _Pool.of(samples, groups)
     group = np.concatenate([np.full(s.power.size, groups.index(s.setting)) for _, s in samples])
-    x = pool.fit(group)
-    expected = pool.density(x, group)
+    found, pink, red = pool.fit(group)
+    expected = pool.density(np.append(found, np.log([pink, red])), group)
     # Recordings that miss the common law where white noise rules get a white part of their own.
-    ruled = pool.weight * np.exp(x[:-2])[group] * pool.rate / expected
+    ruled = pool.weight * np.exp(found)[group] * pool.rate / expected
     separate = group.copy()
     for r in np.unique(pool.recording):
         own = pool.recording == r
@@ -131,16 +132,14 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
             separate[own] = separate.max() + 1
     if separate.max() > group.max():
         separate = np.unique(separate, return_inverse=True)[1]
-        x = pool.fit(separate)
-    density = np.exp(x[:-2])
+        found, pink, red = pool.fit(separate)
+    density = np.exp(found)
     white = np.full(recordings, np.nan)
     for r in np.unique(pool.recording):
         first = int(np.flatnonzero(pool.recording == r)[0])
         white[r] = density[separate[first]] * pool.rate[first]
     white[np.isnan(white)] = np.nanmedian(white)
-    doubt = np.minimum(pool.doubt(x, separate), _MOST_DOUBT)
-    pink, red = np.exp(x[-2:] + doubt / 2) * pool.unit
-    return NoiseLaw(white * pool.unit, float(pink), float(red))
+    return NoiseLaw(white * pool.unit, pink * pool.unit, red * pool.unit)
 
 
 @dataclass(frozen=True)
@@ -188,28 +187,39 @@ class _Pool:
         information = parts.T @ (self.weight[:, None] * parts) + np.eye(x.size) * _LEAST_POWER
         return np.asarray(np.diag(np.linalg.inv(information))[-2:])
 
-    def fit(self, group: Int) -> Float:
-        """Whittle's likelihood; red noise only where it raises it clearly, for rests are too short to tell it from pink."""
-        plain, cost = self._search(group, ((0.3, None), (1e-3, None)))
-        coloured, better = self._search(group, ((0.1, 0.1), (1e-3, 0.1)))
-        return coloured if 2 * (cost - better) > RULES.features.red_noise else plain
+    def fit(self, group: Int) -> tuple[Float, float, float]:
+        """Logarithms of the white densities, and the expected pink and red ones.
 
-    def _search(self, group: Int, starts: Sequence[tuple[float, float | None]]) -> tuple[Float, float]:
+        Whittle's likelihood, with every logarithm of the red density as likely beforehand: rests are too short to say how
+        much red noise there is, and what they leave open is expected of longer records.
+        """
         level = self._levels(group)
-        middle = float(np.median(level))
-        best: Any = None
-        floor, top = np.log(middle) - 16, np.log(middle) + 6
-        for pink, red in starts:
-            coloured = [np.log(middle * pink), floor if red is None else np.log(middle * red)]
-            start = np.concatenate([np.log(0.7 * level), coloured])
-            bounds = [(np.log(v) - 8, np.log(v) + 3) for v in level] + [
-                (floor, top),
-                (floor, floor if red is None else top),
-            ]
-            found = minimize(self._cost, start, args=(group,), jac=True, method="L-BFGS-B", bounds=bounds)
-            if best is None or found.fun < best.fun:
-                best = found
-        return np.asarray(best.x), float(best.fun)
+        middle = float(np.log(np.median(level)))
+        start = np.concatenate([np.log(0.7 * level), [middle + np.log(0.1)]])
+        bounds = [(np.log(v) - 8, np.log(v) + 3) for v in level] + [(middle - _RANGE[0], middle + _RANGE[1])]
+        reds = np.arange(middle - _RANGE[0], middle + _RANGE[1] + 0.5, _RED_STEP)
+        costs, ends, pinks = [], [], []
+        for red in reds:
+            found = minimize(
+                lambda x, red=red: self._cost_without_red(x, red, group),
+                start,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+            )
+            start = found.x
+            ends.append(found.x)
+            costs.append(float(found.fun))
+            doubt = min(self.doubt(np.append(found.x, red), group)[0], _MOST_DOUBT)
+            pinks.append(float(np.exp(found.x[-1] + doubt / 2)))
+        share = np.exp(-(np.array(costs) - min(costs)))
+        share /= share.sum()
+        best = ends[int(np.argmin(costs))]
+        return best[:-1], float(share @ np.array(pinks)), float(share @ np.exp(reds))
+
+    def _cost_without_red(self, x: Float, red: float, group: Int) -> tuple[float, Float]:
+        total, gradient = self._cost(np.append(x, red), group)
+        return total, gradient[:-1]
 
     def _levels(self, group: Int) -> Float:
         """Mean density per Hz of each group."""

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.diagnose.features.blocks import Signals, block, log_windows, window_means
 from pipeline.diagnose.features.functionals import Component, lines_spectrum
 from pipeline.diagnose.features.kinds import CYCLE_FORCE, RELAXATION_FORCE, FeatureBlock, NoiseSample
-from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_samples, strain_length_mm
+from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_samples, ringing_s, strain_length_mm
 from pipeline.diagnose.rules import RULES
 from pipeline.transform.channels import drive
 from pipeline.transform.sampling import runs
@@ -43,7 +43,7 @@ def relaxation_blocks(
     found, x, y, names, rest = _prepared(recording)
     noise = [found.noise(q, v[:rest]) for q, v in zip(names, (x, y), strict=True)]
     holds = _holds(x, rest)
-    settling = _RINGING_TURNS / clamp_hz(recording.rig)
+    settling = max(_RINGING_TURNS / clamp_hz(recording.rig), ringing_s(recording.rig, found.interval_s))
     x = _held(x, rest, holds)
     windows: list[tuple[int, int]] = []
     ramps: list[int] = []
@@ -51,7 +51,7 @@ def relaxation_blocks(
         # What the noise of the displacement within the ramp rings in the clamp is no part of the noise measured at rest.
         first = start - begin + max(2, int(settling / found.interval_s))
         made = [(begin + a, begin + b) for a, b in log_windows(first, stop - begin, _PER_DECADE, 2)]
-        windows += [w for w in made if not found.lost[w[0] : w[1]].any()]
+        windows += [w for w in made if _is_recorded(found, *w)]
         ramps += [begin] * (len(windows) - len(ramps))
     if len(windows) < RULES.features.ramp_windows:
         raise NotIdentifiableError(
@@ -60,6 +60,12 @@ def relaxation_blocks(
             expected=f"at least {RULES.features.ramp_windows}",
         )
     return _finished(recording, found, x, y, names, rest, windows, ramps, nodes, RELAXATION_FORCE, noise)
+
+
+def _is_recorded(found: Record, a: int, b: int) -> bool:
+    """Whether a window of a hold has samples: all of them, or those of a recording that slowed down by then."""
+    lost = found.lost[a:b]
+    return not lost.any() or (found.slowed and not lost.all())
 
 
 def _held(x: Float, rest: int, holds: list[tuple[int, int, int]]) -> Float:
@@ -124,7 +130,8 @@ def _prepared(recording: Recording) -> tuple[Record, Float, Float, tuple[str, st
     source = drive(recording)
     names = source.input.quantity, source.output.quantity
     rate = _LONGEST / max(recording.duration_s, 1e-9)
-    found = record({names[0]: source.input, names[1]: source.output}, recording, highest_hz=min(_HIGHEST_HZ, rate / 10))
+    channels = {names[0]: source.input, names[1]: source.output}
+    found = record(channels, recording, highest_hz=min(_HIGHEST_HZ, rate / 10), may_slow_down=True)
     given = found.values[names[0]]
     rest = rest_samples(given)
     if rest < RULES.features.ramp_rest:
@@ -167,7 +174,7 @@ def _finished(
     noise: list[NoiseSample | None],
     spectrum: Callable[[Float], Complex] | None = None,
 ) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
-    kernels = window_means(windows, 0, found.count)
+    kernels = window_means(windows, 0, found.count, found.lost)
     kernels[:, :rest] -= 1 / rest
     height = float(np.abs(x).max())
     force = names[1]

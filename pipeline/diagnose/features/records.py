@@ -28,6 +28,10 @@ _PASSED = 0.7
 _CLEARLY_AWAY, _FIRST_LEVEL, _LEAVING, _LEAST_OF_STEP = 6.0, 40, 0.2, 0.25
 """Standard deviations from its level at which an input has clearly left its rest; share of the record, and of a
 cycle, before that in which it may have begun to; and least noise over the step of the converter."""
+_RARER = 1.5
+"""Times the clock's interval from which a channel's samples are so much rarer that they were interpolated."""
+_WHOLE = 0.02
+"""Samples by which a period may miss a whole number."""
 _NORMAL_MEDIAN = 0.6745
 """Median of the size of a standard normal number."""
 
@@ -40,10 +44,11 @@ class Record:
     ----------
     interval_s : s
     values : quantity → (n,) without NaN; gaps are bridged by straight lines and marked in `lost`
-    lost : (n,) where a channel had no sample
+    lost : (n,) where a channel had no sample, and beside it
     sampled : the clock with the channels' start times and filters
     thinned : samples of the recording per sample here
     resolution : quantity → converter step, None where not known
+    own_interval_s : quantity → interval of the channel's own samples, s; longer than the clock's where it was interpolated
     """
 
     interval_s: float
@@ -52,10 +57,16 @@ class Record:
     sampled: Sampled
     thinned: int
     resolution: Mapping[str, float | None]
+    own_interval_s: Mapping[str, float]
 
     @property
     def count(self) -> int:
         return self.lost.size
+
+    @property
+    def slowed(self) -> bool:
+        """Whether most of the clock's instants have no sample: a recording that is sampled ever more rarely."""
+        return bool(self.lost.mean() > RULES.features.most_lost)
 
     @property
     def time_s(self) -> Float:
@@ -73,6 +84,9 @@ class Record:
     def noise(self, quantity: str, values: Float, *, degree: int = 1, below_hz: float = np.inf) -> NoiseSample | None:
         """Periodogram of a stretch (n,) of a channel without signal, or with one that a polynomial of that degree follows."""
         passed_hz = _PASSED * 0.5 / self.interval_s if self.thinned > 1 else np.inf
+        own_s = self.own_interval_s[quantity]
+        if own_s > _RARER * self.interval_s / self.thinned:
+            passed_hz = min(passed_hz, _PASSED * 0.5 / own_s)
         return noise_sample(
             quantity,
             values,
@@ -88,24 +102,47 @@ class Record:
         return float(f"{interval_s:.3e}"), float(f"{step:.2e}")
 
 
-def record(channels: Mapping[str, Channel], recording: Recording, *, highest_hz: float) -> Record:
+def record(
+    channels: Mapping[str, Channel],
+    recording: Recording,
+    *,
+    highest_hz: float,
+    period_s: float | None = None,
+    may_slow_down: bool = False,
+) -> Record:
     """Channels on one clock with at least ten samples per cycle of `highest_hz`.
 
-    Raises `NotIdentifiableError` where channels have no common time or too much is lost.
+    Parameters
+    ----------
+    channels, recording : what was recorded
+    highest_hz : highest frequency of interest, Hz
+    period_s : a time that has a whole number of samples in the recording, and keeps one
+    may_slow_down : whether a recording may be sampled ever more rarely; its samples are then taken as they are
+
+    Raises
+    ------
+    NotIdentifiableError
+        where channels have no common time or too much is lost
     """
     sampled = sample(channels, recording.start_ns)
     lost = ~sampled.finite
-    if lost.mean() > RULES.features.most_lost:
+    factor = max(1, int(np.floor(1 / (10 * highest_hz * sampled.interval_s))))
+    if period_s is not None:
+        factor = _keep_whole(period_s / sampled.interval_s, factor)
+    rare = lost.mean() > RULES.features.most_lost
+    if rare and not (may_slow_down and factor == 1):
         raise NotIdentifiableError(
             f"{100 * lost.mean():.0f} % of the samples are lost", where=recording.metadata.recording_id
         )
     values = {q: _bridged(v) for q, v in sampled.values.items()}
-    factor = max(1, int(np.floor(1 / (10 * highest_hz * sampled.interval_s))))
     thinned = {q: thin(v, factor) for q, v in values.items()}
     count = next(iter(thinned.values())).size
     gone = np.zeros(count, dtype=bool)
-    for first, stop in runs(lost):
-        gone[max(first // factor - 1, 0) : stop // factor + 2] = True
+    if rare:
+        gone = lost
+    else:
+        for first, stop in runs(lost):
+            gone[max(first // factor - 1, 0) : stop // factor + 2] = True
     return Record(
         sampled.interval_s * factor,
         thinned,
@@ -113,7 +150,16 @@ def record(channels: Mapping[str, Channel], recording: Recording, *, highest_hz:
         sampled,
         factor,
         {q: c.resolution for q, c in channels.items()},
+        {q: float(np.median(np.diff(c.time_ns))) * 1e-9 for q, c in channels.items()},
     )
+
+
+def _keep_whole(samples: float, factor: int) -> int:
+    """The largest factor up to the given by which that many samples are whole again; the given where they are not whole."""
+    whole = round(samples)
+    if abs(samples - whole) > _WHOLE:
+        return factor
+    return max(f for f in range(1, factor + 1) if whole % f == 0)
 
 
 def thin(values: Float, factor: int) -> Float:
@@ -242,6 +288,18 @@ def clamp_hz(rig: RigConstants) -> float:
     if prior is None or prior.nominal[0] <= 0:
         return 50.0
     return float(prior.rig.clamp_omega / (2 * np.pi))
+
+
+def ringing_s(rig: RigConstants, interval_s: float) -> float:
+    """Time after an edge until the clamp's ringing has fallen to a hundredth where samples are too rare to follow it, s; else 0.
+
+    What happens between samples decides how strongly the clamp rings after an edge.
+    """
+    prior = rig_prior(rig)
+    if prior is None or prior.nominal[0] <= 0 or clamp_hz(rig) * interval_s < 1 / RULES.features.per_turn:
+        return 0.0
+    ratio = max(float(prior.rig.damping / prior.rig.critical_damping), prior.lightest_ratio)
+    return float(np.log(100) / (ratio * prior.rig.clamp_omega))
 
 
 def strain_length_mm(recording: Recording) -> float:

@@ -74,7 +74,7 @@ def sphs_blocks(
         if source.square and q in recording.channels and recording.channels[q].values.size:
             channels[q] = recording.channels[q]
     high = recording.metadata.frequency_stop_hz or 0.1 / _interval(source.input.time_ns)
-    found = record(channels, recording, highest_hz=high)
+    found = record(channels, recording, highest_hz=high, period_s=recording.metadata.period_s)
     if found.lost.any():
         raise NotIdentifiableError("a multisine with gaps has no whole periods", where=recording.metadata.recording_id)
     wave = found.values[given]
@@ -114,7 +114,9 @@ def sphs_blocks(
                 len(halves),
             )
         )
-    if periods.empty.size:
+    if (
+        periods.empty.size and periods.count >= RULES.features.periods
+    ):  # fewer hold what the film still makes of its start
         blocks.append(_detection(force, given, spectra, output, squared, wave, factor, kv, common))
     if "capacitance" in channels:
         sensed = found.values["capacitance"]
@@ -336,11 +338,15 @@ def _detection(
     response = y[p.lines] / u[p.lines] / factor(f)
     near = np.interp(empty, f, response.real) + 1j * np.interp(empty, f, response.imag)
     value = y[p.empty] / factor(empty) - near * u[p.empty]
-    basis = _diagonal(spectra, p.empty, span, np.ones(p.empty.size), (0, 1, 2))
+    # About a resonance that is no wider than the lines lie apart, the response between them is not that of a straight line.
+    bend = np.interp(empty, f[1:-1], np.abs(np.diff(response, 2))) / 8 * np.abs(u[p.empty])
+    kept = bend < np.median(np.abs(value))
+    lines, empty, near, value = p.empty[kept], empty[kept], near[kept], value[kept]
+    basis = _diagonal(spectra, lines, span, np.ones(lines.size), (0, 1, 2))
     noise_gain = np.sqrt(np.mean(4 * wave[p.first :] ** 2)) if given == "voltage" else 1.0
-    through = _diagonal(spectra, p.empty, span, noise_gain * np.abs(near), (0,))
+    through = _diagonal(spectra, lines, span, noise_gain * np.abs(near), (0,))
     mains = spectra.found.mains
-    hum = _mains(spectra, p.empty, span, np.ones(p.empty.size), mains)
+    hum = _mains(spectra, lines, span, np.ones(lines.size), mains)
     return assembled(
         SPHS_DETECTION,
         "lines not excited",
@@ -352,7 +358,7 @@ def _detection(
         voltage=kv,
         cycle=p.count / 2,
         time=(p.first + p.count * p.length / 2) * spectra.found.interval_s,
-        support=common | {"lines": p.empty.astype(float), "excited": p.lines.astype(float)},
+        support=common | {"lines": lines.astype(float), "excited": p.lines.astype(float)},
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.diagnose.features.blocks import Signals, block, cycle_groups, log_windows
 from pipeline.diagnose.features.functionals import Component
 from pipeline.diagnose.features.kinds import STEP_CAPACITANCE, STEP_FORCE, STEP_VOLTAGE, FeatureBlock, NoiseSample
-from pipeline.diagnose.features.records import Record, record
+from pipeline.diagnose.features.records import Record, clamp_hz, record, ringing_s
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.nodes import response_nodes
 from pipeline.transform.sampling import runs
@@ -111,8 +111,9 @@ def step_blocks(
         noise_sd=float(force[:rest].std()),
         largest_response=float(np.ptp(force)) / float(squared.max()),
     )
+    settled_s = ringing_s(recording.rig, found.interval_s)
     for group in groups:
-        made = _windows(STEP_FORCE, group, base, rest, found, edge_s, least_s=0.0)
+        made = _windows(STEP_FORCE, group, base, rest, found, edge_s, least_s=settled_s)
         if made is not None:
             blocks.append(made)
     values = {
@@ -132,12 +133,20 @@ def step_blocks(
             factor=found.channel_factor("capacitance", "voltage"),
         )
         for group in groups:
-            made = _windows(STEP_CAPACITANCE, group, one, rest, found, edge_s, least_s=_DISTURBED_S)
+            made = _windows(STEP_CAPACITANCE, group, one, rest, found, edge_s, least_s=max(_DISTURBED_S, settled_s))
             if made is not None:
                 blocks.append(made)
     if "command" in channels and np.ptp(found.values["command"]) > 0:
         blocks += _voltage_blocks(found, groups, rest, edge_s)
-    return blocks, [n for n in noise if n is not None], values, []
+    if not blocks:
+        raise NotIdentifiableError("no plateau outlasts the ringing of the clamp", where=where)
+    warnings = []
+    if settled_s > 0:
+        warnings.append(
+            f"{1 / found.interval_s:.3g} samples per second do not follow the clamp's ringing at "
+            f"{clamp_hz(recording.rig):.3g} Hz: the first {settled_s:.2g} s after each edge are left out"
+        )
+    return blocks, [n for n in noise if n is not None], values, warnings
 
 
 def _plateau_noise(found: Record, cycles: list[_Cycle]) -> Iterator[NoiseSample | None]:

@@ -62,7 +62,7 @@ def _degraded(values: Values, variant: str) -> Effect:
 
 def _wrinkled(values: Values, variant: str) -> Effect:
     overload, growth = values["overload"], values["growth"]
-    rise, recovery = values["rise_s"], values["recovery_s"]
+    rise, recovery, kept = values["rise_s"], values["recovery_s"], values["kept"]
     if overload <= 0:
         return Effect()
 
@@ -77,12 +77,15 @@ def _wrinkled(values: Values, variant: str) -> Effect:
         if not target.any():
             return wave
         held = _following(target, wave.interval_s, rise, recovery)
-        return replace(wave, squared=np.maximum(wave.squared - held, 0.0))
+        return replace(wave, squared=np.maximum(wave.squared - held, kept * held))
 
     def edge(view: View, side: float) -> Complex | Float:
         share = lost(view.voltage_kv**2, view.scale.voltage_kv) / np.maximum(view.voltage_kv, 1e-9) ** 2
-        # Without voltage nothing acts, whatever wrinkles are left.
-        return np.asarray(1 - share / (1 + 2j * np.pi * view.frequency_hz * rise) if side > 0 else 1 - share)
+        s = 2j * np.pi * view.frequency_hz
+        if side > 0:
+            return np.asarray(1 - share / (1 + s * rise))
+        # Wrinkles that are still there without voltage keep the tension down.
+        return np.asarray(1 - share - kept * share * s * recovery / (1 + s * recovery))
 
     return Effect(squared=(stops,), film_edges=(edge,))
 
@@ -124,12 +127,14 @@ def _onset_kv(values: Values, variant: str, context: Context) -> dict[str, float
         "growth": values["growth"],
         "rise_s": values["rise_s"],
         "recovery_s": values["recovery_s"],
+        "kept": values["kept"],
     }
 
 
 FIELD_DEPENDENT_PERMITTIVITY = Mechanism(
     id="field_dependent_permittivity",
     stage="actuation",
+    depends_on=("voltage",),
     equation="ε (1 − a (E/E_max)^p), E_max the field at the session's largest voltage, p about 2",
     source="saturation of dipoles at high fields",
     parameters=(
@@ -148,6 +153,7 @@ FIELD_DEPENDENT_PERMITTIVITY = Mechanism(
 FREQUENCY_DEPENDENT_PERMITTIVITY = Mechanism(
     id="frequency_dependent_permittivity",
     stage="actuation",
+    depends_on=("frequency",),
     equation="ε (jf/1 Hz)^{−b/ln 10}: falls by b per decade of frequency",
     source="Curie-von Schweidler law of dielectrics",
     parameters=(Parameter("per_decade", "1", "fall per decade", 0.002, 0.06, signed=True, least=-0.5, most=0.5),),
@@ -162,6 +168,7 @@ FREQUENCY_DEPENDENT_PERMITTIVITY = Mechanism(
 ELECTRODE_DEGRADATION = Mechanism(
     id="electrode_degradation",
     stage="actuation",
+    depends_on=("exposure",),
     equation="w (1 − d (1 − e^{−(n/n0)^β})), n = ∫V²dt over the session in seconds at the largest voltage",
     source="loss of conducting paths in compliant electrodes under voltage",
     parameters=(
@@ -201,13 +208,24 @@ ELECTRODE_DEGRADATION = Mechanism(
 WRINKLING = Mechanism(
     id="wrinkling",
     stage="actuation",
-    equation="V² stops growing above V_c; what is lost comes with a time t_r and goes with a time t_w",
+    depends_on=("voltage",),
+    equation="V² stops growing above V_c; what is lost comes with a time t_r and goes with a time t_w; a part of it acts on without voltage",
     source="loss of tension (thesis, section 5.4.6)",
     parameters=(
         Parameter("overload", "1", "largest voltage over the onset, less 1", 0.02, 1.0),
         Parameter("growth", "1", "growth that is left above the onset", 0.0, 0.5, SHAPE, log=False, most=1.0),
         Parameter("recovery_s", "s", "t_w", 0.1, 3.0, SHAPE, least=1e-3),
         Parameter("rise_s", "s", "t_r", 0.02, 1.0, SHAPE, least=1e-3),
+        Parameter(
+            "kept",
+            "1",
+            "what wrinkles keep of the force without voltage, over what they take of it with voltage",
+            0.0,
+            1.0,
+            SHAPE,
+            log=False,
+            most=10.0,
+        ),
     ),
     shows=BENT,
     confusable={

@@ -88,6 +88,7 @@ def _force(values: Values, variant: str, context: Context) -> Mapping[str, float
 CLAMP_SLIP = Mechanism(
     id="clamp_slip",
     stage="contact",
+    depends_on=("amplitude",),
     equation="slider of holding force F_s with a holding spring in series with the film; it may creep",
     source="Iwan (Jenkins) element, Iwan 1966",
     parameters=(

@@ -23,6 +23,7 @@ def _drift(values: Values, variant: str) -> Effect:
 BASELINE_DRIFT = Mechanism(
     id="baseline_drift",
     stage="drift",
+    depends_on=("record_time", "session_time"),
     equation="F − b F_rest log10(1 + t/t0), from the start of each recording or of the session",
     source="logarithmic creep of stretched films (thesis, section 5.4.1)",
     parameters=(

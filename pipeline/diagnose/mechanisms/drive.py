@@ -114,6 +114,7 @@ def _leak(values: Values, variant: str) -> Effect:
 DRIVE_LAG = Mechanism(
     id="drive_lag",
     stage="drive",
+    depends_on=("frequency",),
     equation="τ_r V̇ = u − V while it rises, τ_d while it falls, |V̇| ≤ S",
     source="converter that charges and resistor that discharges the film (thesis, section 3.3)",
     parameters=(
@@ -142,6 +143,7 @@ DRIVE_LAG = Mechanism(
 DRIVE_OFFSET = Mechanism(
     id="drive_offset",
     stage="drive",
+    depends_on=("voltage",),
     equation="(V + V0)² acts, or a rectified voltage with a dead zone V0",
     source="offset of the amplifier or charge trapped in the film; Maxwell stress ε E²",
     parameters=(Parameter("offset_kv", "kV", "V0", 0.02, 0.5, signed=True, least=-5.0),),
@@ -156,6 +158,7 @@ DRIVE_OFFSET = Mechanism(
 LEAKAGE = Mechanism(
     id="leakage",
     stage="drive",
+    depends_on=("voltage", "record_time"),
     equation="V (1 − d (q + (1 − q) (V/V_max)³)): current V/R + a V⁴, which builds up, through a series resistance",
     source="current of polymers at high fields",
     parameters=(

@@ -30,6 +30,10 @@ BENT = ELECTRICAL | SPHS_FORCE
 AMPLIFIER = kinds.AMPLIFIER
 
 
+_NEARLY = 0.99
+"""Share of a limit from which a fit has ended there."""
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A parameter of a mechanism.
@@ -51,6 +55,10 @@ class Parameter:
     factor: bool = False
     least: float = 0.0
     most: float = float("inf")
+
+    def is_at_limit(self, value: float) -> bool:
+        """Whether a fit ended at the largest value, or, of one with both signs, the least that there can be."""
+        return value > _NEARLY * self.most or (self.signed and self.least < 0 and value < _NEARLY * self.least)
 
     @property
     def start(self) -> float:
@@ -74,6 +82,7 @@ class Mechanism:
     ----------
     id : name in the contract
     stage : one of STAGES
+    depends_on : what its effect depends on, in the words of the contract; empty where it is the same everywhere
     equation : what it does, as a formula in words that a report can show
     source : where the equation comes from
     parameters : severities first, then shapes
@@ -96,6 +105,7 @@ class Mechanism:
 
     id: str
     stage: str
+    depends_on: tuple[str, ...]
     equation: str
     source: str
     parameters: tuple[Parameter, ...]

@@ -82,6 +82,7 @@ def _damping(values: Values, variant: str) -> Effect:
 RIG_CONSTANTS = Mechanism(
     id="rig_constants",
     stage="rig",
+    depends_on=("frequency",),
     equation="M (1 + δM), kL (1 + δL) in G and H",
     source="M ẍ′ = T − kL x′ − cL ẋ′, F = kL x′ (thesis, eq 4.16, sign of the inertia corrected)",
     parameters=(
@@ -108,6 +109,7 @@ RIG_CONSTANTS = Mechanism(
 LOAD_CELL_DAMPING = Mechanism(
     id="load_cell_damping",
     stage="rig",
+    depends_on=("frequency", "rate"),
     equation="cL + 2ζ√(kL M), or 2ζ√(kL M) (v/v0)^p with the clamp's speed v, or a small damped mass on the clamp",
     source="the same equation of motion; equivalent linear damping and second mass: Den Hartog, Mechanical Vibrations, "
     "sections 8.7 and 3.3",
@@ -118,7 +120,8 @@ LOAD_CELL_DAMPING = Mechanism(
             "growth", "1", "exponent p of the damping over the speed; v0: the driven end at the largest strain and the "
             "clamp's own frequency", 0.1, 1.5, SHAPE, least=0.0, most=3.0,
         ),
-        Parameter("width", "1", "damping ratio ζ₂ of the second mass", 0.02, 0.2, SHAPE, least=1e-3, most=1.0),
+        # A narrower one stores energy and takes none: a resonance of the frame is no damping.
+        Parameter("width", "1", "damping ratio ζ₂ of the second mass", 0.02, 0.2, SHAPE, least=0.02, most=1.0),
     ),
     shows=MECHANICAL | ELECTRICAL | {kinds.TAP_RING},
     faint=("step", "cyclic", "relaxation", "cycle"),

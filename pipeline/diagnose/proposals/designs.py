@@ -376,7 +376,8 @@ def _imagine_test(
         channels["command"] = given / physical.amplifier[number]
     if proposal.test == "step" and STEP_CAPACITANCE in kinds:
         k = physical.film.stiffness(frequency)
-        sensed = _compute_response(physical, number, frequency, True) * (physical.film.k0 / k) * physical.pf_per_n
+        crept = (physical.film.k0 / k) ** physical.sensing_creep
+        sensed = _compute_response(physical, number, frequency, True) * crept * physical.pf_per_n
         channels["capacitance"] = _filter_signal(drive, sensed)
     begin = int(started_at.timestamp() * _NS)
     stamps = begin + np.rint(time * _NS).astype(np.int64)

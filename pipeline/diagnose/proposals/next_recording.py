@@ -21,6 +21,7 @@ from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imag
 from pipeline.diagnose.results import NextRecording
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.posterior import RegionFit
 
 ENOUGH = 2 * RULES.cause.close
 """Difference of Λ from which a cause stands alone."""
@@ -33,22 +34,43 @@ _STEPS = 10
 """Steps of a fit in which a cause is tried in its other forms."""
 
 
-def propose_separating(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) -> NextRecording | None:
-    """Of a catalogue of tests the one that separates the strongest cause from its closest alternative best.
+@dataclass(frozen=True)
+class Rival:
+    """What may be in place of the causes.
+
+    Parameters
+    ----------
+    fit : with other listed causes; or the plain model, beside which `region` acts
+    region : something without a name; None for listed causes
+    behind : twice the log odds by which the causes are ahead of it
+    """
+
+    fit: ExtendedFit
+    region: RegionFit | None
+    behind: float
+
+    def find_names(self) -> tuple[str, ...]:
+        """Ids of its listed causes; of a region stage and what it depends on."""
+        return tuple(c.id for c in self.fit.of.chosen) if self.region is None else (self.region.region.id,)
+
+
+def propose_separating(final: ExtendedFit, rivals: Sequence[Rival]) -> NextRecording | None:
+    """Of a catalogue of tests the one that separates the causes from their closest rival best.
 
     Parameters
     ----------
     final : the model with the causes
-    alternatives : fits with another mechanism in place of the strongest cause
+    rivals : what may be in their place, the most probable first
 
     Returns
     -------
     None where no test would
     """
-    if not alternatives:
+    if not rivals:
         return None
-    believed, others = _list_variants(final), [variant for fit in alternatives for variant in _list_variants(fit)]
-    causes = [f.of.chosen[0].mechanism for f in (final, *alternatives)]
+    believed = _list_variants(final)
+    others = [replace(r, fit=v) for r in rivals for v in (_list_variants(r.fit) if r.fit.of.chosen else [r.fit])]
+    causes = [c.mechanism for fit in (final, *(r.fit for r in rivals)) for c in fit.of.chosen[:1]]
     best = choose_best(
         select_showing(list_proposals(final.of.session, WARMER_K), causes),
         lambda proposal: _judge_proposal(proposal, believed, others),
@@ -56,7 +78,8 @@ def propose_separating(final: ExtendedFit, alternatives: Sequence[ExtendedFit]) 
     )
     if best is None:
         return None
-    names = " and ".join([final.of.chosen[0].id, alternatives[0].of.chosen[0].id])
+    one, other = set(final.of.mechanism_ids), set(rivals[0].find_names())
+    names = " and ".join(" with ".join(sorted(own)) for own in (one - other or one, other - one or other))
     chance = min(1 - math.exp(-best.compute_merit()), RULES.proposal.most_certain)
     text = f"{best.proposal.text}: tells {names} apart with a probability of {100 * chance:.0f} %"
     return NextRecording(best.proposal.designs, text, best.find_separation())
@@ -117,14 +140,15 @@ class SeparationInTest:
 
 
 def _judge_proposal(
-    proposal: Proposal, believed: Sequence[ExtendedFit], others: Sequence[ExtendedFit]
+    proposal: Proposal, believed: Sequence[ExtendedFit], others: Sequence[Rival]
 ) -> SeparationInTest | None:
     """What a proposal would say; None where its recording would have no features."""
     made = imagine_session(believed[0], proposal)
     if made is None:
         return None
-    seen = [[Seen.of_fit(*made, fit) for fit in fits] for fits in (believed, others)]
-    apart = [_compute_separation(one, other) for one in seen[0] for other in seen[1]]
+    seen = [Seen.of_fit(*made, fit) for fit in believed]
+    rivals = [(rival, Seen.of_fit(*made, rival.fit)) for rival in others]
+    apart = [_compute_separation(one, *other) for one in seen for other in rivals]
     return SeparationInTest(proposal, tuple(apart))
 
 
@@ -151,15 +175,18 @@ def _reverse_signs(mechanism: Mechanism, values: Mapping[str, float]) -> list[di
     return [{**values, **{p.name: -values[p.name] / (1 + values[p.name] * p.factor) for p in mechanism.severities}}]
 
 
-def _compute_lead(believed: ExtendedFit, other: ExtendedFit) -> float:
-    """Twice the log evidence of a believed fit over an alternative; 0 where what both leave, not the evidence, makes it
-    one."""
-    ahead = 2 * (believed.log_evidence - other.log_evidence)
-    return ahead if ahead < 2 * RULES.cause.close else 0.0
-
-
-def _compute_separation(believed: Seen, other: Seen) -> Separation:
-    ahead = _compute_lead(believed.fit, other.fit)
-    apart = believed.values - other.values
+def _compute_separation(believed: Seen, rival: Rival, other: Seen) -> Separation:
+    """What a recording would say for and against the causes and one rival."""
+    values = other.values
+    if rival.region is not None:
+        change = rival.region.compute_change_in(other.of, rival.fit.x)
+        values = values + other.of.session.whiten(change)
+        return Separation(
+            other.measure_against(believed.values - (values - other.values)),
+            believed.measure_against(values),
+            rival.behind,
+            0.0,
+        )
+    apart = believed.values - values
     simpler = believed.measure_narrowing(apart) - other.measure_narrowing(apart)
-    return Separation(other.measure_against(believed.values), believed.measure_against(other.values), ahead, simpler)
+    return Separation(other.measure_against(believed.values), believed.measure_against(values), rival.behind, simpler)

@@ -1,4 +1,4 @@
-"""What the search for causes found in a session: the fits and tests from which the verdict is made.
+"""What the search for causes found in a session: the fits, tests and probabilities from which the verdict is read.
 
 Does not belong here: the verdict (`pipeline.diagnose.judge`), and its words (`pipeline.diagnose.report`).
 """
@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
-from pipeline.diagnose.search.free_quantities import FreeQuantity
 from pipeline.diagnose.search.patterns import Patterns
+from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior
 from pipeline.diagnose.search.screen import Signatures
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The fits behind a verdict; all with tempered weights but `noise_fit`, whose weights are those of the noise alone.
+    """The fits behind a verdict.
 
     Parameters
     ----------
@@ -25,15 +25,12 @@ class Evidence:
     p_value : probability that the noise alone makes the search find as much
     threshold : Λ at the false-alarm level of the search
     patterns_before : smooth patterns in the residual of `noise_fit`
-    is_discrepant : whether there is anything to explain
-    plain : the plain model
-    singles : every mechanism that was fitted alone, best evidence first
-    final : the model with the causes that are believed; None where no mechanism is worth its parameters
-    alternatives : fits that do as well with another mechanism in place of the strongest cause
-    explained : share of the plain model's misfit that the causes explain
-    patterns_after : smooth patterns that `final` leaves, or `plain` where there is none
-    surely_beside, beside : free quantities that differ beside the causes: surely, and at least faintly
-    instead : free quantities that explain more than the causes, in their place
+    plain : the plain model under weights that allow for causes of any form
+    singles : every mechanism that was fitted alone under the weights of `plain`, best evidence first
+    posterior : of all hypotheses; None where nothing is beyond the noise
+    final : the most probable hypothesis of listed causes under the weights of `plain`, the strongest cause first; None where
+        there is none, or the plain model is more probable
+    patterns_after : smooth patterns that the best causes leave, or the plain model where there are none
     """
 
     noise_fit: ExtendedFit
@@ -41,21 +38,52 @@ class Evidence:
     p_value: float
     threshold: float
     patterns_before: Patterns
-    is_discrepant: bool
     plain: ExtendedFit
     singles: tuple[ExtendedFit, ...] = ()
+    posterior: Posterior | None = None
     final: ExtendedFit | None = None
-    alternatives: tuple[ExtendedFit, ...] = ()
-    explained: float = float("nan")
     patterns_after: Patterns | None = None
-    surely_beside: tuple[FreeQuantity, ...] = ()
-    beside: tuple[FreeQuantity, ...] = ()
-    instead: tuple[FreeQuantity, ...] = ()
+
+    @property
+    def is_discrepant(self) -> bool:
+        """Whether there is anything to explain."""
+        return self.posterior is not None
+
+    @property
+    def best(self) -> Hypothesis | None:
+        """The most probable hypothesis of listed causes; None where the plain model is more probable."""
+        return None if self.posterior is None else find_best(self.posterior)
+
+    @property
+    def credible(self) -> tuple[Hypothesis, ...]:
+        """The fewest hypotheses among which the truth is with `verdict.credible`."""
+        return () if self.posterior is None else self.posterior.find_set(RULES.verdict.credible)
+
+    @property
+    def alternatives(self) -> tuple[ExtendedFit, ...]:
+        """Fits of the other listed causes among the credible hypotheses, the most probable first."""
+        return tuple(h.fit for h in self.credible if h.causes and h.fit is not None and h is not self.best)
+
+    @property
+    def may_be_unlisted(self) -> bool:
+        """Whether the credible hypotheses hold one without a name, or the best leaves too much to something else."""
+        best = self.best
+        return any(not h.causes for h in self.credible) or (best is not None and not best.is_adequate)
 
     @property
     def leaves_pattern(self) -> bool:
-        """Whether the causes leave a pattern. Where the plain model shows none, a weak one may be what is not known of
-        the noise."""
-        shown = self.patterns_before.p_value < RULES.alarm.pattern_level
-        level = RULES.alarm.left_level if shown else RULES.alarm.pattern_level
-        return self.patterns_after is not None and self.patterns_after.p_value < level
+        """Whether the causes leave a pattern."""
+        return self.patterns_after is not None and self.patterns_after.p_value < RULES.alarm.left_level
+
+
+def find_best(posterior: Posterior) -> Hypothesis | None:
+    """The most probable hypothesis of listed causes; None where the plain model with what reality does now and then is more
+    probable than it.
+
+    Parameters
+    ----------
+    posterior : of all hypotheses
+    """
+    plain = next(h for h in posterior.hypotheses if h.name == PLAIN)
+    best = next(iter(posterior.listed), None)
+    return best if best is not None and best.log_joint > plain.log_joint else None

@@ -144,6 +144,11 @@ class Extended:
     chosen: tuple[Chosen, ...]
     weight: Float
 
+    @property
+    def mechanism_ids(self) -> tuple[str, ...]:
+        """Ids of the mechanisms, in their order."""
+        return tuple(c.id for c in self.chosen)
+
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The mechanisms' parameters, (Q,) in the order of the entries after θ."""
@@ -362,9 +367,17 @@ class ExtendedFit:
 
         Without the constants that all models of one session share: −χ²/2 for the plain model.
         """
-        model = self.of.model.size
-        total = -0.5 * self.chi2
-        own, searched = self.x[model:], self._searched
+        return -0.5 * self.chi2 + self.integrate_mechanisms(self.covariance)
+
+    def integrate_mechanisms(self, covariance: Float) -> float:
+        """Logarithm of prior density times volume of the mechanisms' entries about the optimum: what the likelihood there is
+        multiplied with.
+
+        Parameters
+        ----------
+        covariance : (P, P) of the entries
+        """
+        total, own, searched = 0.0, self.x[self.of.model.size :], self._searched
         for i in searched:
             c = self.of.coordinates[i]
             if c.parameter.role == SEVERITY:
@@ -372,7 +385,7 @@ class ExtendedFit:
             else:
                 total -= float(np.log(c.prior[1])) + 0.5 * np.log(2 * np.pi)
         if searched:
-            total += self.log_volume(self.covariance) + 0.5 * len(searched) * np.log(2 * np.pi)
+            total += self.log_volume(covariance) + 0.5 * len(searched) * np.log(2 * np.pi)
         return float(total)
 
     def log_volume(self, covariance: Float) -> float:

@@ -17,8 +17,9 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.search.screen import Score, Signatures, make_absorbed_basis, scale_severities
 from pipeline.diagnose.search.tempering import expect_noise_chi2, lower_outlier_weights
+from pipeline.diagnose.simulation.parameters import ACTUATION
 from pipeline.physics.least_squares import Solution
-from schemas.arrays import Float, Int
+from schemas.arrays import Float
 
 _FEW, _ROUGHLY, _THOROUGHLY = 2, 6, 25
 """Steps after which the searches from several starts are compared, of a rough fit, and of a thorough one."""
@@ -257,7 +258,7 @@ def _make_room(base: ExtendedFit, chosen: Chosen, values: Start) -> Float:
     model, theta = base.of.model, base.theta.copy()
     more = -float(np.log(max(softening(values), 1e-3)))
     theta[: 1 + model.arms] += more
-    actuation = model.index("log actuation")
+    actuation = model.index(ACTUATION)
     if actuation is not None:
         theta[actuation] += more
     return theta
@@ -364,9 +365,13 @@ def drop_mechanism(fit: ExtendedFit, number: int) -> ExtendedFit:
     return finish_fit(of.fit(of.make_entries(fit.theta, values), most=_ROUGHLY))
 
 
-def reorder_mechanisms(fit: ExtendedFit, order: Int) -> ExtendedFit:
-    """The same fit with its mechanisms in another order."""
-    if np.array_equal(order, np.arange(order.size)):
+def order_causes(fit: ExtendedFit) -> ExtendedFit:
+    """The same fit with its mechanisms in the order of what each explains beside the rest."""
+    number = len(fit.of.chosen)
+    if number < 2:
+        return fit
+    order = np.argsort([-drop_mechanism(fit, i).chi2 for i in range(number)], kind="stable")
+    if np.array_equal(order, np.arange(number)):
         return fit
     of = replace(fit.of, chosen=tuple(fit.of.chosen[i] for i in order))
     return finish_fit(of.fit(of.make_entries(fit.theta, tuple(fit.values[i] for i in order)), most=3))

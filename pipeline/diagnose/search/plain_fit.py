@@ -20,6 +20,7 @@ from pipeline.diagnose.features.kinds import (
     CYCLIC_LEVEL,
     CYCLIC_RESPONSE,
     RELAXATION_FORCE,
+    SPHS_CAPACITANCE,
     SPHS_RESPONSE,
     STEP_CAPACITANCE,
     STEP_FORCE,
@@ -55,13 +56,15 @@ _OTHER_CLAMPS = tuple(float(v) for v in np.exp(np.arange(-10, 11) / 10))
 
 @dataclass(frozen=True)
 class PlainFit:
-    """The plain model at its optimum. `misfit` (N,) is the whitened residual of the features."""
+    """The plain model at its optimum. `misfit` (N,) is the whitened residual of the features, `mechanical` (P,) the entries
+    with the film and the rig of the mechanical tests alone, where there are others."""
 
     model: BaseModel
     theta: Float
     solution: Solution
     chi2: float
     misfit: Float
+    mechanical: Float | None = None
 
 
 def fit_plain(session: Session, simulation: Simulation, *, order: int | None = None) -> PlainFit:
@@ -92,7 +95,32 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
         place = model.index(name)
         if place is not None:
             start[place] = found.theta[i]
-    return refit_plain(session, simulation, model, start)
+    model = _choose_creep(session, simulation, model, start)
+    return replace(refit_plain(session, simulation, model, start), mechanical=start)
+
+
+def _choose_creep(session: Session, simulation: Simulation, model: BaseModel, theta: Float) -> BaseModel:
+    """The plain model whose sensing region creeps as the film of the mechanical tests does, or not at all: what its own capacitance shows.
+
+    Parameters
+    ----------
+    session, simulation : with all features
+    model, theta : the plain model at the film and the rig of the mechanical tests (P,)
+    """
+    own = np.concatenate(
+        [np.full(p.block.size, p.block.kind in (STEP_CAPACITANCE, SPHS_CAPACITANCE)) for p in session.places]
+    )
+    if not own.any():
+        return model
+
+    def measure_left(of: BaseModel) -> float:
+        """Sum of squares that the best scale leaves of the capacitances."""
+        seen, made = (
+            session.whiten(np.where(own, v, 0.0))[own] for v in (session.value, simulation.predict(of, theta))
+        )
+        return float(seen @ seen - (seen @ made) ** 2 / max(made @ made, np.finfo(float).tiny))
+
+    return min((model, replace(model, sensing_creep=0.0)), key=measure_left)
 
 
 def _responds_to_motion(session: Session) -> bool:

@@ -1,7 +1,6 @@
-"""Tempering: every block may be wrong by a share of the plain model's misfit, for no mechanism has exactly reality's
-form.
+"""Tempering: weights under which causes are searched, before it is known which and how right their forms are.
 
-How large that share is, is assumed as long as nothing is known, and read off a cause that explains much more than that.
+Every block may be wrong by a share of the plain model's misfit. What is found is compared under the likelihood of `likelihood`.
 """
 
 from __future__ import annotations
@@ -56,45 +55,7 @@ def expect_noise_chi2(plain: ExtendedFit) -> float:
     return float(np.sum(plain.of.weight**2)) - plain.of.model.size
 
 
-def measure_excess(plain: ExtendedFit, fit: ExtendedFit) -> float:
-    """χ² that a fit leaves beyond the noise, in standard deviations of what the noise alone would leave. Both have the
-    same weights."""
-    noise = expect_noise_chi2(plain)
-    return float((fit.chi2 - noise) / np.sqrt(2 * max(noise, 1.0)))
-
-
 def measure_explained_share(plain: ExtendedFit, extended: ExtendedFit) -> float:
     """Share of the plain model's misfit beyond the noise that an extended model explains. Both have the same weights."""
     fall = plain.chi2 - extended.chi2
     return float(np.clip(fall / max(plain.chi2 - expect_noise_chi2(plain), fall, 1e-9), 0.0, 1.0))
-
-
-def sum_by_block(fit: ExtendedFit, noise: bool = False) -> Float:
-    """(B,) weighted χ² of each block; with `noise` what the noise alone would leave."""
-    squares = fit.of.weight**2 if noise else fit.misfit**2
-    return np.array([float(squares[p.first : p.stop].sum()) for p in fit.of.session.places])
-
-
-def sum_by_part(fit: ExtendedFit, noise: bool = False) -> Float:
-    """(B + 1,) the same, and last that of the rig's priors: a cause may do nothing but reconcile features with the
-    rig's file."""
-    files = fit.solution.residual[fit.of.session.size :][: int(np.isfinite(fit.of.model.prior_sd).sum())]
-    return np.append(sum_by_block(fit, noise), files.size if noise else float(files @ files))
-
-
-def estimate_form_share(plain: ExtendedFit, extended: ExtendedFit) -> float:
-    """Form error of a cause, as most blocks show it; `temper.share` at most.
-
-    What another cause leaves in some of the blocks counts for nothing in the median of all.
-
-    Parameters
-    ----------
-    plain, extended : without and with the cause; both with weights of the noise alone
-    """
-    size = sum_by_block(plain, noise=True)
-    before, after = sum_by_block(plain) - size, sum_by_block(extended) - size
-    clear = before > RULES.temper.clearly * np.sqrt(2 * size) + 2 * RULES.temper.clearly
-    if clear.sum() < RULES.temper.fewest_blocks:
-        return RULES.temper.share
-    shares = np.sqrt(np.maximum(after[clear], 0.0) / before[clear])
-    return float(min(RULES.temper.share, RULES.temper.of_median * np.median(shares)))

@@ -1,8 +1,9 @@
 """Prediction of voltage steps and multisines: H = −F/V² and the capacitance, from the voltage that was measured.
 
-    H = g a/(1 + (−Mω² + jωcL)/kL + k/kL),      ΔC/V² = −κ (k0/k) (1 + (−Mω² + jωcL)/kL) H
+    H = g a/(1 + (−Mω² + jωcL)/kL + k/kL),      ΔC/V² = −κ (k0/k)^e (1 + (−Mω² + jωcL)/kL) H
 
-The sensing part in series carries the film's tension, so that its strain is tension over k; κ is pF/N at rest. Effects on the
+The sensing part in series carries the film's tension, so that its strain is tension over k, with e = 1 where it is of the same material
+and electrodes do not hinder it; κ is pF/N at rest. Effects on the
 voltage act on the waveform (one stored period, or the plateaus of steps) before its square reaches the film.
 """
 
@@ -30,7 +31,7 @@ _INPUTS = {
         "film_voltage film_edges squared actuation electrode film tension rig clamp force voltage reading",
     ),
     CAPACITANCE: Inputs.named(
-        "film rigs actuation pf_per_n",
+        "film rigs actuation pf_per_n sensing_creep",
         "film_voltage film_edges squared actuation electrode film rig clamp voltage capacitance",
     ),
     VOLTAGE: Inputs.named("amplifier", "monitor monitor_wave monitor_edges voltage"),
@@ -53,7 +54,7 @@ def electrical_response(
     response = drive / rig.loaded(film.k, own)
     if output == FORCE:
         return np.asarray(rig.gain * response * channel(effect.force, view))
-    sensed = -physical.pf_per_n * own * response * physical.k0 / film.k
+    sensed = -physical.pf_per_n * own * response * (physical.k0 / film.k) ** physical.sensing_creep
     return np.asarray(sensed * channel(effect.capacitance, view) * channel(effect.electrode, view))
 
 

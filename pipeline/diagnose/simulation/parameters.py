@@ -17,6 +17,8 @@ from pipeline.physics.rig import RIGID, Rig, RigPrior, rig_of_constants
 from schemas.arrays import Float, Int
 
 CLAMP_MASS = "clamp mass"
+ACTUATION = "log actuation"
+"""Entry of the actuation force per squared voltage."""
 _NEAR, _FARTHEST = 8.0, 60.0
 """Standard deviations within which a rig's constants are searched, and those for its clamp where nothing so near comes close
 to the data: what a clamp carries changes, and nobody writes it down."""
@@ -43,6 +45,7 @@ class Physical:
     actuation : F_A/V², N/kV²
     amplifier : kV/V, per rig
     pf_per_n, pf_per_mm : what the sensing region makes of the tension (at rest) and of the displacement
+    sensing_creep : as in `BaseModel`
     """
 
     film: RelaxationModel
@@ -51,6 +54,7 @@ class Physical:
     amplifier: tuple[float, ...]
     pf_per_n: float
     pf_per_mm: float
+    sensing_creep: float = 1.0
 
     @property
     def k0(self) -> float:
@@ -70,6 +74,7 @@ class Several:
     amplifier: tuple[Float, ...]
     pf_per_n: Float
     pf_per_mm: Float
+    sensing_creep: Float
 
     @classmethod
     def of(cls, members: Sequence[Physical]) -> Several:
@@ -88,6 +93,7 @@ class Several:
             tuple(column(gains) for gains in zip(*(m.amplifier for m in members), strict=True)),
             column(m.pf_per_n for m in members),
             column(m.pf_per_mm for m in members),
+            column(m.sensing_creep for m in members),
         )
 
     @cached_property
@@ -105,7 +111,9 @@ class Several:
             mass, stiffness, damping, gain = np.array([whole.mass, whole.stiffness, whole.damping, whole.gain])[:, at]
             return Rig(mass, stiffness, damping, gain, whole.extra)
 
-        fields = {name: getattr(self, name)[at] for name in ("k0", "actuation", "pf_per_n", "pf_per_mm")}
+        fields = {
+            name: getattr(self, name)[at] for name in ("k0", "actuation", "pf_per_n", "pf_per_mm", "sensing_creep")
+        }
         given = {name: np.full_like(fields[name], value) for name, value in hidden.items()}
         return Several(
             members=tuple(self.members[i] for i in places),
@@ -120,6 +128,7 @@ class BaseModel:
     """The plain model of a session: a film with `arms` relaxation arms (and a pure dashpot), and the entries of θ.
 
     loaded : the rig that each rig is, itself or an earlier one, which has its entries, and the known mass on its clamp, N s²/mm
+    sensing_creep : how far the sensing region creeps under a tension: 1 as the film, 0 not at all, where stiff electrodes hold it
     """
 
     arms: int
@@ -127,6 +136,7 @@ class BaseModel:
     entries: tuple[Entry, ...]
     rigs: tuple[RigPrior | None, ...]
     loaded: tuple[tuple[int, float], ...]
+    sensing_creep: float = 1.0
 
     @property
     def size(self) -> int:
@@ -164,10 +174,11 @@ class BaseModel:
         return Physical(
             film=self.shape.model(theta),
             rigs=tuple(rigs),
-            actuation=float(np.exp(named.get("log actuation", 0.0))),
+            actuation=float(np.exp(named.get(ACTUATION, 0.0))),
             amplifier=tuple(float(np.exp(named.get(f"log amplifier {i}", 0.0))) for i in range(len(self.rigs))),
             pf_per_n=float(named.get("capacitance per force", 0.0)),
             pf_per_mm=float(named.get("capacitance per displacement", 0.0)),
+            sensing_creep=self.sensing_creep,
         )
 
     def theta(self, film: RelaxationModel, **named: float) -> Float:
@@ -185,6 +196,21 @@ class BaseModel:
                 raise ValueError(f"no entry {name!r}")
             theta[place] = value
         return theta
+
+    def free_actuation(self, theta: Float, far: float) -> BaseModel:
+        """The model that does not believe what sizes and permittivity say of the actuation, where θ contradicts it.
+
+        Parameters
+        ----------
+        theta : (P,) entries
+        far : standard deviations from which it is contradicted
+        """
+        place = self.index(ACTUATION)
+        if place is None or not abs(theta[place] - self.prior_mean[place]) > far * self.prior_sd[place]:
+            return self
+        entries = list(self.entries)
+        entries[place] = replace(entries[place], sd=float("inf"))
+        return replace(self, entries=tuple(entries))
 
     @property
     def widened(self) -> BaseModel:

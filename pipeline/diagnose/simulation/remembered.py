@@ -21,7 +21,7 @@ PredictSeveral = Callable[[Several, Effect], Float]
 
 _KEPT = 48
 """Predictions kept of a family: those at one point of a search and beside it in each direction."""
-_MATERIAL = "actuation", "pf_per_n", "pf_per_mm"
+_MATERIAL = "actuation", "pf_per_n", "pf_per_mm", "sensing_creep"
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,13 @@ from pipeline.diagnose.features.kinds import (
 from pipeline.diagnose.features.noise_density import NoiseLaw, noise_law
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.effects import Scale
-from pipeline.diagnose.simulation.parameters import BaseModel, Entry, film_entries, rig_entries
+from pipeline.diagnose.simulation.parameters import (
+    ACTUATION,
+    BaseModel,
+    Entry,
+    film_entries,
+    rig_entries,
+)
 from pipeline.physics.rig import RigPrior, rig_prior
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
@@ -206,13 +212,13 @@ class Session:
             if known:
                 entries.append(
                     Entry(
-                        "log actuation",
+                        ACTUATION,
                         float(np.log(known[0].values["actuation_n_per_kv2"])),
                         max(known[0].values["actuation_sd"], 1e-6),
                     )
                 )
             else:
-                entries.append(Entry("log actuation", float(np.log(1e-3))))
+                entries.append(Entry(ACTUATION, float(np.log(1e-3))))
         for number, rig in enumerate(self.rigs):
             if any(p.block.kind in AMPLIFIER and self.rig[p.recording] == number for p in self.places):
                 gain = rig.amplifier_gain_kv_per_v or 1.5

@@ -1,0 +1,68 @@
+"""The film that most recordings agree on, and causes searched from there.
+
+A strong cause bends the film of the plain model, in the end of all recordings, and a search from a bent film may end anywhere. Under the
+weights that the likelihood gives, groups of features that most others contradict count for next to nothing: film and rig are where the
+others are at rest, and a cause has to explain the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.fit_mechanisms import fit_each_mechanism
+from pipeline.diagnose.search.posterior import Hypothesis, settle_hypothesis, weigh_fit
+from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.tempering import temper_weights
+from pipeline.physics.least_squares import Solution, central
+from schemas.arrays import Float
+
+
+def find_consensus(fits: Sequence[ExtendedFit], mechanical: Float | None) -> Hypothesis:
+    """The plain model with the film and the rig that most groups of features agree on.
+
+    Parameters
+    ----------
+    fits : the plain model at its optima under other weights
+    mechanical : (P,) its entries with the film and the rig of the mechanical tests alone; None where there are no others
+
+    Returns
+    -------
+    The plain model at its optimum under the weights that the likelihood gives it
+    """
+    starts = [*fits, *([] if mechanical is None else [_stand_at(fits[0], mechanical)])]
+    return max((settle_hypothesis(weigh_fit(f)) for f in starts), key=lambda h: h.log_evidence)
+
+
+def search_from_consensus(plain: ExtendedFit, agreed: Hypothesis) -> list[Hypothesis]:
+    """Hypotheses of one cause each, found from the film that most groups of features agree on.
+
+    Parameters
+    ----------
+    plain : the plain model under weights that allow for causes of any form
+    agreed : the plain model where most agree
+
+    Returns
+    -------
+    Empty where that is the film of `plain`
+    """
+    if agreed.log_evidence < weigh_fit(plain).log_evidence + RULES.fit.bent:
+        return []
+    base = _stand_at(agreed.model, agreed.model.theta)
+    signatures = compute_signatures(compute_secants(base), base)
+    scores = find_best_scores(signatures)
+    return [weigh_fit(f) for f in fit_each_mechanism(base, scores, signatures, RULES.fit.from_consensus)]
+
+
+def _stand_at(fit: ExtendedFit, theta: Float) -> ExtendedFit:
+    """The plain model at entries (P,), not at its optimum, under weights that allow every block a share of what is missed there."""
+    session = fit.of.session
+    simulation = fit.of.simulation.about(fit.of.model.physical(theta))
+    of = fit.of.move_to(session, simulation, np.ones(session.size))
+    of = of.reweigh(temper_weights(session, of.compute_data_residual(theta)))
+    (residual,) = of.residuals(theta[None])
+    jacobian = central(of.residuals, theta, *of.limits)
+    return ExtendedFit(of, Solution(theta, residual, jacobian, float(residual @ residual), converged=False))

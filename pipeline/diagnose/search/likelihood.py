@@ -1,0 +1,199 @@
+"""How likely a session's features are under a model whose form is not quite right: one likelihood for all hypotheses.
+
+The features of one kind in one recording are a *group*. What a model leaves of a group is noise, and beside it a few smooth modes by
+which the model's form is wrong. How wrong is not known beforehand: usually by a share of what the hypothesis itself changes there, and
+now and then by anything, for reality is not listed. So the variance of the modes is a mixture,
+
+    L = log Σ_a p(a) (1 + a)^(−m/2) exp(−½ (n − m) − ½ max(r² − (n − m), 0)/(1 + a)),
+
+with r² the sum of squares of the group's n whitened residuals and m ≤ `form.modes` the number of modes: a group that is missed by ten
+thousand standard deviations says little more against a hypothesis than one that is missed by a thousand, and one within the noise
+counts in full. The noise of a test may also be louder than that of its rests: r² over a scale, for all n residuals. A scale mixture of normals: Andrews and Mallows 1974; a form error in proportion to the effect: Brynjarsdóttir and
+O'Hagan 2014.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.extended_model import ExtendedFit, orthonormalise
+from pipeline.diagnose.simulation.session import Session
+from schemas.arrays import Float, Int
+
+_RIDGE = 1e-9
+"""Share of a scaled normal matrix's diagonal that is added before it is inverted."""
+_PLACES, _MORE_PLACES = 9, 29
+"""Variances of groups that drift, and of those that are wrong by something else, that are summed over."""
+_STEPS = 6
+"""Linear steps to the optimum under the mixture at most."""
+_LONGEST = 0.7
+"""Longest step of one entry of film and rig: what is computed to first order holds about so far."""
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Features by kind and recording.
+
+    Parameters
+    ----------
+    number : (N,) group of each feature
+    size : (G,) features of each group
+    """
+
+    number: Int
+    size: Int
+
+    @classmethod
+    def of(cls, session: Session) -> Groups:
+        """The groups of a session."""
+        _, kind = np.unique(session.kind, return_inverse=True)
+        _, number = np.unique(session.recording_of * (kind.max() + 1) + kind, return_inverse=True)
+        return cls(number, np.bincount(number))
+
+    def sum_squares(self, values: Float) -> Float:
+        """(G,) sums of squares of values (N,)."""
+        return np.asarray(np.bincount(self.number, values**2, self.size.size), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The optimum of a linearised model under the mixture.
+
+    Parameters
+    ----------
+    log_likelihood : with the terms of the priors
+    covariance : (P, P) of the entries
+    step : (P,) from where the model was linearised
+    weight : (N,) of whitened residuals: 1 in groups within the noise
+    odd : (G,) probabilities that a group is wrong by something that is not in the model
+    """
+
+    log_likelihood: float
+    covariance: Float
+    step: Float
+    weight: Float
+    odd: Float
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A model about a point: whitened residuals, not weighted, and what priors add.
+
+    Parameters
+    ----------
+    residual, jacobian : (N,) and (N, P)
+    beside, beside_jacobian : (K,) and (K, P) deviations from priors in standard deviations
+    """
+
+    residual: Float
+    jacobian: Float
+    beside: Float
+    beside_jacobian: Float
+
+    @classmethod
+    def of(cls, fit: ExtendedFit) -> Linearised:
+        """A fitted model about its optimum."""
+        n = fit.of.session.size
+        jacobian = fit.solution.jacobian
+        weight = fit.of.weight
+        return cls(fit.misfit / weight, jacobian[:n] / weight[:, None], fit.solution.residual[n:], jacobian[n:])
+
+
+def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: bool) -> tuple[Float, Float, Float]:
+    """Log likelihood of each group, and the weight that a square has in it.
+
+    Parameters
+    ----------
+    groups : of the features
+    residual : (N,) whitened, not weighted
+    trace : (G,) mean square of what the hypothesis changes in a group, beyond what film and rig absorb
+    noise_alone : whether nothing but noise is wrong
+
+    Returns
+    -------
+    (G,) log likelihoods, (G,) mean of 1/(1 + a): −2 times their slope over r², (G,) probabilities that a group is wrong by something else
+    """
+    rules = RULES.form
+    n = groups.size
+    modes = np.minimum(n, rules.modes)
+    squares = groups.sum_squares(residual)
+    beyond = np.maximum(squares - (n - modes), 0.0)
+    shares, louder = np.array(rules.shares), np.array(rules.louder)[:, None] ** 2
+    slow = np.geomspace(1.0, rules.widest_drift, _PLACES)
+    other = np.geomspace(rules.widest_drift, rules.widest, _MORE_PLACES)
+    wide = slow if noise_alone else np.concatenate([slow, other])
+    variance = np.concatenate([
+        np.zeros((1, n.size)),
+        shares[:, None] ** 2 * trace * n / modes,
+        np.broadcast_to(wide[:, None], (wide.size, n.size)),
+    ])  # fmt: skip
+    usual = (1 - rules.noisy - rules.drifting - rules.outlier) / (1 + shares.size)
+    rare = [np.full(slow.size, rules.drifting / slow.size), np.full(other.size, rules.outlier / other.size)]
+    prior = np.concatenate([np.full(1 + shares.size, usual), *rare[: 1 if noise_alone else 2]])
+    each = np.log(prior)[:, None] - 0.5 * (n - modes) - 0.5 * modes * np.log1p(variance) - 0.5 * beyond / (1 + variance)
+    noisy = np.log(rules.noisy / louder.size) - 0.5 * n * np.log(louder) - 0.5 * squares / louder
+    each = np.concatenate([each, noisy])
+    slope = 1 / np.concatenate([1 + variance, np.broadcast_to(louder, noisy.shape)])
+    total = logsumexp(each, axis=0)
+    share = np.exp(each - total)
+    usual_end, rare_end = 1 + shares.size + slow.size, 1 + shares.size + wide.size
+    return total, np.sum(share * slope, axis=0), np.sum(share[usual_end:rare_end], axis=0)
+
+
+def find_peak(groups: Groups, of: Linearised, trace: Float, moving: int, *, noise_alone: bool) -> Peak:
+    """The optimum of a linearised model under the mixture: least squares with weights that follow from what is left.
+
+    Parameters
+    ----------
+    groups : of the features
+    of : the model about a point
+    trace, noise_alone : as in `score_groups`
+    moving : number of entries, film and rig first, whose steps are bounded
+    """
+    step = np.zeros(of.jacobian.shape[1])
+    best = -np.inf, step, np.ones(groups.size.size), np.zeros(groups.size.size)
+    for _ in range(_STEPS):
+        residual, beside = of.residual + of.jacobian @ step, of.beside + of.beside_jacobian @ step
+        scores, weight, odd = score_groups(groups, residual, trace, noise_alone=noise_alone)
+        value = float(scores.sum() - 0.5 * beside @ beside)
+        if value > best[0]:
+            best = value, step, weight, odd
+        covariance = _invert(of, weight[groups.number])
+        slope = of.jacobian.T @ (weight[groups.number] * residual) + of.beside_jacobian.T @ beside
+        change = -covariance @ slope
+        step = step + change * min(1.0, _LONGEST / max(float(np.abs(change[:moving]).max(initial=0.0)), 1e-12))
+    value, step, weight, odd = best
+    spread = weight[groups.number]
+    return Peak(value, _invert(of, spread), step, np.sqrt(spread), odd)
+
+
+def _invert(of: Linearised, weight: Float) -> Float:
+    """(P, P) covariance of the entries with weights (N,) of the squares."""
+    normal = of.jacobian.T @ (weight[:, None] * of.jacobian) + of.beside_jacobian.T @ of.beside_jacobian
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-12))
+    return np.asarray(
+        np.linalg.inv(normal / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)) / np.outer(scale, scale)
+    )
+
+
+def measure_trace(groups: Groups, absorbed: Float, change: Float) -> Float:
+    """(G,) mean square of a change, beyond what film and rig absorb.
+
+    Parameters
+    ----------
+    groups : of the features
+    absorbed : (N, R) basis of what they absorb
+    change : (N,) whitened
+    """
+    return groups.sum_squares(change - absorbed @ (absorbed.T @ change)) / groups.size
+
+
+def find_absorbed(fit: ExtendedFit) -> Float:
+    """(N, R) orthonormal basis of what film and rig of a fit absorb under the noise alone."""
+    of = Linearised.of(fit)
+    size = fit.of.model.size
+    return orthonormalise(np.concatenate([of.jacobian[:, :size], of.beside_jacobian[:, :size]]))[: fit.of.session.size]

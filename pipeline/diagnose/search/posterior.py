@@ -1,0 +1,356 @@
+"""One comparison of everything that may be behind a session: the plain model, listed causes, several of them, and regions without a name.
+
+    P(h | data) ∝ P(h) ∫ L(data | θ, s, h) p(s | h) ds
+
+with the likelihood of `likelihood`, the same for all, the integral in Laplace's approximation about each hypothesis' optimum (Kass and
+Raftery 1995), and the prior odds of `RULES.prior`. The verdict, the names and the doubts are read off these probabilities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import binom
+
+from pipeline.diagnose.mechanisms import MECHANISMS
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
+from pipeline.diagnose.search.regions import STEP, Region, list_regions
+from schemas.arrays import Bool, Float
+
+PLAIN, ANYTHING = "plain", "anything"
+"""Names of the hypotheses that nothing is beside the plain model but noise, and that some groups of features are wrong by anything."""
+_WIDTHS = np.geomspace(1e-4, 1.0, 7)
+"""Widths of the priors of a region's weights."""
+_STEPS = 10
+"""Steps of a fit under other weights."""
+_ROUNDS = 6
+"""Rounds in which weights and optimum follow from each other."""
+_SAME = 1.0
+"""Log evidence within which two optima are one."""
+_WITHIN = 30.0
+"""Log probability behind the best within which a hypothesis may come to the front at its own optimum."""
+_LARGEST = 1e100
+"""Change of a feature beyond which it was not computed."""
+_NO_TRACE = 1e-6
+"""Length below which a shape leaves no trace."""
+
+
+@dataclass(frozen=True)
+class RegionFit:
+    """A region at the best values of its weights, to first order about the plain model.
+
+    Parameters
+    ----------
+    region : what depends on what
+    weights, covariance : (K,) and (K, K), in the units of the region's shapes
+    """
+
+    region: Region
+    weights: Float
+    covariance: Float
+
+    def tell(self) -> tuple[Float, Float]:
+        """(M,) the function at the region's values, as a relative change, and its standard deviation."""
+        shapes = self.region.shapes
+        return shapes @ self.weights, np.sqrt(np.maximum(np.sum((shapes @ self.covariance) * shapes, axis=1), 0.0))
+
+    def compute_change_in(self, of: Extended, x: Float) -> Float:
+        """(N,) what it would change in the features of a session, to first order.
+
+        Parameters
+        ----------
+        of, x : the model over that session, and its entries (P,)
+        """
+        base, own, theta = of.predict(x), of.effect(x), x[: of.model.size]
+        changes = [of.simulation.predict(of.model, theta, own | effect) - base for effect in self.region.effects]
+        return np.asarray(self.weights @ np.nan_to_num(np.array(changes)) / STEP)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What may be behind a session.
+
+    Parameters
+    ----------
+    name : `plain`, `anything`, ids of causes joined by `+`, or `stage/covariate`
+    log_evidence : of the data under it
+    log_prior : what is believed of it beforehand
+    fit : the model with its causes; None for a region
+    region : the fitted region; None for listed causes
+    weight : (N,) of whitened residuals at its optimum
+    odd : (G,) probabilities that a group of features is wrong by something else
+    """
+
+    name: str
+    log_evidence: float
+    log_prior: float
+    fit: ExtendedFit | None
+    region: RegionFit | None
+    weight: Float
+    odd: Float
+
+    @property
+    def is_adequate(self) -> bool:
+        """Whether it leaves no more groups of features to something else than happens now and then, with no severity at its limit."""
+        chance = binom.sf(round(self.odd.sum()) - 1, self.odd.size, RULES.form.outlier)
+        return bool(chance >= RULES.verdict.adequate) and not any(
+            p.is_at_limit(values[p.name])
+            for chosen, values in zip(self.model.of.chosen, self.model.values, strict=True)
+            for p in chosen.mechanism.severities
+        )
+
+    @property
+    def log_joint(self) -> float:
+        """Logarithm of evidence times prior."""
+        return self.log_evidence + self.log_prior
+
+    @property
+    def model(self) -> ExtendedFit:
+        """Its fit, which all but regions have."""
+        if self.fit is None:
+            raise TypeError(f"{self.name} has no fit of its own")
+        return self.fit
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Ids of its listed causes, in the order of the fit."""
+        return () if self.fit is None else tuple(c.id for c in self.fit.of.chosen)
+
+    @property
+    def stages(self) -> frozenset[str]:
+        """Stages in which it acts."""
+        if self.region is not None:
+            return frozenset({self.region.region.stage})
+        return frozenset(MECHANISMS[id].stage for id in self.causes)
+
+    @property
+    def depends_on(self) -> frozenset[str]:
+        """What it depends on."""
+        if self.region is not None:
+            return frozenset({self.region.region.depends_on})
+        return frozenset(name for id in self.causes for name in MECHANISMS[id].depends_on)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """All hypotheses, the most probable first."""
+
+    hypotheses: tuple[Hypothesis, ...]
+
+    @classmethod
+    def of(cls, found: Iterable[Hypothesis]) -> Posterior:
+        """The hypotheses, the best of each name."""
+        best: dict[str, Hypothesis] = {}
+        for h in found:
+            if h.name not in best or h.log_evidence > best[h.name].log_evidence:
+                best[h.name] = h
+        return cls(tuple(sorted(best.values(), key=lambda h: -h.log_joint)))
+
+    @cached_property
+    def probability(self) -> dict[str, float]:
+        """Name → probability; they sum to 1."""
+        joint = np.array([h.log_joint for h in self.hypotheses])
+        shares = np.exp(joint - logsumexp(joint))
+        return {h.name: float(p) for h, p in zip(self.hypotheses, shares / shares.sum(), strict=True)}
+
+    @property
+    def listed(self) -> tuple[Hypothesis, ...]:
+        """Those of listed causes, the most probable first."""
+        return tuple(h for h in self.hypotheses if h.causes)
+
+    @property
+    def regions(self) -> tuple[Hypothesis, ...]:
+        """Those without a name, the most probable first."""
+        return tuple(h for h in self.hypotheses if h.region is not None)
+
+    def find_set(self, probability: float) -> tuple[Hypothesis, ...]:
+        """The fewest hypotheses that hold a probability together."""
+        shares = np.cumsum([self.probability[h.name] for h in self.hypotheses])
+        return self.hypotheses[: int(np.searchsorted(shares, probability)) + 1]
+
+    def sum_by(self, stage: bool) -> dict[str, float]:
+        """Stage, or what something depends on → probability that a cause acts there."""
+        total: dict[str, float] = {}
+        for h in self.hypotheses:
+            for name in h.stages if stage else h.depends_on:
+                total[name] = total.get(name, 0.0) + self.probability[h.name]
+        return total
+
+
+def weigh_fit(fit: ExtendedFit, *, noise_alone: bool = False) -> Hypothesis:
+    """A fitted model as a hypothesis.
+
+    Parameters
+    ----------
+    fit : the plain model, or one with causes, at its optimum under any weights
+    noise_alone : whether the plain model is believed to miss nothing but noise
+    """
+    of, groups = fit.of, Groups.of(fit.of.session)
+    trace = np.zeros(groups.size.size)
+    if of.chosen:
+        alone = of.simulation.predict(of.model, fit.theta)
+        trace = measure_trace(groups, find_absorbed(fit), of.session.whiten(of.predict(fit.x) - alone))
+    peak = find_peak(groups, Linearised.of(fit), trace, fit.x.size, noise_alone=noise_alone)
+    return Hypothesis(
+        "+".join(sorted(c.id for c in of.chosen)) or (PLAIN if noise_alone else ANYTHING),
+        peak.log_likelihood + fit.integrate_mechanisms(peak.covariance),
+        _believe(len(of.chosen), noise_alone=noise_alone),
+        fit,
+        None,
+        peak.weight,
+        peak.odd,
+    )
+
+
+def _believe(causes: int, *, noise_alone: bool) -> float:
+    """Logarithm of what is believed beforehand of so many listed causes."""
+    rules = RULES.prior
+    if not causes:
+        return float(np.log(rules.plain if noise_alone else rules.anything))
+    return float(np.log(rules.listed / len(MECHANISMS)) + (causes - 1) * np.log(rules.further / len(MECHANISMS)))
+
+
+def weigh_regions(agreed: Hypothesis) -> list[Hypothesis]:
+    """All regions without a name as hypotheses, to first order about the plain model.
+
+    Parameters
+    ----------
+    agreed : the plain model with the film that most groups of features agree on
+    """
+    plain = agreed.model
+    session = plain.of.session
+    groups, absorbed, about = Groups.of(session), find_absorbed(plain), Linearised.of(plain)
+    regions = list(list_regions(session))
+    prior = float(np.log(RULES.prior.unnamed / len(regions)))
+    found = []
+    for region in regions:
+        changes = _differentiate(plain, region)
+        computed = np.all(np.abs(changes) < _LARGEST, axis=1)  # about a resonance without damping a change may be any
+        columns = session.whiten(np.where(computed[:, None], changes, 0.0).T)
+        length = np.linalg.norm(columns - absorbed @ (absorbed.T @ columns), axis=0)
+        seen = length > _NO_TRACE
+        if seen.any():
+            found.append(_weigh_region(plain, groups, absorbed, about, region, columns, seen, prior))
+    return found
+
+
+def _weigh_region(
+    plain: ExtendedFit,
+    groups: Groups,
+    absorbed: Float,
+    about: Linearised,
+    region: Region,
+    columns: Float,
+    seen: Bool,
+    prior: float,
+) -> Hypothesis:
+    """One region, over all widths of its prior."""
+    size = about.jacobian.shape[1]
+    count = int(np.sum(seen))
+    evidence, best = [], None
+    for width in _WIDTHS:
+        scale = width * region.width[seen]
+        own = columns[:, seen] * scale
+        extended = Linearised(
+            about.residual,
+            np.concatenate([about.jacobian, -own], axis=1),
+            np.concatenate([about.beside, np.zeros(count)]),
+            np.block(
+                [
+                    [about.beside_jacobian, np.zeros((about.beside.size, count))],
+                    [np.zeros((count, size)), np.eye(count)],
+                ]
+            ),
+        )
+        trace = np.zeros(groups.size.size)
+        for _ in range(2):  # the trace of the function follows from its fit
+            peak = find_peak(groups, extended, trace, size, noise_alone=False)
+            trace = measure_trace(groups, absorbed, own @ peak.step[size:])
+        covariance = peak.covariance[size:, size:]
+        evidence.append(peak.log_likelihood + 0.5 * float(np.linalg.slogdet(covariance)[1]))
+        if evidence[-1] == max(evidence):
+            weights, spread = np.zeros(seen.size), np.zeros((seen.size, seen.size))
+            weights[seen] = scale * peak.step[size:]
+            spread[np.ix_(seen, seen)] = np.outer(scale, scale) * covariance
+            best = RegionFit(region, weights, spread), peak
+    assert best is not None, region.id
+    total = float(logsumexp(evidence) - np.log(len(evidence)))
+    return Hypothesis(region.id, total, prior, None, best[0], best[1].weight, best[1].odd)
+
+
+def _differentiate(plain: ExtendedFit, region: Region) -> Float:
+    """(K, N) derivatives of the features by the weights of a region's shapes."""
+    of = plain.of
+    base = of.predict(plain.x)
+    return np.array([(of.simulation.predict(of.model, plain.theta, e) - base) / STEP for e in region.effects])
+
+
+def reweigh_fit(hypothesis: Hypothesis, most: int) -> ExtendedFit:
+    """The model of a hypothesis at its optimum under the weights that it deserves.
+
+    Parameters
+    ----------
+    hypothesis : one with a fit
+    most : steps at most
+    """
+    fit = hypothesis.model
+    of = fit.of.reweigh(hypothesis.weight)
+    return of.refine(of.fit(fit.x, most=most))
+
+
+def settle_hypotheses(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The hypotheses, those near the best one at their optimum under the weights that they deserve themselves.
+
+    Parameters
+    ----------
+    found : hypotheses with fits under weights that allow for causes of any form
+    """
+    settled: dict[int, Hypothesis] = {}
+    for _ in range(RULES.fit.settled):
+        ranked = rank_hypotheses([settled.get(id(h), h) for h in found])
+        near = ranked[0].log_joint - RULES.fit.close_call
+        waiting = [h for h in found if id(h) not in settled and h.log_joint > near - _WITHIN]
+        if not waiting:
+            break
+        best = max(waiting, key=lambda h: h.log_joint)
+        settled[id(best)] = settle_hypothesis(best)
+    return [settled.get(id(h), h) for h in found]
+
+
+def settle_hypothesis(hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis where its weights follow from its own optimum."""
+    best = hypothesis
+    for _ in range(_ROUNDS):
+        again = weigh_fit(reweigh_fit(best, _STEPS), noise_alone=best.name == PLAIN)
+        gain = again.log_evidence - best.log_evidence
+        # What was computed to first order from elsewhere may promise a little more than the optimum itself holds.
+        best = again if gain > -_SAME else best
+        if gain < _SAME:
+            break
+    return best
+
+
+def refit_under(base: ExtendedFit, hypothesis: Hypothesis) -> ExtendedFit:
+    """The model of a hypothesis at its optimum under the weights of another fit, so that the two can be compared number by number.
+
+    Parameters
+    ----------
+    base : the fit with the weights
+    hypothesis : one with a fit
+    """
+    fit = hypothesis.model
+    if fit.of.weight is base.of.weight:
+        return fit
+    of = fit.of.reweigh(base.of.weight)
+    return of.refine(of.fit(fit.x, most=_STEPS))
+
+
+def rank_hypotheses(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The most probable first."""
+    return sorted(found, key=lambda h: -h.log_joint)

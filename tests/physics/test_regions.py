@@ -1,0 +1,109 @@
+"""Stages that depend on something without a law: improbable where nothing is hidden, the right one where something unlisted is."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.search.consensus import find_consensus
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.plain_fit import fit_plain
+from pipeline.diagnose.search.posterior import PLAIN, Posterior, weigh_fit, weigh_regions
+from pipeline.diagnose.search.regions import list_regions
+from pipeline.diagnose.search.tempering import temper_weights
+from pipeline.diagnose.simulation.session import make_session
+from pipeline.diagnose.simulation.simulation import Simulation
+from tests.helpers.truth_rig import Effect
+from tests.helpers.truth_rig import make_session as true_session
+
+SESSIONS = (301, 302)
+"""Seeds of sessions with nothing hidden."""
+
+Designs = tuple[dict[str, Any], ...]
+DESIGNS: Designs = (
+    {"protocol": "chirp", "strain_pp": 0.006},
+    {"protocol": "cyclic", "strain_pp": 0.04, "frequency_hz": 1.0, "cycles": 10},
+    {"protocol": "sphs", "drive_kv": 5.5},
+    {"protocol": "cyclic", "strain_pp": 0.12, "frequency_hz": 1.0, "cycles": 10},
+    {"protocol": "sphs", "drive_kv": 8.0},
+    {"protocol": "chirp", "strain_pp": 0.02},
+)
+
+
+def plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> ExtendedFit:
+    session = make_session([reduce(r) for r in true_session(seed, designs, effects).recordings])
+    simulation = Simulation(session)
+    fitted = fit_plain(session, simulation)
+    of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
+    return of.refine(of.fit(fitted.theta, most=3))
+
+
+def compare_with_plain(fit: ExtendedFit) -> Posterior:
+    """The plain model and all regions, about the film that most groups of features agree on."""
+    of = fit.of.reweigh(temper_weights(fit.of.session, fit.misfit))
+    agreed = find_consensus([of.refine(of.fit(fit.theta)), fit], None)
+    return Posterior.of([weigh_fit(fit, noise_alone=True), agreed, *weigh_regions(agreed)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SESSIONS)
+def test_no_region_is_likely_where_nothing_is_hidden(seed: int) -> None:
+    found = compare_with_plain(plain_model(seed))
+    assert found.probability[PLAIN] > 0.9
+    assert sum(found.probability.values()) == pytest.approx(1.0)
+    assert len(found.regions) >= 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "stages", "depends_on"),
+    [
+        (Effect("clamp_misalignment", 0.02), {"film", "sensor"}, {"amplitude"}),
+        (Effect("acoustic_resonance", 0.2), {"rig", "film", "sensor"}, {"frequency"}),
+        (Effect("humidity", 0.02), {"film", "sensor"}, {"session_time", "exposure"}),
+        (Effect("frame_attraction", 0.05), {"actuation", "drive"}, {"voltage"}),
+    ],
+    ids=lambda v: v.id if isinstance(v, Effect) else "",
+)
+def test_what_is_in_no_list_is_told_by_where_it_acts_and_what_it_depends_on(
+    effect: Effect, stages: set[str], depends_on: set[str]
+) -> None:
+    """Stages that show alike in these tests (a gain of the force is a stiffness) are one answer."""
+    found = compare_with_plain(plain_model(303, effect))
+    assert found.probability[PLAIN] < 0.01
+    first = found.regions[0]
+    assert first.stages <= stages, first.name
+    assert first.depends_on <= depends_on, first.name
+
+
+@pytest.mark.slow
+def test_a_region_tells_its_function_with_a_band() -> None:
+    found = compare_with_plain(plain_model(303, Effect("frame_attraction", 0.05)))
+    region = found.regions[0].region
+    assert region is not None
+    values, sd = region.tell()
+    assert values.shape == sd.shape == region.region.at.shape
+    assert np.abs(values).max() > 2 * sd[np.argmax(np.abs(values))]
+
+
+def test_electrical_tests_alone_are_asked_without_a_warning() -> None:
+    """Nothing says there what a large strain or reading is."""
+    fit = plain_model(SESSIONS[0], designs=({"protocol": "sphs", "drive_kv": 8.0},))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = compare_with_plain(fit)
+    assert {h.name for h in found.regions} >= {"actuation/voltage", "actuation/frequency"}
+    assert not any(h.name.startswith("contact") for h in found.regions)
+
+
+def test_every_region_has_a_name_of_its_own_and_as_many_widths_as_shapes() -> None:
+    session = make_session([reduce(r) for r in true_session(301, DESIGNS, ()).recordings])
+    regions = list(list_regions(session))
+    assert len({r.id for r in regions}) == len(regions)
+    for r in regions:
+        assert len(r.effects) == r.width.size == r.shapes.shape[1]
+        assert r.shapes.shape[0] == r.at.size
