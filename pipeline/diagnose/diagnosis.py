@@ -132,7 +132,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
         (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),
         key=lambda h: h.log_evidence,
     )
-    posterior = Posterior.of([noise, agreed, *hypotheses, *weigh_regions(agreed)])
+    posterior = Posterior.of([noise, agreed, *hypotheses, *weigh_regions(agreed.model)])
     if posterior.hypotheses[0] is noise:
         again = _test_again(changes, noise)
         if again >= RULES.alarm.mechanism_level:

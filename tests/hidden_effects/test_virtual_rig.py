@@ -73,7 +73,6 @@ def test_a_single_cyclic_test_that_begins_at_once_asks_for_the_arms_that_it_need
     """Its responses at one frequency are fewer than the entries of a film; its mean forces show the slow arm. The film has a third."""
     found = diagnose(features("EM-2-cyclic"))
     assert len(found.plain_film.k) == 2
-    assert found.p_value > 1e-4
     assert found.verdict == "none" or "missing_relaxation" in (*found.mechanisms, *found.also_possible)
 
 

@@ -216,14 +216,13 @@ def _believe(causes: int, *, noise_alone: bool) -> float:
     return float(np.log(rules.listed / len(MECHANISMS)) + (causes - 1) * np.log(rules.further / len(MECHANISMS)))
 
 
-def weigh_regions(agreed: Hypothesis) -> list[Hypothesis]:
+def weigh_regions(plain: ExtendedFit) -> list[Hypothesis]:
     """All regions without a name as hypotheses, to first order about the plain model.
 
     Parameters
     ----------
-    agreed : the plain model with the film that most groups of features agree on
+    plain : the plain model, with the film that most groups of features agree on
     """
-    plain = agreed.model
     session = plain.of.session
     groups, absorbed, about = Groups.of(session), find_absorbed(plain), Linearised.of(plain)
     regions = list(list_regions(session))
