@@ -20,6 +20,7 @@ from pipeline.diagnose.search.consensus import find_consensus, search_from_conse
 from pipeline.diagnose.search.evidence import Evidence, find_best
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, order_causes, settle_outliers
+from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
 from pipeline.diagnose.search.held_out import predict_left_out
 from pipeline.diagnose.search.patterns import test_patterns
 from pipeline.diagnose.search.plain_fit import PlainFit, fit_plain
@@ -30,7 +31,6 @@ from pipeline.diagnose.search.posterior import (
     settle_hypotheses,
     settle_hypothesis,
     weigh_fit,
-    weigh_regions,
 )
 from pipeline.diagnose.search.screen import Secants, compute_secants, compute_signatures, find_best_scores
 from pipeline.diagnose.search.several_causes import add_causes
@@ -132,10 +132,14 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
         (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),
         key=lambda h: h.log_evidence,
     )
-    posterior = Posterior.of([noise, agreed, *hypotheses, *weigh_regions(agreed.model)])
-    if posterior.hypotheses[0] is noise:
+    unnamed = differentiate_regions(agreed.model)
+    hypotheses = allow_form_errors(hypotheses, unnamed)
+    posterior = Posterior.of([noise, agreed, *hypotheses, *weigh_regions(agreed.model, unnamed)])
+    if noise in posterior.find_set(RULES.verdict.credible):
+        # Its noise is what the session makes most of: the level for noise that is known less well, where nothing is more probable.
+        level = RULES.alarm.pattern_level if noise is posterior.hypotheses[0] else RULES.alarm.mechanism_level
         again = _test_again(changes, noise)
-        if again >= RULES.alarm.mechanism_level:
+        if again >= level:
             return replace(nothing, p_value=again)
     best = find_best(posterior)
     final = None if best is None else order_causes(refit_under(plain, best))
@@ -172,17 +176,18 @@ def _find_better_plain(evidence: Evidence) -> Float | None:
     """Entries (P,) at which the plain model does better than where it was left; None where there are none.
 
     A search that ended early looks like a discrepancy. The plain model is begun anew from where its tempered fit has
-    gone, and from the films of the best mechanisms where these gain little more than that could be.
+    gone and from the films of the best mechanisms; under the weights of the search only where these gain little more than that could be.
     """
     plain, noise_fit, rules = evidence.plain, evidence.noise_fit, RULES.plain
-    if plain is not noise_fit:
-        again = noise_fit.of.fit(plain.theta)
-        if again.chi2 < rules.restart_share * noise_fit.chi2:
-            return again.theta
-    singles = evidence.singles
-    if not singles or plain.chi2 - singles[0].chi2 > rules.restart_asked * evidence.threshold:
+    if plain is noise_fit:
         return None
-    best = min((plain.of.fit(f.theta) for f in singles[:2]), key=lambda f: f.chi2)
+    causes = evidence.singles[:2]
+    again = min((noise_fit.of.fit(f.theta) for f in (plain, *causes)), key=lambda f: f.chi2)
+    if again.chi2 < rules.restart_share * noise_fit.chi2:
+        return again.theta
+    if not causes or plain.chi2 - causes[0].chi2 > rules.restart_asked * evidence.threshold:
+        return None
+    best = min((plain.of.fit(f.theta) for f in causes), key=lambda f: f.chi2)
     return best.theta if best.chi2 < plain.chi2 - rules.restart_chi2 else None
 
 

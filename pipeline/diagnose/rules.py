@@ -192,6 +192,11 @@ class FormRules:
         "shares of its own effect by which the form of a hypothesis may be wrong, each as likely",
         RIGS,
     )
+    bends: tuple[float, ...] = _rule(
+        (0.03, 0.1, 0.3),
+        "shares of its effect by which a cause may depend in another way on what it depends on, each as likely, and as not",
+        RIGS,
+    )
     louder: tuple[float, ...] = _rule(
         (1.5, 2.0, 3.0), "noise of a test over that of its rests", "driven noise of rigs written apart", "SD"
     )

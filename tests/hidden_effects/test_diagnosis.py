@@ -64,7 +64,6 @@ def test_nothing_is_found_where_nothing_is_hidden(seed: int) -> None:
     "id",
     [
         "drive_lag",
-        "field_dependent_permittivity",
         "missing_relaxation",
         "passive_strip",
         "load_cell_damping",
@@ -87,6 +86,23 @@ def test_the_hidden_effect_is_named_first(id: str) -> None:
     assert found.p_value < 1e-6
     assert found.extension is not None
     assert set(found.extension.severities) == set(found.mechanisms)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Effect("field_dependent_permittivity", 0.15),
+        Effect("wrinkling", 0.1, {"rise_s": 1e-4, "recovery_s": 1e-4, "hysteresis": 0.0}),
+        Effect("drive_offset", 0.3),
+    ],
+    ids=lambda e: e.id,
+)
+def test_what_the_actuation_does_over_the_voltage_is_told_apart(effect: Effect) -> None:
+    """A permittivity that falls, wrinkles that come and go at once, an offset: three functions of the same voltage."""
+    found = observe(made(Case(SEED), (effect,)))
+    assert found.mechanisms == (effect.id,)
+    assert found.candidates[0].probability > 0.8
+    assert {*found.also_possible} <= {UNLISTED}
 
 
 def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
@@ -140,6 +156,7 @@ ONCE_TAKEN_FOR_OTHERS = [
     pytest.param(
         700_210_084, "gain_error", -0.2116, {"channel": "force"}, {"rig_constants"}, id="gain about another film"
     ),
+    pytest.param(140_430_015, "gain_error", 0.29, {"channel": "force"}, {"rig_constants"}, id="gain or rig"),
     pytest.param(
         700_210_142,
         "cyclic_softening",
@@ -298,13 +315,13 @@ def test_what_a_cause_does_not_mend_is_told_beside_its_name() -> None:
     ("seed", "effect", "proposed"),
     [
         (700_230_084, Effect("gain_error", -0.0876, {"channel": "displacement"}), "taps on the clamp, without film, and again with"),
-        (700_220_018, Effect("wrinkling", 0.01033, {"rise_s": 0.1019, "recovery_s": 0.5493, "hysteresis": 0.03978}), "an SPHS"),
+        (SEED, Effect("field_dependent_permittivity", 0.1), "of the opposite polarity"),
     ],
     ids=lambda v: v.id if isinstance(v, Effect) else "",
 )  # fmt: skip
 def test_the_recording_proposed_leaves_the_right_cause_alone(seed: int, effect: Effect, proposed: str) -> None:
-    """Mass and stiffness of the rig, wrong alike, are a gain of either channel, but for a known mass; and a doubt that came of the form
-    of a cause in one kind of test is settled in another."""
+    """Mass and stiffness of the rig, wrong alike, are a gain of either channel, but for a known mass; and a permittivity that falls with
+    the field is an offset until the polarity is turned."""
     session = made(Case(seed), (effect,))
     found = observe(session)
     assert found.verdict == "ambiguous"
@@ -325,7 +342,7 @@ def _tells_listed_apart(found: Diagnosis, session: Session, effect: Effect) -> b
 def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
     """A voltage that is offset and a permittivity that falls with the field look alike until the polarity is turned; an offset that is
     rectified, which the session cannot tell from one that is not, shows at a low voltage alone."""
-    found = judge(Case(OFFSET_OR_FIELD, "compact", (("drive_offset", 2.0),)))
+    found = judge(Case(OFFSET_OR_FIELD, "compact", (("drive_offset", 4.0),)))
     assert found.verdict == "ambiguous"
     assert {*found.named, *found.possible} == {"field_dependent_permittivity", "drive_offset"}
     assert found.split
@@ -334,12 +351,6 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
 @pytest.mark.parametrize(
     ("seed", "effect", "rivals", "proposed"),
     [
-        (
-            140_430_015,
-            Effect("gain_error", 0.29, {"channel": "force"}),
-            {"gain_error", "rig_constants"},
-            "more on it",
-        ),
         (
             140_430_014,
             Effect("sensor_delay", 3.5e-6, {"channel": "force", "form": "shift"}),
@@ -357,9 +368,8 @@ def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
 def test_what_the_session_cannot_decide_is_asked_of_the_right_recording(
     seed: int, effect: Effect, rivals: set[str], proposed: str
 ) -> None:
-    """A calibration where material and rig take up what differs; many sweeps where a few are too noisy; what decides if the likelier
-    one is true where it is much likelier already."""
+    """Many sweeps where a few are too noisy; what decides if the likelier one is true where it is much likelier already."""
     found = observe(made(Case(seed), (effect,)))
     assert found.verdict == "ambiguous"
-    assert {*found.mechanisms, *found.also_possible} - {UNLISTED} == rivals
+    assert {*found.mechanisms, *found.also_possible} >= rivals
     assert proposed in ("" if found.next_recording is None else found.next_recording.text)

@@ -55,7 +55,7 @@ CASES = [
     ("clamp_slip", "", 0.6, {}, CYCLES, {"overload": 0.6, "hardening": 0.5, "creep_s": 0.2}, 0.9),
     (
         "wrinkling",
-        "",
+        "lasting",
         0.3,
         {},
         STEPS + MULTISINES,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.search.consensus import find_consensus
-from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
+from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
 from pipeline.diagnose.search.plain_fit import fit_plain
-from pipeline.diagnose.search.posterior import ANYTHING, PLAIN, Posterior, weigh_fit, weigh_regions
+from pipeline.diagnose.search.posterior import ANYTHING, PLAIN, Posterior, weigh_fit
 from pipeline.diagnose.search.regions import list_regions
 from pipeline.diagnose.search.tempering import temper_weights
 from pipeline.diagnose.simulation.session import make_session
@@ -47,7 +49,9 @@ def compare_with_plain(fit: ExtendedFit) -> Posterior:
     of = fit.of.reweigh(temper_weights(fit.of.session, fit.misfit))
     tempered = of.refine(of.fit(fit.theta))
     agreed = find_consensus([tempered, fit], None)
-    return Posterior.of([weigh_fit(fit, noise_alone=True), agreed, *weigh_regions(agreed.model)])
+    return Posterior.of(
+        [weigh_fit(fit, noise_alone=True), agreed, *weigh_regions(agreed.model, differentiate_regions(agreed.model))]
+    )
 
 
 @pytest.mark.slow
@@ -115,3 +119,30 @@ def test_every_region_has_a_name_of_its_own_and_as_many_widths_as_shapes() -> No
     for r in regions:
         assert len(r.effects) == r.width.size == r.shapes.shape[1]
         assert r.shapes.shape[0] == r.at.size
+
+
+@pytest.mark.slow
+def test_a_cause_may_be_another_function_of_what_it_depends_on_and_of_nothing_else() -> None:
+    """An attraction to the frame acts as a voltage that is another function of the recorded one, which an offset can be and a gain cannot."""
+    plain = plain_model(303, Effect("frame_attraction", 0.2))
+    starts = {
+        "drive_offset": ("offset", {"offset_kv": 0.1}),
+        "gain_error": ("force", {"gain": 0.02}),
+    }
+    found = []
+    for id, (variant, values) in starts.items():
+        of = replace(plain.of, chosen=(Chosen(id, variant),))
+        found.append(weigh_fit(of.fit(of.make_entries(plain.theta, (values,)), most=20)))
+    bent = allow_form_errors(found, differentiate_regions(plain))
+    offset, gain = (after.log_evidence - before.log_evidence for before, after in zip(found, bent, strict=True))
+    assert offset > 3.0
+    assert gain == 0.0
+
+
+@pytest.mark.slow
+def test_a_form_that_is_right_loses_next_to_nothing_by_the_doubt_about_it() -> None:
+    plain = plain_model(303, Effect("drive_offset", 0.3))
+    of = replace(plain.of, chosen=(Chosen("drive_offset", "offset"),))
+    hypothesis = weigh_fit(of.fit(of.make_entries(plain.theta, ({"offset_kv": 0.3},)), most=20))
+    (bent,) = allow_form_errors([hypothesis], differentiate_regions(plain))
+    assert hypothesis.log_evidence - np.log(4) - 0.01 < bent.log_evidence < hypothesis.log_evidence + 2.0

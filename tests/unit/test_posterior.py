@@ -13,7 +13,9 @@ EVIDENCE = st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=12)
 
 
 def make_posterior(evidence: list[float]) -> Posterior:
-    return Posterior.of(Hypothesis(str(i), e, -1.0, None, None, np.ones(1)) for i, e in enumerate(evidence))
+    return Posterior.of(
+        Hypothesis(str(i), e, -1.0, None, None, np.ones(1), np.zeros(1)) for i, e in enumerate(evidence)
+    )
 
 
 @given(EVIDENCE, st.floats(0.5, 0.999))
@@ -30,5 +32,5 @@ def test_probabilities_sum_to_one_and_the_set_is_the_smallest_that_holds_enough(
 
 
 def test_of_one_name_the_best_counts() -> None:
-    twice = Posterior.of(Hypothesis("slack", e, 0.0, None, None, np.ones(1)) for e in (-3.0, -1.0, -2.0))
+    twice = Posterior.of(Hypothesis("slack", e, 0.0, None, None, np.ones(1), np.zeros(1)) for e in (-3.0, -1.0, -2.0))
     assert [h.log_evidence for h in twice.hypotheses] == [-1.0]

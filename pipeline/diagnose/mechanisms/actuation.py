@@ -63,6 +63,7 @@ def _degraded(values: Values, variant: str) -> Effect:
 def _wrinkled(values: Values, variant: str) -> Effect:
     overload, growth = values["overload"], values["growth"]
     rise, recovery, kept = values["rise_s"], values["recovery_s"], values["kept"]
+    at_once = variant == "at_once"
     if overload <= 0:
         return Effect()
 
@@ -76,11 +77,15 @@ def _wrinkled(values: Values, variant: str) -> Effect:
         target = lost(wave.film_kv**2, wave.scale.voltage_kv)
         if not target.any():
             return wave
+        if at_once:
+            return replace(wave, squared=wave.squared - target)
         held = _following(target, wave.interval_s, rise, recovery)
         return replace(wave, squared=np.maximum(wave.squared - held, kept * held))
 
     def edge(view: View, side: float) -> Complex | Float:
         share = lost(view.voltage_kv**2, view.scale.voltage_kv) / np.maximum(view.voltage_kv, 1e-9) ** 2
+        if at_once:
+            return np.asarray(1 - share)
         s = 2j * np.pi * view.frequency_hz
         if side > 0:
             return np.asarray(1 - share / (1 + s * rise))
@@ -122,12 +127,11 @@ def _following(target: Float, interval_s: float, rise_s: float, fall_s: float) -
 
 
 def _onset_kv(values: Values, variant: str, context: Context) -> dict[str, float | str]:
+    lasting = float(variant != "at_once")
     return {
         "onset_kv": context.scale.voltage_kv / (1 + values["overload"]),
         "growth": values["growth"],
-        "rise_s": values["rise_s"],
-        "recovery_s": values["recovery_s"],
-        "kept": values["kept"],
+        **{name: lasting * values[name] for name in ("rise_s", "recovery_s", "kept")},
     }
 
 
@@ -209,7 +213,8 @@ WRINKLING = Mechanism(
     id="wrinkling",
     stage="actuation",
     depends_on=("voltage",),
-    equation="V² stops growing above V_c; what is lost comes with a time t_r and goes with a time t_w; a part of it acts on without voltage",
+    equation="V² stops growing above V_c; what is lost comes with a time t_r and goes with a time t_w, a part of it acting on without "
+    "voltage, or comes and goes at once",
     source="loss of tension (thesis, section 5.4.6)",
     parameters=(
         Parameter("overload", "1", "largest voltage over the onset, less 1", 0.02, 1.0),
@@ -234,6 +239,7 @@ WRINKLING = Mechanism(
         "field_dependent_permittivity": "no onset there",
     },
     effect=_wrinkled,
+    variants=("lasting", "at_once"),
     onset=True,
     report=_onset_kv,
 )

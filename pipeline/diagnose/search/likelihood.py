@@ -102,6 +102,20 @@ class Linearised:
         weight = fit.of.weight
         return cls(fit.misfit / weight, jacobian[:n] / weight[:, None], fit.solution.residual[n:], jacobian[n:])
 
+    def extend(self, columns: Float) -> Linearised:
+        """The model with further entries that change the predicted features by `columns` (N, K), each with a standard normal prior."""
+        count, size = columns.shape[1], self.jacobian.shape[1]
+        beside = [
+            [self.beside_jacobian, np.zeros((self.beside.size, count))],
+            [np.zeros((count, size)), np.eye(count)],
+        ]
+        return Linearised(
+            self.residual,
+            np.concatenate([self.jacobian, -columns], axis=1),
+            np.concatenate([self.beside, np.zeros(count)]),
+            np.block(beside),
+        )
+
 
 def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: bool) -> tuple[Float, Float, Float]:
     """Log likelihood of each group, and the weight that a square has in it.

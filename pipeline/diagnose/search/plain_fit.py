@@ -45,6 +45,8 @@ _FAR = 60.0
 """Limit of entries that have none, in logarithms."""
 _MOST = 30
 """Steps of a search at most."""
+_IDLE = 0.05
+"""Share of the stiffness with which an arm that the mechanical tests do not show is placed anew."""
 _PLACES = 6
 """Places at which a further arm is tried."""
 _STIFFNESSES, _TIMES = (0.03, 0.1, 0.3, 3.0), (0.03, 1.0, 30.0)
@@ -96,7 +98,59 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
         if place is not None:
             start[place] = found.theta[i]
     model = _choose_creep(session, simulation, model, start)
-    return replace(refit_plain(session, simulation, model, start), mechanical=start)
+    starts = [start, *_place_idle_arms(session, model, start)]
+    found = min((refit_plain(session, simulation, model, s) for s in starts), key=lambda f: f.chi2)
+    return replace(found if order else _add_arms_that_suffice(session, simulation, found), mechanical=start)
+
+
+def _add_arms_that_suffice(session: Session, simulation: Simulation, found: PlainFit) -> PlainFit:
+    """The plain model with the arms with which nothing but noise is left, where there are such: tests of other kinds may show more of
+    them than the mechanical ones. Arms that leave something are none of the film's.
+
+    Parameters
+    ----------
+    session, simulation : with all features
+    found : the optimum with the arms that the mechanical tests show
+    """
+    enough = RULES.plain.sound * session.size
+    best = found
+    for arms in range(found.model.arms + 1, RULES.plain.orders[-1] + 1):
+        if best.chi2 < enough:
+            break
+        model = replace(session.base_model(arms), sensing_creep=found.model.sensing_creep)
+        model = model.widened if found.model.is_widened else model
+        times = np.geomspace(*_bound_arm_times(estimate_stiffness(session)[0]), _PLACES)
+        best = min(
+            (refit_plain(session, simulation, model, _add_arm(model, best, float(tau))) for tau in times),
+            key=lambda f: f.chi2,
+        )
+    return best if best.chi2 < enough else found
+
+
+def _place_idle_arms(session: Session, model: BaseModel, start: Float) -> list[Float]:
+    """Starts with the arms that the mechanical tests do not show at other times: what other tests show may be theirs.
+
+    Parameters
+    ----------
+    session, model : with all features
+    start : (P,) film and rig of the mechanical tests
+    """
+    film = model.physical(start).film
+    idle = [i for i, k in enumerate(film.k) if k < RULES.fit.vanished * film.k0]
+    if not idle:
+        return []
+    starts = []
+    for tau in np.geomspace(*_bound_arm_times(estimate_stiffness(session)[0]), _PLACES):
+        at = {i: float(tau) * 3.0**n for n, i in enumerate(idle)}
+        arms = [
+            (at.get(i, t), _IDLE * film.k0 if i in at else k)
+            for i, (t, k) in enumerate(zip(film.tau, film.k, strict=True))
+        ]
+        arms.sort(reverse=True)
+        theta = model.theta(RelaxationModel(film.k0, tuple(k for _, k in arms), tuple(t for t, _ in arms), 0.0))
+        theta[model.film.stop :] = start[model.film.stop :]
+        starts.append(theta)
+    return starts
 
 
 def _choose_creep(session: Session, simulation: Simulation, model: BaseModel, theta: Float) -> BaseModel:

@@ -20,13 +20,11 @@ from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
-from pipeline.diagnose.search.regions import STEP, Region, list_regions
-from schemas.arrays import Bool, Float
+from pipeline.diagnose.search.regions import STEP, Region
+from schemas.arrays import Float
 
 PLAIN, ANYTHING = "plain", "anything"
 """Names of the hypotheses that nothing is beside the plain model but noise, and that some groups of features are wrong by anything."""
-_WIDTHS = np.geomspace(1e-4, 1.0, 7)
-"""Widths of the priors of a region's weights."""
 _STEPS = 10
 """Steps of a fit under other weights."""
 _ROUNDS = 6
@@ -35,10 +33,6 @@ _SAME = 1.0
 """Log evidence within which two optima are one."""
 _WITHIN = 30.0
 """Log probability behind the best within which a hypothesis may come to the front at its own optimum."""
-_LARGEST = 1e100
-"""Change of a feature beyond which it was not computed."""
-_NO_TRACE = 1e-6
-"""Length below which a shape leaves no trace."""
 
 
 @dataclass(frozen=True)
@@ -214,80 +208,6 @@ def _believe(causes: int, *, noise_alone: bool) -> float:
     if not causes:
         return float(np.log(rules.plain if noise_alone else rules.anything))
     return float(np.log(rules.listed / len(MECHANISMS)) + (causes - 1) * np.log(rules.further / len(MECHANISMS)))
-
-
-def weigh_regions(plain: ExtendedFit) -> list[Hypothesis]:
-    """All regions without a name as hypotheses, to first order about the plain model.
-
-    Parameters
-    ----------
-    plain : the plain model, with the film that most groups of features agree on
-    """
-    session = plain.of.session
-    groups, absorbed, about = Groups.of(session), find_absorbed(plain), Linearised.of(plain)
-    regions = list(list_regions(session))
-    prior = float(np.log(RULES.prior.unnamed / len(regions)))
-    found = []
-    for region in regions:
-        changes = _differentiate(plain, region)
-        computed = np.all(np.abs(changes) < _LARGEST, axis=1)  # about a resonance without damping a change may be any
-        columns = session.whiten(np.where(computed[:, None], changes, 0.0).T)
-        length = np.linalg.norm(columns - absorbed @ (absorbed.T @ columns), axis=0)
-        seen = length > _NO_TRACE
-        if seen.any():
-            found.append(_weigh_region(plain, groups, absorbed, about, region, columns, seen, prior))
-    return found
-
-
-def _weigh_region(
-    plain: ExtendedFit,
-    groups: Groups,
-    absorbed: Float,
-    about: Linearised,
-    region: Region,
-    columns: Float,
-    seen: Bool,
-    prior: float,
-) -> Hypothesis:
-    """One region, over all widths of its prior."""
-    size = about.jacobian.shape[1]
-    count = int(np.sum(seen))
-    evidence, best = [], None
-    for width in _WIDTHS:
-        scale = width * region.width[seen]
-        own = columns[:, seen] * scale
-        extended = Linearised(
-            about.residual,
-            np.concatenate([about.jacobian, -own], axis=1),
-            np.concatenate([about.beside, np.zeros(count)]),
-            np.block(
-                [
-                    [about.beside_jacobian, np.zeros((about.beside.size, count))],
-                    [np.zeros((count, size)), np.eye(count)],
-                ]
-            ),
-        )
-        trace = np.zeros(groups.size.size)
-        for _ in range(2):  # the trace of the function follows from its fit
-            peak = find_peak(groups, extended, trace, size, noise_alone=False)
-            trace = measure_trace(groups, absorbed, own @ peak.step[size:])
-        covariance = peak.covariance[size:, size:]
-        evidence.append(peak.log_likelihood + 0.5 * float(np.linalg.slogdet(covariance)[1]))
-        if evidence[-1] == max(evidence):
-            weights, spread = np.zeros(seen.size), np.zeros((seen.size, seen.size))
-            weights[seen] = scale * peak.step[size:]
-            spread[np.ix_(seen, seen)] = np.outer(scale, scale) * covariance
-            best = RegionFit(region, weights, spread), peak
-    assert best is not None, region.id
-    total = float(logsumexp(evidence) - np.log(len(evidence)))
-    return Hypothesis(region.id, total, prior, None, best[0], best[1].weight, best[1].odd)
-
-
-def _differentiate(plain: ExtendedFit, region: Region) -> Float:
-    """(K, N) derivatives of the features by the weights of a region's shapes."""
-    of = plain.of
-    base = of.predict(plain.x)
-    return np.array([(of.simulation.predict(of.model, plain.theta, e) - base) / STEP for e in region.effects])
 
 
 def reweigh_fit(hypothesis: Hypothesis, most: int) -> ExtendedFit:
