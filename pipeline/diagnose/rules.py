@@ -194,9 +194,10 @@ class FormRules:
     )
     bends: tuple[float, ...] = _rule(
         (0.03, 0.1, 0.3),
-        "shares of its effect by which a cause may depend in another way on what it depends on, each as likely, and as not",
+        "shares of its effect by which a cause may depend in another way on what it depends on, each as likely",
         RIGS,
     )
+    bent: float = _rule(0.5, "probability that it does")
     louder: tuple[float, ...] = _rule(
         (1.5, 2.0, 3.0), "noise of a test over that of its rests", "driven noise of rigs written apart", "SD"
     )

@@ -145,4 +145,4 @@ def test_a_form_that_is_right_loses_next_to_nothing_by_the_doubt_about_it() -> N
     of = replace(plain.of, chosen=(Chosen("drive_offset", "offset"),))
     hypothesis = weigh_fit(of.fit(of.make_entries(plain.theta, ({"offset_kv": 0.3},)), most=20))
     (bent,) = allow_form_errors([hypothesis], differentiate_regions(plain))
-    assert hypothesis.log_evidence - np.log(4) - 0.01 < bent.log_evidence < hypothesis.log_evidence + 2.0
+    assert hypothesis.log_evidence - np.log(2) - 0.01 < bent.log_evidence < hypothesis.log_evidence + 2.0

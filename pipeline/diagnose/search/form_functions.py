@@ -148,7 +148,9 @@ def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange]) -
             + 0.5 * float(np.linalg.slogdet(bent)[1])
         )
         odd.append(peak.odd)
-    total = float(logsumexp(evidence) - np.log(len(evidence)))
+    rules = RULES.form
+    prior = np.array([1 - rules.bent, *[rules.bent / len(rules.bends)] * len(rules.bends)])
+    total = float(logsumexp(evidence, b=prior))
     return replace(hypothesis, log_evidence=total, odd=odd[int(np.argmax(evidence))])
 
 

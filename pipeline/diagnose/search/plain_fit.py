@@ -124,7 +124,9 @@ def _add_arms_that_suffice(session: Session, simulation: Simulation, found: Plai
             (refit_plain(session, simulation, model, _add_arm(model, best, float(tau))) for tau in times),
             key=lambda f: f.chi2,
         )
-    return best if best.chi2 < enough else found
+    dispersion = max(1.0, best.chi2 / max(session.size - best.theta.size, 1))
+    worth = RULES.plain.arm_worth * dispersion * (best.model.arms - found.model.arms)
+    return best if best.chi2 < enough and found.chi2 - best.chi2 > worth else found
 
 
 def _place_idle_arms(session: Session, model: BaseModel, start: Float) -> list[Float]:
