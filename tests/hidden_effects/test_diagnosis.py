@@ -105,6 +105,14 @@ def test_what_the_actuation_does_over_the_voltage_is_told_apart(effect: Effect) 
     assert {*found.also_possible} <= {UNLISTED}
 
 
+@pytest.mark.parametrize("mains_hz", [50.0, 60.0])
+def test_mains_are_named_with_their_frequency(mains_hz: float) -> None:
+    found = observe(made(Case(SEED), (Effect("mains_hum", 5e-3, {"mains_hz": mains_hz}),)))
+    assert (found.verdict, found.mechanisms) == ("named", ("mains_hum",))
+    assert found.extension is not None
+    assert found.extension.severities["mains_hum"]["frequency_hz"].value == mains_hz
+
+
 def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
     """Where one cause explains nearly everything its form is known, and what it leaves is another's."""
     softening = Effect("cyclic_softening", 2.753e-3, {"cycles": 1.994, "curvature": 1.052})

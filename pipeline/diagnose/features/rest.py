@@ -1,7 +1,7 @@
 """Features of the rest: mains in the force; and of calibrations: the clamp's ring and the weights.
 
-Mains are not locked to the drive, so that no line of a response shows them; the rest does. z = Φ⁻¹(p) of the power at 50 and
-100 Hz against that of its neighbourhood is standard normal without mains, whatever the noise is.
+Mains are not locked to the drive, so that no line of a response shows them; the rest does. z = Φ⁻¹(p) of the power at a line of
+the mains (50 or 60 Hz, and twice that) against that of its neighbourhood is standard normal without mains, whatever the noise is.
 """
 
 from __future__ import annotations
@@ -22,14 +22,10 @@ from schemas.recording import Recording
 
 _NEAR, _FAR = 2, 14
 """Bins beside that of the mains that are its neighbourhood."""
-_FREEDOM = 2 * 2 * (_FAR - _NEAR + 1) / 1.5
-"""Degrees of freedom of the neighbourhood: Hann bins share data with their neighbours, two thirds are independent."""
-_MIDDLE = float(fdtri(2, _FREEDOM, 0.5))
-"""Median of the ratio of the mains' power to its neighbourhood where there are none."""
+_FEWEST = 12
+"""Fewest bins of a neighbourhood that says how strong the noise is."""
 _EXACT_Z = 4.0
 """Score up to which the null distribution is exact; beyond it the score grows as the amplitude over its noise."""
-_EXACT_RATIO = float(fdtri(2, _FREEDOM, ndtr(_EXACT_Z)))
-"""The ratio at that score."""
 _HIGHEST_Z = 300.0
 """Largest score: more says no more."""
 _BEFORE_S = 0.05
@@ -54,21 +50,25 @@ def hum_block(recording: Recording) -> FeatureBlock | None:
     y = y - np.polynomial.polynomial.polyval(n, np.polynomial.polynomial.polyfit(n, y, 2))
     if float(np.abs(y).max()) <= _ROUNDING * largest:
         return None  # a rest without noise has no neighbourhood to hold the mains against
-    z, variance = [], []
+    z, variance, freedom = [], [], []
     for f in HUM_HZ:
-        # Off-centre bins on both sides of the mains' own: the same transform, moved by whole bins.
+        # Off-centre bins on both sides of the mains' own: the same transform, moved by whole bins; none near another line.
         step = 1 / (y.size * sampled.interval_s)
         offsets = np.concatenate([-np.arange(_NEAR, _FAR + 1), np.arange(_NEAR, _FAR + 1)]) * step
-        if f + offsets.max() > 0.45 / sampled.interval_s or f + offsets.min() < 2 * step:
+        others = np.array([other for other in HUM_HZ if other != f])
+        apart = np.abs(f + offsets[:, None] - others).min(axis=1) > _NEAR * step
+        # Hann bins share data with their neighbours, two thirds are independent.
+        freedom.append(2 * float(apart.sum()) / 1.5)
+        if f + offsets.max() > 0.45 / sampled.interval_s or f + offsets.min() < 2 * step or apart.sum() < _FEWEST:
             z.append(np.nan)
             variance.append(np.nan)
             continue
         window = 1 - np.cos(2 * np.pi * (np.arange(y.size) + 0.5) / y.size)
-        turns = np.exp(-2j * np.pi * np.outer(np.concatenate([[0.0], offsets]) + f, n))
+        turns = np.exp(-2j * np.pi * np.outer(np.concatenate([[0.0], offsets[apart]]) + f, n))
         amplitude = turns @ (y * window) * 2 / y.size
         power = np.abs(amplitude) ** 2
         near = float(power[1:].mean())
-        z.append(float(_score(np.array(power[0] / near))))
+        z.append(float(_score(np.array(power[0] / near), np.array(freedom[-1]))))
         variance.append(near)
     known = np.isfinite(z)
     if not known.any():
@@ -82,25 +82,27 @@ def hum_block(recording: Recording) -> FeatureBlock | None:
         is_complex=False,
         frequency=np.array(HUM_HZ)[known],
         time=stop * sampled.interval_s / 2,
-        support={"variance": np.array(variance)[known]},
+        support={"variance": np.array(variance)[known], "freedom": np.array(freedom)[known]},
     )
 
 
-def _score(ratio: Float) -> Float:
+def _score(ratio: Float, freedom: Float) -> Float:
     """Standard normal score of the power of a line over the mean of its neighbours, for lines of noise.
 
     Φ⁻¹ of its F distribution up to a score of 4. From there on it grows by 1 where the amplitude grows by its own standard
     deviation, so that the score of strong mains has the standard deviation 1 as well (Rice distribution).
     """
+    most = fdtri(2, freedom, ndtr(_EXACT_Z))
     amplitude = np.sqrt(2 * np.maximum(ratio, 0.0))
-    exact = -ndtri(fdtrc(2, _FREEDOM, np.minimum(ratio, _EXACT_RATIO)))
-    beyond = np.maximum(amplitude - np.sqrt(2 * _EXACT_RATIO), 0.0)
+    exact = -ndtri(fdtrc(2, freedom, np.minimum(ratio, most)))
+    beyond = np.maximum(amplitude - np.sqrt(2 * most), 0.0)
     return np.asarray(np.clip(exact + beyond, -_HIGHEST_Z, _HIGHEST_Z))
 
 
-def hum_score(amplitude_n: Float, variance: Float) -> Float:
-    """Middle score of mains of that amplitude (n,) in noise of that variance of a line (n,), 0 for none."""
-    return _score(np.asarray(amplitude_n) ** 2 / variance + _MIDDLE)
+def hum_score(amplitude_n: Float, variance: Float, freedom: Float) -> Float:
+    """Middle score of mains of that amplitude N (n,), 0 for none, beside noise of that variance of a line, N² (n,), which is known with
+    so many degrees of freedom (n,)."""
+    return _score(np.asarray(amplitude_n) ** 2 / variance + fdtri(2, freedom, 0.5), freedom)
 
 
 def calibration_block(recording: Recording) -> FeatureBlock:

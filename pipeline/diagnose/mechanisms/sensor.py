@@ -57,7 +57,12 @@ def _gain(values: Values, variant: str) -> Effect:
 
 
 def _hum(values: Values, variant: str) -> Effect:
-    return Effect(hum_n=((values["amplitude_n"], values["second"] * values["amplitude_n"]),))
+    f = float(variant.removesuffix(" Hz"))
+    return Effect(hum_n=((f, values["amplitude_n"]), (2 * f, values["second"] * values["amplitude_n"])))
+
+
+def _hum_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    return {**values, "frequency_hz": float(variant.removesuffix(" Hz"))}
 
 
 def _saturation(values: Values, variant: str) -> Effect:
@@ -120,15 +125,17 @@ MAINS_HUM = Mechanism(
     id="mains_hum",
     stage="sensor",
     depends_on=("frequency",),
-    equation="F + a sin(2π 50 Hz t + φ) + a₂ sin(2π 100 Hz t + φ₂), not locked to the drive",
+    equation="F + a sin(2π f t + φ) + a₂ sin(4π f t + φ₂), f = 50 or 60 Hz, not locked to the drive",
     source="mains pick-up",
     parameters=(
-        Parameter("amplitude_n", "N", "amplitude at 50 Hz", 5e-4, 2e-2),
-        Parameter("second", "1", "amplitude at 100 Hz over that at 50 Hz", 0.05, 1.0, SHAPE),
+        Parameter("amplitude_n", "N", "amplitude at f", 5e-4, 2e-2),
+        Parameter("second", "1", "amplitude at 2 f over that at f", 0.05, 1.0, SHAPE),
     ),
     shows=frozenset({kinds.REST_HUM}),
     confusable={"rig_constants": "mains are there with the drive off"},
     effect=_hum,
+    variants=("50 Hz", "60 Hz"),
+    report=_hum_report,
 )
 
 SENSOR_SATURATION = Mechanism(

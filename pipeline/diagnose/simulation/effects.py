@@ -190,7 +190,7 @@ class Effect:
     force, displacement, voltage, capacitance : factors of the channels
     reading : force of the load cell over time
     drift : force added at times since the start of recording and session (q,) s, given the rest force
-    hum_n : amplitudes of the mains at 50 and 100 Hz
+    hum_n : lines of the mains: frequency Hz and amplitude N
     """
 
     film_voltage: tuple[Callable[[Wave], Wave], ...] = ()

@@ -1,7 +1,7 @@
 """Mains in the noise of a session: components of every block, silent until the hum of the force is known.
 
 A hum is not locked to the drive, so that it raises the variance of all that is read off the force. Each block knows what a
-sinusoid at 50 or 100 Hz of amplitude 1 and of any phase would add to its covariance; how strong it is only the rest tells.
+sinusoid at a line of the mains, of amplitude 1 and of any phase, would add to its covariance; how strong it is only the rest tells.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ import numpy as np
 from pipeline.diagnose.features.functionals import Component
 from schemas.arrays import Float
 
-HUM_HZ = (50.0, 100.0)
-"""Mains and their first harmonic, Hz."""
+MAINS_HZ = (50.0, 60.0)
+"""Frequencies of the mains, Hz: which of them a laboratory has, its rests tell."""
+HUM_HZ = tuple(n * f for f in MAINS_HZ for n in (1, 2))
+"""Mains and their first harmonics, Hz."""
 _LEAST_GAIN = 1e-3
 """Gain of a filter below which the mains do not pass it."""
 

@@ -34,7 +34,6 @@ from pipeline.diagnose.simulation.describing import Loads
 from pipeline.diagnose.simulation.effects import NONE, Effect
 from pipeline.diagnose.simulation.electrical import CAPACITANCE, FORCE, VOLTAGE, MultisineFamily, StepFamily
 from pipeline.diagnose.simulation.families import Family, channel, rig_of, state_view
-from pipeline.diagnose.simulation.mains import HUM_HZ
 from pipeline.diagnose.simulation.mechanical import CYCLIC, RAMP, CyclicFamily, MechanicalFamily, RampFamily
 from pipeline.diagnose.simulation.nodes import Elsewhere, response_nodes
 from pipeline.diagnose.simulation.parameters import BaseModel, Physical, Several
@@ -154,9 +153,10 @@ class Simulation:
         """Rest and calibrations."""
         if place.block.kind == REST_HUM:
             total = np.zeros(place.block.size)
-            for first, second in effect.hum_n:
-                amplitude = np.where(place.block.frequency_hz == HUM_HZ[0], first, second)
-                total = total + hum_score(amplitude, place.block.support["variance"])
+            support = place.block.support
+            for frequency, amplitude_n in effect.hum_n:
+                amplitude = np.where(place.block.frequency_hz == frequency, amplitude_n, 0.0)
+                total = total + hum_score(amplitude, support["variance"], support["freedom"])
             return total
         rig = rig_of(physical, int(self.session.rig[place.recording]), effect)
         if place.block.kind == WEIGHT_GAIN:

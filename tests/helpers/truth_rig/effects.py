@@ -156,8 +156,8 @@ _ALL = (
     ),
     Kind(
         "mains_hum", "amplitude_n", 5e-3, 2e-2, ("chirp", "sphs", "step", "relaxation"), (),
-        "50 Hz whose frequency wanders by 0.02 Hz, a third of it at 100 Hz, any phase",
-        {"second": 0.35}, {"second": (0.1, 0.6)}, exact=True,
+        "mains whose frequency wanders by 0.02 Hz, a third of it at twice that, any phase",
+        {"second": 0.35, "mains_hz": 50.0}, {"second": (0.1, 0.6)}, exact=True,
     ),
     Kind(
         "sensor_saturation", "overload", 0.25, 1.0, ("cyclic",), _ELECTRICAL,

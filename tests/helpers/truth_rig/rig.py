@@ -270,7 +270,7 @@ class TruthRig:
         rest = 0.0 if plan.test in _CALIBRATIONS else law.preload
         force = values["force"] + rest
         if hum := self.hidden.get("mains_hum"):
-            force = force + sensors.hum(time_s, hum.severity, hum.number("second"), rng)
+            force = force + sensors.hum(time_s, hum.severity, hum.number("second"), hum.number("mains_hz"), rng)
         if drift := self.hidden.get("baseline_drift"):
             over_session = drift.text("form") == "session"
             since, true_at = (clock_s, self.plain.duration / 2) if over_session else (0.0, _DRIFT_TRUE_AT_S)

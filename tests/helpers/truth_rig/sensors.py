@@ -20,7 +20,6 @@ Float = NDArray[np.float64]
 _PLAYS = np.array([0.01, 0.04, 0.12, 0.3])
 CELL_MEMORY = _PLAYS.size + 1
 _CONVERTER_BITS = 16
-_MAINS_HZ = 50.0
 _SHIFTS = 12
 """Shifts that stand for two poles, exact for polynomials of degree 23."""
 
@@ -75,12 +74,12 @@ def smoothed(values: Float, step: float, delay_s: float) -> Float:
     return np.asarray(out + values[0])
 
 
-def hum(time_s: Float, amplitude_n: float, second: float, rng: np.random.Generator) -> Float:
-    """Mains pick-up: 50 Hz whose frequency wanders (sd 0.02 Hz, forgetting in 10 s), and 100 Hz; random phases."""
+def hum(time_s: Float, amplitude_n: float, second: float, mains_hz: float, rng: np.random.Generator) -> Float:
+    """Mains pick-up: a frequency that wanders (sd 0.02 Hz, forgetting in 10 s), and twice that; random phases."""
     step = float(time_s[1] - time_s[0])
     decay = math.exp(-step / 10.0)
     wander = lfilter([1.0], [1.0, -decay], rng.normal(0, 0.02 * math.sqrt(1 - decay**2), time_s.size))
-    phase = 2 * np.pi * np.cumsum(_MAINS_HZ + wander) * step + rng.uniform(0, 2 * np.pi)
+    phase = 2 * np.pi * np.cumsum(mains_hz + wander) * step + rng.uniform(0, 2 * np.pi)
     other = rng.uniform(0, 2 * np.pi)
     return np.asarray(amplitude_n * (np.sin(phase) + second * np.sin(2 * phase + other)))
 
