@@ -17,6 +17,12 @@ from reports.figures.svg import Drawing
 from reports.names import short
 from schemas.arrays import Float, Int
 
+_ROOM = 5.0
+"""Room between a name and a curve, px."""
+_ALONG = 60
+"""Points along a fitted line."""
+_COVERED = 1e4
+"""What a covered point of a curve costs, in px of distance from its own curve."""
 _FEW = 3
 """Up to so many groups have room for a second line beside their name."""
 
@@ -98,39 +104,70 @@ def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> 
 
 
 def _names(panel: Panel, groups: Sequence[GroupCurve]) -> None:
-    """The group's name where its curve leaves room: above a flat one, right of one that falls at once, else left of it."""
+    """The group's name beside its curve, where neither a curve nor another name is; above it where nobody failed."""
+    paths = [_trace(panel, g) for g in groups]
     taken: list[tuple[float, float, float, float]] = []
-    for g in sorted(groups, key=lambda g: float(g.time[g.failures > 0][0]) if g.failed else np.inf):
-        lines = [*wrap(short(g.name, 44), 22), f"{g.failed} of {g.total} failed"]
-        lines = lines if len(groups) <= _FEW else [short(g.name, 22)]
-        wide, high = 6.6 * max(len(line) for line in lines), 14.0 * len(lines)
+    for g, own in zip(groups, paths, strict=True):
         if not g.failed:
-            text = f"{short(g.name)}: {g.failed} of {g.total} failed"
+            text = f"{short(g.name, 30)}: {g.failed} of {g.total} failed"
             y = float(panel.py([100.0])[0]) - 7
             panel.drawing.text(panel.right, y, text, size=11.3, colour=g.drawn.colour, anchor="end", bold=True)
             continue
-        start = float(panel.px(g.time[g.failures > 0])[0]) - 10
-        right = start - wide < panel.left + 6
-        y = float(panel.py([72.0])[0])
-        while True:
-            x = _beyond(panel, g, y + high) + 12 if right else start
-            left = x if right else x - wide
-            if y + high > panel.bottom or not any(
-                left < b and a < left + wide and y < d and c < y + high for a, b, c, d in taken
-            ):
-                break
-            y += 12
-        x = min(x, panel.right + 24 - wide) if right else x
-        taken.append((left, left + wide, y, y + high))
-        for i, line in enumerate(lines):
-            anchor = None if right else "end"
-            panel.drawing.text(x, y + 14 * i, line, size=11.3, colour=g.drawn.colour, anchor=anchor, bold=True)
+        lines = [*wrap(short(g.name, 44), 22), f"{g.failed} of {g.total} failed"]
+        lines = lines if len(groups) <= _FEW else [short(g.name, 22)]
+        _write_name(panel, g, lines, own, np.vstack(paths), taken)
 
 
-def _beyond(panel: Panel, g: GroupCurve, y: float) -> float:
-    """Where the curve has fallen below the height y, in px."""
-    below = np.flatnonzero(panel.py(100 * g.survival) >= y)
-    return float(panel.px(g.time[[below[0] if below.size else -1]])[0])
+def _write_name(
+    panel: Panel,
+    g: GroupCurve,
+    lines: Sequence[str],
+    own: Float,
+    curves: Float,
+    taken: list[tuple[float, float, float, float]],
+) -> None:
+    """Lines of text where there is room near a group's curve; the place is added to those that are taken."""
+    box = _find_room(panel, 6.6 * max(len(line) for line in lines), 14.0 * len(lines), own, curves, taken)
+    taken.append(box)
+    for i, line in enumerate(lines):
+        panel.drawing.text(box[0], box[2] + 11 + 14 * i, line, size=11.3, colour=g.drawn.colour, bold=True)
+
+
+def _find_room(
+    panel: Panel,
+    wide: float,
+    high: float,
+    own: Float,
+    curves: Float,
+    taken: Sequence[tuple[float, float, float, float]],
+) -> tuple[float, float, float, float]:
+    """Left, right, top and bottom of a name in px, as near to its own curve (n, 2) as other names and all curves (m, 2) leave room."""
+
+    def rate(left: float, top: float) -> float:
+        right, bottom = left + wide, top + high
+        x, y = curves.T
+        covered = np.sum((x > left - _ROOM) & (x < right + _ROOM) & (y > top - _ROOM) & (y < bottom + _ROOM))
+        hidden = sum(left < d and c < right and top < f and e < bottom for c, d, e, f in taken)
+        away = np.hypot(
+            np.maximum(np.maximum(left - own[:, 0], own[:, 0] - right), 0.0),
+            np.maximum(np.maximum(top - own[:, 1], own[:, 1] - bottom), 0.0),
+        )
+        return float(away.min()) + _COVERED * float(covered) + _COVERED**2 * hidden
+
+    lefts = np.arange(panel.left + 6, max(panel.right + 24 - wide, panel.left + 7), 6.0)
+    tops = np.arange(panel.top + 16, panel.bottom - high - 4, 6.0)
+    left, top = min(((float(x), float(y)) for x in lefts for y in tops), key=lambda place: rate(*place))
+    return left, left + wide, top, top + high
+
+
+def _trace(panel: Panel, g: GroupCurve) -> Float:
+    """(n, 2) points of a curve in px, no farther apart than names are high."""
+    x = np.concatenate([[panel.left], panel.px(g.time)])
+    y = np.concatenate([panel.py([100.0]), panel.py(100 * g.survival)])
+    corners = np.column_stack([np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]])
+    along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners, axis=0)).sum(axis=1))])
+    at = np.linspace(0.0, along[-1], int(along[-1] / _ROOM) + 2)
+    return np.column_stack([np.interp(at, along, corners[:, 0]), np.interp(at, along, corners[:, 1])])
 
 
 def _at_risk(panel: Panel, groups: Sequence[GroupCurve], ticks: Sequence[float], height: float) -> None:
@@ -172,34 +209,29 @@ def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt:
     for g, line in fitted:
         height = np.linspace(panel.y.low, panel.y.high, 3)
         panel.curve(np.exp(line.location + line.sigma * height), height, g.drawn.colour, 1.5)
-    for i, (g, line) in enumerate(sorted(fitted, key=lambda e: e[1].location)):
-        _name_line(panel, g, line, w, i, words=len(fitted) <= _FEW)
+    _name_lines(panel, fitted, points, w)
     return drawing.image(alt)
 
 
-def _name_line(
-    panel: Panel, g: GroupCurve, line: FittedLaw, w: Callable[[float], float], place: int, *, words: bool
+def _name_lines(
+    panel: Panel,
+    fitted: Sequence[tuple[GroupCurve, FittedLaw]],
+    points: Sequence[tuple[GroupCurve, Float, Float]],
+    w: Callable[[float], float],
 ) -> None:
-    """The group's name beside its line: of the first one left of it, high up, of the others right of it, low down."""
-    lines = [*wrap(short(g.name, 44), 24), line.words][: None if words else 1]
-    wide = 6.6 * max(len(text) for text in lines)
+    """The groups' names beside their lines, where neither a line, a point nor another name is."""
 
-    def at(level: float) -> float:
-        return float(panel.px(math.exp(line.location + line.sigma * w(level))))
+    def trace(line: FittedLaw) -> Float:
+        height = np.linspace(panel.y.low, panel.y.high, _ALONG)
+        at = np.column_stack([panel.px(np.exp(line.location + line.sigma * height)), panel.py(height)])
+        return at[(at[:, 0] >= panel.left) & (at[:, 0] <= panel.right)]
 
-    level, side = (0.93, "end") if place == 0 else (0.035 if place % 2 else 0.12, None)
-    x = at(level)
-    if side and x - wide - 14 < panel.left:
-        level, side = 0.05, None
-        x = at(level)
-    if not side and x + wide + 14 > panel.right + 44:
-        side = "end"
-    y = float(panel.py(w(level)))
-    # The line leans: left of it each line of text ends as far from it as the first one.
-    lean = (at(0.9) - at(0.1)) / float(panel.py(w(0.9)) - panel.py(w(0.1)))
-    for k, text in enumerate(lines):
-        moved = x + 14 * k * lean - 14 if side else x + 14
-        panel.drawing.text(moved, y + 14 * k, text, size=11.3, colour=g.drawn.colour, anchor=side, bold=True)
+    lines = [trace(line) for _, line in fitted]
+    dots = [np.column_stack([panel.px(t), panel.py([w(s) for s in failed.tolist()])]) for _, t, failed in points]
+    taken: list[tuple[float, float, float, float]] = []
+    for (g, line), own in zip(fitted, lines, strict=True):
+        words = [*wrap(short(g.name, 44), 24), line.words][: None if len(fitted) <= _FEW else 1]
+        _write_name(panel, g, words, own if own.size else np.vstack(dots), np.vstack([*lines, *dots]), taken)
 
 
 def _w(share: float) -> float:
