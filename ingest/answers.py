@@ -10,11 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ingest.draft import Draft, Question, make_draft
+from ingest.draft import Draft, make_draft
 from ingest.formats import list_options
 from ingest.mapping_keys import COLUMN, TABLE_COLUMN, TABLE_COLUMNS, TIME
 from ingest.meanings import NOTHING
 from ingest.meanings import TIME as TIMES
+from ingest.questions import Question
 from schemas.errors import UsageError
 from schemas.metadata import RecordingMetadata, known_keys
 from schemas.quantities import QUANTITIES

@@ -2,12 +2,12 @@
 
 `dealab inspect` shows the draft, `dealab add` asks its questions and writes it. Only here anything is guessed, and each
 guess is said in a comment. Does not belong here: the text of the TOML (`ingest.draft_text`), which test a trace shows
-(`ingest.shapes`), what the lines above a table say (`ingest.harvest`).
+(`ingest.shapes`), what the lines above a table say (`ingest.harvest`), how the file is opened (`ingest.draft_files`), what its columns
+and times are (`ingest.draft_columns`, `ingest.draft_times`).
 """
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,67 +18,31 @@ from typing import Any
 
 import numpy as np
 
-from ingest.arrays import ArrayFile
 from ingest.assemble import assemble
-from ingest.clocks import duration_s, moment
-from ingest.columns import ColumnFile
+from ingest.draft_columns import find_lifetime_columns, find_meanings, find_relaxation_columns, find_response_columns
+from ingest.draft_files import Opened, make_format_keys, map_each_column, open_file, read_numbers
 from ingest.draft_text import toml_text
-from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact, by_key, harvest_hdf5, harvest_rows
-from ingest.mapping import FileMapping, format_of
+from ingest.draft_times import make_time_keys
+from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
+from ingest.mapping import FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION, TAN_DELTA
-from ingest.meanings import TIME, GuessedColumn, guess_columns
+from ingest.meanings import TIME, GuessedColumn
 from ingest.notations import read_cell
+from ingest.questions import Question, ask_unit, make_place, make_unit_keys
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
-from ingest.sniff import are_units, guess_text, is_number
-from schemas.errors import DealabError, RefusedError
+from schemas.errors import DealabError
 from schemas.protocols import PROTOCOLS
 from schemas.quantities import QUANTITIES
-from schemas.units import ANY, conversion
+from schemas.units import conversion
 
-_STORAGE = r"stor|speicher|^[eg]['1]|[eg]'$|^k'|^[ab]t?_?g'|re\b"
-_LOSS = r"loss|verlust|^[eg](''|\"|2)|^k''|im\b"
-_MAGNITUDE = r"^\|.*\|$|magnitude|betrag|complex modulus|\|?[egk]\*\|?|^k$|dyn.*stiff|amplitude ratio"
-_TAN_DELTA = r"\btan|loss factor|verlustfaktor"
-_PHASE = r"phase|phi|φ|delta|δ|winkel"
-_FREQUENCY = r"freq|omega|ω|^f$"
-_RELAXED = r"relax|^[eg]\s?\(t\)|modul"
-_FAILED = r"cens|fail|event|status|state|death|broke|^breakdown$|^bd$|runout|durchschlag"
-_LIFE = r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit"
-_CONFIGURATION = r"config|group|electrode|design|layout|bauart|gruppe|^type$"
-_SPECIMEN = r"specimen|sample|probe|^id$"
-_COUNT = r"^n$|^count$|^anzahl$"
-_PLANNED = r"^test\b|test duration|planned|^on rig"
-_YES = r"1|y|ja|oui|true|bd|fail|broke|break|dead|death"
-_MODULI = ("Pa", "kPa", "MPa", "GPa", "N/mm", "N/m", "kN/m")
 _WORDS = ("failed", "censored", "configuration", "specimen_id", "count")
-_DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
-_MOST_MATRIX_COLUMNS = 12
-_FIRST_CELLS = 200
 _FEWEST_DEGREES = 2.0
 """Range of temperatures below which a table holds one sweep."""
 _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
 _EVEN = 1e-3
 """Largest spread of the steps of a column of times, in steps, which no column of samples has."""
-
-
-@dataclass(frozen=True)
-class Question:
-    """Something that the file does not say.
-
-    Parameters
-    ----------
-    key : where the answer belongs in the mapping, `recording.specimen_id`
-    text : what is asked
-    suggestion : the answer that is taken when none is given; None where one has to be given
-    choices : the only answers there are; empty for any
-    """
-
-    key: str
-    text: str
-    suggestion: Any = None
-    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,34 +77,6 @@ class Draft:
         return toml_text(self.path.name, self.content, self.remarks, asked, unmapped, self.about)
 
 
-@dataclass(frozen=True)
-class _Opened:
-    """A file as it seems to be: its format's own keys, its columns, some rows, and what it says of the test."""
-
-    path: Path
-    format: str
-    options: Mapping[str, Any]
-    columns: tuple[GuessedColumn, ...]
-    rows: Sequence[Sequence[Any]] = ()
-    facts: Mapping[str, Fact] = field(default_factory=dict)
-    about: tuple[str, ...] = ()
-    has_own_time: bool = False
-
-    def cells(self, column: GuessedColumn) -> list[Any]:
-        """The first cells of a column; none where the rows were not looked at."""
-        if not self.rows:
-            return self._cells_of_array(column)
-        place = column.column if isinstance(column.column, int) else self.columns.index(column)
-        return [row[place] for row in self.rows if place < len(row)]
-
-    def _cells_of_array(self, column: GuessedColumn) -> list[Any]:
-        mapping = FileMapping(RECORDING, self.format, dict(self.options), None, {}, {}, {})
-        try:
-            return list(open_columns(self.path, self.format, mapping).cells(column.column, column.index)[:_FIRST_CELLS])
-        except DealabError:
-            return []
-
-
 def draft_mapping(path: Path) -> str:
     """The text of a TOML that maps the file, with the guesses marked. Raises `RefusedError` when it cannot be read."""
     return make_draft(path).as_toml()
@@ -158,121 +94,18 @@ def make_draft(path: Path, said: Mapping[str, str] = MappingProxyType({})) -> Dr
     ------
     RefusedError : the file cannot be read, or is no table of numbers
     """
-    opened = _open(path, said)
+    opened = open_file(path, said)
     for kind, chosen in (
-        (FREQUENCY_RESPONSE, _response_columns(opened.columns)),
-        (LIFETIMES, _lifetime_columns(opened)),
-        (RELAXATION, _relaxation_columns(opened.columns)),
+        (FREQUENCY_RESPONSE, find_response_columns(opened.columns)),
+        (LIFETIMES, find_lifetime_columns(opened)),
+        (RELAXATION, find_relaxation_columns(opened.columns)),
     ):
         if chosen:
             return _table(opened, kind, chosen)
     return _recording(opened)
 
 
-def _open(path: Path, said: Mapping[str, str]) -> _Opened:
-    found = _true_format(path)
-    if found == "csv":
-        guess = guess_text(path.read_bytes(), said)
-        d = guess.dialect
-        options = {
-            "delimiter": d.delimiter,
-            "decimal": d.decimal,
-            "encoding": d.encoding,
-            "skip_rows": d.skip_rows,
-            "header": d.header,
-            "unit_row": d.unit_row,
-        }
-        columns = _with_time_first(guess.columns)
-        return _Opened(path, found, options, columns, guess.rows, by_key(guess.facts))
-    if found == "excel":
-        return _open_excel(path, said)
-    if found == "mcap":
-        raise RefusedError("no channel can be guessed", where=path.name, expected="topics mapped by hand in a TOML")
-    return _open_arrays(path, found or "", said)
-
-
-def _true_format(path: Path) -> str | None:
-    """The format by the file's ending, but for workbooks named as text and texts named as workbooks."""
-    found = format_of(path)
-    with path.open("rb") as file:
-        start = file.read(4096)
-    is_workbook = start.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0"))
-    if found == "csv" and is_workbook:
-        return "excel"
-    if found == "excel" and not is_workbook and start and b"\x00" not in start:
-        return "csv"
-    return found
-
-
-def _open_excel(path: Path, said: Mapping[str, str]) -> _Opened:
-    from ingest.excel_reader import sheet_names, sheet_rows
-
-    names = sheet_names(path)
-    sheet = max(names, key=lambda name: len(sheet_rows(path, name)))
-    rows = sheet_rows(path, sheet)
-    decimal = (
-        "," if any(isinstance(c, str) and _DECIMAL_COMMA.fullmatch(c.strip()) for row in rows for c in row) else "."
-    )
-    numbers = [sum(_is_number(c, decimal) for c in row) for row in rows]
-    usual = max(set(numbers) - {0}, key=numbers.count, default=0)
-    start = next((i for i, n in enumerate(numbers) if n and n >= usual), 0)
-    above = [i for i in range(start) if any(str(c).strip() for c in rows[i])]
-    header = [str(c).strip() for c in rows[above[-1]]] if above else []
-    units: list[str] = []
-    if len(above) > 1 and are_units(header):
-        header, units = [str(c).strip() for c in rows[above[-2]]], header
-    guessed = guess_columns(header, units, len(rows[start]) if rows else 0, said)
-    skip = start - (len(header) > 0) - (len(units) > 0)
-    options = {"sheet": sheet, "skip_rows": skip, "header": bool(header), "unit_row": bool(units)}
-    options |= {} if decimal == "." else {"decimal": decimal}
-    facts = harvest_rows(rows[:skip])
-    return _Opened(path, "excel", options, _with_time_first(guessed), rows[start:], by_key(facts))
-
-
-def _is_number(cell: Any, decimal: str) -> bool:
-    if isinstance(cell, bool) or cell is None:
-        return False
-    if isinstance(cell, str):
-        return is_number(cell.strip(), decimal)
-    return True
-
-
-def _open_arrays(path: Path, found: str, said: Mapping[str, str]) -> _Opened:
-    mapping = FileMapping(RECORDING, found, {}, None, {}, {}, {})
-    file = open_columns(path, found, mapping)
-    names = file.names()
-    separator = "." if found == "matlab" else "/"
-    short = [n.rsplit(separator, 1)[-1] for n in names]
-    guessed = guess_columns(
-        [s if short.count(s) == 1 else n for s, n in zip(short, names, strict=True)],
-        [file.unit(n) or "" for n in names],
-        len(names),
-        said,
-    )
-    columns: list[GuessedColumn] = []
-    for name, guess in zip(names, guessed, strict=False):
-        shape = file.shape(name) if isinstance(file, ArrayFile) else ()
-        matrix = len(shape) == 2 and 1 < min(shape) <= _MOST_MATRIX_COLUMNS
-        if matrix and guess.meaning is None:
-            columns += [GuessedColumn(name, guess.unit, None, index=i) for i in range(min(shape))]
-        else:
-            columns.append(replace(guess, column=name))
-    about = ["the arrays of the file; a column of a matrix is index = 0, 1, …"] if isinstance(file, ArrayFile) else []
-    about += [f'"{name}": {" × ".join(map(str, file.shape(name)))}' for name in names if isinstance(file, ArrayFile)]
-    is_hdf5 = found == "hdf5" or (found == "matlab" and path.read_bytes()[:4] == b"\x89HDF")
-    facts = by_key(harvest_hdf5(path)) if is_hdf5 else {}
-    own_time = found in ("tdms", "uff")
-    return _Opened(path, found, {}, tuple(columns), (), facts, tuple(about), own_time)
-
-
-def _with_time_first(columns: Sequence[GuessedColumn]) -> tuple[GuessedColumn, ...]:
-    """Columns of a file without any names: the first is taken for the time, as nearly every recorder writes it."""
-    if columns and all(isinstance(c.column, int) for c in columns) and not any(c.meaning for c in columns):
-        return (replace(columns[0], meaning=TIME), *columns[1:])
-    return tuple(columns)
-
-
-def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Draft:
+def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Draft:
     """The draft of a table of lives, of a frequency response or of a relaxation."""
     remarks: dict[str, str] = {}
     questions: list[Question] = []
@@ -287,14 +120,14 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
         "magnitude": "N/mm",
     }
     for name, column in chosen.items():
-        entry: dict[str, Any] = _place(column)
+        entry: dict[str, Any] = make_place(column)
         if name in ("failed", "censored"):
-            entry |= _meanings(column, opened)
+            entry |= find_meanings(column, opened)
             questions.append(Question(f"columns.{name}.failed_values", "which values mean failed, which censored", []))
         elif name not in _WORDS:
             entry["unit"] = column.unit or usual[name]
             if not column.unit and name != TAN_DELTA:
-                questions.append(_ask_unit(f"columns.{name}", column, usual[name]))
+                questions.append(ask_unit(f"columns.{name}", column, usual[name]))
         columns[name] = entry
     about: dict[str, Any] = {"recording_id": "{stem}"}
     each = _several(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else None
@@ -310,7 +143,7 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
     elif "configuration" not in chosen:
         about["configuration"] = "{stem}"
         questions.append(Question("recording.configuration", "how the films are built", opened.path.stem))
-    content = {"kind": kind, **_format_keys(opened), "columns": columns, "recording": about}
+    content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}
     if each is not None:
         content["select"] = [each]
         about["recording_id"] = "{stem}-{each}"
@@ -319,19 +152,19 @@ def _table(opened: _Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> D
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about)
 
 
-def _recording(opened: _Opened) -> Draft:
+def _recording(opened: Opened) -> Draft:
     """The draft of a recording: its samples are read with what is known so far; their shape says which test it is."""
     remarks: dict[str, str] = {}
     questions: list[Question] = []
     opened = _by_content(opened)
     time_of = next((c for c in opened.columns if c.meaning == TIME), None)
-    content: dict[str, Any] = {"kind": RECORDING, **_format_keys(opened)}
+    content: dict[str, Any] = {"kind": RECORDING, **make_format_keys(opened)}
     rate = opened.facts.get(SAMPLE_RATE)
     counts = time_of is not None and time_of.column in ("X", "x") and rate is not None
     about: dict[str, Any] = {"recording_id": "{stem}"}
     has_dates = False
     if time_of is not None and not counts:
-        content["time"] = _place(time_of) | _time_keys(time_of, opened, questions)
+        content["time"] = make_place(time_of) | make_time_keys(time_of, opened, questions)
         has_dates = content["time"].get("format") not in (None, "elapsed", "mm:ss", "time_of_day")
         has_dates |= content["time"].get("origin") is not None
     elif rate is not None:
@@ -371,16 +204,18 @@ def _recording(opened: _Opened) -> Draft:
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about, shape, unread)
 
 
-def _channels(opened: _Opened, asked: Sequence[Question]) -> tuple[dict[str, Any], list[Question]]:
+def _channels(opened: Opened, asked: Sequence[Question]) -> tuple[dict[str, Any], list[Question]]:
     """The tables of the channels, and the questions so far with those about them."""
     questions = list(asked)
     columns = {
-        str(c.meaning): _place(c) | _unit_keys(c, questions) for c in opened.columns if c.meaning not in (None, TIME)
+        str(c.meaning): make_place(c) | make_unit_keys(c, questions)
+        for c in opened.columns
+        if c.meaning not in (None, TIME)
     }
     return columns, questions
 
 
-def _as_electrical(opened: _Opened) -> _Opened:
+def _as_electrical(opened: Opened) -> Opened:
     """A multisine on two channels of a scope: a voltage monitor and a load cell; nobody here drives anything else so."""
     names = {"input": "voltage", "output": "force"}
     columns = tuple(
@@ -391,7 +226,7 @@ def _as_electrical(opened: _Opened) -> _Opened:
 
 
 def _ask_start(
-    opened: _Opened,
+    opened: Opened,
     content: dict[str, Any],
     about: dict[str, Any],
     remarks: dict[str, str],
@@ -414,7 +249,7 @@ def _ask_start(
     questions.append(Question(f"recording.{STARTED_AT}", "start of the test (this is the file's last change)", changed))
 
 
-def _shape(opened: _Opened, content: Mapping[str, Any]) -> tuple[Shape, str]:
+def _shape(opened: Opened, content: Mapping[str, Any]) -> tuple[Shape, str]:
     """The test that the samples show; by the names of the channels alone where they cannot be read, with the reason."""
     columns = {
         name: {k: _ANY_SCALE if k == "scale" and v is None else v for k, v in c.items()}
@@ -445,7 +280,7 @@ def _shape(opened: _Opened, content: Mapping[str, Any]) -> tuple[Shape, str]:
     return replace(by_name, certainty=UNSURE, seen=seen, constants={}), reason
 
 
-def _by_content(opened: _Opened) -> _Opened:
+def _by_content(opened: Opened) -> Opened:
     """What names leave open is taken from the numbers: a column of even steps is the time, a smooth one the drive."""
     columns = list(opened.columns)
     known = {c.meaning for c in columns}
@@ -456,8 +291,8 @@ def _by_content(opened: _Opened) -> _Opened:
         return opened
     try:
         mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
-        file = open_columns(opened.path, opened.format, _wanting(mapping, columns))
-        numbers = {i: _numbers(file, columns[i]) for i in range(len(columns)) if i in free or not timed}
+        file = open_columns(opened.path, opened.format, map_each_column(mapping, columns))
+        numbers = {i: read_numbers(file, columns[i]) for i in range(len(columns)) if i in free or not timed}
     except DealabError:
         return opened
     usable = {i: v[np.isfinite(v)] for i, v in numbers.items() if v is not None and np.isfinite(v).sum() > 3}
@@ -498,54 +333,7 @@ def _is_even(values: Any) -> bool:
     return middle > 0 and float(np.median(np.abs(steps - middle))) <= _EVEN * middle and bool((steps > 0).all())
 
 
-def _wanting(mapping: FileMapping, columns: Sequence[GuessedColumn]) -> FileMapping:
-    from ingest.mapping import ColumnMapping
-
-    return replace(mapping, columns={str(i): ColumnMapping(c.column, index=c.index) for i, c in enumerate(columns)})
-
-
-def _numbers(file: ColumnFile, column: GuessedColumn) -> Any:
-    try:
-        return file.numbers(column.column, column.index).values
-    except DealabError:
-        return None
-
-
-def _response_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedColumn]:
-    """The columns of a table of a modulus or stiffness over frequency; empty where it is none."""
-    stiff = [c for c in columns if c.unit in _MODULI]
-    storage, loss, magnitude = (_first(stiff, pattern) for pattern in (_STORAGE, _LOSS, _MAGNITUDE))
-    ratio = _first([c for c in columns if c.unit in ("1", "", None)], _TAN_DELTA)
-    phase = _first([c for c in columns if c.unit in ("deg", "°", "rad", None) and c is not ratio], _PHASE)
-    if storage is not None and loss is not None and storage is not loss:
-        pair = {"storage": storage, "loss": loss}
-    elif magnitude is not None and phase is not None:
-        pair = {"magnitude": magnitude, "phase": phase}
-    elif storage is not None and ratio is not None:
-        pair = {"storage": storage, TAN_DELTA: ratio}
-    elif magnitude is not None and ratio is not None:
-        pair = {"magnitude": magnitude, TAN_DELTA: ratio}
-    else:
-        return {}
-    others = [c for c in columns if c not in pair.values()]
-    frequency = next((c for c in others if c.unit in ("Hz", "rad/s", "kHz")), None) or _first(others, _FREQUENCY)
-    if frequency is None:
-        return {}
-    warm = next((c for c in others if c.meaning == "temperature"), None)
-    return {"frequency": frequency, **pair} | ({} if warm is None else {"temperature": warm})
-
-
-def _relaxation_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedColumn]:
-    """The columns of a table of a relaxing modulus over time; empty where it is none."""
-    time = next((c for c in columns if c.meaning == TIME), None)
-    modulus = _first([c for c in columns if c.unit in _MODULI and c.meaning is None], _RELAXED)
-    if time is None or modulus is None:
-        return {}
-    warm = next((c for c in columns if c.meaning == "temperature"), None)
-    return {"time": time, "relaxation": modulus} | ({} if warm is None else {"temperature": warm})
-
-
-def _several(opened: _Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:
+def _several(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:
     """The selection of each temperature where a table holds several sweeps; None where it holds one."""
     warm = chosen.get("temperature")
     if warm is None:
@@ -566,153 +354,6 @@ def _several(opened: _Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, 
     if tolerance is None or 2 * tolerance >= float(wide.min()):
         return None
     return {"column": warm.column, "each": True, "tolerance": tolerance}
-
-
-def _lifetime_columns(opened: _Opened) -> dict[str, GuessedColumn]:
-    """The columns of a table of lives by what they are; empty where nothing says that it is one.
-
-    It is one where a column is named a life, where outcomes stand beside times, or specimens beside times that do not
-    run.
-    """
-    columns = opened.columns
-    named = next((c for c in columns if c.unit != "kV" and re.search(_LIFE, _label(c))), None)
-    outcome = _first([c for c in columns if c is not named], _FAILED)
-    life = named or next((c for c in columns if outcome is not None and c.meaning == TIME and c is not outcome), None)
-    channels = {c.meaning for c in columns} & {"force", "displacement", "leakage_current"}
-    if life is None and not channels and (_first(columns, _SPECIMEN) or _first(columns, _CONFIGURATION)):
-        life = next((c for c in columns if c.meaning == TIME and not _runs(opened.cells(c), opened.options)), None)
-    if life is None or (named is None and channels):
-        return {}
-    found = {"lifetime": life} | ({} if outcome is None else {"failed": outcome})
-    for name, pattern in (
-        ("voltage", None),
-        ("configuration", _CONFIGURATION),
-        ("specimen_id", _SPECIMEN),
-        ("count", _COUNT),
-        ("test_duration", _PLANNED),
-    ):
-        rest = [c for c in columns if c not in found.values()]
-        column = next((c for c in rest if c.meaning == name), None) if pattern is None else _first(rest, pattern)
-        found |= {} if column is None else {name: column}
-    return found
-
-
-def _runs(cells: Sequence[Any], options: Mapping[str, Any]) -> bool:
-    """Whether times go up from row to row, as samples do."""
-    found = [read_cell(str(c).strip(), options.get("decimal", ".")) for c in cells]
-    values = [f.value for f in found if f is not None]
-    return len(values) > 2 and all(b >= a for a, b in itertools.pairwise(values))
-
-
-def _first(columns: Sequence[GuessedColumn], pattern: str) -> GuessedColumn | None:
-    return next((c for c in columns if re.search(pattern, _label(c))), None)
-
-
-def _label(column: GuessedColumn) -> str:
-    """A column's name in small letters without what stands in brackets."""
-    return re.sub(r"\s*[\[(/].*$", "", str(column.column)).strip().lower()
-
-
-def _format_keys(opened: _Opened) -> dict[str, Any]:
-    """The format's table, and its name where the file's ending says another one."""
-    named = {} if format_of(opened.path) == opened.format else {"format": opened.format}
-    return {**named, opened.format: dict(opened.options)}
-
-
-def _place(column: GuessedColumn) -> dict[str, Any]:
-    place: dict[str, Any] = {"column": column.column}
-    return place if column.index is None else place | {"index": column.index}
-
-
-def _unit_keys(column: GuessedColumn, questions: list[Question]) -> dict[str, Any]:
-    """The unit of a channel, and the scale of a sensor that is recorded in volts."""
-    name, label = str(column.meaning), f"columns.{column.meaning}"
-    usual = "V" if QUANTITIES[name].unit == ANY else QUANTITIES[name].unit
-    if column.is_asked:
-        questions.append(Question(f"{label}.column", f"which column is the {name}", column.column))
-    if column.is_raw:
-        text = f"how many {usual} are 1 {column.unit or 'V'} of {column.column} (value = scale × volts + offset)"
-        questions.append(Question(f"{label}.scale", text))
-        return {"unit": usual, "scale": None}
-    if column.unit is None:
-        questions.append(_ask_unit(label, column, usual))
-    return {"unit": column.unit or usual}
-
-
-def _ask_unit(label: str, column: GuessedColumn, usual: str) -> Question:
-    return Question(f"{label}.unit", f'unit of "{column.column}": the file does not say', usual)
-
-
-def _time_keys(time: GuessedColumn, opened: _Opened, questions: list[Question]) -> dict[str, Any]:
-    """Unit of a column of times, or how its dates are written."""
-    cells = [c for c in opened.cells(time) if str(c).strip()]
-    first = cells[0] if cells else ""
-    if not isinstance(first, float | int):
-        keys = _text_times(cells)
-        if keys is not None:
-            if keys.get("format") not in ("elapsed", "mm:ss") and not _has_zone(first):
-                keys["zone"] = "UTC"
-                questions.append(Question("time.zone", "time zone of the clock", "UTC"))
-            return keys
-    origin = _origin(first, opened)
-    if origin is not None:
-        if origin.get("origin") in ("excel", "matlab"):
-            origin["zone"] = "UTC"
-            questions.append(Question("time.zone", "time zone of the clock", "UTC"))
-        return origin
-    unit = time.unit or {"micros": "us", "millis": "ms"}.get(str(time.column).lower())
-    if unit is None:
-        questions.append(_ask_unit("time", time, "s"))
-    return {"unit": unit or "s"}
-
-
-def _text_times(cells: Sequence[Any]) -> dict[str, Any] | None:
-    """The format of times as text; None where they are none."""
-    texts = [str(c).strip() for c in cells]
-    if moment(cells[0], None) is not None if cells else False:
-        return {"format": "iso"}
-    for day in ("%d.%m.%Y", "%Y/%m/%d", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y"):
-        for clock in ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M:%S:%f", "%H:%M:%S,%f", "%H:%M"):
-            if texts and all(moment(text, f"{day} {clock}") is not None for text in texts):
-                return {"format": f"{day} {clock}"}
-    if texts and re.fullmatch(r"\d{1,2}:\d\d:\d\d([.,]\d+)?", texts[0]):
-        return {"format": "time_of_day" if not texts[0].startswith(("0:", "00:")) else "elapsed"}
-    if texts and duration_s(texts[0], minutes=True) is not None and ":" in texts[0]:
-        return {"format": "mm:ss"}
-    return None
-
-
-def _has_zone(cell: Any) -> bool:
-    found = moment(cell, None)
-    return found is not None and found.tzinfo is not None
-
-
-def _origin(first: Any, opened: _Opened) -> dict[str, Any] | None:
-    """The origin of times that are counted from a calendar's day, by their size; None for times since the start."""
-    try:
-        value = float(str(first).replace(opened.options.get("decimal", "."), "."))
-    except ValueError:
-        return None
-    for low, high, keys in (
-        (1e12, 4e12, {"unit": "ms", "origin": "unix"}),
-        (1e9, 2.5e9, {"unit": "s", "origin": "unix"}),
-        (3e9, 4.2e9, {"unit": "s", "origin": "labview"}),
-        (7.2e5, 7.6e5, {"origin": "matlab"}),
-        (3.6e4, 6e4, {"origin": "excel"}),
-    ):
-        if low < value < high and not (keys.get("origin") == "excel" and value.is_integer()):
-            return dict(keys)
-    return None
-
-
-def _meanings(failed: GuessedColumn, opened: _Opened) -> dict[str, list[Any]]:
-    """The values of a column of failures, as they seem to be meant: which ones depends on the table."""
-    cells = opened.cells(failed)
-    values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in cells))[:8] or [1, 0]
-    plain = [v if isinstance(v, int) and not isinstance(v, bool) else str(v) for v in values]
-    turned = re.search("cens|runout|surv", str(failed.column).lower()) is not None
-    yes = [v for v in plain if (re.match(_YES, str(v).strip().lower()) is not None) != turned]
-    return {"failed_values": yes, "censored_values": [v for v in plain if v not in yes]}
 
 
 def _take(facts: Mapping[str, Fact], about: dict[str, Any], remarks: dict[str, str], keys: Sequence[str]) -> None:

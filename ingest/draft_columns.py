@@ -1,0 +1,117 @@
+"""Which columns of a table without a mapping are its frequencies, moduli, lives and failures, by the words of their headers.
+
+Does not belong here: columns of samples (`ingest.meanings`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ingest.draft_files import Opened
+from ingest.mapping_keys import TAN_DELTA
+from ingest.meanings import TIME, GuessedColumn
+from ingest.notations import read_cell
+from ingest.questions import label_column
+
+_STORAGE = r"stor|speicher|^[eg]['1]|[eg]'$|^k'|^[ab]t?_?g'|re\b"
+_LOSS = r"loss|verlust|^[eg](''|\"|2)|^k''|im\b"
+_MAGNITUDE = r"^\|.*\|$|magnitude|betrag|complex modulus|\|?[egk]\*\|?|^k$|dyn.*stiff|amplitude ratio"
+_TAN_DELTA = r"\btan|loss factor|verlustfaktor"
+_PHASE = r"phase|phi|φ|delta|δ|winkel"
+_FREQUENCY = r"freq|omega|ω|^f$"
+_RELAXED = r"relax|^[eg]\s?\(t\)|modul"
+_FAILED = r"cens|fail|event|status|state|death|broke|^breakdown$|^bd$|runout|durchschlag"
+_LIFE = r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit"
+_CONFIGURATION = r"config|group|electrode|design|layout|bauart|gruppe|^type$"
+_SPECIMEN = r"specimen|sample|probe|^id$"
+_COUNT = r"^n$|^count$|^anzahl$"
+_PLANNED = r"^test\b|test duration|planned|^on rig"
+_YES = r"1|y|ja|oui|true|bd|fail|broke|break|dead|death"
+_MODULI = ("Pa", "kPa", "MPa", "GPa", "N/mm", "N/m", "kN/m")
+
+
+def find_response_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedColumn]:
+    """The columns of a table of a modulus or stiffness over frequency; empty where it is none."""
+    stiff = [c for c in columns if c.unit in _MODULI]
+    storage, loss, magnitude = (_first(stiff, pattern) for pattern in (_STORAGE, _LOSS, _MAGNITUDE))
+    ratio = _first([c for c in columns if c.unit in ("1", "", None)], _TAN_DELTA)
+    phase = _first([c for c in columns if c.unit in ("deg", "°", "rad", None) and c is not ratio], _PHASE)
+    if storage is not None and loss is not None and storage is not loss:
+        pair = {"storage": storage, "loss": loss}
+    elif magnitude is not None and phase is not None:
+        pair = {"magnitude": magnitude, "phase": phase}
+    elif storage is not None and ratio is not None:
+        pair = {"storage": storage, TAN_DELTA: ratio}
+    elif magnitude is not None and ratio is not None:
+        pair = {"magnitude": magnitude, TAN_DELTA: ratio}
+    else:
+        return {}
+    others = [c for c in columns if c not in pair.values()]
+    frequency = next((c for c in others if c.unit in ("Hz", "rad/s", "kHz")), None) or _first(others, _FREQUENCY)
+    if frequency is None:
+        return {}
+    warm = next((c for c in others if c.meaning == "temperature"), None)
+    return {"frequency": frequency, **pair} | ({} if warm is None else {"temperature": warm})
+
+
+def find_relaxation_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedColumn]:
+    """The columns of a table of a relaxing modulus over time; empty where it is none."""
+    time = next((c for c in columns if c.meaning == TIME), None)
+    modulus = _first([c for c in columns if c.unit in _MODULI and c.meaning is None], _RELAXED)
+    if time is None or modulus is None:
+        return {}
+    warm = next((c for c in columns if c.meaning == "temperature"), None)
+    return {"time": time, "relaxation": modulus} | ({} if warm is None else {"temperature": warm})
+
+
+def find_lifetime_columns(opened: Opened) -> dict[str, GuessedColumn]:
+    """The columns of a table of lives by what they are; empty where nothing says that it is one.
+
+    It is one where a column is named a life, where outcomes stand beside times, or specimens beside times that do not
+    run.
+    """
+    columns = opened.columns
+    named = next((c for c in columns if c.unit != "kV" and re.search(_LIFE, label_column(c))), None)
+    outcome = _first([c for c in columns if c is not named], _FAILED)
+    life = named or next((c for c in columns if outcome is not None and c.meaning == TIME and c is not outcome), None)
+    channels = {c.meaning for c in columns} & {"force", "displacement", "leakage_current"}
+    if life is None and not channels and (_first(columns, _SPECIMEN) or _first(columns, _CONFIGURATION)):
+        life = next((c for c in columns if c.meaning == TIME and not _runs(opened.cells(c), opened.options)), None)
+    if life is None or (named is None and channels):
+        return {}
+    found = {"lifetime": life} | ({} if outcome is None else {"failed": outcome})
+    for name, pattern in (
+        ("voltage", None),
+        ("configuration", _CONFIGURATION),
+        ("specimen_id", _SPECIMEN),
+        ("count", _COUNT),
+        ("test_duration", _PLANNED),
+    ):
+        rest = [c for c in columns if c not in found.values()]
+        column = next((c for c in rest if c.meaning == name), None) if pattern is None else _first(rest, pattern)
+        found |= {} if column is None else {name: column}
+    return found
+
+
+def _runs(cells: Sequence[Any], options: Mapping[str, Any]) -> bool:
+    """Whether times go up from row to row, as samples do."""
+    found = [read_cell(str(c).strip(), options.get("decimal", ".")) for c in cells]
+    values = [f.value for f in found if f is not None]
+    return len(values) > 2 and all(b >= a for a, b in itertools.pairwise(values))
+
+
+def _first(columns: Sequence[GuessedColumn], pattern: str) -> GuessedColumn | None:
+    return next((c for c in columns if re.search(pattern, label_column(c))), None)
+
+
+def find_meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
+    """The values of a column of failures, as they seem to be meant: which ones depends on the table."""
+    cells = opened.cells(failed)
+    values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in cells))[:8] or [1, 0]
+    plain = [v if isinstance(v, int) and not isinstance(v, bool) else str(v) for v in values]
+    turned = re.search("cens|runout|surv", str(failed.column).lower()) is not None
+    yes = [v for v in plain if (re.match(_YES, str(v).strip().lower()) is not None) != turned]
+    return {"failed_values": yes, "censored_values": [v for v in plain if v not in yes]}

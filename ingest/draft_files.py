@@ -1,0 +1,177 @@
+"""A file without a mapping as it seems to be: its format's own keys, its columns, some rows, and what it says of the test.
+
+Does not belong here: what its columns mean (`ingest.draft_columns`), what has to be asked (`ingest.questions`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ingest.arrays import ArrayFile
+from ingest.columns import ColumnFile
+from ingest.harvest import Fact, by_key, harvest_hdf5, harvest_rows
+from ingest.mapping import FileMapping, format_of
+from ingest.mapping_keys import RECORDING
+from ingest.meanings import TIME, GuessedColumn, guess_columns
+from ingest.read import open_columns
+from ingest.sniff import are_units, guess_text, is_number
+from schemas.errors import DealabError, RefusedError
+
+_DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
+_MOST_MATRIX_COLUMNS = 12
+_FIRST_CELLS = 200
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A file as it seems to be: its format's own keys, its columns, some rows, and what it says of the test."""
+
+    path: Path
+    format: str
+    options: Mapping[str, Any]
+    columns: tuple[GuessedColumn, ...]
+    rows: Sequence[Sequence[Any]] = ()
+    facts: Mapping[str, Fact] = field(default_factory=dict)
+    about: tuple[str, ...] = ()
+    has_own_time: bool = False
+
+    def cells(self, column: GuessedColumn) -> list[Any]:
+        """The first cells of a column; none where the rows were not looked at."""
+        if not self.rows:
+            return self._cells_of_array(column)
+        place = column.column if isinstance(column.column, int) else self.columns.index(column)
+        return [row[place] for row in self.rows if place < len(row)]
+
+    def _cells_of_array(self, column: GuessedColumn) -> list[Any]:
+        mapping = FileMapping(RECORDING, self.format, dict(self.options), None, {}, {}, {})
+        try:
+            return list(open_columns(self.path, self.format, mapping).cells(column.column, column.index)[:_FIRST_CELLS])
+        except DealabError:
+            return []
+
+
+def open_file(path: Path, said: Mapping[str, str]) -> Opened:
+    found = _true_format(path)
+    if found == "csv":
+        guess = guess_text(path.read_bytes(), said)
+        d = guess.dialect
+        options = {
+            "delimiter": d.delimiter,
+            "decimal": d.decimal,
+            "encoding": d.encoding,
+            "skip_rows": d.skip_rows,
+            "header": d.header,
+            "unit_row": d.unit_row,
+        }
+        columns = _with_time_first(guess.columns)
+        return Opened(path, found, options, columns, guess.rows, by_key(guess.facts))
+    if found == "excel":
+        return _open_excel(path, said)
+    if found == "mcap":
+        raise RefusedError("no channel can be guessed", where=path.name, expected="topics mapped by hand in a TOML")
+    return _open_arrays(path, found or "", said)
+
+
+def _true_format(path: Path) -> str | None:
+    """The format by the file's ending, but for workbooks named as text and texts named as workbooks."""
+    found = format_of(path)
+    with path.open("rb") as file:
+        start = file.read(4096)
+    is_workbook = start.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0"))
+    if found == "csv" and is_workbook:
+        return "excel"
+    if found == "excel" and not is_workbook and start and b"\x00" not in start:
+        return "csv"
+    return found
+
+
+def _open_excel(path: Path, said: Mapping[str, str]) -> Opened:
+    from ingest.excel_reader import sheet_names, sheet_rows
+
+    names = sheet_names(path)
+    sheet = max(names, key=lambda name: len(sheet_rows(path, name)))
+    rows = sheet_rows(path, sheet)
+    decimal = (
+        "," if any(isinstance(c, str) and _DECIMAL_COMMA.fullmatch(c.strip()) for row in rows for c in row) else "."
+    )
+    numbers = [sum(_is_number(c, decimal) for c in row) for row in rows]
+    usual = max(set(numbers) - {0}, key=numbers.count, default=0)
+    start = next((i for i, n in enumerate(numbers) if n and n >= usual), 0)
+    above = [i for i in range(start) if any(str(c).strip() for c in rows[i])]
+    header = [str(c).strip() for c in rows[above[-1]]] if above else []
+    units: list[str] = []
+    if len(above) > 1 and are_units(header):
+        header, units = [str(c).strip() for c in rows[above[-2]]], header
+    guessed = guess_columns(header, units, len(rows[start]) if rows else 0, said)
+    skip = start - (len(header) > 0) - (len(units) > 0)
+    options = {"sheet": sheet, "skip_rows": skip, "header": bool(header), "unit_row": bool(units)}
+    options |= {} if decimal == "." else {"decimal": decimal}
+    facts = harvest_rows(rows[:skip])
+    return Opened(path, "excel", options, _with_time_first(guessed), rows[start:], by_key(facts))
+
+
+def _is_number(cell: Any, decimal: str) -> bool:
+    if isinstance(cell, bool) or cell is None:
+        return False
+    if isinstance(cell, str):
+        return is_number(cell.strip(), decimal)
+    return True
+
+
+def _open_arrays(path: Path, found: str, said: Mapping[str, str]) -> Opened:
+    mapping = FileMapping(RECORDING, found, {}, None, {}, {}, {})
+    file = open_columns(path, found, mapping)
+    names = file.names()
+    separator = "." if found == "matlab" else "/"
+    short = [n.rsplit(separator, 1)[-1] for n in names]
+    guessed = guess_columns(
+        [s if short.count(s) == 1 else n for s, n in zip(short, names, strict=True)],
+        [file.unit(n) or "" for n in names],
+        len(names),
+        said,
+    )
+    columns: list[GuessedColumn] = []
+    for name, guess in zip(names, guessed, strict=False):
+        shape = file.shape(name) if isinstance(file, ArrayFile) else ()
+        matrix = len(shape) == 2 and 1 < min(shape) <= _MOST_MATRIX_COLUMNS
+        if matrix and guess.meaning is None:
+            columns += [GuessedColumn(name, guess.unit, None, index=i) for i in range(min(shape))]
+        else:
+            columns.append(replace(guess, column=name))
+    about = ["the arrays of the file; a column of a matrix is index = 0, 1, …"] if isinstance(file, ArrayFile) else []
+    about += [f'"{name}": {" × ".join(map(str, file.shape(name)))}' for name in names if isinstance(file, ArrayFile)]
+    is_hdf5 = found == "hdf5" or (found == "matlab" and path.read_bytes()[:4] == b"\x89HDF")
+    facts = by_key(harvest_hdf5(path)) if is_hdf5 else {}
+    own_time = found in ("tdms", "uff")
+    return Opened(path, found, {}, tuple(columns), (), facts, tuple(about), own_time)
+
+
+def _with_time_first(columns: Sequence[GuessedColumn]) -> tuple[GuessedColumn, ...]:
+    """Columns of a file without any names: the first is taken for the time, as nearly every recorder writes it."""
+    if columns and all(isinstance(c.column, int) for c in columns) and not any(c.meaning for c in columns):
+        return (replace(columns[0], meaning=TIME), *columns[1:])
+    return tuple(columns)
+
+
+def map_each_column(mapping: FileMapping, columns: Sequence[GuessedColumn]) -> FileMapping:
+    """The mapping with every column as one that is wanted, by its number."""
+    from ingest.mapping import ColumnMapping
+
+    return replace(mapping, columns={str(i): ColumnMapping(c.column, index=c.index) for i, c in enumerate(columns)})
+
+
+def read_numbers(file: ColumnFile, column: GuessedColumn) -> Any:
+    try:
+        return file.numbers(column.column, column.index).values
+    except DealabError:
+        return None
+
+
+def make_format_keys(opened: Opened) -> dict[str, Any]:
+    """The format's table, and its name where the file's ending says another one."""
+    named = {} if format_of(opened.path) == opened.format else {"format": opened.format}
+    return {**named, opened.format: dict(opened.options)}

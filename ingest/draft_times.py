@@ -1,0 +1,74 @@
+"""How the times of a file without a mapping are to be read: samples a second, a column of seconds, clock times and their origin."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from ingest.clocks import duration_s, moment
+from ingest.draft_files import Opened
+from ingest.meanings import GuessedColumn
+from ingest.questions import Question, ask_unit
+
+
+def make_time_keys(time: GuessedColumn, opened: Opened, questions: list[Question]) -> dict[str, Any]:
+    """Unit of a column of times, or how its dates are written."""
+    cells = [c for c in opened.cells(time) if str(c).strip()]
+    first = cells[0] if cells else ""
+    if not isinstance(first, float | int):
+        keys = _text_times(cells)
+        if keys is not None:
+            if keys.get("format") not in ("elapsed", "mm:ss") and not _has_zone(first):
+                keys["zone"] = "UTC"
+                questions.append(Question("time.zone", "time zone of the clock", "UTC"))
+            return keys
+    origin = _origin(first, opened)
+    if origin is not None:
+        if origin.get("origin") in ("excel", "matlab"):
+            origin["zone"] = "UTC"
+            questions.append(Question("time.zone", "time zone of the clock", "UTC"))
+        return origin
+    unit = time.unit or {"micros": "us", "millis": "ms"}.get(str(time.column).lower())
+    if unit is None:
+        questions.append(ask_unit("time", time, "s"))
+    return {"unit": unit or "s"}
+
+
+def _text_times(cells: Sequence[Any]) -> dict[str, Any] | None:
+    """The format of times as text; None where they are none."""
+    texts = [str(c).strip() for c in cells]
+    if moment(cells[0], None) is not None if cells else False:
+        return {"format": "iso"}
+    for day in ("%d.%m.%Y", "%Y/%m/%d", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y"):
+        for clock in ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M:%S:%f", "%H:%M:%S,%f", "%H:%M"):
+            if texts and all(moment(text, f"{day} {clock}") is not None for text in texts):
+                return {"format": f"{day} {clock}"}
+    if texts and re.fullmatch(r"\d{1,2}:\d\d:\d\d([.,]\d+)?", texts[0]):
+        return {"format": "time_of_day" if not texts[0].startswith(("0:", "00:")) else "elapsed"}
+    if texts and duration_s(texts[0], minutes=True) is not None and ":" in texts[0]:
+        return {"format": "mm:ss"}
+    return None
+
+
+def _has_zone(cell: Any) -> bool:
+    found = moment(cell, None)
+    return found is not None and found.tzinfo is not None
+
+
+def _origin(first: Any, opened: Opened) -> dict[str, Any] | None:
+    """The origin of times that are counted from a calendar's day, by their size; None for times since the start."""
+    try:
+        value = float(str(first).replace(opened.options.get("decimal", "."), "."))
+    except ValueError:
+        return None
+    for low, high, keys in (
+        (1e12, 4e12, {"unit": "ms", "origin": "unix"}),
+        (1e9, 2.5e9, {"unit": "s", "origin": "unix"}),
+        (3e9, 4.2e9, {"unit": "s", "origin": "labview"}),
+        (7.2e5, 7.6e5, {"origin": "matlab"}),
+        (3.6e4, 6e4, {"origin": "excel"}),
+    ):
+        if low < value < high and not (keys.get("origin") == "excel" and value.is_integer()):
+            return dict(keys)
+    return None

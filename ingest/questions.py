@@ -1,0 +1,58 @@
+"""What a file without a mapping does not say and somebody has to answer; how a column is told in a mapping and in a question."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from ingest.meanings import GuessedColumn
+from schemas.quantities import QUANTITIES
+from schemas.units import ANY
+
+
+@dataclass(frozen=True)
+class Question:
+    """Something that the file does not say.
+
+    Parameters
+    ----------
+    key : where the answer belongs in the mapping, `recording.specimen_id`
+    text : what is asked
+    suggestion : the answer that is taken when none is given; None where one has to be given
+    choices : the only answers there are; empty for any
+    """
+
+    key: str
+    text: str
+    suggestion: Any = None
+    choices: tuple[str, ...] = ()
+
+
+def label_column(column: GuessedColumn) -> str:
+    """A column's name in small letters without what stands in brackets."""
+    return re.sub(r"\s*[\[(/].*$", "", str(column.column)).strip().lower()
+
+
+def make_place(column: GuessedColumn) -> dict[str, Any]:
+    place: dict[str, Any] = {"column": column.column}
+    return place if column.index is None else place | {"index": column.index}
+
+
+def make_unit_keys(column: GuessedColumn, questions: list[Question]) -> dict[str, Any]:
+    """The unit of a channel, and the scale of a sensor that is recorded in volts."""
+    name, label = str(column.meaning), f"columns.{column.meaning}"
+    usual = "V" if QUANTITIES[name].unit == ANY else QUANTITIES[name].unit
+    if column.is_asked:
+        questions.append(Question(f"{label}.column", f"which column is the {name}", column.column))
+    if column.is_raw:
+        text = f"how many {usual} are 1 {column.unit or 'V'} of {column.column} (value = scale × volts + offset)"
+        questions.append(Question(f"{label}.scale", text))
+        return {"unit": usual, "scale": None}
+    if column.unit is None:
+        questions.append(ask_unit(label, column, usual))
+    return {"unit": column.unit or usual}
+
+
+def ask_unit(label: str, column: GuessedColumn, usual: str) -> Question:
+    return Question(f"{label}.unit", f'unit of "{column.column}": the file does not say', usual)
