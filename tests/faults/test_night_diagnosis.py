@@ -28,7 +28,7 @@ DESIGNS = (
     {"protocol": "tap"},
     {"protocol": "chirp", "strain_pp": 0.006},
 )
-EFFECT, SEVERITY = "field_dependent_permittivity", 0.1
+EFFECT, SEVERITY = "field_dependent_permittivity", 0.2
 FORM = 0.4
 """Relative difference of a severity for the form of the truth, which is not that of the extension (see `tests.helpers.truth_rig`)."""
 

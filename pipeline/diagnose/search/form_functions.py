@@ -112,10 +112,11 @@ def _weigh_region(
 
 
 def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChange]) -> list[Hypothesis]:
-    """The hypotheses of listed causes, whose forms may be wrong by smooth functions of what they depend on.
+    """The hypotheses of listed causes; the form of one alone may be wrong by smooth functions of what it depends on.
 
     No formula is exactly reality's: what a cause does in its stage may be another function of the same covariate, by a share of its
-    effect (`form.bends`, each as likely). The shapes are those of the regions without a name, about the cause in place of nothing.
+    effect (`form.bends`, each as likely). The shapes are those of the regions without a name, about the cause in place of nothing. Several
+    causes have to do with their formulas: what the form of one would take up shows no other.
 
     Parameters
     ----------
@@ -127,10 +128,10 @@ def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChang
 
 def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange]) -> Hypothesis:
     fit = hypothesis.model
-    own = [
-        c for c in changes
-        if any(c.region.stage == m.mechanism.stage and c.region.depends_on in m.mechanism.depends_on for m in fit.of.chosen)
-    ]  # fmt: skip
+    if len(fit.of.chosen) != 1:
+        return hypothesis
+    mechanism = fit.of.chosen[0].mechanism
+    own = [c for c in changes if c.region.stage == mechanism.stage and c.region.depends_on in mechanism.depends_on]
     if not own:
         return hypothesis
     groups, about = Groups.of(fit.of.session), Linearised.of(fit)

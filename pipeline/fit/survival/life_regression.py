@@ -147,7 +147,8 @@ class LifeRegression:
         slope = slope[: self.covariance.shape[0]]
         deviations = limit_deviations(self.family, self.failures, len(self.coefficients))
         half = deviations * float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
-        return Estimate(*(float(np.exp(centre + side * half)) for side in (0, -1, 1)))
+        with np.errstate(over="ignore"):  # a limit that few failures leave open is infinite
+            return Estimate(*(float(np.exp(centre + side * half)) for side in (0, -1, 1)))
 
     def _quantile_slope(self, failed_share: float) -> float:
         """Change of w at a share with the shape of a generalised gamma."""

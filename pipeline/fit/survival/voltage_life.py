@@ -108,7 +108,8 @@ class VoltageLife:
             side = "below the lowest" if voltage_kv < min(tested) else "above the highest"
             limit = min(tested) if voltage_kv < min(tested) else max(tested)
             warnings += (f"{voltage_kv:g} kV is {side} tested voltage ({limit:g} kV): the law is extrapolated",)
-        return Estimate(*(float(np.exp(centre + side * half)) for side in (0, -1, 1))), warnings
+        with np.errstate(over="ignore"):  # a limit that few failures leave open is infinite
+            return Estimate(*(float(np.exp(centre + side * half)) for side in (0, -1, 1))), warnings
 
 
 @dataclass(frozen=True)

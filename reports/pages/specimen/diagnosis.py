@@ -33,7 +33,7 @@ from reports.figures import diagnosis as figures
 from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
 from reports.names import short, visible
 from reports.pages.draft import Draft
-from reports.pages.specimen import comparing_models
+from reports.pages.specimen import comparing_models, unnamed
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
@@ -60,6 +60,7 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     blocks: list[Block | Fold] = [Text(piece) for piece in evidence(standing)]
     blocks += _wrong(draft, d)
     blocks += comparing_models.blocks(draft, d)
+    blocks += unnamed.blocks(draft, d)
     blocks += _candidates(draft, d)
     blocks += _gain(draft, d)
     blocks += _film(draft, d)
