@@ -164,6 +164,8 @@ def _trace(panel: Panel, g: GroupCurve) -> Float:
     """(n, 2) points of a curve in px, no farther apart than names are high."""
     x = np.concatenate([[panel.left], panel.px(g.time)])
     y = np.concatenate([panel.py([100.0]), panel.py(100 * g.survival)])
+    drawn = np.isfinite(x) & np.isfinite(y)  # no time 0 on a logarithmic scale, nothing after the last risk
+    x, y = x[drawn], y[drawn]
     corners = np.column_stack([np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]])
     along = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners, axis=0)).sum(axis=1))])
     at = np.linspace(0.0, along[-1], int(along[-1] / _ROOM) + 2)
