@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
-from pipeline.diagnose.search.posterior import Hypothesis, RegionFit
+from pipeline.diagnose.search.posterior import Hypothesis, RegionFit, measure_trace_of_causes
 from pipeline.diagnose.search.regions import STEP, Region, list_regions
 from schemas.arrays import Bool, Float
 
@@ -135,8 +135,7 @@ def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange]) -
     if not own:
         return hypothesis
     groups, about = Groups.of(fit.of.session), Linearised.of(fit)
-    change = fit.of.session.whiten(fit.of.predict(fit.x) - fit.of.simulation.predict(fit.of.model, fit.theta))
-    trace = measure_trace(groups, find_absorbed(fit), change)
+    trace = measure_trace_of_causes(fit, groups)
     size = float(np.sqrt(trace @ groups.size))
     columns = np.concatenate([c.columns[:, c.seen] * _scale_shapes(c, size) for c in own], axis=1)
     evidence, odd = [hypothesis.log_evidence], [hypothesis.odd]

@@ -186,10 +186,7 @@ def weigh_fit(fit: ExtendedFit, *, noise_alone: bool = False) -> Hypothesis:
     noise_alone : whether the plain model is believed to miss nothing but noise
     """
     of, groups = fit.of, Groups.of(fit.of.session)
-    trace = np.zeros(groups.size.size)
-    if of.chosen:
-        alone = of.simulation.predict(of.model, fit.theta)
-        trace = measure_trace(groups, find_absorbed(fit), of.session.whiten(of.predict(fit.x) - alone))
+    trace = measure_trace_of_causes(fit, groups) if of.chosen else np.zeros(groups.size.size)
     peak = find_peak(groups, Linearised.of(fit), trace, fit.x.size, noise_alone=noise_alone)
     return Hypothesis(
         "+".join(sorted(c.id for c in of.chosen)) or (PLAIN if noise_alone else ANYTHING),
@@ -200,6 +197,19 @@ def weigh_fit(fit: ExtendedFit, *, noise_alone: bool = False) -> Hypothesis:
         peak.weight,
         peak.odd,
     )
+
+
+def measure_trace_of_causes(fit: ExtendedFit, groups: Groups) -> Float:
+    """(G,) mean square of what the causes of a fit change in each group, beyond what film and rig absorb.
+
+    Parameters
+    ----------
+    fit : a model with causes at its optimum
+    groups : of its session's features
+    """
+    of = fit.of
+    change = of.predict(fit.x) - of.simulation.predict(of.model, fit.theta)
+    return measure_trace(groups, find_absorbed(fit), of.session.whiten(change))
 
 
 def _believe(causes: int, *, noise_alone: bool) -> float:
