@@ -64,12 +64,13 @@ class Apart:
 def _in_child(path: Path, seconds: float, call: Callable[[], Any]) -> tuple[bool, Any, float]:
     """(whether it came to an end, its value or error, processor time in s) of a call in a child process."""
     reading, writing = os.pipe()
+    parent = os.getpid()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # the child touches nothing that other threads may hold
         child = os.fork()
     if child == 0:
         os.close(reading)
-        _answer(writing, seconds, call)
+        _answer(writing, parent, seconds, call)
     os.close(writing)
     try:
         with open(reading, "rb") as pipe:
@@ -95,11 +96,13 @@ def end_with_parent() -> None:
     ctypes.CDLL(None, use_errno=True).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
-def _answer(writing: int, seconds: float, call: Callable[[], Any]) -> None:
+def _answer(writing: int, parent: int, seconds: float, call: Callable[[], Any]) -> None:
     """The child: makes the call, writes what came of it, and ends without what a Python process does at its end."""
     code = 1
     try:
         end_with_parent()
+        if os.getppid() != parent:  # gone before the kernel was told
+            return
         faulthandler.disable()  # the parent says what happened
         for number in (signal.SIGPROF, signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ingest.apart import Apart
 from ingest.arrays import ArrayFile, Held
 from ingest.columns import CELL_LIMIT
+from ingest.extras import advise_install
 from ingest.mapping import FileMapping
 from schemas.errors import MissingExtraError, RefusedError
 
@@ -33,7 +34,7 @@ def read_hdf5(path: Path, mapping: FileMapping, *, matlab: bool = False) -> Arra
         raise MissingExtraError(
             "HDF5 files (MATLAB v7.3 too) need the package h5py, which is not installed",
             where=path.name,
-            remedy="Install it: pip install dealab[hdf5]",
+            remedy=advise_install("hdf5"),
         ) from None
     parsed = Apart(path)
     found = parsed(_listed, path)

@@ -141,7 +141,7 @@ def _dataset(
         return
     plain = Listed(dataset.name, (), shape[::-1] if matlab_class else shape, unit_of(dataset.attrs))
     if dataset.is_virtual or dataset.external:
-        yield name, replace(plain, refusal=_IN_OTHER_FILES, remedy="Copy them into one file (h5repack does it)")
+        yield name, replace(plain, refusal=_IN_OTHER_FILES, remedy="Copy them into one file")
     elif h5py.check_ref_dtype(dtype) is not None:
         is_cell = matlab_class == "cell"
         yield (
@@ -151,7 +151,7 @@ def _dataset(
         if h5py.check_ref_dtype(dtype) is h5py.Reference and math.prod(shape) <= _MOST and depth <= _DEPTH:
             yield from _referenced(file, dataset, name, above, depth)
     elif lacking := _lacking_filter(dataset):
-        remedy = "Save it with gzip: h5repack -f GZIP=4 does it"
+        remedy = "Save it with gzip"
         yield name, replace(plain, refusal=f"compressed with {lacking}, which is not installed", remedy=remedy)
     elif "MATLAB_empty" in dataset.attrs:
         yield name, replace(plain, refusal="empty")

@@ -127,7 +127,7 @@ def _nothing(path: Path, problems: list[str], others: Mapping[str, str]) -> Refu
         return UnmappedError(
             f"no channel has the schema {SCHEMA_NAME}; there are {topics}",
             where=path.name,
-            remedy="Map the topics with a TOML beside the file; dealab inspect drafts one",
+            remedy="Map the topics with a TOML beside the file: `dealab add FILE` writes one",
         )
     because = f" ({'; '.join(problems[:5])})" if problems else ""
     return RefusedError(

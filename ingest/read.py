@@ -5,6 +5,7 @@ Does not belong here: finding files (`ingest.discover`) and mappings (`ingest.ma
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
@@ -46,7 +47,7 @@ def read_raw(path: Path, mapping: FileMapping | None) -> Content:
         raise UnmappedError(
             "there is no mapping TOML for this file",
             where=path.name,
-            remedy=f"Draft one with dealab inspect, save it as {path.name[:100]}.toml beside the file",
+            remedy=f"`dealab add {shlex.quote(path.name)}` writes one, {path.name[:100]}.toml, beside the file",
         )
     try:
         if found == "mcap":
@@ -72,7 +73,7 @@ def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:
             "the file holds several recordings: [[select]] has each",
             where=path.name,
             expected="one of its parts",
-            remedy="dealab nightly reads each part, dealab inspect lists them",
+            remedy=f"`dealab inspect {shlex.quote(path.name)}` lists them; the nightly reads each",
         )
     file = open_columns(path, found, mapping)
     if mapping.kind == LIFETIMES:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ingest.atomic import written_whole
+from ingest.extras import advise_install
 from schemas.errors import LabError, PendingError, UsageError
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
@@ -192,7 +193,7 @@ def _open(url: str) -> tuple[Any, str]:
         raise LabError(
             "fsspec is not installed, which reads raw files behind URLs",
             where=url,
-            remedy='Install the extra: pip install "dealab[remote]"',
+            remedy=advise_install("remote"),
         ) from None
     try:
         store, place = url_to_fs(url, use_listings_cache=False)

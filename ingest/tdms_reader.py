@@ -18,6 +18,7 @@ import numpy as np
 
 from ingest.array_numbers import numbers_from_array
 from ingest.columns import Numbers, OwnTime, missing_column
+from ingest.extras import advise_install
 from ingest.mapping import ColumnName, FileMapping, column_label
 from ingest.packing import find_scales
 from schemas.arrays import Float
@@ -131,7 +132,7 @@ def read_tdms(path: Path, mapping: FileMapping) -> TdmsFile:
         raise MissingExtraError(
             "TDMS files need the package nptdms, which is not installed",
             where=path.name,
-            remedy="Install it: pip install dealab[tdms]",
+            remedy=advise_install("tdms"),
         ) from None
     log_manager.set_level(logging.ERROR)  # what it warns of is in `problems`, without the file's bytes
     try:

@@ -17,6 +17,7 @@ import numpy as np
 
 from ingest.array_numbers import numbers_from_array
 from ingest.columns import Numbers, OwnTime, named_column
+from ingest.extras import advise_install
 from ingest.mapping import ColumnName, FileMapping
 from schemas.arrays import Float
 from schemas.errors import MissingExtraError, RefusedError
@@ -111,7 +112,7 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
         raise MissingExtraError(
             "UFF files need the package pyuff, which is not installed",
             where=path.name,
-            remedy="Install it: pip install dealab[uff]",
+            remedy=advise_install("uff"),
         ) from None
     try:
         with warnings.catch_warnings():

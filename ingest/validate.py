@@ -104,7 +104,7 @@ def _malformed(path: Path, problem: str) -> RefusedError:
         problem,
         where=path.name,
         expected='{"recording": {…}, "rig": {…}}',
-        remedy="dealab validate --schema recording prints what may stand there",
+        remedy="`dealab validate --schema recording` prints what may stand there",
     )
 
 

@@ -7,6 +7,7 @@ same rows. The database is opened read-only and nothing else is read.
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
@@ -80,7 +81,7 @@ class Results:
             raise LabError(
                 "there is no database to report on",
                 where=str(self.path),
-                remedy=f"Run `dealab nightly RAW --lab {lab}` first",
+                remedy=f"Run `dealab nightly RAW --lab {shlex.quote(str(lab))}` first",
             )
         try:
             self._connection = duckdb.connect(str(self.path), read_only=True)
@@ -92,7 +93,7 @@ class Results:
             raise LabError(
                 f"the database cannot be read: {str(error).splitlines()[0]}",
                 where=str(self.path),
-                remedy="Run `dealab doctor`; the next nightly publishes it anew",
+                remedy=f"`dealab doctor --lab {shlex.quote(str(lab))}` says more; the next nightly over all raw folders builds it anew",
             ) from error
         missing = sorted({*TABLES, *(view.name for view in VIEWS if not view.parameters)} - found)
         if missing:

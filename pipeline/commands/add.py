@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Mapping
@@ -44,7 +45,7 @@ def add_file(path: Path, arguments: Namespace, ask: Callable[[str], str] = input
             "it has a mapping already",
             where=beside.name,
             expected="a file without one",
-            remedy=f"See what dealab inspect {path.name} says of it, or give --replace",
+            remedy=f"`dealab inspect {shlex.quote(str(path))}` says what it gives; --replace writes another",
         )
     given = split_answers(arguments.yes or [])
     draft, said = _ready(path, given, ask, is_asked=arguments.yes is None)
@@ -71,9 +72,9 @@ def _ready(
         print("\n".join(lines))
         return _ask_all(draft, ask), []
     if is_asked and draft.questions:
-        wanted = " ".join(f"{q.key}={q.suggestion if q.suggestion is not None else '…'}" for q in draft.questions)
+        wanted = shlex.join(f"{q.key}={'…' if q.suggestion is None else q.suggestion}" for q in draft.questions)
         lines += [f"  asks       {q.key}: {q.text}" for q in draft.questions]
-        return None, [*lines, f"Answer with: dealab add {path.name} --yes {wanted}"]
+        return None, [*lines, f"Answer with: `dealab add {shlex.quote(str(draft.path))} --yes {wanted}`"]
     draft, taken = as_suggested(draft)
     if draft.questions:
         lines += [f"  asks       {q.key}: {q.text}; it cannot be guessed" for q in draft.questions]
@@ -139,7 +140,8 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
     with written_whole(beside) as place:
         place.write_text(draft.as_toml(), encoding="utf-8")
     print("\n".join(lines))
-    print(f"Written: {make_safe(str(beside))}. The next dealab nightly {make_safe(str(path.parent))} takes the file.")
+    folder = make_safe(shlex.quote(str(path.parent)))
+    print(f"Written: {make_safe(str(beside))}. The next `dealab nightly {folder}` takes the file.")
     return ATTENTION if any(line.startswith("  problem") for line in lines) else DONE
 
 

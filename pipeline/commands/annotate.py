@@ -26,7 +26,7 @@ def run(arguments: Namespace) -> int:
     if not known:
         raise UsageError(
             f'there is no recording "{arguments.recording}" in this lab',
-            remedy='`dealab sql "SELECT recording_id FROM recordings"` lists them',
+            remedy=lab.spell_command('sql "SELECT recording_id FROM recordings"') + " lists them",
         )
     annotate(lab, arguments.recording, arguments.command, arguments.why)
     done = "taken out of" if arguments.command == EXCLUDE else "taken back into"

@@ -44,7 +44,7 @@ COMMAND = Command(
     ("run7.mcap", "run7.csv", "run7.csv > run7.csv.toml", "run7.csv --write"),
     (
         argument("file", nargs="+", type=parse_path, metavar="FILE"),
-        argument("--write", action="store_true", help="writes the mapping as dealab add does"),
+        argument("--write", action="store_true", help="writes the mapping, as the command add does"),
         add.YES,
         add.REPLACE,
         RIGS,

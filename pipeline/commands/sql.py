@@ -20,7 +20,7 @@ def run(arguments: Namespace) -> int:
             print(f'# {question}\ndealab sql "{query}"\n')
         return DONE
     if arguments.query is None:
-        raise UsageError("no query", expected='dealab sql "SELECT …", or --examples')
+        raise UsageError("no query", expected="a SELECT between quotation marks; `dealab sql --examples` shows some")
     if arguments.format == "parquet" and sys.stdout.isatty():
         raise UsageError(
             "Parquet is no text for a terminal", remedy="Send it to a file: … --format parquet > rows.parquet"

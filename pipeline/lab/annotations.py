@@ -124,7 +124,7 @@ def find_broken_lines(lab: Lab) -> tuple[str, ...]:
     """The lines of the file that are no annotations and say nothing to a night, each with its place and the remedy."""
     return tuple(
         f"{lab.annotations.name}, line {number}: {one.problem}; what it said does not count. Say it again with"
-        " `dealab exclude` or `dealab include`, which sets this line aside"
+        f" {lab.spell_command('exclude RECORDING --why TEXT')} or include, which sets this line aside"
         for number, one in enumerate(_read_lines(lab), start=1)
         if one.problem is not None
     )

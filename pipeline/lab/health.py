@@ -49,7 +49,8 @@ def check_installation() -> Iterator[Finding]:
         )
     required = f"{sys.version_info.major}.{sys.version_info.minor}"
     yield Finding(f"Python {required}", None if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed")
-    yield _tell("required libraries are installed", _list_missing_libraries(), "run `make` or pip install again")
+    missing = _list_missing_libraries()
+    yield _tell("required libraries are installed", missing, f"`pip install {' '.join(missing)}` where dealab is installed")
     plugins = find_plugins().values()
     yield _tell(
         "readers of other packages can be used",
@@ -67,7 +68,7 @@ def check_lab(lab: Lab) -> Iterator[Finding]:
         f"{journal} exists; close the program that opened it for writing" if journal.exists() else None,
     )
     if not lab.database.is_file():
-        yield Finding("a database is published", "there is none; run `dealab nightly RAW`")
+        yield Finding("a database is published", f"there is none; run {lab.spell_command('nightly RAW')}")
         return
     yield from _check_database(lab)
     yield _check_leftovers(lab)

@@ -131,12 +131,19 @@ class Lab:
             with contextlib.suppress(OSError), os.scandir(folder) as entries:  # a file, or gone meanwhile
                 waiting += [entry.path for entry in entries if entry.is_symlink() or entry.is_dir()]
 
+    def spell_command(self, words: str) -> str:
+        """A command on this lab as it is typed where it was named, between backticks: `dealab status --lab LAB`."""
+        import shlex
+
+        folder = os.fspath(self.folder)
+        return f"`dealab {words}`" if folder == DEFAULT_LAB else f"`dealab {words} --lab {shlex.quote(folder)}`"
+
     def require_database(self) -> Path:
         """The published database; `LabError` with the remedy where there is none."""
         if not self.database.is_file():
             raise LabError(
                 "no published database here",
                 where=str(self.folder),
-                remedy="Run `dealab nightly RAW --lab LAB` first, or name another lab with --lab",
+                remedy=f"Run {self.spell_command('nightly RAW')} first, or name another lab with --lab",
             )
         return self.database

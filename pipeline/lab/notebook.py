@@ -61,7 +61,7 @@ class Lab(pipeline.lab.lab.Lab):
         if path is None or not (self.folder / path).is_file():
             raise UsageError(
                 f'no samples of recording "{recording_id}" in this lab',
-                remedy='`dealab sql "SELECT recording_id, status FROM recordings"` lists them',
+                remedy=self.spell_command('sql "SELECT recording_id, status FROM recordings"') + " lists them",
             )
         table = pq.read_table(self.folder / path)
         frame: Any = table.to_pandas()
@@ -127,7 +127,8 @@ class Lab(pipeline.lab.lab.Lab):
             kind = "extended model" if extended else "fitted model"
             raise UsageError(
                 f'no {kind} of specimen "{specimen_id}"',
-                remedy='`dealab sql "SELECT specimen_id, extension FROM model_fits WHERE selected"` lists them',
+                remedy=self.spell_command('sql "SELECT specimen_id, extension FROM model_fits WHERE selected"')
+                + " lists them",
             )
         about = self._rows(
             f"SELECT metadata, loading FROM recordings WHERE specimen_id = {_literal(specimen_id)} "

@@ -92,7 +92,7 @@ def publish(lab: Lab, changes: Changes) -> None:
         raise LabError(
             f"the database could not be built: {str(error).splitlines()[0]}",
             where=str(building),
-            remedy="The published database is as it was. Free disk space, or run `dealab doctor`",
+            remedy=f"The published database is as it was. Free disk space, or run {lab.spell_command('doctor')}",
         ) from error
     finally:
         discard(building)

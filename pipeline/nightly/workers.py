@@ -26,6 +26,7 @@ from types import ModuleType
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from ingest.apart import end_with_parent
+from ingest.extras import advise_install
 from pipeline.import_path import leave_working_folder, start_without_working_folder
 from pipeline.lab.journal import Outcome
 from pipeline.lab.settings import Settings
@@ -278,9 +279,7 @@ def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
     try:
         from distributed import Client
     except ImportError:
-        raise LabError(
-            "dask.distributed is not installed", remedy='Install the extra: pip install "dealab[cluster]"'
-        ) from None
+        raise LabError("dask.distributed is not installed", remedy=advise_install("cluster")) from None
     try:
         client: Any = Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError) as error:

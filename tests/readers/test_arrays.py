@@ -197,7 +197,7 @@ def test_uff(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("suffix", "module"), [(".h5", "h5py"), (".tdms", "nptdms"), (".uff", "pyuff")])
-def test_missing_reader_names_the_extra(
+def test_missing_reader_names_its_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str
 ) -> None:
     real = builtins.__import__
@@ -212,5 +212,5 @@ def test_missing_reader_names_the_extra(
     path.write_bytes(b"x")
     with pytest.raises(MissingExtraError) as missing:
         read(path, mapping(suffix, {"force": {"column": "F", "unit": "N"}}, {"sample_rate_hz": 1.0}))
-    assert "pip install dealab[" in missing.value.remedy
+    assert f"`pip install {module}`" in missing.value.remedy
     assert missing.value.transient

@@ -41,7 +41,8 @@ def describe_diagnoses(lab: Lab, specimens: Sequence[str], *, as_json: bool) -> 
         for name in specimens:
             if name not in known:
                 raise UsageError(
-                    f'there is no specimen "{name[:80]}" in this lab', remedy='`dealab sql "FROM specimens"` lists them'
+                    f'there is no specimen "{name[:80]}" in this lab',
+                    remedy=lab.spell_command('sql "FROM specimens"') + " lists them",
                 )
         names = [row["specimen_id"] for row in found if not specimens or row["specimen_id"] in specimens]
         details = {key: reader.rows(table, None, "specimen_id", names) for key, table in _DETAILS.items()}

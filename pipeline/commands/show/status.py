@@ -39,7 +39,7 @@ def describe_lab(lab: Lab) -> str:
         lines += _count_recordings(reader, list_excluded(annotations))
         for title, found in (
             ("Needs attention", [*find_broken_lines(lab), *_list_attention(reader)]),
-            ("No result from", _list_without_result(reader)),
+            ("No result from", _list_without_result(lab, reader)),
             ("Out of the analysis", _list_exclusions(annotations, published)),
             ("The file has gone, the results stay", _list_gone(reader)),
             ("Not fresh, made again by the next nightly over its files", _list_stale(lab, reader)),
@@ -95,7 +95,7 @@ def _list_attention(reader: Reader) -> Iterator[str]:
         yield f"failed: {row['item_id']}: {(row['error'] or 'no reason given').splitlines()[0]}"
 
 
-def _list_without_result(reader: Reader) -> Iterator[str]:
+def _list_without_result(lab: Lab, reader: Reader) -> Iterator[str]:
     """What was taken in and led to nothing, by reason; refused files need attention, and stand there."""
     found: dict[str, list[str]] = {}
     more: Counter[str] = Counter()
@@ -111,7 +111,8 @@ def _list_without_result(reader: Reader) -> Iterator[str]:
     for why, some in found.items():
         yield from (f"{one}: {why}" for one in some)
         if more[why]:
-            yield f'and {more[why]} more: {why} (dealab sql "SELECT * FROM without_result" lists them)'
+            listing = lab.spell_command('sql "SELECT * FROM without_result"')
+            yield f"and {more[why]} more: {why} ({listing} lists them)"
 
 
 def _list_exclusions(annotations: Sequence[Annotation], published: int) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 
 from reports.blocks import Block, Fold, Head, Piece, Row, Section, Table, Text, code, flow, link, name, tag
 from reports.names import short
@@ -87,7 +88,8 @@ def refused_table(site: Site, limit: int, offset: int, note: str = "", root: str
         why, remedy = reason(r["problem"])
         file = (r["source_path"] or ABSENT).rpartition("/")[2]
         todo: Piece = remedy or flow(
-            code(f"dealab inspect {short(file, 60)}"), " says more; mend the file and copy it again."
+            code(f"dealab inspect {shlex.quote(short(r['source_path'] or file, 300))}"),
+            " says more; mend the file and copy it again.",
         )
         new: Piece = " new" if r["new"] else ""
         rows.append(Row((flow(code(short(file, 80)), new), flow(tag("quarantined"), " ", why), todo)))
