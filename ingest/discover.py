@@ -23,6 +23,7 @@ from ingest.parts import list_parts, part_of
 from ingest.plain_files import open_plain
 from ingest.remote import Mirror, RemoteFile
 from schemas.errors import DealabError, PendingError, RefusedError, UsageError
+from schemas.visible import shown
 
 NATIVE, MAPPED, UNMAPPED = "native", "mapped", "unmapped"
 _YOUNG_S = 60.0
@@ -309,12 +310,3 @@ def _size_and_time(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return info.st_size, info.st_mtime_ns
-
-
-_SPACES = {0x00A0: " ", 0x2009: " ", 0x202F: " "}
-
-
-def shown(value: object) -> str:
-    """A path or text for messages: control and direction marks, and bytes that are no UTF-8, as escapes; spaces are spaces."""
-    text = str(value).encode("utf-8", "backslashreplace").decode().translate(_SPACES)
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

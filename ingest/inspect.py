@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ingest.discover import shown
 from ingest.draft import draft_mapping
 from ingest.faults import check, find_faults
 from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
@@ -23,6 +22,7 @@ from schemas.errors import DealabError, RefusedError, UnmappedError
 from schemas.quantities import QUANTITIES
 from schemas.recording import RawRecording, Recording
 from schemas.units import ANY
+from schemas.visible import shown
 
 FITS, DAMAGED, REFUSED, UNMAPPED = "fits the contract", "damaged, usable in part", "refused", "unmapped"
 

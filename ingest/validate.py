@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ingest.discover import shown
 from ingest.faults import find_faults, list_static_faults
 from ingest.inspect import FITS, inspect
 from ingest.mapping import FOLDER_FILE, list_entries
@@ -22,6 +21,7 @@ from ingest.rigs import FOLDER
 from ingest.toml_files import load_toml
 from schemas.errors import DealabError, RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants, list_faults
+from schemas.visible import shown
 
 _LIMIT = 1 << 20
 """Bytes of metadata that are read."""

@@ -87,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _tell(error: DealabError, status: int) -> int:
-    from pipeline.commands.show.rows import make_safe
+    from schemas.visible import make_safe
 
     print(f"dealab: {make_safe(str(error))}", file=sys.stderr)
     return status

@@ -34,8 +34,8 @@ def add_file(path: Path, arguments: Namespace, ask: Callable[[str], str] = input
     """Drafts, asks, checks and writes the mapping of one file; returns the exit status."""
     from ingest.answers import split_answers
     from ingest.mapping import own_mapping
-    from pipeline.commands.show.rows import make_safe
     from schemas.errors import UsageError
+    from schemas.visible import make_safe
 
     beside = own_mapping(path)
     if not path.is_file():
@@ -125,7 +125,7 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
     from ingest.faults import find_faults
     from ingest.mapping import FileMapping
     from pipeline.commands.show.preview import describe_preview
-    from pipeline.commands.show.rows import make_safe
+    from schemas.visible import make_safe
 
     path = draft.path
     faults = find_faults(path, draft.content, source=beside.name, rigs=rigs)

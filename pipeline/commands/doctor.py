@@ -11,12 +11,16 @@ from pipeline.lab.lab import DEFAULT_LAB, Lab
 def run(arguments: Namespace) -> int:
     from pathlib import Path
 
-    from pipeline.commands.show.rows import make_safe
-    from pipeline.lab.health import check_installation, check_lab
+    from pipeline.lab.installation import Finding, check_installation, list_lacking
+    from schemas.visible import make_safe
 
     lab = Lab(arguments.lab)
     findings = list(check_installation())
-    if lab.folder.is_dir() or arguments.lab != Path(DEFAULT_LAB):
+    if list_lacking():
+        findings.append(Finding("the lab is whole", "not looked at without these libraries"))
+    elif lab.folder.is_dir() or arguments.lab != Path(DEFAULT_LAB):
+        from pipeline.lab.health import check_lab
+
         findings += check_lab(lab)
     for finding in findings:
         print(make_safe(str(finding)))

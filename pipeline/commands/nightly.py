@@ -10,8 +10,8 @@ from pipeline.lab.lab import Lab
 
 
 def run(arguments: Namespace) -> int:
-    from pipeline.commands.show.rows import make_safe
     from pipeline.nightly.night import nightly
+    from schemas.visible import make_safe
 
     lab = Lab(arguments.lab)
     summary = nightly(

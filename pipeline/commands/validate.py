@@ -11,7 +11,7 @@ _NAMES = ("recording", "rig", "mapping")
 
 
 def run(arguments: Namespace) -> int:
-    from pipeline.commands.show.rows import make_safe
+    from schemas.visible import make_safe
 
     if arguments.schema is not None:
         import json

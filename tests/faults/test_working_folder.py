@@ -13,7 +13,7 @@ from tests.faults.lab_state import select
 from tests.helpers.small_lab import life
 
 NAMES = ("numpy", "pipeline", "ingest", "schemas", "reports", "statistics", "multiprocessing", "pyarrow", "pebble")
-COMMAND = "import sys\nfrom pipeline.cli import main\nif __name__ == '__main__':\n    sys.exit(main())\n"
+COMMAND = "import sys\nfrom dealab import main\nif __name__ == '__main__':\n    sys.exit(main())\n"
 """What pip installs as `dealab`."""
 
 
@@ -25,9 +25,9 @@ def test_modules_in_the_working_folder_are_not_run(tmp_path: Path) -> None:
     for name in NAMES:
         (raw / f"{name}.py").write_text(f"open({str(mark)!r}, 'a').write(__file__)\n")
     (tmp_path / "bin").mkdir()
-    (tmp_path / "bin" / "dealab.py").write_text(COMMAND)
+    (tmp_path / "bin" / "command.py").write_text(COMMAND)
     done = subprocess.run(
-        [sys.executable, tmp_path / "bin" / "dealab.py", "nightly", ".", "--lab", str(lab.folder), "--jobs", "1"],
+        [sys.executable, tmp_path / "bin" / "command.py", "nightly", ".", "--lab", str(lab.folder), "--jobs", "1"],
         cwd=raw,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,

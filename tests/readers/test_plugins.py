@@ -14,7 +14,7 @@ from ingest.inspect import FITS, REFUSED, inspect
 from ingest.mapping_keys import FORMATS
 from ingest.reader_kit import check_reader
 from ingest.readers import find_reader
-from pipeline.lab.health import check_installation
+from pipeline.lab.installation import check_installation
 from pipeline.lab.settings import Settings
 from pipeline.nightly.stages import STAGES
 from schemas.errors import MissingExtraError

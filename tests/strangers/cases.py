@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ingest.discover import shown
 from pipeline.lab.lab import Lab
 from pipeline.lab.query import Query
+from schemas.visible import shown
 from tests.strangers.nights import REFUSED, NightOfOne, Taken, drafted, run_night
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from ingest.discover import shown
 from schemas.errors import RefusedError
 from schemas.quantities import QUANTITIES
 from schemas.units import conversion
+from schemas.visible import shown
 from tests.strangers.nights import REFUSED, UNMAPPED, NightOfOne, Taken, drafted, run_night
 
 OK, AS_ALLOWED, WRONG = "ok", "refused as allowed", "WRONG"

@@ -28,11 +28,11 @@ import numpy as np
 
 from ingest.arrays import ArrayFile
 from ingest.columns import ColumnFile
-from ingest.discover import shown
 from ingest.mapping import FileMapping, format_of_suffix
 from ingest.mapping_keys import RECORDING
 from ingest.read import open_columns
 from schemas.errors import DealabError, MissingExtraError
+from schemas.visible import shown
 from tests.strangers.peer_values import PeerValues, values_by_peer
 
 EQUAL, REFUSED, WRONG, SKIPPED, DIFFERS = "equal", "refused", "WRONG", "skipped", "differs, explained"

@@ -6,12 +6,12 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pipeline.commands.show.rows import make_safe
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import Reader
 from schemas.errors import UsageError
 from schemas.mechanisms import UNLISTED, amount, candidate, cause, main, nested, parameter_words, plain_name, severity
 from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, significant
+from schemas.visible import make_safe
 
 _JSON_COLUMNS = ("severity", "smallest_detectable", "held_out_parts", "next_design")
 _DETAILS = {

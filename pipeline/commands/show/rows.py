@@ -11,7 +11,7 @@ from datetime import date, datetime, timedelta
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
-from ingest.discover import shown
+from schemas.visible import shown
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -68,11 +68,6 @@ FORMATS: Mapping[str, Callable[[pa.Table], str | bytes]] = {
     "json": as_json,
     "parquet": as_parquet,
 }
-
-
-def make_safe(text: str) -> str:
-    """Text of several lines for a terminal, without anything that could control it."""
-    return "\n".join(shown(line) for line in text.split("\n"))
 
 
 def _join_cells(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:

@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from pipeline.commands.show.rows import make_safe
 from pipeline.lab.annotations import Annotation, find_broken_lines, list_excluded, read_annotations
 from pipeline.lab.journal import Freshness
 from pipeline.lab.lab import Lab
@@ -19,6 +18,7 @@ from pipeline.lab.lock import describe_holder, is_busy
 from pipeline.lab.reader import Reader
 from pipeline.lab.settings import load_settings
 from pipeline.nightly.stages import STAGES
+from schemas.visible import make_safe
 
 Row = dict[str, Any]
 
