@@ -76,8 +76,7 @@ class Query:
             raise LabError(
                 f"the database cannot be opened: {str(error).splitlines()[0]}",
                 where=str(database),
-                remedy=f"{self._lab.spell_command('doctor')} says more; the next nightly over all raw folders can build it"
-                " anew",
+                remedy=f"{self._lab.spell_command('doctor')} says more; a nightly over all raw folders builds it anew",
             ) from None
         return self
 

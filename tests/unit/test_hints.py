@@ -23,7 +23,7 @@ from tests.helpers.small_lab import life
 
 _OURS = ("schemas", "ingest", "pipeline", "reports")
 _COMMAND = re.compile(rf"(?:dealab (?:{'|'.join(COMMANDS)})\b|pip install )[^`\n]*")
-_TYPED = re.compile(r"(?:(?<=`)|^)(?:dealab|pip) [^`\n]*", re.MULTILINE)
+_TYPED = re.compile(r"(?:(?<=`)|^)(?:dealab|pip|\{shlex.quote\(sys.executable\)\} -m pip) [^`\n]*", re.MULTILINE)
 """Commands are between backticks, or lines of their own."""
 _SPELLERS = {"code": "", "spell_command": "dealab "}
 """Functions that put a command between backticks, and what they put before it."""
@@ -87,7 +87,7 @@ def list_hints() -> dict[str, str]:
             if name in _NOT_TYPED:
                 continue
             for text in list_texts(file):
-                found |= {typed: name for typed in _TYPED.findall(text) if _COMMAND.match(typed)}
+                found |= {typed: name for typed in _TYPED.findall(text) if _COMMAND.search(typed)}
                 rest = _TYPED.sub("", text)
                 assert not _COMMAND.search(rest), f"{name}: a command that is not between backticks: {text}"
     return found
