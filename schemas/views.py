@@ -214,6 +214,10 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
         "SELECT specimen_id, parameter, plain, extended, unit, moved_sd FROM diagnosis_parameters WHERE moved_sd > 2",
     ),
     (
+        "Which life test tells most next?",
+        "SELECT campaign, configuration, voltage_kv, duration_s, limits_ratio FROM life_plans WHERE plan = 'next test'",
+    ),
+    (
         "The raw samples of one recording",
         "SELECT time_ns, force FROM samples('RECORDING_ID') WHERE force IS NOT NULL LIMIT 10",
     ),

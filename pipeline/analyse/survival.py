@@ -12,7 +12,9 @@ import numpy as np
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.life_models import life_model_tables
-from pipeline.fit.survival.groups import SurvivalGroup, SurvivalResults, survival_group
+from pipeline.analyse.life_plans import life_plan_table
+from pipeline.fit.life_plan.known_lives import plan_campaigns
+from pipeline.fit.survival.groups import SurvivalGroup, SurvivalResults, survival_group, usable_lives
 from pipeline.fit.survival.turnbull import Turnbull
 from pipeline.fit.survival.voltage_life import VoltageLife
 from schemas.lifetimes import LifetimeRow
@@ -23,11 +25,14 @@ if TYPE_CHECKING:
 
 
 def analyse_survival(lives: Sequence[LifetimeRow]) -> Analysis:
-    """Survival per campaign, configuration and voltage, and comparisons, from all lives."""
+    """Survival per campaign, configuration and voltage, comparisons, and what to test next, from all lives."""
     analysis = Analysis()
     results = analysis.attempt("survival", survival_group, lives)
     if results is not None:
         analysis.add(survival_tables(results))
+    plans = analysis.attempt("plans of life tests", plan_campaigns, usable_lives(lives))
+    if plans is not None:
+        analysis.add({"life_plans": life_plan_table(plans)})
     return analysis
 
 

@@ -114,6 +114,33 @@ def _bar(panel: Panel, y: float, low: float, high: float, centre: float, colour:
         panel.drawing.marks([(place, y)], "circle", colour, 6.6, open_=open_)
 
 
+@dataclass(frozen=True)
+class Limits:
+    """An interval: `label`, what it is of in a few words, the value and its limits."""
+
+    label: str
+    words: str
+    value: float
+    low: float
+    high: float
+
+
+def intervals(rows: Sequence[Limits], title: str, *, alt: str) -> Markup:
+    """Intervals of one number below each other, on a logarithmic axis."""
+    height = 1.5 * _ROW * len(rows)
+    drawing = Drawing(WIDE, 84 + height)
+    x = logarithmic([v for r in rows for v in (r.low, r.high)], margin=0.08)
+    panel = Panel(drawing, 150, 26, 270, height, x, Scale(len(rows) - 0.5, -0.5))
+    panel.axes("", title, y_ticks=[], x_most=5)
+    for i, row in enumerate(rows):
+        y = float(panel.py(i))
+        _bar(panel, y, row.low, row.high, row.value, INK)
+        drawing.text(panel.left - 10, y - 1, short(row.label, 24), size=11.3, anchor="end", bold=True)
+        note(drawing, panel.left - 10, y + 12, short(row.words, 26), anchor="end")
+        drawing.text(panel.right + 12, y + 4, f"× {row.high / row.low:.3g}", size=11.3)
+    return drawing.image(alt)
+
+
 def cox_snell(residual: Float, observed: Float, failed: Bool, *, alt: str) -> Markup:
     """Cumulative hazard of the residuals against themselves: on the line, within the band, where the model is right."""
     drawing = Drawing(WIDE, 330)

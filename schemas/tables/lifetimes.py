@@ -383,4 +383,35 @@ TABLES: tuple[Table, ...] = (
         made_by=(MadeBy("group", group="survival"),),
         pages=("campaign",),
     ),
+    Table(
+        "life_plans",
+        "what to test next for a narrower interval of life at use, a row per plan and test; see dealab plan lifetimes",
+        (
+            CAMPAIGN,
+            CONFIGURATION,
+            text(
+                "plan",
+                "next test (one specimen), robust (as many hours and specimens again), even grid (the same without a plan);"
+                " none: there can be no plan, see warnings",
+            ),
+            real("voltage_kv", "kV", "voltage of the test"),
+            real("duration_s", "s", "after which a specimen that still lives is taken off"),
+            whole("specimens", "specimens of the test"),
+            real("expected_failures", "", "failures among them, if lives are as fitted"),
+            real("rig_hours", "h", "that they are expected to take, set-up included"),
+            real("use_kv", "kV", "voltage at use that the plan is made for"),
+            real("failed_share", "", "share failed at the life that the plan is made for"),
+            *with_bounds("life_at_use_s", "s", "that life, as known today"),
+            real("limits_ratio", "", "expected ratio of its upper to its lower 95 % limit after the whole plan"),
+            real(
+                "worst_limits_ratio",
+                "",
+                "the same under the least favourable of the lives that may be; NULL: it may stay open",
+            ),
+            text("warnings", "why there is no plan"),
+        ),
+        key=("campaign", "configuration", "plan", "voltage_kv", "duration_s"),
+        made_by=(MadeBy("group", group="survival"),),
+        pages=("campaign",),
+    ),
 )

@@ -153,6 +153,11 @@ def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
     return SurvivalResults(groups, comparisons, laws, (*general, *refused), fit_life_models(usable))
 
 
+def usable_lives(lifetimes: Sequence[LifetimeRow]) -> list[LifetimeRow]:
+    """The rows that `survival_group` uses, as it counts them."""
+    return _checked(lifetimes)[0]
+
+
 def _checked(lifetimes: Sequence[LifetimeRow]) -> tuple[list[LifetimeRow], list[tuple[LifetimeRow, str]]]:
     """Usable rows, and (row, what is wrong with it) for all others and for those kept with a contradiction."""
     usable: list[LifetimeRow] = []

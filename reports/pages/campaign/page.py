@@ -30,7 +30,7 @@ from reports.figures.responses import Multiple, multiple
 from reports.findings import causes_named
 from reports.names import short
 from reports.pages import listing
-from reports.pages.campaign import comparing, conflicts, depends, laws, literature, lives, places
+from reports.pages.campaign import comparing, conflicts, depends, laws, literature, lives, places, plans
 from reports.pages.draft import Draft
 from reports.pages.specimen import force
 from reports.results import Query, days
@@ -66,6 +66,7 @@ def page(site: Site, campaign: str) -> Page:
             lives.groups(draft, found),
             depends.section(draft, found.unit),
             laws.voltage_life(draft, found.unit),
+            plans.section(draft, found.unit),
             places.failures(draft, found),
             _specimens(draft, fitted),
             *literature.sections(draft, fitted, recordings),
