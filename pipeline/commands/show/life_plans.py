@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.commands.show.rows import make_safe
 from pipeline.fit.life_plan.assumptions import LifeAssumptions, assume_life
 from pipeline.fit.life_plan.designs import EVEN_GRID, NEXT_TEST, LifePlan, Planner, Rig, plan_all
 from pipeline.fit.life_plan.known_lives import KnownLives, group_rows, know_lives
@@ -21,6 +20,7 @@ from pipeline.lab.reader import Reader
 from schemas.errors import UsageError
 from schemas.lifetimes import LifetimeRow
 from schemas.numbers import ABSENT, NBSP, THIN, bounds, digits, percent, significant
+from schemas.visible import make_safe
 
 
 @dataclass(frozen=True)
