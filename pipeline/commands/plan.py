@@ -1,4 +1,6 @@
-"""`dealab plan lifetimes`: how many specimens, at which voltages, how long; when to stop; how many tell designs apart."""
+"""`dealab plan lifetimes`: how many specimens, at which voltages, how long; when to stop; how many tell designs
+apart.
+"""
 
 from __future__ import annotations
 

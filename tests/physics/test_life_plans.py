@@ -27,7 +27,8 @@ RIG = Rig(use_kv=3.0, lowest_kv=3.0, highest_kv=8.0, longest_h=200.0, setup_h=1.
 
 
 def assumed(**more: float) -> LifeAssumptions:
-    return assume_life(**({"reference_kv": 6.0, "median_h": 10.0, "exponent": -10.0, "shape": 2.0} | more))  # type: ignore[arg-type]
+    plain = {"reference_kv": 6.0, "median_h": 10.0, "exponent": -10.0, "shape": 2.0}
+    return assume_life(**(plain | more))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("family", ERRORS)

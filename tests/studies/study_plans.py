@@ -1,10 +1,12 @@
-"""Are intervals of life at use narrower by planned tests than by an even grid of the same rig hours, also where the plan is wrong?
+"""Are intervals of life at use narrower by planned tests than by an even grid of the same rig hours, also where the
+plan is wrong?
 
     python -m tests.studies.study_plans [--draws N] [--seed N]
 
-Plans are made from one set of assumptions and carried out on lives drawn from others: another shape, another family, another
-exponent. Each simulated campaign is fitted by the Weibull regression; printed are the mean widths of the 95 % interval of ln
-of the median life at use, brought to equal rig hours as they were in truth, and the shares of intervals that hold the truth.
+Plans are made from one set of assumptions and carried out on lives drawn from others: another shape, another family,
+another exponent. Each simulated campaign is fitted by the Weibull regression; printed are the mean widths of the 95 %
+interval of ln of the median life at use, brought to equal rig hours as they were in truth, and the shares of intervals
+that hold the truth.
 """
 
 from __future__ import annotations
@@ -30,13 +32,17 @@ HOURS = 3000.0
 MOST_SPECIMENS = 64
 """What the even grid takes of specimens in these hours."""
 WANTED = 0.30
-"""Share by which intervals are to be narrower than those of the even grid, where the plan is right or its shape is wrong."""
+"""Share by which intervals are to be narrower than those of the even grid, where the plan is right or its shape is
+wrong.
+"""
 ASKED = ("as planned", "shape 1.2 in place of 2", "shape 3.5 in place of 2", "log-normal, log SD 0.64")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of a plan on true lives: mean width of the interval of ln life at use, rig hours, share that holds the truth, refused."""
+    """Of a plan on true lives: mean width of the interval of ln life at use, rig hours, share that holds the truth,
+    refused.
+    """
 
     width: float
     hours: float
@@ -82,7 +88,9 @@ def carry_out(plan: LifePlan, truth: Scenario, draws: int, rng: np.random.Genera
 
 
 def _intervals(lives: LogLives, matrix: Float, alpha: Float, gamma: Float) -> tuple[Float, Float]:
-    """Centre and half width of the 95 % interval of ln of the median life at use, as `LifeRegression.life_at` has it."""
+    """Centre and half width of the 95 % interval of ln of the median life at use, as `LifeRegression.life_at` has
+    it.
+    """
     w = float(SMALLEST_EXTREME_VALUE.quantile_of_survival(np.array(0.5)))
     information = -differentiate(lives, matrix, SMALLEST_EXTREME_VALUE, np.column_stack((alpha, gamma)))[2]
     centre = (gamma[:, 0] + w) / alpha
@@ -130,7 +138,8 @@ def compare_plans(plans: Sequence[LifePlan], draws: int, seed: int, is_asked: bo
             narrower = 1 - one.width * np.sqrt(one.hours / grid.hours) / grid.width
             shown = "" if plan_name == EVEN_GRID else f"{100 * narrower:.0f} %"
             print(
-                f"| {name} | {plan_name} | {one.width:.2f} | {shown} | {100 * one.held:.1f} % | {100 * one.refused:.1f} % |"
+                f"| {name} | {plan_name} | {one.width:.2f} | {shown} | {100 * one.held:.1f} % |"
+                f" {100 * one.refused:.1f} % |"
             )
             if is_asked and name in ASKED and plan_name != EVEN_GRID and narrower < WANTED:
                 missed.append(f"{name}, {plan_name}: {100 * narrower:.0f} % narrower")

@@ -88,13 +88,12 @@ def plan_lifetimes(asked: Asked, lab: Lab | None, *, as_json: bool) -> str:
 
 def _read_lives(lab: Lab) -> list[LifetimeRow]:
     lab.require_database()
-    names = tuple(LifetimeRow.__dataclass_fields__)
+    names = set(LifetimeRow.__dataclass_fields__) - {"warnings", "staircase"}
     with Reader(lab.database) as reader:
         rows = reader.rows("lifetimes")
     return [
-        LifetimeRow(**{n: row[n] for n in names if n in row and n not in ("warnings", "staircase")}, staircase=bool(row["staircase"]))
-        for row in rows
-    ]  # fmt: skip
+        LifetimeRow(**{name: row[name] for name in names & set(row)}, staircase=bool(row["staircase"])) for row in rows
+    ]
 
 
 def _choose(rows: list[LifetimeRow], asked: Asked) -> list[LifetimeRow]:
@@ -198,18 +197,22 @@ def _describe_plans(
     sds = np.sqrt(np.diag(assumed.covariance))
     shape = f"{assumed.family} shape {significant(1 / sure.sigma)} (within × {significant(float(np.exp(sds[2])), 2)})"
     yield (
-        f"  {'assumed' if known is None else 'known'}: median life {significant(sure.life_s(assumed.reference_kv) / 3600)} h at"
+        f"  {'assumed' if known is None else 'known'}: median life"
+        f" {significant(sure.life_s(assumed.reference_kv) / 3600)} h at"
         f" {assumed.reference_kv:.3g} kV (within × {significant(float(np.exp(sds[0])), 2)}), exponent"
-        f" {significant(sure.exponent)} ± {significant(float(sds[1]), 2)}, {shape}; at use {significant(sure.life_s(rig.use_kv, rig.failed_share) / 3600)} h"
+        f" {significant(sure.exponent)} ± {significant(float(sds[1]), 2)}, {shape}; at use"
+        f" {significant(sure.life_s(rig.use_kv, rig.failed_share) / 3600)} h"
     )
     if known is not None:
         life = known.life_at(rig)
         yield (
             f"  so far: {digits(known.specimens, 'specimen')}, {known.fit.failures} failed; at use"
-            f" {bounds(life.value, life.lower, life.upper, 1 / 3600)} h, limits apart by × {significant(life.upper / life.lower)}"
+            f" {bounds(life.value, life.lower, life.upper, 1 / 3600)} h, limits apart by ×"
+            f" {significant(life.upper / life.lower)}"
         )
     yield (
-        f"  tests from {rig.lowest_kv:g} to {rig.highest_kv:g} kV, none longer than {rig.longest_h:g} h; {rig.setup_h:g} h of"
+        f"  tests from {rig.lowest_kv:g} to {rig.highest_kv:g} kV, none longer than {rig.longest_h:g} h;"
+        f" {rig.setup_h:g} h of"
         " set-up per specimen"
     )
     for plan in plans:
@@ -230,13 +233,15 @@ def _describe_plans(
 def _describe_plan(plan: LifePlan) -> Iterator[str]:
     worst = f"× {significant(plan.worst_factor)}" if plan.worst_factor < 1e4 else "open"
     yield (
-        f"{plan.name[0].upper()}{plan.name[1:]}: {digits(plan.specimens, 'specimen')}, {significant(plan.failures)} failures expected,"
+        f"{plan.name[0].upper()}{plan.name[1:]}: {digits(plan.specimens, 'specimen')},"
+        f" {significant(plan.failures)} failures expected,"
         f" {significant(plan.hours)} rig h"
     )
     yield f"  {'kV':>7} {'up to h':>9} {'specimens':>10} {'failures':>9} {'rig h':>8}"
     for test in plan.tests:
         yield (
-            f"  {test.voltage_kv:>7.3g} {significant(test.duration_h):>9} {test.specimens:>10} {significant(test.failures):>9}"
+            f"  {test.voltage_kv:>7.3g} {significant(test.duration_h):>9} {test.specimens:>10}"
+            f" {significant(test.failures):>9}"
             f" {significant(test.hours):>8}"
         )
     yield f"  95 % limits apart by × {significant(plan.factor)}; under the least favourable lives: {worst}"
@@ -244,11 +249,13 @@ def _describe_plan(plan: LifePlan) -> Iterator[str]:
 
 def _describe_sizes(sized: Comparison) -> Iterator[str]:
     yield (
-        f"{digits(sized.specimens_each, 'specimen')} of each design tell lives apart that differ by a factor of {sized.ratio:g}, at"
+        f"{digits(sized.specimens_each, 'specimen')} of each design tell lives apart that differ by a factor of"
+        f" {sized.ratio:g}, at"
         f" {sized.voltage_kv:.3g} kV for {sized.duration_h:g} h"
     )
     yield (
-        f"  power {percent(sized.power)} and false alarms {percent(sized.false_alarm)} of the log-rank test, in simulated campaigns;"
+        f"  power {percent(sized.power)} and false alarms {percent(sized.false_alarm)} of the log-rank test, in"
+        f" simulated campaigns;"
         f" {significant(sized.failures)} failures, {significant(sized.hours)} rig h expected"
     )
     if sized.stopping is None:
@@ -258,6 +265,7 @@ def _describe_sizes(sized: Comparison) -> Iterator[str]:
     for look in sized.stopping.looks:
         bound = f"{look.p_value:.2g}" if look.p_value > 1e-12 else ABSENT
         yield (
-            f"  {round(look.share * sized.failures):>9} {bound:>12} {percent(look.false_alarm):>13} {percent(look.power):>7}"
+            f"  {round(look.share * sized.failures):>9} {bound:>12} {percent(look.false_alarm):>13}"
+            f" {percent(look.power):>7}"
         )
     yield f"  On average it ends after {percent(sized.stopping.expected_share)} of the failures where lives differ so."

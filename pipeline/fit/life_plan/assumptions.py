@@ -70,7 +70,9 @@ class LifeAssumptions:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One way that lives may be: `log_median` (s) at the reference voltage, exponent, scatter, family, and its weight."""
+    """One way that lives may be: `log_median` (s) at the reference voltage, exponent, scatter, family, and its
+    weight.
+    """
 
     reference_kv: float
     log_median: float

@@ -22,8 +22,10 @@ EVEN_LEVELS = 4
 _VOLTAGES, _DURATIONS, _SHORTEST = 25, 8, 1 / 128
 """Candidates: voltages by equal ratios, durations by equal ratios down to this share of the longest."""
 _CHECK_SHARE = 0.15
-"""Of the budget of a robust design for a voltage between the outer ones: two voltages cannot show that the law is wrong. W.
-Meeker and G. Hahn's compromise plans give a fifth of the specimens (ASQC How to Plan an Accelerated Life Test, 1985)."""
+"""Of the budget of a robust design for a voltage between the outer ones: two voltages cannot show that the law is
+wrong.
+W. Meeker and G. Hahn's compromise plans give a fifth of the specimens (ASQC How to Plan an Accelerated Life Test,
+1985)."""
 _STEPS, _NEAR, _HALVINGS = 150, 1e-3, 8
 """Of the multiplicative algorithm: most steps, the share of the optimum that may be missed; halvings of a price."""
 _SMALLEST_SHARE = 0.02
@@ -72,7 +74,9 @@ class Rig:
 
 @dataclass(frozen=True)
 class LifeTest:
-    """Specimens at one voltage, each taken off after `duration_h`; `failures` of them are expected, and `hours` of the rig."""
+    """Specimens at one voltage, each taken off after `duration_h`; `failures` of them are expected, and `hours` of the
+    rig.
+    """
 
     voltage_kv: float
     duration_h: float
@@ -85,8 +89,8 @@ class LifeTest:
 class LifePlan:
     """Tests, and what they are expected to give.
 
-    `factor` is the expected ratio of the upper to the lower 95 % limit of the life at use; `worst_factor` that under the
-    least favourable of the lives that may be.
+    `factor` is the expected ratio of the upper to the lower 95 % limit of the life at use; `worst_factor` that under
+    the least favourable of the lives that may be.
     """
 
     name: str
@@ -113,7 +117,9 @@ class LifePlan:
 
 @dataclass(frozen=True)
 class Known:
-    """What earlier lives tell: their Fisher information (3, 3) on (location at the reference, exponent, ln σ), failures."""
+    """What earlier lives tell: their Fisher information (3, 3) on (location at the reference, exponent, ln σ),
+    failures.
+    """
 
     information: Float = field(default_factory=lambda: np.zeros((3, 3)))
     failures: int = 0
@@ -315,7 +321,9 @@ class _Criterion:
         return begun + self._round(ideal, left, spare, begun)
 
     def _weigh(self, hours: float, most_specimens: int | None, begun: Int) -> Float:
-        """(candidates,) real numbers of specimens: the optimum, by the multiplicative algorithm, merged to few tests."""
+        """(candidates,) real numbers of specimens: the optimum, by the multiplicative algorithm, merged to few
+        tests.
+        """
         price = self.cost / hours
         ideal = self._optimise(price, begun, None)
         if most_specimens is not None and ideal.sum() > most_specimens:
@@ -342,7 +350,9 @@ class _Criterion:
         return np.asarray(share / price)
 
     def _merge(self, number: Float, price: Float) -> Float:
-        """Neighbouring voltages and durations put together to the strongest of them; what is left of small ones goes."""
+        """Neighbouring voltages and durations put together to the strongest of them; what is left of small ones
+        goes.
+        """
         share = number * price
         merged = np.zeros_like(share)
         table = share.reshape(_VOLTAGES, _DURATIONS)
@@ -355,7 +365,9 @@ class _Criterion:
         return np.asarray(np.where(merged > _SMALLEST_SHARE, merged, 0.0) / price)
 
     def _round(self, ideal: Float, hours: float, most_specimens: int | None, begun: Int) -> Int:
-        """Whole numbers: the optimum rounded down, then one by one where it helps most per hour, then single exchanges."""
+        """Whole numbers: the optimum rounded down, then one by one where it helps most per hour, then single
+        exchanges.
+        """
         support = np.flatnonzero(ideal > 0)
         number = np.zeros(ideal.size, dtype=np.int64)
         number[support] = np.floor(ideal[support]).astype(np.int64)

@@ -1,6 +1,7 @@
 """What one specimen tells about the life at use conditions, and what it costs, before it is tested.
 
-Belongs here: expected information, failures and hours of a specimen at a voltage for a duration. Choosing is in `designs`.
+Belongs here: expected information, failures and hours of a specimen at a voltage for a duration. Choosing is in
+`designs`.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ def expect(scenarios: Sequence[Scenario], voltage_kv: Float, duration_s: Float) 
 
     Notes
     -----
-    The score of ln t = a + n x + σ w in (a, n, ln σ) is (s, s x, s w − 1)/… with s the slope of the log density of w; its
-    mean square over failures and survivors is the information (W. Meeker, L. Escobar, Statistical Methods for
+    The score of ln t = a + n x + σ w in (a, n, ln σ) is (s, s x, s w − 1)/… with s the slope of the log density of w;
+    its mean square over failures and survivors is the information (W. Meeker, L. Escobar, Statistical Methods for
     Reliability Data (1998), appendix B and chapter 10). Integrals over the share failed by Gauss and Legendre's rule.
     """
     parts = [_of_one(scenario, voltage_kv, duration_s) for scenario in scenarios]

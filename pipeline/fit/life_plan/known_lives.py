@@ -80,7 +80,9 @@ class CampaignPlan:
 
 
 def plan_campaigns(rows: Sequence[LifetimeRow]) -> tuple[CampaignPlan, ...]:
-    """The next test and plans for as many rig hours and specimens again, for each configuration tested at several voltages."""
+    """The next test and plans for as many rig hours and specimens again, for each configuration tested at several
+    voltages.
+    """
     found: list[CampaignPlan] = []
     for (campaign, configuration), members in group_rows(rows).items():
         if len({row.voltage_kv for row in members}) < 2:
@@ -102,7 +104,9 @@ def group_rows(rows: Sequence[LifetimeRow]) -> dict[tuple[str | None, str | None
 
 
 def plan_known(lives: KnownLives) -> CampaignPlan:
-    """The next test and the robust plan of one configuration, at the use conditions that are taken where nobody said them."""
+    """The next test and the robust plan of one configuration, at the use conditions that are taken where nobody said
+    them.
+    """
     rig = lives.rig()
     budget = lives.hours + lives.specimens * rig.setup_h
     planner = Planner(lives.assumed, rig, lives.known)

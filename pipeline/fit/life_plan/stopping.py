@@ -1,7 +1,8 @@
 """When a comparison may be stopped early: bounds at each look that keep the error rates of the whole.
 
-The bounds spend the error as O'Brien and Fleming's do (K. Lan, D. DeMets, Biometrika 70 (1983) 659); probabilities by P.
-Armitage, C. McPherson and B. Rowe's recursion (J. R. Stat. Soc. A 132 (1969) 235) over the increments of the statistic.
+The bounds spend the error as O'Brien and Fleming's do (K. Lan, D. DeMets, Biometrika 70 (1983) 659); probabilities by
+P. Armitage, C. McPherson and B. Rowe's recursion (J. R. Stat. Soc. A 132 (1969) 235) over the increments of the
+statistic.
 """
 
 from __future__ import annotations

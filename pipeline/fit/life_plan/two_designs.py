@@ -22,8 +22,8 @@ LEVEL = 0.05
 class Comparison:
     """Specimens of each of two designs.
 
-    `power` is that of simulated campaigns of `specimens_each`, `false_alarm` the share of them in which equal designs are
-    told apart. `failures` are expected of both designs together, by the end of the test, `hours` of the rig.
+    `power` is that of simulated campaigns of `specimens_each`, `false_alarm` the share of them in which equal designs
+    are told apart. `failures` are expected of both designs together, by the end of the test, `hours` of the rig.
     `stopping` holds the looks, where there is more than one.
     """
 
@@ -48,7 +48,8 @@ def size_comparison(
     setup_h: float = 0.0,
     looks: int = 1,
 ) -> Comparison:
-    """Fewest specimens of each design that tell lives of b from those of a, `ratio` times as long, with the given power.
+    """Fewest specimens of each design that tell lives of b from those of a, `ratio` times as long, with the given
+    power.
 
     Parameters
     ----------
@@ -68,8 +69,8 @@ def size_comparison(
 
     Notes
     -----
-    The first guess is D. Schoenfeld's number of failures, 4 (z + z')²/(ln hazard ratio)² (Biometrika 68 (1981) 316); the
-    number is then that whose simulated campaigns have the power, as the formula is short for few failures.
+    The first guess is D. Schoenfeld's number of failures, 4 (z + z')²/(ln hazard ratio)² (Biometrika 68 (1981) 316);
+    the number is then that whose simulated campaigns have the power, as the formula is short for few failures.
     """
     if not (ratio > 0 and abs(np.log(ratio)) > 1e-3):
         raise UsageError(f"lives that differ by a factor of {ratio:g}", expected="a factor above 0, not 1, such as 2")

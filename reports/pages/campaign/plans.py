@@ -14,8 +14,8 @@ from reports.results import Query
 from reports.results import Row as Record
 from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, digits, percent, significant
 
-_SQL = """SELECT configuration, plan, voltage_kv, duration_s, specimens, expected_failures, rig_hours, use_kv, failed_share,
-       life_at_use_s, life_at_use_s_lower, life_at_use_s_upper, limits_ratio, worst_limits_ratio, warnings
+_SQL = """SELECT configuration, plan, voltage_kv, duration_s, specimens, expected_failures, rig_hours, use_kv,
+       failed_share, life_at_use_s, life_at_use_s_lower, life_at_use_s_upper, limits_ratio, worst_limits_ratio, warnings
 FROM life_plans
 WHERE campaign = $campaign
 ORDER BY configuration, plan = 'even grid', plan, voltage_kv"""
@@ -50,7 +50,8 @@ def _heading(rows: Sequence[Record]) -> str:
     test = next((r for r in rows if r["plan"] == "next test"), None)
     if test is None:
         return "What to test next"
-    return f"The next specimen tells most at {compact(test['voltage_kv'])}{NBSP}kV about life at {compact(test['use_kv'])}{NBSP}kV"
+    at, use = (f"{compact(test[name])}{NBSP}kV" for name in ("voltage_kv", "use_kv"))
+    return f"The next specimen tells most at {at} about life at {use}"
 
 
 def _figure(rows: Sequence[Record], data: str, unit: tuple[float, str]) -> Figure:
@@ -75,8 +76,9 @@ def _figure(rows: Sequence[Record], data: str, unit: tuple[float, str]) -> Figur
         ),
         flow(
             bold(f"What more tests would tell{_of(first['configuration'])}."),
-            f" 95 % limits of the life at {compact(first['use_kv'])} kV today, and how far apart they are expected to be after"
-            " each plan if lives are as fitted. Nobody said the voltage in use: it is taken as 60 % of the lowest tested.",
+            f" 95 % limits of the life at {compact(first['use_kv'])} kV today, and how far apart they are"
+            " expected to be after each plan if lives are as fitted. Nobody said the voltage in use: it is taken as 60 % of the"
+            " lowest tested.",
         ),
         data,
     )
@@ -84,8 +86,8 @@ def _figure(rows: Sequence[Record], data: str, unit: tuple[float, str]) -> Figur
 
 def _table(query: Query, rows: Sequence[Record], unit: tuple[float, str]) -> Table:
     heads = (
-        Head("Plan"), Head("Voltage, kV", "n"), Head(f"For up to, {unit[1]}", "n"), Head("Specimens", "n"), Head("Failures", "n"),
-        Head("Rig hours", "n"), Head("Limits apart by", "n"), Head("At worst", "n"),
+        Head("Plan"), Head("Voltage, kV", "n"), Head(f"For up to, {unit[1]}", "n"), Head("Specimens", "n"),
+        Head("Failures", "n"), Head("Rig hours", "n"), Head("Limits apart by", "n"), Head("At worst", "n"),
     )  # fmt: skip
     made, before = [], ""
     for r in rows:
@@ -94,8 +96,9 @@ def _table(query: Query, rows: Sequence[Record], unit: tuple[float, str]) -> Tab
         made.append(
             Row(
                 (
-                    capital(r["plan"]) if new else "", significant(r["voltage_kv"]), significant(unit[0] * r["duration_s"]),
-                    str(r["specimens"]), significant(r["expected_failures"], 2), significant(r["rig_hours"]),
+                    capital(r["plan"]) if new else "", significant(r["voltage_kv"]),
+                    significant(unit[0] * r["duration_s"]), str(r["specimens"]),
+                    significant(r["expected_failures"], 2), significant(r["rig_hours"]),
                     f"× {significant(r['limits_ratio'])}" if new else "",
                     "" if not new else ABSENT if worst is None or worst > 1e4 else f"× {significant(worst)}",
                 )
@@ -104,8 +107,10 @@ def _table(query: Query, rows: Sequence[Record], unit: tuple[float, str]) -> Tab
     first = rows[0]
     life = bounds(first["life_at_use_s"], first["life_at_use_s_lower"], first["life_at_use_s_upper"], unit[0])
     below = (
-        f"Life at {compact(first['use_kv'])} kV as known today: {life} {unit[1]}. Robust: as many specimens and rig hours as so far,"
-        " for the narrowest interval on average over all lives that the data and the choice of their distribution leave open. Even"
+        f"Life at {compact(first['use_kv'])} kV as known today: {life} {unit[1]}. Robust: as many specimens and"
+        f" rig hours as so far,"
+        " for the narrowest interval on average over all lives that the data and the choice of their"
+        " distribution leave open. Even"
         " grid: the same without a plan. Other conditions, budgets and prices of a specimen: "
     )
     note = "failures expected; at worst: under the least favourable of those lives"
