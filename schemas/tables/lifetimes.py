@@ -385,7 +385,7 @@ TABLES: tuple[Table, ...] = (
     ),
     Table(
         "life_plans",
-        "what to test next for a narrower interval of life at use, a row per plan and test; see dealab plan lifetimes",
+        "what to test next for a narrower interval of life at use, a row per plan and test; the command plan lifetimes does it for other conditions",
         (
             CAMPAIGN,
             CONFIGURATION,

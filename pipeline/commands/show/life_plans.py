@@ -53,7 +53,7 @@ class Asked:
         """The number of an argument that cannot be done without here."""
         value: float | None = getattr(self, name)
         if value is None:
-            raise UsageError(f"--{name.replace('_', '-')} is missing", remedy="`dealab plan --help` says what it is")
+            raise UsageError(f"--{name.replace('_', '-')} is missing", remedy="The help of the command says what it is")
         return value
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from reports.blocks import Block, Figure, Fold, Head, Pair, Row, Section, Table, Text, bold, flow
+from reports.blocks import Block, Figure, Fold, Head, Pair, Row, Section, Table, Text, bold, code, flow
 from reports.figures.life_models import Limits, intervals
 from reports.names import short, visible
 from reports.pages.draft import Draft
@@ -115,4 +115,12 @@ def _table(query: Query, rows: Sequence[Record], unit: tuple[float, str]) -> Tab
     )
     note = "failures expected; at worst: under the least favourable of those lives"
     caption = f"Plans{_of(first['configuration'])}"
-    return Table(caption, heads, tuple(made), query.shown(), note, flow(below, "dealab plan lifetimes."), "wide")
+    return Table(
+        caption,
+        heads,
+        tuple(made),
+        query.shown(),
+        note,
+        flow(below, "the command ", code("plan lifetimes"), "."),
+        "wide",
+    )
