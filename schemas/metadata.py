@@ -205,11 +205,11 @@ class RecordingMetadata:
     )
     rest_before_s: float | None = _key(_not_negative, "how long the film had rested; absent: as long as it takes")
     rods: int | None = _key(_count, "rods that hold the width of the film")
-    rod_spacing_mm: float | None = _key(_positive, "distance of neighbouring rods")
+    rod_spacing_mm: float | None = _key(_positive, "distance of the axes of neighbouring rods, in the stretched film")
     rod_diameter_mm: float | None = _key(_positive, "diameter of a rod")
     electrode_gap_mm: float | None = _key(
         _not_negative,
-        "distance that separate electrodes keep from the rods; absent: one electrode over all of the film",
+        "distance that separate electrodes keep from the axes of the rods; absent: one electrode over all of the film",
     )
     coats: int | None = _key(_count, "coats of electrode so far")
     temperature_c: float | None = _key(_temperature, "temperature of a table's rows, °C, where no column says it")

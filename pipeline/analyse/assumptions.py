@@ -186,6 +186,9 @@ def _about_voltage(about: RecordingMetadata, rig: RigConstants, channels: Collec
     if about.rods is not None and about.electrode_gap_mm is None:
         because = "no electrode_gap_mm"
         yield Assumption("electrodes over the rods", "one over all of the film", because, "weak_regions")
+    if about.rods is not None and None in (about.film_length_mm, about.film_width_mm):
+        because = "no film_length_mm or no film_width_mm"
+        yield Assumption("film over the rods", "as large as its electrode", because, "weak_regions")
 
 
 def _about_unused(recording: Recording) -> Iterator[Assumption]:

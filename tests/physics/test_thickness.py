@@ -90,9 +90,11 @@ def test_film_is_thinnest_beside_the_rods_and_thickens_at_the_free_ends(film_map
     distance = np.abs(y[:, None] - film.rod_positions_mm).min(axis=1)
     edge = film.width_mm / 2 - np.abs(y)
     assert np.minimum(distance, edge)[thin].max() < 1.5  # every thin place lies at a rod or at the held edge
-    middle = np.abs(y - film.rod_spacing_mm / 2) < 0.3
+    middle = np.abs(y - film.rod_spacing_mm / 2) < 0.8
     ends = film_map.thickness[middle & (np.abs(x) == np.abs(x[middle]).max())]
-    assert ends.min() > 2 * film_map.thickness[middle & (np.abs(x) < 1)].max()
+    bonded = distance < film.rod_diameter_mm / 2 / film.stretch_across
+    assert ends.min() > 2 * film_map.thickness[bonded].max()
+    assert np.abs(x[middle]).max() < 0.5 * film.length_mm / 2, "between rods 10 mm apart the free ends run back"
 
 
 def test_map_is_symmetric(film_map) -> None:
@@ -102,11 +104,42 @@ def test_map_is_symmetric(film_map) -> None:
     assert shares["centre"] == max(shares.values())
 
 
-def test_refinement_moves_the_shares_little(film_map) -> None:
-    finer = continuous_thickness(RodFilm(), elements=4000)
-    coarse = layout.region_shares(film_map, layout.single_region(film_map.film), 8.0)
-    fine = layout.region_shares(finer, layout.single_region(finer.film), 8.0)
-    assert fine["centre"] == pytest.approx(coarse["centre"], abs=0.03)
+@pytest.mark.slow
+def test_shares_of_failures_converge() -> None:
+    """Two meshes agree within 1 %, and with what the thesis found: 19 of 20 at the rods, half in the centre third."""
+    coarse, fine = (continuous_thickness(RodFilm(), elements=n) for n in (3000, 6000))
+    electrode = layout.single_region(fine.film)
+    for exponent in (8.0, 10.0, 15.0):
+        found = [layout.rod_share(m, electrode, exponent) for m in (coarse, fine)]
+        assert found[0] == pytest.approx(found[1], abs=0.01)
+        assert 0.95 < found[1] <= 1.0
+    regions = [layout.region_shares(m, electrode, 10.0) for m in (coarse, fine)]
+    for name, expected in {"left": 0.32, "centre": 0.36, "right": 0.32}.items():
+        assert regions[0][name] == pytest.approx(regions[1][name], abs=0.01)
+        assert regions[1][name] == pytest.approx(expected, abs=0.02)
+
+
+def test_rods_on_the_edges_of_the_film_move_with_them(film_map) -> None:
+    """Three rods 10 mm apart span a film of 20 mm; the bonded film keeps its width there and does not turn."""
+    film = film_map.film
+    assert film.rod_positions_mm.tolist() == [-10, 0, 10]
+    y = film_map.corners_mm[..., 1]
+    assert (y.min(), y.max()) == pytest.approx((-10, 10))
+    bonded = film_map.centres_mm[:, 1] > 10 - film.rod_diameter_mm / 2 / film.stretch_across
+    assert bonded.sum() >= 2
+    np.testing.assert_allclose(film_map.thickness[bonded], 1 / film.stretch_along, rtol=1e-9)
+
+
+def test_a_divided_electrode_loses_the_fifth_that_the_thesis_states() -> None:
+    film = RodFilm()
+    area = sum((r.x_high - r.x_low) * (r.y_high - r.y_low) for r in layout.separate_regions(film, 1.0))
+    assert area / (film.length_mm * film.width_mm) == pytest.approx(0.8)
+
+
+def test_an_electrode_that_covers_part_of_an_element_counts_in_part(film_map) -> None:
+    half = (layout.Rectangle(-10, 10, 0, 10),)
+    area = film_map.area_mm2
+    assert (layout.covered_share(film_map, half) * area).sum() == pytest.approx(area.sum() / 2, rel=1e-6)
 
 
 def test_volume_is_kept(film_map) -> None:
@@ -119,7 +152,12 @@ def test_separate_regions_leave_the_thin_film_out(film_map) -> None:
     single = layout.thin_share(film_map, layout.single_region(film), 0.9)
     separate = layout.thin_share(film_map, layout.separate_regions(film), 0.9)
     assert single > 0.1
-    assert separate < 0.2 * single
+    assert separate < 0.5 * single
+    thinnest = [
+        film_map.relative_thickness[layout.covered(film_map, e)].min()
+        for e in (layout.single_region(film), layout.separate_regions(film))
+    ]
+    assert thinnest[0] < 0.6 < thinnest[1]
 
 
 def test_incremental_scheme_concentrates_the_stretch_at_the_rod_ends() -> None:
@@ -132,7 +170,17 @@ def test_incremental_scheme_concentrates_the_stretch_at_the_rod_ends() -> None:
     assert found.thickness.min() < 0.2 * np.median(found.thickness)
 
 
-@pytest.mark.parametrize("wrong", [{"rods": 0}, {"rod_spacing_mm": 12.0}, {"stretch_along": 0.9}, {"length_mm": -1.0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rods": 0},
+        {"rod_spacing_mm": 12.0},
+        {"rod_spacing_mm": 0.5},
+        {"rod_diameter_mm": 7.0},
+        {"stretch_along": 0.9},
+        {"length_mm": -1.0},
+    ],
+)
 def test_impossible_films_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"expected|fit"):
         RodFilm(**wrong)

@@ -93,7 +93,11 @@ def test_what_an_electrical_test_leaves_out() -> None:
 
 def test_what_a_life_leaves_out() -> None:
     found = assumed("lifetime", "electrical", "voltage", rods=2)
-    assert found.keys() == {"set point", "planned duration of the test", "electrodes over the rods"}
+    assert found.keys() == {
+        "set point", "planned duration of the test", "electrodes over the rods", "film over the rods",
+    }  # fmt: skip
+    sized = assumed("lifetime", "electrical", "voltage", rods=2, film_length_mm=16, film_width_mm=7)
+    assert "film over the rods" not in sized
 
 
 def test_rest_is_assumed_where_no_key_says_it() -> None:

@@ -65,18 +65,22 @@ class _Problem:
         edge = np.isclose(np.abs(y), np.abs(y).max())
         owner: Int = np.arange(2 * len(x), dtype=np.int64).reshape(-1, 2)
         owner[rod >= 0, 0] = -1  # the rod holds the film's x
+        pulled = np.where(edge, y, 0.0)  # y of the edge that moves a node
         for number in range(film.rods):  # and stays straight: one y for all of it
-            owner[rod == number, 1] = 2 * np.flatnonzero(rod == number)[0] + 1
-        owner[edge] = -1
-        self.rod, self.edge = rod, edge
+            members = rod == number
+            owner[members, 1] = 2 * np.flatnonzero(members)[0] + 1
+            if (members & edge).any():  # a rod on the edge moves with it
+                pulled[members] = y[members & edge][0]
+        owner[pulled != 0] = -1
+        self.rod, self.pulled = rod, pulled
         self.held = owner < 0
         self.tie = tie_matrix(owner.ravel())
 
     def prescribed(self, load: float) -> Float:
         """(nodes, 2) displacement of the held unknowns; at load 0 the film is stretched along x only."""
         x, y = self.points.T
-        across = 1 + load * (self.film.stretch_across - 1)
-        return np.stack([(self.film.stretch_along - 1) * x, (across - 1) * y], axis=1)
+        moved = np.where(self.pulled != 0, self.pulled, y)
+        return np.stack([(self.film.stretch_along - 1) * x, load * (self.film.stretch_across - 1) * moved], axis=1)
 
     def respect_rods(self, displacement: Float) -> Float:
         for number in range(self.film.rods):
@@ -112,8 +116,9 @@ class _Problem:
         while load < 1:
             target = min(1.0, load + step)
             trial = u.copy()
-            trial[self.edge] = self.prescribed(target)[self.edge]
-            trial += np.where(self.edge, 0, 1)[:, None] * (self.prescribed(target) - self.prescribed(load)) * [0, 1]
+            held = self.pulled != 0
+            trial[held] = self.prescribed(target)[held]
+            trial += np.where(held, 0, 1)[:, None] * (self.prescribed(target) - self.prescribed(load)) * [0, 1]
             try:
                 u, iterations = self.newton(self.respect_rods(trial), target, limit=12)
             except (NotIdentifiableError, RuntimeError, np.linalg.LinAlgError):
