@@ -9,6 +9,7 @@ import hashlib
 from dataclasses import dataclass
 
 from schemas import control
+from schemas.constraint import CONSTRAINT_GAINS
 from schemas.tables import TABLES
 
 
@@ -163,6 +164,12 @@ SELECT specimen_id, verdict, mechanism, mechanisms, also_possible, round(100 * g
 FROM diagnoses
 ORDER BY gain DESC NULLS LAST, specimen_id""",
     ),
+    View(
+        "constraint_gains",
+        "force and capacitive strain of a self-sensing film whose passive part is held rigid over those of a free one of the same"
+        " sizes, by voltage; ± one standard deviation of the steps, differences between specimens not counted",
+        CONSTRAINT_GAINS,
+    ),
     View("quantities", "what is followed from night to night, as it is now", control.QUANTITIES),
     View(
         "moved",
@@ -187,6 +194,7 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
     ),
     ("Which recordings led to no result, and what was missing?", "SELECT * FROM without_result"),
     ("What needs attention?", "SELECT what, name, status, problem FROM needs_attention"),
+    ("What does holding the passive part of a sensing film add?", "SELECT * FROM constraint_gains"),
     ("What came in last night?", "SELECT * FROM tonight"),
     ("Was last night like the night before?", "SELECT * FROM nights LIMIT 2"),
     (

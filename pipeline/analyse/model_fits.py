@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pipeline.fit.relaxation.amplitudes import AmplitudeFits
 from pipeline.fit.relaxation.results import (
     MECHANICAL,
     NOISE,
@@ -72,6 +73,20 @@ def _row(group: SpecimenFits, fit: RelaxationFit) -> dict[str, Any]:
         if name in fit.estimates:
             row |= _estimate(column, fit.estimates[name])
     return row
+
+
+def amplitude_fits_table(found: Sequence[AmplitudeFits]) -> pa.Table:
+    """Rows of `amplitude_fits`: those of `model_fits`, for each amplitude by itself."""
+    table = TABLES["amplitude_fits"]
+    return table.rows(
+        {
+            "amplitude": one.amplitude,
+            "recordings": one.recordings,
+            **{name: value for name, value in _row(one.fits, fit).items() if name in table.names},
+        }
+        for one in found
+        for fit in one.fits.fits
+    )
 
 
 def _spread(group: SpecimenFits) -> str | None:

@@ -9,10 +9,12 @@ import numpy as np
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
-from pipeline.analyse.model_fits import model_fits_table
+from pipeline.analyse.model_fits import amplitude_fits_table, model_fits_table
 from pipeline.analyse.responses import AVERAGED, CORRECTED, response_table
 from pipeline.analyse.self_sensing import analyse_self_sensing
 from pipeline.analyse.temperatures import Unit, join_temperatures, prony_table
+from pipeline.analyse.voltage import analyse_orders, analyse_permittivity, analyse_specification
+from pipeline.fit.relaxation.amplitudes import fit_amplitudes
 from pipeline.fit.relaxation.damaged import weighed
 from pipeline.fit.relaxation.electrical import fit_electrical, fit_joint
 from pipeline.fit.relaxation.identify import fit_corrected, fit_specimen
@@ -65,14 +67,32 @@ def analyse_specimen(
     recordings, unit = join_temperatures(analysis, specimen_id, recordings)
     mechanical = _responses(analysis, recordings, calibrations, STIFFNESS)
     electrical = _responses(analysis, recordings, calibrations, FORCE_PER_VOLTAGE_SQUARED)
-    mean = _corrected(analysis, mechanical)
+    corrected, mean = _corrected(analysis, mechanical)
+    by_amplitude = analysis.attempt(
+        "models of each amplitude",
+        fit_amplitudes,
+        corrected,
+        orders=orders,
+        geometry=_geometry(recordings),
+        specimen_id=specimen_id,
+    )
+    analysis.add({"amplitude_fits": amplitude_fits_table(by_amplitude or ())})
     fits = _mechanical_fits(analysis, specimen_id, recordings, calibrations, mechanical, mean, orders, unit)
     forward = next((fit for fit in fits if fit.method == "forward"), None)
     predictions: list[Prediction | None] = []
+    own, blocked = None, []
     if electrical.responses:
-        _blocked(analysis, electrical, forward)
-        fits += _electrical_fits(analysis, specimen_id, mechanical, electrical, forward, recordings, orders)
+        blocked = _blocked(analysis, electrical, forward)
+        under = _electrical_fits(analysis, specimen_id, mechanical, electrical, forward, recordings, orders)
+        own = next((fit for fit in under if fit.loading == ELECTRICAL), None)
+        if own is not None:
+            analyse_orders(analysis, specimen_id, own, electrical.responses, electrical.rigs, recordings)
+        fits += under
         predictions += _across_loadings(analysis, fits, mechanical, electrical)
+    values = analyse_permittivity(
+        analysis, specimen_id, own, blocked, None if forward is None else forward.selected, recordings
+    )
+    analyse_specification(analysis, specimen_id, values, forward, recordings)
     predictions += _across_protocols(analysis, specimen_id, mechanical, orders)
     made = [one for one in predictions if one is not None]
     remarks = {MECHANICAL: mechanical.remarks, ELECTRICAL: electrical.remarks}
@@ -126,15 +146,15 @@ def _responses(
     return _Responses(responses, rigs, tuple(f[2] for f in found), remarks)
 
 
-def _corrected(analysis: Analysis, mechanical: _Responses) -> FrequencyResponse | None:
-    """Clamp and load cell taken out of each response, and their average, which is returned; rows of both."""
+def _corrected(analysis: Analysis, mechanical: _Responses) -> tuple[list[FrequencyResponse], FrequencyResponse | None]:
+    """Each response with clamp and load cell taken out, and their average; adds rows of both."""
     found = []
     for response, rig in zip(mechanical.responses, mechanical.rigs, strict=True):
         what = f"correction of {response.recording_id}"
         one = response if rig is None else analysis.attempt(what, correct_mechanical, response, rig)
         if one is not None:
             found.append(one)
-    return _add_corrected(analysis, found)
+    return found, _add_corrected(analysis, found)
 
 
 def _add_corrected(analysis: Analysis, corrected: Sequence[FrequencyResponse]) -> FrequencyResponse | None:
@@ -236,10 +256,10 @@ def _ladder(
         analysis.add({"order_ladders": rows, "prony_series": prony_table(specimen_id, rungs, unit)})
 
 
-def _blocked(analysis: Analysis, electrical: _Responses, forward: SpecimenFits | None) -> None:
+def _blocked(analysis: Analysis, electrical: _Responses, forward: SpecimenFits | None) -> list[FrequencyResponse]:
     """Blocked force of each electrical response where a mechanical model says what the film does."""
     if forward is None:
-        return
+        return []
     chosen = forward.selected
     found = []
     for response, rig in zip(electrical.responses, electrical.rigs, strict=True):
@@ -252,6 +272,7 @@ def _blocked(analysis: Analysis, electrical: _Responses, forward: SpecimenFits |
         if one is not None:
             found.append(one)
     _add_corrected(analysis, found)
+    return found
 
 
 def _factor(fit: RelaxationFit, frequency_hz: Float) -> Complex:

@@ -135,6 +135,32 @@ def _baseline_drift(bench: Bench, values: BaselineDrift, rng: np.random.Generato
 
 
 @dataclass(frozen=True, kw_only=True)
+class AmplitudeSoftening:
+    """The film is softer the farther it swings in a test: by `drop` of its stiffness at `largest_mm` from where it began.
+
+    `half_at`: share of `largest_mm` at which half of the softening that a far larger swing would bring is reached. It is the
+    describing function of a test: all of it has the stiffness of its swing, and nothing stays from one test to the next.
+    """
+
+    drop: float = number(above=0, at_most=1)
+    largest_mm: float = number(above=0)
+    half_at: float = number(0.5, above=0)
+
+
+def _amplitude_softening(bench: Bench, values: AmplitudeSoftening, rng: np.random.Generator) -> Bench:
+    def soften(signals: Signals) -> Signals:
+        if "displacement" not in signals:
+            return signals
+        swing = float(np.abs(signals["displacement"] - signals["displacement"][0]).max()) / values.largest_mm
+        loss = values.drop * swing * (1 + values.half_at) / (swing + values.half_at)
+        rest = bench.film.pretension_n
+        return signals.with_values(force=rest + (signals["force"] - rest) * (1 - loss))
+
+    # As a factor of the force this is the film alone: the clamp's inertia must be small, as it is far below its resonance.
+    return bench.with_stage("mechanics", soften)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Wrinkling:
     """Above `onset_kv` the actuation grows no more, and it lets go late: with `delay_s` for a voltage of twice the onset."""
 
@@ -218,6 +244,7 @@ _ALL = (
     Effect("sensor_delay", SensorDelay, _sensor_delay),
     Effect("mains_hum", MainsHum, _mains_hum),
     Effect("baseline_drift", BaselineDrift, _baseline_drift),
+    Effect("amplitude_softening", AmplitudeSoftening, _amplitude_softening),
     Effect("wrinkling", Wrinkling, _wrinkling),
     Effect("electrode_degradation", ElectrodeDegradation, _electrode_degradation),
 )

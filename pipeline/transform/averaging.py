@@ -36,7 +36,7 @@ def average(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     kinds = {(r.quantity, r.loading) for r in responses}
     if len(kinds) > 1:
         raise ValueError(f"responses of several kinds: {sorted(kinds)}")
-    groups = _by_amplitude(responses)
+    groups = group_by_amplitude(responses)
     levels = [_combined(group) if len(group) > 1 else group[0] for group in groups]
     result = _combined(levels) if len(levels) > 1 else levels[0]
     specimens = {r.specimen_id for r in responses}
@@ -79,7 +79,7 @@ class _Table:
     reason: list[str]
 
 
-def _by_amplitude(responses: Sequence[FrequencyResponse]) -> list[list[FrequencyResponse]]:
+def group_by_amplitude(responses: Sequence[FrequencyResponse]) -> list[list[FrequencyResponse]]:
     """Groups of equal amplitude in ascending order; responses without amplitude stand alone."""
     known = sorted((r for r in responses if r.amplitude is not None), key=lambda r: r.amplitude or 0.0)
     groups: list[list[FrequencyResponse]] = []

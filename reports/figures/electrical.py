@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from reports.figures.palette import BETTER, MODEL, RAW, SECOND, group
+from reports.figures.palette import BETTER, LOWER, LOWEST, MODEL, RAW, SECOND, group
 from reports.figures.plot import WIDE, Panel, linear, logarithmic, note, symmetric
 from reports.figures.responses import Lines, beyond
 from reports.figures.svg import Drawing
@@ -95,3 +95,45 @@ def blocked_force(drives: Sequence[Drive], fitted: float | None, fitted_sd: floa
     upper.axes("Blocked force per voltage squared, mN/kV²", x_labels=False)
     lower.axes("Its phase, degrees", "Frequency, Hz", y_most=4)
     return drawing.image(alt)
+
+
+@dataclass(frozen=True)
+class Ordered:
+    """One recording in one form: its name, the measured lines, and the model of each order on them."""
+
+    name: str
+    lines: Lines
+    models: dict[int, Complex]
+
+
+def orders(recordings: Sequence[Ordered], chosen: int | None, *, phase: bool, title: str, alt: str) -> Markup:
+    """Magnitude or phase of the force per voltage squared at each voltage, and the models of each order (thesis, fig 4-17)."""
+    drawing = Drawing(WIDE, 290)
+
+    def shown(value: Complex) -> Float:
+        return np.degrees(np.unwrap(np.angle(value))) if phase else 1e3 * np.abs(value)
+
+    x = logarithmic(*(r.lines.frequency for r in recordings), margin=0.015)
+    values = [shown(r.lines.value)[r.lines.usable] for r in recordings]
+    panel = Panel(drawing, 46, 24, 352, 216, x, linear(*values, zero=True, margin=0.1))
+    entries = []
+    for i, recording in enumerate(recordings):
+        drawn, good, f = group(i), recording.lines.usable, recording.lines.frequency
+        value = shown(recording.lines.value)
+        panel.dots(f[~good], value[~good], RAW, 3.2, marker=drawn.marker)
+        panel.held(f[good], value[good], drawn.colour, 4.0)
+        if good.any() and len(recordings) > 1:
+            entries.append((float(value[good][-1]), recording.name, drawn.colour, False))
+    first = recordings[0]
+    for order, model in sorted(first.models.items()):
+        colour, width, dash = (MODEL, 2.1, None) if order == chosen else ORDER_LINES.get(order, (SECOND, 1.5, "2 4"))
+        panel.curve(first.lines.frequency, shown(model), colour, width, dash=dash)
+        mark = " ✓" if order == chosen else ""
+        entries.append((float(shown(model)[-1]), f"order {order}{mark}", colour, order == chosen))
+    panel.names(entries)
+    panel.axes(title, "Frequency, Hz")
+    return drawing.image(alt)
+
+
+ORDER_LINES = {1: (LOWEST, 1.8, "1.5 3"), 2: (LOWER, 1.7, "6 3"), 3: (LOWER, 1.7, "9 3")}
+"""Colour, width and dashes of the orders that are not the chosen one."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from reports.figures.palette import BAND, BETTER, INK, MODEL, RAW, SECOND, WRONG, group
+from reports.figures.palette import BAND, BETTER, INK, LOWER, MODEL, RAW, SECOND, WRONG, group
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, note
 from reports.figures.svg import Drawing
 from schemas.arrays import Bool, Float
@@ -132,6 +132,71 @@ def agreement(
     panel.names(entries)
     panel.axes("Sensitivity measured", "Sensitivity predicted from the geometry")
     return drawing.image(alt)
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Outputs of a free film and of one whose passive part is held, (n,) each over voltage, and what is expected of the held one."""
+
+    voltage_kv: Float
+    free: Float
+    held: Float
+    expected: Float
+    title: str
+
+
+def constraint(pairings: Sequence[Pairing], *, alt: str) -> Markup:
+    """Force and capacitance of a held and a free film over voltage, one above the other (thesis, fig 5-11)."""
+    height, gap = 128.0, 52.0
+    drawing = Drawing(WIDE, 24 + len(pairings) * (height + gap))
+    for i, one in enumerate(pairings):
+        x = linear(one.voltage_kv, margin=0.05)
+        panel = Panel(drawing, 52, 24 + i * (height + gap), 320, height, x, linear(one.free, one.held, zero=True))
+        panel.curve(one.voltage_kv, one.expected, MODEL, 1.8)
+        panel.dots(one.voltage_kv, one.held, INK, 5.0)
+        panel.dots(one.voltage_kv, one.free, SECOND, 5.0, open_=True)
+        names: list[tuple[Float, str, str, bool]] = [
+            (one.held, "held", INK, False),
+            (one.free, "free", SECOND, False),
+            (one.expected, "expected", MODEL, True),
+        ]
+        panel.names([(float(values[-1]), name, colour, bold) for values, name, colour, bold in names])
+        panel.axes(one.title, "Voltage, kV" if i == len(pairings) - 1 else "")
+    return drawing.image(alt)
+
+
+def sensitivity_map(names: Sequence[str], sensing: Float, rest: Float, measured: Float, *, alt: str) -> Markup:
+    """Sensitivity 1/(R + R_d) over geometry as lines of equal values, with specimens (n,) at their places (thesis, eq 5.19 to 5.23).
+
+    `sensing`: R, length of the sensing region over that of the active one; `rest`: R_d, that of what is free and neither; `measured`:
+    the sensitivities found.
+    """
+    drawing = Drawing(WIDE, 290)
+    reach = 1.25 * max(1.0, float(sensing.max()), float(rest.max()))
+    panel = Panel(drawing, 52, 24, 300, 218, Scale(0.0, reach), Scale(0.0, reach))
+    for value in (0.25, 0.33, 0.5, 1.0, 2.0):
+        ends = np.array([0.0, min(1 / value, reach)])
+        panel.curve(ends, 1 / value - ends, LOWER, 1.2)
+        low = max(0.0, 1 / value - reach)
+        if low < 0.9 * reach:
+            panel.label(low, 1 / value - low, compact(value, 2), MODEL, dx=5, dy=14 if low == 0 else 18, size=11.3)
+    for i, name in enumerate(names):
+        panel.dots([sensing[i]], [rest[i]], INK, 5.4)
+        panel.label(
+            float(sensing[i]),
+            float(rest[i]),
+            f"{name}: {compact(float(measured[i]), 2)}",
+            INK,
+            dx=8,
+            dy=4 + 14 * _above(i, sensing, rest),
+        )
+    panel.axes("R_d: free rest over active length", "R: sensing over active length")
+    return drawing.image(alt)
+
+
+def _above(i: int, sensing: Float, rest: Float) -> int:
+    """How many earlier specimens stand at the same place: names go below each other."""
+    return sum(abs(sensing[j] - sensing[i]) + abs(rest[j] - rest[i]) < 0.05 for j in range(i))
 
 
 def coats(

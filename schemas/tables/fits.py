@@ -7,6 +7,24 @@ from schemas.tables.table import RECORDING_ID, SPECIMEN_ID, MadeBy, Table, real,
 ARMS = 8
 """Most arms of a stored relaxation model."""
 
+_MODEL = (
+    *with_sd("k0_n_per_mm", "N/mm", "main spring"),
+    *(
+        c
+        for i in range(1, ARMS + 1)
+        for c in (
+            *with_sd(f"k{i}_n_per_mm", "N/mm", f"spring of arm {i}, longest relaxation first; NULL for a pure dashpot"),
+            *with_sd(f"c{i}_n_s_per_mm", "N s/mm", f"damper of arm {i}"),
+        )
+    ),
+)
+_ERRORS = (
+    real(
+        "magnitude_error_n_per_mm", "N/mm", "mean | |k_model| - |k_measured| | over the usable lines (thesis, eq 4.14)"
+    ),
+    real("phase_error_deg", "deg", "mean |arg(k_model/k_measured)| over the usable lines (thesis, eq 4.14)"),
+)
+
 TABLES: tuple[Table, ...] = (
     Table(
         "model_fits",
@@ -23,25 +41,8 @@ TABLES: tuple[Table, ...] = (
                 " magnitude); a statement about noise and a chosen order are of noise alone, and of large cycles",
             ),
             whole("model_order", "number of arms, pure dashpots included"),
-            *with_sd("k0_n_per_mm", "N/mm", "main spring"),
-            *(
-                c
-                for i in range(1, ARMS + 1)
-                for c in (
-                    *with_sd(
-                        f"k{i}_n_per_mm",
-                        "N/mm",
-                        f"spring of arm {i}, longest relaxation first; NULL for a pure dashpot",
-                    ),
-                    *with_sd(f"c{i}_n_s_per_mm", "N s/mm", f"damper of arm {i}"),
-                )
-            ),
-            real(
-                "magnitude_error_n_per_mm",
-                "N/mm",
-                "mean | |k_model| - |k_measured| | over the usable lines (thesis, eq 4.14)",
-            ),
-            real("phase_error_deg", "deg", "mean |arg(k_model/k_measured)| over the usable lines (thesis, eq 4.14)"),
+            *_MODEL,
+            *_ERRORS,
             *with_sd("clamp_mass_kg", "kg", "fitted clamp mass"),
             *with_sd("load_cell_stiffness_n_per_mm", "N/mm", "fitted load-cell stiffness"),
             *with_sd("load_cell_damping_n_s_per_mm", "N s/mm", "fitted load-cell damping"),
@@ -71,6 +72,26 @@ TABLES: tuple[Table, ...] = (
             MadeBy("diagnosis", where="coalesce(extension, '') <> ''"),
         ),
         pages=("index", "campaign", "specimen", "control"),
+    ),
+    Table(
+        "amplitude_fits",
+        "Maxwell-Wiechert models of each amplitude by itself, beside those of their average in model_fits: a row per specimen,"
+        " amplitude and order",
+        (
+            SPECIMEN_ID,
+            real("amplitude", "", "amplitude of the input as in frequency_responses: half of strain_pp"),
+            whole("recordings", "recordings of this amplitude"),
+            whole("model_order", "number of arms, pure dashpots included"),
+            *_MODEL,
+            *_ERRORS,
+            whole("frequency_lines", "complex values fitted"),
+            real("reduced_chi2", "", "chi-squared over degrees of freedom"),
+            truth("selected", "the order that is needed at this amplitude"),
+            text("warnings", "what limits the fit"),
+        ),
+        key=("specimen_id", "amplitude", "model_order"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen",),
     ),
     Table(
         "order_ladders",

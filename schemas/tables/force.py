@@ -2,9 +2,61 @@
 
 from __future__ import annotations
 
-from schemas.tables.table import CONFIGURATION, SPECIMEN_ID, MadeBy, Table, real, text, whole, with_bounds, with_sd
+from schemas.tables.table import (
+    CONFIGURATION,
+    SPECIMEN_ID,
+    MadeBy,
+    Table,
+    real,
+    text,
+    truth,
+    whole,
+    with_bounds,
+    with_sd,
+)
 
 TABLES: tuple[Table, ...] = (
+    Table(
+        "permittivities",
+        "relative permittivity from a specimen's own forces under voltage (thesis, eq 4.7 and 4.8); of force maps see force_maps",
+        (
+            SPECIMEN_ID,
+            text("method", "sphs (blocked force of harmonic sequences) or static (steps)"),
+            real("voltage_kv", "kV", "peak voltage; NULL: all sequences together"),
+            real("force_per_voltage_squared_n_per_kv2", "N/kV^2", "actuation force over voltage squared"),
+            *with_bounds(
+                "relative_permittivity", "", "permittivity over that of vacuum; sizes of the film taken as exact"
+            ),
+            real("stated_permittivity", "", "as the metadata have it"),
+            whole("values", "lines or steps that went into it"),
+        ),
+        key=("specimen_id", "method", "voltage_kv"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "specifications",
+        "a specimen as an actuator against what suppressing the tremor of a hand asks for (thesis, section 1.3): 0.4 N, 1 mm, 10 Hz",
+        (
+            SPECIMEN_ID,
+            text("quantity", "force, stroke at rest, stroke, bandwidth or efficiency"),
+            *with_bounds("value", "see unit", "of the specimen at voltage_kv"),
+            text("unit", "of value"),
+            real("voltage_kv", "kV", "largest voltage it was driven with"),
+            real("required", "see unit", "what is asked for; NULL: nothing"),
+            truth("meets", "the whole interval meets it"),
+            whole(
+                "multiple",
+                "layers or strips that would meet it, each giving half of its force and half of its stroke at once, counted from"
+                " the lower limit; NULL where nothing can be multiplied",
+            ),
+            text("multiplied", "layers (side by side: force) or strips (behind each other: stroke)"),
+            text("note", "how the value is meant"),
+        ),
+        key=("specimen_id", "quantity"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen", "campaign"),
+    ),
     Table(
         "force_maps",
         "static actuation force by pre-stretch",

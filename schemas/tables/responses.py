@@ -4,7 +4,55 @@ from __future__ import annotations
 
 from schemas.tables.table import RECORDING_ID, SPECIMEN_ID, MadeBy, Table, real, text, truth, whole
 
+_FORM = text(
+    "form",
+    "recorded (H against a/(c + k/kL)), without_resonance (the clamp's inertia taken out: F_DE/V^2 of the thesis) or"
+    " resonance_ignored (H against a model without clamp)",
+)
+_VOLTAGE = real("voltage_kv", "kV", "peak voltage")
+
 TABLES: tuple[Table, ...] = (
+    Table(
+        "voltage_orders",
+        "models of each order against the force under voltage: a row per recording, order and form",
+        (
+            SPECIMEN_ID,
+            RECORDING_ID,
+            _VOLTAGE,
+            whole("model_order", "number of arms"),
+            _FORM,
+            real(
+                "magnitude_error_n_per_kv2",
+                "N/kV^2",
+                "mean | |model| - |measured| | over the usable lines (thesis, eq 4.14)",
+            ),
+            real("relative_error", "", "root mean square of |model/measured - 1| over the usable lines"),
+            real("phase_error_deg", "deg", "mean |arg(model/measured)| over the usable lines (thesis, eq 4.14)"),
+            whole("frequency_lines", "usable lines"),
+        ),
+        key=("specimen_id", "form", "model_order", "voltage_kv", "recording_id"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "voltage_curves",
+        "force per voltage squared, measured and by the models of each order",
+        (
+            SPECIMEN_ID,
+            RECORDING_ID,
+            _VOLTAGE,
+            _FORM,
+            whole("model_order", "number of arms; NULL: measured"),
+            real("frequency_hz", "Hz", "frequency"),
+            real("real", "N/kV^2", "real part"),
+            real("imag", "N/kV^2", "imaginary part"),
+            real("standard_error", "N/kV^2", "standard error, both components together; NULL for a model"),
+            truth("usable", "the recording is usable at this line"),
+        ),
+        key=("specimen_id", "recording_id", "form", "model_order", "frequency_hz"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen",),
+    ),
     Table(
         "frequency_responses",
         "response of a recording, or averaged over a specimen's recordings, by frequency",

@@ -11,9 +11,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.stats import kstest, weibull_min
 
-from pipeline.simulate.campaign import SimulatedRecording, load_campaign, read_campaign, simulate
+from pipeline.simulate.campaign import SimulatedRecording, load_campaign, read_campaign, simulate, simulate_one
 from pipeline.simulate.lifetime import LifetimeGroup
+from pipeline.transform.cyclic import cyclic_response
 
+THESIS = load_campaign("thesis")
 QUIET = {"noise_sd": 0.0, "bits": 0}
 RIG: dict[str, Any] = {
     "clamp_mass_kg": 0.1874,
@@ -212,7 +214,7 @@ def test_lives_follow_their_distribution(draw: str) -> None:
 
 
 def test_the_three_cases_look_like_those_of_the_thesis() -> None:
-    campaign = load_campaign("thesis")
+    campaign = THESIS
     groups: dict[str, list[Any]] = {}
     for planned in campaign.planned:
         if planned.procedure.protocol == "lifetime":
@@ -443,3 +445,15 @@ def test_calibrations_show_the_clamp_alone_and_the_weights() -> None:
     plateaus = [force[int(t * 200) : int((t + 0.4) * 200)].mean() for t in (4.5, 9.5, 14.5, 19.5)]
     assert plateaus == pytest.approx([0, 0.05 * 9.80665, 0.1 * 9.80665, 0], abs=2e-3)
     assert weight.recording.metadata.masses_kg == (0.05, 0.1)
+
+
+@pytest.mark.parametrize(("specimen", "scale"), [("ST-1", 1.0), ("ST-2", 0.995)])
+def test_stacks_soften_with_strain_as_measured(specimen: str, scale: float) -> None:
+    """Thesis, fig 4-8: at 5 Hz 3.0 N/mm at 10 % strain and 2.3 N/mm at 50 %, while the phase hardly moves."""
+    names = [f"{specimen}-cyclic-5Hz-{strain}" for strain in (0.1, 0.3, 0.5)]
+    planned = {p.recording_id: p for p in THESIS.planned}
+    found = [cyclic_response(simulate_one(THESIS, planned[name]).recording)[0] for name in names]
+    magnitude = np.array([abs(one.value[0]) for one in found])
+    phase = np.array([np.degrees(np.angle(one.value[0])) for one in found])
+    assert magnitude == pytest.approx(scale * np.array([3.0, 2.52, 2.3]), rel=0.015)
+    assert np.ptp(phase) < 1.0

@@ -29,8 +29,18 @@ from reports.figures.plot import Scale, logarithmic
 from reports.figures.responses import Multiple, multiple
 from reports.findings import causes_named
 from reports.names import short
-from reports.pages import listing
-from reports.pages.campaign import comparing, conflicts, depends, laws, literature, lives, places, plans
+from reports.pages import listing, requirement
+from reports.pages.campaign import (
+    comparing,
+    conflicts,
+    constraint,
+    depends,
+    laws,
+    literature,
+    lives,
+    places,
+    plans,
+)
 from reports.pages.draft import Draft
 from reports.pages.specimen import force
 from reports.results import Query, days
@@ -75,6 +85,8 @@ def page(site: Site, campaign: str) -> Page:
             ),
             comparing.forces(draft),
             comparing.self_sensing(draft),
+            constraint.section(draft),
+            requirement.of_campaign(draft),
             conflicts.section(draft),
             _recordings(draft, recordings, found),
         )

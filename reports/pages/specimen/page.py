@@ -9,7 +9,7 @@ from reports.blocks import Link, Page, Piece, Section, Text, flow, name, separat
 from reports.evidence import Standing, choice, measured, told, unasked
 from reports.figures.curves import Rig, rig
 from reports.names import short
-from reports.pages import assumed, listing
+from reports.pages import assumed, listing, requirement
 from reports.pages.draft import Draft
 from reports.pages.recording import calibrating
 from reports.pages.specimen import (
@@ -24,10 +24,13 @@ from reports.pages.specimen import (
     ladder,
     loops,
     models,
+    permittivity,
     relaxing,
     stepping,
+    strains,
     temperatures,
     unused,
+    voltage_orders,
 )
 from reports.results import Query, Row, days
 from reports.site import SPECIMENS, Site, flat_metadata, stated_rig
@@ -129,10 +132,17 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         if chosen:
             candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
             candidates.append(models.weightings(draft))
+        if has("amplitude_fits"):
+            candidates.append(strains.section(draft))
         candidates.append(correction.section(draft, chosen, mechanical, constants, damaged))
         candidates.append(relaxing.of_specimen(draft, recordings, chosen))
         voltage = measured(draft.results, draft.item, "electrical")
-        candidates += [electrical.response(draft, fits, chosen, voltage, constants), unused.section(draft)]
+        candidates.append(electrical.response(draft, fits, chosen, voltage, constants))
+        if has("voltage_orders"):
+            candidates.append(voltage_orders.section(draft))
+        if has("permittivities"):
+            candidates.append(permittivity.section(draft))
+        candidates.append(unused.section(draft))
     elif recorded("cycle_fits") and chosen and chosen["method"] == "time_domain":
         candidates.append(cycles.of_specimen(draft))
     else:
@@ -155,6 +165,8 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         candidates.append(electrodes.migration(draft))
     if recorded("calibrations"):
         candidates.append(calibrating.of_specimen(draft))
+    if has("specifications"):
+        candidates.append(requirement.of_specimen(draft))
     if has("force_maps"):
         candidates.append(force.section(draft, "specimen_id = $item", draft.item))
     if has("lifetimes"):
