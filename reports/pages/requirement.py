@@ -8,7 +8,7 @@ from reports.blocks import Head, Piece, Row, Section, Table
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, with_unit
+from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, counted, with_unit
 
 _SQL = """SELECT quantity, value, value_lower, value_upper, unit, voltage_kv, required, meets, multiple, multiplied, note
 FROM specifications
@@ -53,7 +53,7 @@ def of_specimen(draft: Draft) -> Section | None:
 
 def _value(row: Record) -> str:
     scale = 1.0 if row["unit"] else 100.0
-    return bounds(*(row[f"value{end}"] for end in ("", "_lower", "_upper")), scale)
+    return bounds(row["value"], row["value_lower"], row["value_upper"], scale)
 
 
 def _meets(row: Record) -> str:
@@ -108,6 +108,5 @@ def of_campaign(draft: Draft) -> Section | None:
     alone = sum(
         bool(by.get((n, "force"), {}).get("meets")) and bool(by.get((n, "stroke"), {}).get("meets")) for n in names
     )
-    count = f"{alone} of {len(names)}" if alone else f"None of {len(names)}"
-    where = f"{count} specimens {'meet' if alone != 1 else 'meets'} the requirement of a tremor alone"
+    where = f"{capital(counted(alone, 'specimen')) if alone else 'No specimen'} of {len(names)} meets the requirement of a tremor alone"
     return Section("requirement", where, "Requirement", (table,))

@@ -130,7 +130,7 @@ def bandwidth(fit: RelaxationFit) -> tuple[float, float] | None:
 def _relative_sd(fit: RelaxationFit, frequency_hz: Float) -> Float:
     """(n,) standard deviation of ln |k| at frequencies (n,)."""
     slopes = (fit.slopes(frequency_hz) / fit.model.stiffness(frequency_hz)[:, None]).real
-    return np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", slopes, fit.covariance, slopes), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", slopes, fit.covariance, slopes), 0.0)))
 
 
 def _judge(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from reports.blocks import Head, Row, Section, Table
+from reports.names import visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from schemas.numbers import ABSENT, bounds, compact, significant
@@ -24,7 +25,7 @@ def section(draft: Draft) -> Section | None:
     rows = tuple(
         Row(
             (
-                _METHODS.get(r["method"], r["method"]),
+                _METHODS.get(r["method"], visible(r["method"] or "")),
                 "all" if r["voltage_kv"] is None else compact(r["voltage_kv"], 2),
                 significant(1e3 * r["force_per_voltage_squared_n_per_kv2"]),
                 bounds(*(r[f"relative_permittivity{end}"] for end in ("", "_lower", "_upper"))),

@@ -102,7 +102,7 @@ def _words(found: Sequence[Record]) -> str:
 
 def _heading(found: Sequence[Record], chosen: int | None) -> str:
     every = sorted({r["model_order"] for r in found})
-    order = chosen if chosen in every else every[-1]
+    order = every[-1] if chosen is None or chosen not in every else chosen
     kept = percent(_mean(found, "recorded", order, "relative_error"))
     ignored = percent(_mean(found, "resonance_ignored", order, "relative_error"))
     return (
