@@ -8,7 +8,7 @@ from reports.blocks import Head, Piece, Row, Section, Table
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, counted, with_unit
+from schemas.numbers import ABSENT, NBSP, capital, compact, counted, significant, with_unit
 
 _SQL = """SELECT quantity, value, value_lower, value_upper, unit, voltage_kv, required, meets, multiple, multiplied, note
 FROM specifications
@@ -52,8 +52,10 @@ def of_specimen(draft: Draft) -> Section | None:
 
 
 def _value(row: Record) -> str:
+    """Value with its limits to three digits: a requirement is not known better. Limits that round to the value are left out."""
     scale = 1.0 if row["unit"] else 100.0
-    return bounds(row["value"], row["value_lower"], row["value_upper"], scale)
+    value, low, high = (significant(scale * row[f"value{end}"]) for end in ("", "_lower", "_upper"))
+    return value if low == high else f"{value} ({low}–{high})"
 
 
 def _meets(row: Record) -> str:

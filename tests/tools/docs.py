@@ -18,6 +18,7 @@ from pathlib import Path
 from pipeline.diagnose.rules import write_table
 from schemas.views import EXAMPLES, view_reference
 from tests.studies.__main__ import HERE, RESULTS, about, parts
+from tests.thesis.__main__ import table as table_of_the_thesis
 from tests.tools import measured
 from tests.tools.first_file import shown
 from tests.tools.house import house_map
@@ -69,6 +70,7 @@ PARTS: Mapping[str, Mapping[str, Callable[[], str]]] = {
         "diagnosis study": functools.partial(study, "diagnosis"),
         "rules": write_table,
     },
+    "reports/README.md": {"thesis": table_of_the_thesis},
     "tests/README.md": {
         "benchmarks": measured.ratios,
         "faults": measured.faults,

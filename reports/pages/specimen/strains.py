@@ -16,7 +16,7 @@ from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, compact, percent, pm, significant
+from schemas.numbers import ABSENT, NBSP, compact, percent, significant
 
 _SQL = """SELECT *
 FROM amplitude_fits
@@ -109,7 +109,7 @@ def _table(query: Query, fits: Sequence[Record], average: Record | None) -> Tabl
             (
                 "average" if f is average else _strain(f["amplitude"]),
                 str(f["model_order"]),
-                *(ABSENT if f[c] is None else pm(f[c], f[f"{c}_sd"]) for _, _, c in columns),
+                *(ABSENT if f[c] is None else significant(f[c], 3) for _, _, c in columns),
                 significant(f["magnitude_error_n_per_mm"], 2),
                 significant(f["phase_error_deg"], 2),
             ),
@@ -122,7 +122,7 @@ def _table(query: Query, fits: Sequence[Record], average: Record | None) -> Tabl
         Head("Magnitude error, N/mm", "n"), Head("Phase error, °", "n"),
     )  # fmt: skip
     below = (
-        "k in N/mm, c in N s/mm, ± one standard deviation; –: a pure dashpot. Fitted to the corrected responses of each strain alone,"
+        "k in N/mm, c in N s/mm; –: a pure dashpot; their standard deviations are in the database. Fitted to the corrected responses of each strain alone,"
         " weighted by their noise. The average is of complex values over the strains, each strain's deviation from it counted."
     )
     return Table("Models of each strain, and of their average", heads, rows, query.shown(), below=below, kind="wide")
