@@ -71,7 +71,7 @@ def analyse_specimen(
     by_amplitude = analysis.attempt(
         "models of each amplitude",
         fit_amplitudes,
-        corrected,
+        of_known_strain(corrected, recordings),
         orders=orders,
         geometry=_geometry(recordings),
         specimen_id=specimen_id,
@@ -102,6 +102,19 @@ def analyse_specimen(
     analysis.add({"predictions": TABLES["predictions"].from_objects(made)})
     analyse_self_sensing(analysis, specimen_id, recordings, forward)
     return analysis
+
+
+def of_known_strain(responses: Sequence[FrequencyResponse], recordings: Sequence[Measured]) -> list[FrequencyResponse]:
+    """Responses to sinusoids whose amplitude is a strain; that of a sweep is a displacement, and falls with the frequency."""
+    abouts = {one.recording_id: one.metadata for one in recordings}
+    known = {
+        name
+        for name, about in abouts.items()
+        if isinstance(about, RecordingMetadata)
+        and about.protocol == "cyclic"
+        and (about.strain_pp is not None or about.film_length_mm is not None)
+    }
+    return [one for one in responses if one.recording_id in known]
 
 
 def rig_of(recording: Measured, calibrations: Sequence[Measured]) -> RigConstants | None:

@@ -79,7 +79,7 @@ TABLES: tuple[Table, ...] = (
         " amplitude and order",
         (
             SPECIMEN_ID,
-            real("amplitude", "", "amplitude of the input as in frequency_responses: half of strain_pp"),
+            real("amplitude", "", "strain amplitude of sinusoids, half of strain_pp; sweeps are not among them"),
             whole("recordings", "recordings of this amplitude"),
             whole("model_order", "number of arms, pure dashpots included"),
             *_MODEL,

@@ -52,7 +52,7 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("recording_id", "cycle"),
         made_by=(MadeBy("specimen"),),
-        pages=("specimen", "recording"),
+        pages=("campaign", "specimen", "recording"),
         result_where="force_step_n IS NOT NULL OR capacitance_step_pf IS NOT NULL",
     ),
     Table(

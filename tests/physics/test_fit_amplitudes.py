@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pipeline.analyse.inputs import Measured
 from pipeline.analyse.model_fits import amplitude_fits_table
+from pipeline.analyse.specimen import of_known_strain
 from pipeline.fit.relaxation.amplitudes import fit_amplitudes
 from pipeline.physics.film import RelaxationModel
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
+from schemas.metadata import RecordingMetadata, RigConstants
 
 FILM = RelaxationModel(0.4, (0.4, 1.0), (2.5, 0.1))
 FREQUENCIES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
@@ -59,3 +64,19 @@ def test_one_amplitude_or_too_few_frequencies_say_nothing_beside_the_average() -
     assert fit_amplitudes(cycles({0.1: 1.0, 0.2: 0.9}, (0.1, 1.0))) == ()
     unknown = [r for r in cycles({0.1: 1.0}) if r.frequency_hz[0] > 1]
     assert fit_amplitudes(unknown) == ()
+
+
+def test_only_the_amplitude_of_a_sinusoid_is_a_strain() -> None:
+    """Of a sweep it is a displacement: 0.3 mm are not 30 %."""
+    about = {"loading": "mechanical", "specimen_id": "s", "started_at": "2026-03-01T08:00:00Z"}
+    kinds = {
+        "a": {"protocol": "cyclic", "strain_pp": 0.1},
+        "b": {"protocol": "chirp", "strain_pp": 0.01},
+        "c": {"protocol": "cyclic"},
+    }
+    recordings = [
+        Measured(RecordingMetadata.parse({**about, "recording_id": name, **keys}), RigConstants(), ())
+        for name, keys in kinds.items()
+    ]
+    responses = [replace(cycles({0.05: 1.0})[0], recording_id=name) for name in ("a", "b", "c", "d")]
+    assert [r.recording_id for r in of_known_strain(responses, recordings)] == ["a"]
