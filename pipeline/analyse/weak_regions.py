@@ -1,4 +1,4 @@
-"""Weak regions of films over rods: thickness by finite elements against the places where specimens failed."""
+"""Weak regions of films over rods: thickness by finite elements against the places where specimens failed, and their lives."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.film_lives import LayoutLives, film_life_tables
 from pipeline.analyse.inputs import Measured
+from pipeline.fit.survival.film_life import lay_film
 from pipeline.fit.survival.weak_regions import (
     THIN,
     FilmGrid,
@@ -42,10 +44,31 @@ def analyse_weak_regions(recordings: Sequence[Measured]) -> Analysis:
         about = one.metadata
         if isinstance(about, RecordingMetadata) and about.rods is not None and about.configuration is not None:
             groups.setdefault((about.campaign or "", about.configuration), []).append(one)
+    layouts: dict[str, list[LayoutLives]] = {}
     for (campaign, configuration), members in sorted(groups.items()):
         what = f"weak regions of {configuration}" + (f" ({campaign})" if campaign else "")
         analysis.attempt(what, _configuration, analysis, campaign or None, configuration, members)
+        lives = analysis.attempt(f"life from the film: {configuration}", _lay, configuration, members)
+        if lives is not None:
+            layouts.setdefault(campaign, []).append(lives)
+    for campaign, tested in layouts.items():
+        tables = analysis.attempt("life from the film", film_life_tables, campaign or None, tested)
+        if tables is not None:
+            analysis.add(tables)
     return analysis
+
+
+def _lay(configuration: str, members: Sequence[Measured]) -> LayoutLives:
+    """The configuration's film under its electrodes, by the better of the two schemes, and its lives."""
+    about = members[0].metadata
+    assert isinstance(about, RecordingMetadata)
+    if about.layer_thickness_mm is None:
+        raise NotIdentifiableError(
+            "film_thickness_mm not given", where=about.recording_id, expected="the thickness of the undeformed film"
+        )
+    film = rod_film(about)
+    layout = lay_film(configuration, _maps(film)[0], electrodes(film, about.electrode_gap_mm), about.layer_thickness_mm)
+    return LayoutLives(layout, [life for one in members for life in one.of(LifetimeRow)])
 
 
 def _configuration(analysis: Analysis, campaign: str | None, configuration: str, members: Sequence[Measured]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.tables.table import CAMPAIGN, CONFIGURATION, MadeBy, Table, real, text, truth, whole
+from schemas.tables.table import CAMPAIGN, CONFIGURATION, MadeBy, Table, real, text, truth, whole, with_bounds
 
 TABLES: tuple[Table, ...] = (
     Table(
@@ -58,6 +58,50 @@ TABLES: tuple[Table, ...] = (
             CAMPAIGN,
         ),
         key=("campaign", "configuration", "scheme", "y_mm", "x_mm"),
+        made_by=(MadeBy("group", group="weak_regions"),),
+        pages=("campaign",),
+    ),
+    Table(
+        "film_lives",
+        "law of life of the film itself, fitted to all layouts of a campaign at once: each mm2 by its local field",
+        (
+            CAMPAIGN,
+            text("layouts", "configurations whose lives it is fitted to"),
+            whole("failures", "failures in the film"),
+            real("reference_mv_per_m", "MV/m", "field at which life_s is given"),
+            *with_bounds("life_s", "s", "Weibull scale of the life of 1 mm2 of undeformed film at that field"),
+            *with_bounds("exponent", "", "of the inverse power law of life over field"),
+            *with_bounds("shape", "", "Weibull shape"),
+            text("warnings", "what was assumed, or why there is no law"),
+        ),
+        key=("campaign",),
+        made_by=(MadeBy("group", group="weak_regions"),),
+        pages=("campaign",),
+    ),
+    Table(
+        "film_life_predictions",
+        "each layout as the film's law has it that was fitted without it, beside what was found; limits are 90 %",
+        (
+            CAMPAIGN,
+            CONFIGURATION,
+            real("voltage_kv", "kV", "voltage"),
+            text("fitted_on", "the other layouts, which the law is from; NULL where they carry none, see warnings"),
+            whole("specimens", "specimens that were tested"),
+            real("predicted_median_s", "s", "median life of all such specimens"),
+            real("predicted_median_s_low", "s", "lower limit of the median of a sample of that many"),
+            real("predicted_median_s_high", "s", "upper limit of the median of a sample of that many"),
+            real("observed_median_s", "s", "median of the sample (Kaplan-Meier); NULL: not reached"),
+            real("end_s", "s", "end of the longest test"),
+            real("predicted_failed", "", "share of the film failed by then"),
+            real("predicted_failed_low", "", "lower limit of it in a sample of that many"),
+            real("predicted_failed_high", "", "upper limit of it in a sample of that many"),
+            real("observed_failed", "", "share failed in the sample by then (Kaplan-Meier)"),
+            truth(
+                "within", "what was found lies within the limits: of the median where it was reached, else of the share"
+            ),
+            text("warnings", "why there is no prediction"),
+        ),
+        key=("campaign", "configuration", "voltage_kv"),
         made_by=(MadeBy("group", group="weak_regions"),),
         pages=("campaign",),
     ),

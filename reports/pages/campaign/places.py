@@ -11,7 +11,7 @@ from reports.figures import film, palette
 from reports.figures import survival as figures
 from reports.figures.survival import Share
 from reports.names import short, visible
-from reports.pages.campaign import causes
+from reports.pages.campaign import causes, film_lives
 from reports.pages.campaign.lives import Lives
 from reports.pages.draft import Draft
 from reports.results import Query
@@ -65,6 +65,7 @@ def failures(draft: Draft, found: Lives) -> Section | None:
     layouts = _layouts(draft)
     if layouts is not None:
         blocks.append(layouts)
+    blocks += film_lives.blocks(draft)
     return Section("where", _where_heading(known), "Where the film fails", tuple(blocks))
 
 
