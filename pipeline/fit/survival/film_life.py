@@ -233,7 +233,7 @@ def predict_film_life(
     share = None
     if end_s is not None:
         failed = (lives <= np.log(end_s)).mean(axis=1)
-        share = Estimate(float(failed.mean()), *(float(q) for q in np.quantile(failed, _tails())))
+        share = Estimate(float(np.median(failed)), *(float(q) for q in np.quantile(failed, _tails())))
     return FilmLifePrediction(
         layout.name,
         voltage_kv,
