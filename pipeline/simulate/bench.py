@@ -55,6 +55,24 @@ Stage = Callable[[Signals], Signals]
 
 
 @dataclass(frozen=True)
+class Softening:
+    """What is left of a film's stiffness in a test by how far it swings: the describing function of that test.
+
+    `drop` is lost at `largest_mm`; `half_at` of it brings half of what a far larger swing would. Nothing stays from one test to
+    the next.
+    """
+
+    drop: float
+    largest_mm: float
+    half_at: float
+
+    def left(self, displacement_mm: Float) -> float:
+        """Share of the stiffness in a test with that displacement (n,)."""
+        swing = float(np.abs(displacement_mm - displacement_mm[0]).max()) / self.largest_mm
+        return 1 - self.drop * swing * (1 + self.half_at) / (swing + self.half_at)
+
+
+@dataclass(frozen=True)
 class Film:
     """A film as the rig feels it.
 
@@ -70,6 +88,7 @@ class Film:
     shared : the sensing part is the active one
     permittivity_per_kv2, permittivity_time_s : change of the permittivity under a field, as a share per kV², and its
         time constant in s
+    softening : how the film softens with its swing; None: not at all
     """
 
     parts: tuple[RelaxationModel, ...] = ()
@@ -82,6 +101,17 @@ class Film:
     shared: bool = False
     permittivity_per_kv2: float = 0.0
     permittivity_time_s: float = 1.0
+    softening: Softening | None = None
+
+    def parts_in(self, displacement_mm: Float | None) -> tuple[RelaxationModel, ...]:
+        """The parts as they are in a test with that displacement (n,), None where nothing is moved."""
+        if self.softening is None or displacement_mm is None:
+            return self.parts
+        left = self.softening.left(displacement_mm)
+        return tuple(
+            replace(part, k0=left * part.k0, k=tuple(left * k for k in part.k), c_inf=left * part.c_inf)
+            for part in self.parts
+        )
 
 
 @dataclass(frozen=True)
@@ -149,7 +179,8 @@ class Bench:
 
     def _move(self, signals: Signals) -> Signals:
         inputs = [signals.values.get("displacement"), signals.values.get("actuation")]
-        outputs = integrate(self.equations(), inputs, signals.interval_s)
+        film = replace(self.film, parts=self.film.parts_in(inputs[0]))
+        outputs = integrate(replace(self, film=film).equations(), inputs, signals.interval_s)
         moved = signals.with_values(force=self.film.pretension_n + outputs[0])
         if self.film.sensing is None:
             return moved

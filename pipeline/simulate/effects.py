@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.simulate.bench import Bench, Signals, Stage
+from pipeline.simulate.bench import Bench, Signals, Softening, Stage
 from pipeline.simulate.sensors import delayed
 from pipeline.simulate.tables import choice, flag, number, parse
 
@@ -138,8 +138,7 @@ def _baseline_drift(bench: Bench, values: BaselineDrift, rng: np.random.Generato
 class AmplitudeSoftening:
     """The film is softer the farther it swings in a test: by `drop` of its stiffness at `largest_mm` from where it began.
 
-    `half_at`: share of `largest_mm` at which half of the softening that a far larger swing would bring is reached. It is the
-    describing function of a test: all of it has the stiffness of its swing, and nothing stays from one test to the next.
+    `half_at`: share of `largest_mm` at which half of the softening that a far larger swing would bring is reached.
     """
 
     drop: float = number(above=0, at_most=1)
@@ -148,16 +147,8 @@ class AmplitudeSoftening:
 
 
 def _amplitude_softening(bench: Bench, values: AmplitudeSoftening, rng: np.random.Generator) -> Bench:
-    def soften(signals: Signals) -> Signals:
-        if "displacement" not in signals:
-            return signals
-        swing = float(np.abs(signals["displacement"] - signals["displacement"][0]).max()) / values.largest_mm
-        loss = values.drop * swing * (1 + values.half_at) / (swing + values.half_at)
-        rest = bench.film.pretension_n
-        return signals.with_values(force=rest + (signals["force"] - rest) * (1 - loss))
-
-    # As a factor of the force this is the film alone: the clamp's inertia must be small, as it is far below its resonance.
-    return bench.with_stage("mechanics", soften)
+    softening = Softening(values.drop, values.largest_mm, values.half_at)
+    return replace(bench, film=replace(bench.film, softening=softening))
 
 
 @dataclass(frozen=True, kw_only=True)
