@@ -122,9 +122,9 @@ def parse_csv(
     header: list[str] = []
     units: list[str] = []
     if dialect.header:
-        header, body = _row(body, dialect)
+        header, body = _row(body, dialect, where)
     if dialect.unit_row:
-        units, body = _row(body, dialect)
+        units, body = _row(body, dialect, where)
     first = next((line for line in _lines(body) if line.strip()), None)
     if first is None:
         raise RefusedError("there are no rows of data", where=where, expected="rows after the header")
@@ -167,34 +167,54 @@ def _without_extras(text: bytes, dialect: Dialect) -> bytes:
         mark = re.escape(dialect.comment.encode())
         text = re.sub(rb"(?m)^[ \t]*" + mark + rb"[^\r\n]*(?:\r\n|\n|\r|\Z)", b"", text)
     if dialect.delimiter == WHITESPACE:
-        text = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text)
-        text = re.sub(rb"[ \t]+", b"\t", text)
+        text = re.sub(
+            rb"[ \t]+", b"\t", text
+        )  # first: looking for the end of a line behind each blank takes its square
+        text = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", text)
     return text
 
 
-def _row(body: bytes, dialect: Dialect) -> tuple[list[str], bytes]:
+def _row(body: bytes, dialect: Dialect, where: str) -> tuple[list[str], bytes]:
     """The fields of the next line that is not blank, and what follows it. A quoted field may hold line ends."""
-    while body and not (match := _LINE.match(body)).group().strip():  # type: ignore[union-attr]
-        body = body[match.end() :]  # type: ignore[union-attr]
-    end = _LINE.match(body).end()  # type: ignore[union-attr]
-    while end < len(body) and _has_open_quote(body[:end].decode("utf-8", "replace"), dialect):
-        end = _LINE.match(body, end).end()  # type: ignore[union-attr]
-    line = body[:end].decode("utf-8", "replace").rstrip("\r\n")
+    start = next((match.start() for match in _LINE.finditer(body) if match.group().strip()), len(body))
+    quotes = _Quotes(dialect)
+    end = start
+    while end < len(body) and (end == start or quotes.is_open):
+        following = _LINE.match(body, end).end()  # type: ignore[union-attr]
+        quotes.read(body[end:following].decode("utf-8", "replace"))
+        end = following
+    if quotes.is_open:
+        raise RefusedError(
+            "a quotation mark in the header is never closed",
+            where=where,
+            expected="names with none, or in pairs of them",
+            remedy='Where it is part of a name, say quote = "" in [csv] of the mapping TOML',
+        )
+    line = body[start:end].decode("utf-8", "replace").rstrip("\r\n")
     fields = dialect.fields(re.sub(r"[\r\n]+", " ", line))
     return [" ".join(field.split()) for field in fields], body[end:]
 
 
-def _has_open_quote(line: str, dialect: Dialect) -> bool:
-    """Whether a field that begins with a quotation mark does not end here. One inside a field (`G"`) opens nothing."""
-    if not dialect.quote:
-        return False
-    inside, at_start = False, True
-    for character in line:
-        if character == dialect.quote and (inside or at_start):
-            inside, at_start = not inside, inside
-        elif not inside:
-            at_start = character == dialect.separator or (at_start and character == " ")
-    return inside
+class _Quotes:
+    """Whether a field that begins with a quotation mark does not end where reading has come to, asked line by line.
+
+    A mark inside a field (`G"`) opens nothing.
+    """
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._dialect = dialect
+        self.is_open, self._at_start = False, True
+
+    def read(self, text: str) -> None:
+        """Goes on over more text."""
+        quote, separator = self._dialect.quote, self._dialect.separator
+        if not quote or (self.is_open and quote not in text):
+            return
+        for character in text:
+            if character == quote and (self.is_open or self._at_start):
+                self.is_open, self._at_start = not self.is_open, self.is_open
+            elif not self.is_open:
+                self._at_start = character == separator or (self._at_start and character == " ")
 
 
 def _lines(body: bytes) -> Any:

@@ -18,7 +18,7 @@ import io
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import pyarrow as pa
 import pyarrow.csv as pacsv
@@ -125,7 +125,7 @@ def _parsed_one_by_one(
     lost its values, and where rows count as time it still counts.
     """
     text = body.decode("utf-8", "replace")
-    rows = list(_fields_of_lines(text, dialect))
+    rows = _fields_of_lines(text, dialect)
     lengths = Counter(len(row) for row in rows if row)
     usual = max(_HABIT, _HABIT_SHARE * len(rows))
     habits = {k for k, n in lengths.items() if k < width and n >= usual} if lengths[width] >= _HABIT else set()
@@ -168,10 +168,15 @@ def _parsed_one_by_one(
     return table, problems, notes
 
 
-def _fields_of_lines(text: str, dialect: Dialect) -> Iterator[list[str]]:
-    if dialect.quote:
-        return csv.reader(io.StringIO(text, newline=""), delimiter=dialect.separator, quotechar=dialect.quote)
-    return (line.split(dialect.separator) for line in text.splitlines())
+def _fields_of_lines(text: str, dialect: Dialect) -> list[list[str]]:
+    """The fields of each row. A cell in quotation marks may hold line ends; a lone mark spoils its own line only."""
+    if not dialect.quote:
+        return [line.split(dialect.separator) for line in text.splitlines()]
+    lines = io.StringIO(text, newline="")
+    try:
+        return list(csv.reader(lines, delimiter=dialect.separator, quotechar=dialect.quote, strict=True))
+    except csv.Error:  # a mark that nothing closes, or that something but a delimiter follows
+        return [dialect.fields(line) for line in text.splitlines()]
 
 
 def _check_lengths(

@@ -40,7 +40,7 @@ electrical AS (
 ),
 groups AS (
     SELECT *, concat(coalesce(configuration, 'no configuration'), ', ' || voltage_kv || ' kV',
-        if(count(*) OVER (PARTITION BY configuration, voltage_kv) > 1, ', ' || coalesce(campaign, 'no campaign'), '')) AS name
+        CASE WHEN count(*) OVER (PARTITION BY configuration, voltage_kv) > 1 THEN ', ' || coalesce(campaign, 'no campaign') END) AS name
     FROM survival_summaries
 )
 SELECT * FROM (
@@ -89,7 +89,7 @@ before AS (
     QUALIFY row_number() OVER (PARTITION BY item_kind, item, quantity ORDER BY run_id DESC) = 1
 ),
 arrived AS (
-    SELECT item_kind, item, string_agg(concat(files, ' ', protocol, if(status = 'ok', '', ' ' || status)), ', '
+    SELECT item_kind, item, string_agg(concat(files, ' ', protocol, CASE WHEN status <> 'ok' THEN ' ' || status END), ', '
         ORDER BY protocol, status) AS text
     FROM (
         SELECT item_kind, item, protocol, status, count(*) AS files
