@@ -175,6 +175,27 @@ MECHANISMS: dict[str, Mechanism] = {
     ),
 }
 
+FAULTS: dict[str, Mechanism] = {
+    "channels_swapped": Mechanism("Swapped channels", "a recording has two channels in each other's place"),
+    "sign_flipped": Mechanism("Flipped sign", "a recording has a channel with the opposite sign"),
+    "unit_slip": Mechanism("Slip of a unit", "a channel is recorded in another unit or range than its file says"),
+    "sample_rate_wrong": Mechanism("Wrong sample rate", "the clock of a recording is not that of its test"),
+    "clock_drift": Mechanism("Drifting clock", "the clocks of two channels run apart"),
+    "channel_skew": Mechanism("Skewed channels", "a recording has one channel stamped later than the other"),
+    "strain_wrong": Mechanism("Wrong strain", "the strain that the metadata state is not that driven"),
+    "size_wrong": Mechanism("Wrong size", "a size in the metadata is not that of the film"),
+    "foreign_recording": Mechanism("Foreign recording", "a recording is that of another specimen"),
+    "foreign_rig": Mechanism("Foreign rig", "a recording names another rig than it was made on"),
+    "dead_channel": Mechanism("Dead channel", "a recording has a channel that stands still"),
+    "specimen_changed": Mechanism("Changed specimen", "the film was another from one recording on"),
+}
+"""Causes of everyday life: what is wrong with recordings and their metadata, no mechanism of film or rig."""
+
+FINDING = "finding"
+"""Key of a severity that says all of a fault in words, with its recordings."""
+
+_WORDS = MECHANISMS | FAULTS
+
 
 UNLISTED = "unlisted"
 """Stands in `also_possible` where the cause may be none of those listed."""
@@ -184,7 +205,7 @@ def plain_name(mechanism: str) -> str:
     """Everyday name of a cause; its id where it has none here."""
     if mechanism == UNLISTED:
         return "a cause in no list"
-    known = MECHANISMS.get(mechanism)
+    known = _WORDS.get(mechanism)
     return known.name if known else mechanism.replace("_", " ")
 
 
@@ -239,13 +260,13 @@ def _held(mechanism: str, parameter: str, value: Any) -> str:
 
 
 def _shown(mechanism: str, parameter: str) -> Parameter:
-    known = MECHANISMS.get(mechanism)
+    known = _WORDS.get(mechanism)
     return known.parameters.get(parameter, Parameter("")) if known else Parameter("")
 
 
 def main(mechanism: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """The main parameter of a severity, without shapes and other ways to say it; of the rig both constants."""
-    known = MECHANISMS.get(mechanism)
+    known = _WORDS.get(mechanism)
     found = [key for key in known.parameters if key in parameters] if known else list(parameters)
     return {key: parameters[key] for key in found[: 2 if mechanism == "rig_constants" else 1]}
 
@@ -254,16 +275,18 @@ def candidate(mechanism: str, value: float | None, sd: float | None) -> str:
     """The main severity of a cause that was tried, as read."""
     if value is None:
         return ABSENT
-    known = MECHANISMS.get(mechanism)
+    known = _WORDS.get(mechanism)
     main = next(iter(known.parameters), "") if known else ""
     return amount(mechanism, main, {"value": value, "sd": sd})
 
 
 def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
     """The cause as a sentence without its subject, by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`."""
-    known = MECHANISMS.get(mechanism)
+    known = _WORDS.get(mechanism)
     if mechanism == UNLISTED:
         return "the cause is in no list"
+    if isinstance(parameters.get(FINDING), str):
+        return str(parameters[FINDING])
     if known is None:
         return f"the cause is {plain_name(mechanism)}"
     main = next((key for key in known.parameters if key in parameters), None)

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.analyse.diagnosis_residuals import residual_tables
+from pipeline.diagnose.faults.state import describe_fault
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import Diagnosis, Extension
 from pipeline.diagnose.single.comparison import Comparison, RankedModel
 from pipeline.physics.film import RelaxationModel
+from schemas.mechanisms import FINDING
 from schemas.protocols import MECHANICAL
 from schemas.tables import ARMS, TABLES
 
@@ -33,6 +35,7 @@ def diagnosis_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures]
         "discrepancies": TABLES["discrepancies"].from_objects(
             diagnosis.discrepancies, recording_id=lambda found: found.recording_id or None, **specimen
         ),
+        "corrections": TABLES["corrections"].rows(_correction_rows(diagnosis)),
         "diagnosis_candidates": TABLES["diagnosis_candidates"].from_objects(
             diagnosis.candidates,
             gain_lower=None,
@@ -106,9 +109,13 @@ def _diagnosis_row(d: Diagnosis) -> dict[str, Any]:
         "stage": d.stage,
         "depends_on": list(d.depends_on),
     }
+    severity: dict[str, Any] = {f.cause: {FINDING: describe_fault(f)} for f in reversed(d.faults)}
+    if d.extension is not None:
+        severity |= _severity(d.extension)
+    if severity:
+        row["severity"] = json.dumps(severity)
     if d.extension is not None:
         row |= {
-            "severity": json.dumps(_severity(d.extension)),
             "feature_count": d.extension.size,
             "chi2": d.extension.plain_chi2,
             "chi2_extended": d.extension.chi2,
@@ -130,6 +137,31 @@ def _diagnosis_row(d: Diagnosis) -> dict[str, Any]:
             "next_separation": d.next_recording.separation,
         }
     return row
+
+
+def _correction_rows(d: Diagnosis) -> Iterator[dict[str, Any]]:
+    """Every correction of every fault; a fault that nothing written would put right has a row without a key."""
+    for fault in d.faults:
+        row = {
+            "specimen_id": d.specimen_id,
+            "cause": fault.cause,
+            "finding": fault.finding,
+            "treatment": "left out" if fault.sets_aside else "put right",
+            "left_per_value": _finite(fault.left_per_value),
+        }
+        for recording_id in fault.recordings:
+            own = [c for c in fault.corrections if c.recording_id == recording_id]
+            for c in own:
+                yield row | {
+                    "recording_id": recording_id,
+                    "cause": c.cause,
+                    "key": c.key,
+                    "value_now": c.value_now or None,
+                    "value_proposed": c.value_proposed or None,
+                    "probability": c.probability,
+                }
+            if not own:
+                yield row | {"recording_id": recording_id, "probability": fault.probability}
 
 
 def _smallest(d: Diagnosis) -> dict[str, dict[str, float]]:

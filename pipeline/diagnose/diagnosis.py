@@ -10,6 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.diagnose.faults.find import check_recordings
+from pipeline.diagnose.faults.state import state_faults
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.judge import judge_session
 from pipeline.diagnose.proposals.next_recording import Rival, propose_separating
@@ -23,7 +25,7 @@ from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mecha
 from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
 from pipeline.diagnose.search.held_out import predict_left_out
 from pipeline.diagnose.search.patterns import test_patterns
-from pipeline.diagnose.search.plain_fit import PlainFit, fit_plain
+from pipeline.diagnose.search.plain_fit import PlainFit
 from pipeline.diagnose.search.posterior import (
     Hypothesis,
     Posterior,
@@ -35,9 +37,6 @@ from pipeline.diagnose.search.posterior import (
 from pipeline.diagnose.search.screen import Secants, compute_secants, compute_signatures, find_best_scores
 from pipeline.diagnose.search.several_causes import add_causes
 from pipeline.diagnose.search.tempering import temper_weights
-from pipeline.diagnose.simulation.hum import with_hum
-from pipeline.diagnose.simulation.session import make_session
-from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.arrays import Float
 
 _FEW_STEPS = 3
@@ -60,10 +59,10 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     NotIdentifiableError
         where they cannot be asked at all: none of them, several specimens, no response of the film
     """
-    # 1. One session with its noise, simulated with a film and the rig as its file has it.
-    session = with_hum(make_session(recordings))
-    simulation = Simulation(session)
-    plain = fit_plain(session, simulation)
+    # 1. Recordings first: one session of those that agree with each other and their own metadata, with its noise,
+    # simulated with a film and the rig as its file has it.
+    checked = check_recordings(recordings)
+    session, simulation, plain = checked.session, checked.simulation, checked.plain
     # 2. to 6. What is left, and which mechanisms explain it.
     evidence = _search_causes(Extended(session, simulation, plain.model, (), np.ones(session.size)), plain)
     # 7. Parts are left out and predicted.
@@ -75,7 +74,8 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     proposal = _propose_recording(evidence) if verdict == AMBIGUOUS else None
     # 10. Numbers and words.
     extended = None if final is None else settle_outliers(final)
-    return report_session(simulation, evidence, verdict, held_out, extended, proposal)
+    found = report_session(simulation, evidence, verdict, held_out, extended, proposal)
+    return state_faults(found, checked.faults)
 
 
 def _search_causes(of: Extended, plain: PlainFit) -> Evidence:

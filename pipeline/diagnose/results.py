@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.diagnose.faults.fault import Fault
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 
@@ -197,6 +198,8 @@ class Diagnosis:
     terms : the function of the most probable region without a name
     left_p_value : of smooth patterns that they leave, on the scale that allows their form to be a little wrong; NaN for
         none
+    faults : what is wrong with recordings and their metadata; their causes come first among the mechanisms, and all
+        else is of the recordings without them
     """
 
     specimen_id: str
@@ -223,6 +226,7 @@ class Diagnosis:
     stage: str | None = None
     depends_on: tuple[str, ...] = ()
     terms: tuple[Term, ...] = ()
+    faults: tuple[Fault, ...] = ()
 
     @property
     def mechanism(self) -> str | None:

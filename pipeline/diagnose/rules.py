@@ -17,6 +17,7 @@ STUDY = "study of hidden effects (`tests/studies/results.md`)"
 TEMPERING = f"{STUDY}, starting from 10 to 20 % of a block's misfit"
 BAYES_100 = "theory: odds of 100 to 1 (ln 100), decisive on Jeffreys' scale"
 RIGS = "sessions of rigs written apart (`tests/studies/results.md`)"
+CLEAN = "clean sessions of two rigs (`tests/hidden_effects/test_faults.py`)"
 COST = "time of a diagnosis; no verdict of the study changed"
 
 
@@ -312,10 +313,50 @@ class SingleRules:
 
 
 @dataclass(frozen=True)
+class FaultRules:
+    """Recordings first: faults of everyday life, before any mechanism is asked."""
+
+    strain_sd: float = _rule(0.05, "relative error of a stated strain that is no fault", CLEAN)
+    drive_sd: float = _rule(0.03, "the same of a stated voltage", CLEAN)
+    rate_sd: float = _rule(0.005, "the same of a stated frequency of sinusoids", CLEAN)
+    sweep_rate_sd: float = _rule(0.015, "the same of the highest frequency of a sweep as it is read", CLEAN)
+    sweep_alike_sd: float = _rule(0.008, "the same against other sweeps", CLEAN)
+    rest_sd: float = _rule(0.03, "relative scatter of rest force and rest capacitance within a session", CLEAN)
+    rest_spread: float = _rule(0.2, "scatter of the others from which rest levels expect nothing")
+    noise_sd: float = _rule(0.5, "scatter of the logarithm of a channel's noise between recordings", CLEAN)
+    suspect: float = _rule(
+        6.0, "deviation of a level from which a recording is left out until it is explained", unit="SD"
+    )
+    anywhere: float = _rule(3.0, "range of the logarithm of a level that a fault leaves open")
+    flat: float = _rule(0.003, "share of a force's samples on a flat top that is clipping", CLEAN)
+    held: float = _rule(0.01, "share of a record in which a channel stands still that is a drop-out", CLEAN)
+    unmistakable: float = _rule(1e-6, "probability of a flat top, a drop-out or another film's sizes without the fault")
+    misses: float = _rule(6.0, "excess of a recording's χ² over the noise at which it misses the others", unit="SD")
+    misses_ratio: float = _rule(2.0, "its χ² per value over that of the others from which it does", CLEAN)
+    astray: float = _rule(20.0, "χ² per value from which the films of single sweeps are tried as starts", COST)
+    agrees: float = _rule(1.5, "χ² per value up to which the other recordings agree with each other", CLEAN)
+    agrees_after: float = _rule(1.2, "χ² per value up to which recordings that were put right agree", CLEAN)
+    smoother: float = _rule(
+        0.5, "roughness of the film with a corrected rig, over that without, up to which it is tried"
+    )
+    form_error: float = _rule(0.01, "share of a misfit by which an undone fault may be wrong in form")
+    named: float = _rule(0.95, "probability from which a fault is named", "verdicts: named from 0.95")
+    prior: float = _rule(
+        0.003, "probability of each kind of fault in a recording", "habits of laboratories, not counted"
+    )
+    mechanism: float = _rule(0.2, "probability of a mechanism that shows in a recording like which there is no other")
+    mechanism_beside_peer: float = _rule(1e-4, "the same where another recording like it agrees with all others")
+    off: float = _rule(
+        5.0, "deviation of a constant from its file or of a size from its promise that is asked", unit="SD"
+    )
+
+
+@dataclass(frozen=True)
 class Rules:
     """All rules, by step."""
 
     features: FeatureRules = FeatureRules()
+    fault: FaultRules = FaultRules()
     plain: PlainRules = PlainRules()
     alarm: AlarmRules = AlarmRules()
     temper: TemperRules = TemperRules()

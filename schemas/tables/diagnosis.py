@@ -36,6 +36,25 @@ TABLES: tuple[Table, ...] = (
         pages=("index", "campaign", "specimen", "recording"),
     ),
     Table(
+        "corrections",
+        "faults of recordings and of their metadata, and what would put them right",
+        (
+            SPECIMEN_ID,
+            RECORDING_ID,
+            text("cause", "the fault"),
+            text("key", "of metadata, mapping or rig file (rig.…); NULL where nothing that is written would help"),
+            text("value_now", "as it is written; NULL where it is not"),
+            text("value_proposed", "as it should be written; NULL where that is not known"),
+            real("probability", "", "posterior probability that this is what is wrong"),
+            text("finding", "what shows it, in words"),
+            text("treatment", "left out, or put right, in the diagnosis of the other recordings"),
+            real("left_per_value", "", "chi-squared per value that the recording leaves once it is put right"),
+        ),
+        key=("specimen_id", "recording_id", "cause", "key", "value_proposed"),
+        made_by=(MadeBy("diagnosis"),),
+        pages=("specimen",),
+    ),
+    Table(
         "diagnoses",
         "why a specimen's simulation is wrong, and what mending it gains",
         (

@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import Reader
+from schemas.corrections import write_corrections
 from schemas.errors import UsageError
 from schemas.mechanisms import UNLISTED, amount, candidate, cause, main, nested, parameter_words, plain_name, severity
 from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, significant
@@ -17,6 +18,7 @@ _JSON_COLUMNS = ("severity", "smallest_detectable", "held_out_parts", "next_desi
 _DETAILS = {
     "candidates": "diagnosis_candidates",
     "discrepancies": "discrepancies",
+    "corrections": "corrections",
     "parameters": "diagnosis_parameters",
 }
 _SHOWN = 6
@@ -73,6 +75,7 @@ def _parse_objects(row: Row) -> dict[str, Any]:
 def _describe_diagnosis(row: Row) -> Iterator[str]:
     """The finding first, then what carries it, then what to do, then what would have been seen."""
     yield f"{_SIGNS.get(row['verdict'], '–')} {row['specimen_id']}: {_state_verdict(row)}"
+    yield from _list_corrections(row)
     yield from _describe_gain(row)
     yield from _list_discrepancies(row)
     yield from _tabulate_causes(row)
@@ -84,6 +87,13 @@ def _describe_diagnosis(row: Row) -> Iterator[str]:
     yield from _describe_visibility(row)
     if row["verdict"] is not None and row["could_not_ask"]:
         yield from _list_under("What could not be asked", row["could_not_ask"])
+
+
+def _list_corrections(row: Row) -> Iterator[str]:
+    """What would put the recordings right, as it would be written."""
+    text = write_corrections(row["corrections"])
+    if text:
+        yield from _list_under("What would put it right, to be checked and accepted", text.splitlines())
 
 
 def _state_verdict(row: Row) -> str:

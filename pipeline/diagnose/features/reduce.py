@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.diagnose.features.chirp import chirp_blocks
 from pipeline.diagnose.features.cyclic import cyclic_blocks
 from pipeline.diagnose.features.kinds import EXTRA_MASS, FeatureBlock, NoiseSample, RecordingFeatures
+from pipeline.diagnose.features.observed import find_dead, observe_channels
 from pipeline.diagnose.features.ramp import cycle_blocks, relaxation_blocks
 from pipeline.diagnose.features.records import strain_length_mm
 from pipeline.diagnose.features.rest import calibration_block, hum_block
@@ -60,13 +61,18 @@ def reduce(recording: Recording) -> RecordingFeatures:
     noise: list[NoiseSample] = []
     values: dict[str, float] = {}
     warnings: list[str] = []
+    observed = observe_channels(recording)
+    dead = find_dead(observed)
     if metadata.loading == CALIBRATION:
         blocks = [calibration_block(recording)]
+    elif dead:
+        # No response, but the fault is to be said.
+        blocks, warnings = [], [f"{' and '.join(dead)} stand still: nothing is measured"]
     else:
         blocks, noise, values, warnings = _REDUCERS[key](heavy, nodes)
         hum = hum_block(recording) if metadata.loading in (MECHANICAL, ELECTRICAL) else None
         blocks += [] if hum is None else [hum]
-    values |= _values(recording)
+    values |= _values(recording) | observed
     return RecordingFeatures(
         recording_id=metadata.recording_id,
         specimen_id=metadata.specimen_id,

@@ -374,6 +374,12 @@ def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Com
     return f[sound], k[sound]
 
 
+def measure_roughness(session: Session, ratio: float = 1.0) -> float:
+    """How far the responses are from those of any film that relaxes, relative, root mean square, with clamps `ratio` times as heavy."""
+    f, k = estimate_stiffness(session, ratio)
+    return _cluster_arms(f, k, RULES.plain.orders[-1])[1]
+
+
 def _append_electrical(session: Session, frequencies: list[Float], stiffness: list[Complex], ratio: float) -> None:
     """The same from electrical responses, with the actuation that the geometry promises; the order of magnitude is what counts."""
     for p in session.places:

@@ -17,6 +17,7 @@ from reports.blocks import (
     Next,
     Pair,
     Piece,
+    Pre,
     Row,
     Section,
     Table,
@@ -31,11 +32,12 @@ from reports.evidence import Standing
 from reports.features import COLUMNS, kind_of
 from reports.figures import diagnosis as figures
 from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
-from reports.names import short, visible
+from reports.names import Verbatim, short, visible
 from reports.pages.draft import Draft
 from reports.pages.specimen import comparing_models, unnamed
 from reports.results import Query
 from reports.results import Row as Record
+from schemas.corrections import write_corrections
 from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
 from schemas.mechanisms import severity as severity_words
 from schemas.numbers import ABSENT, UNRESOLVED, capital, compact, digits, p_value, percent, pm, significant, whole
@@ -58,6 +60,7 @@ def section(draft: Draft, standing: Standing) -> Section | None:
         reasons = tuple(Text(_sentence(capital(reason))) for reason in standing.unasked)
         return Section("diagnosis", "Diagnosis: these recordings could not be asked", "Diagnosis", reasons)
     blocks: list[Block | Fold] = [Text(piece) for piece in evidence(standing)]
+    blocks += _faults(draft)
     blocks += _wrong(draft, d)
     blocks += comparing_models.blocks(draft, d)
     blocks += unnamed.blocks(draft, d)
@@ -84,6 +87,44 @@ def _separation(d: Record) -> str:
     if value is None:
         return ""
     return f" Expected: {significant(value, 2)} more in 2Δ ln L between the two closest causes; {_DECISIVE} decides."
+
+
+_CORRECTIONS_SQL = """SELECT recording_id, cause, key, value_now, value_proposed, probability, finding, treatment, left_per_value
+FROM corrections
+WHERE specimen_id = $specimen
+ORDER BY recording_id, probability DESC, cause, key"""
+
+
+def _faults(draft: Draft) -> list[Block | Fold]:
+    """Faults of recordings, what would put them right, and that as it would be written."""
+    query = Query(_CORRECTIONS_SQL, {"specimen": draft.item})
+    found = draft.results.rows(query)
+    if not found:
+        return []
+    heads = (
+        Head("Recording"), Head("Fault"), Head("What shows it", "text"), Head("Key"), Head("Now", "n"), Head("Proposed", "n"),
+        Head("Probability", "n"), Head("χ² per value, put right", "n"), Head("Here"),
+    )  # fmt: skip
+    rows = [
+        Row(
+            (
+                draft.site.recording(r["recording_id"]), flow(plain_name(r["cause"]), Markup("<br>"), code(r["cause"])),
+                visible(r["finding"]), ABSENT if r["key"] is None else code(r["key"]), visible(r["value_now"] or ABSENT),
+                visible(r["value_proposed"] or ABSENT), percent(r["probability"]),
+                ABSENT if r["left_per_value"] is None else significant(r["left_per_value"], 3), r["treatment"],
+            )
+        )
+        for r in found
+    ]  # fmt: skip
+    note = "each recording against the others and against its own metadata, before any mechanism is asked"
+    blocks: list[Block | Fold] = [
+        Heading("Recordings first: what is wrong with them"),
+        Table("Faults, and what would put them right", heads, tuple(rows[:_ROWS]), query.shown(), note),
+    ]
+    text = write_corrections(found)
+    if text:
+        blocks.append(Fold("The most probable corrections as TOML, to be checked and accepted", (Pre(Verbatim(text)),)))
+    return blocks
 
 
 _DISCREPANCY_SQL = """SELECT recording_id, where_found, chi2, degrees_of_freedom, p_value, statement

@@ -1,0 +1,156 @@
+"""Which recordings of a session agree with each other: a fit of film and rig that some of them may miss by any amount.
+
+χ² of a recording counts as under Student's t instead of the normal distribution (Lange, Little and Taylor 1989): one that
+nothing can bring together with the others loses its weight, whatever is wrong with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from pipeline.diagnose.features.kinds import CHIRP_RESPONSE, REST_HUM
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.plain_fit import PlainFit, compute_residuals, fit_plain, make_bounds, refit_plain
+from pipeline.diagnose.simulation.parameters import BaseModel
+from pipeline.diagnose.simulation.session import Session
+from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.least_squares import minimise
+from schemas.arrays import Bool, Float
+from schemas.errors import NotIdentifiableError
+
+_NU = 4.0
+"""Degrees of freedom of Student's t."""
+_ROUNDS = 10
+"""Rounds of reweighting at most."""
+_SETTLED = 1e-4
+"""Change of every entry below which the weights are settled."""
+_STARTS = 3
+"""Sweeps whose own films a fit is begun from."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Film and rig that most recordings agree on.
+
+    Parameters
+    ----------
+    fit : the plain model at their optimum
+    chi2, size : (R,) of each recording's features under it, and their number
+    outside : (R,) recordings that miss it
+    """
+
+    fit: PlainFit
+    chi2: Float
+    size: Float
+    outside: Bool
+
+    @property
+    def dispersion(self) -> float:
+        """χ² per value of the recordings that agree."""
+        inside = ~self.outside
+        return float(self.chi2[inside].sum() / max(self.size[inside].sum(), 1.0))
+
+
+def sum_by_recording(session: Session, misfit: Float) -> tuple[Float, Float]:
+    """(R,) χ² and number of values of each recording, of a whitened residual (N,); mains are no matter of the film."""
+    count, counted = len(session.recordings), session.kind != REST_HUM
+    chi2 = np.bincount(session.recording_of[counted], misfit[counted] ** 2, count)
+    size = np.bincount(session.recording_of[counted], minlength=count)
+    return np.asarray(chi2, dtype=np.float64), np.asarray(size, dtype=np.float64)
+
+
+def miss(chi2: Float, size: Float, dispersion: float) -> Bool:
+    """(R,) recordings whose χ² is beyond that of the noise, and clearly more per value than that of the others."""
+    rules = RULES.fault
+    per_value = chi2 / np.maximum(size, 1.0)
+    noise = 1 + rules.misses * np.sqrt(2 / np.maximum(size, 1.0))
+    return np.asarray((size > 0) & (per_value > noise * rules.misses_ratio * max(dispersion, 1.0)))
+
+
+def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) -> Agreement:
+    """The fit that most recordings agree on, from the plain fit and from the films of single sweeps."""
+    found = _reweigh(session, simulation, plain)
+    if found[1] > _cost_of_noise(session) and plain.chi2 > RULES.fault.astray * session.size:
+        for start in _fit_sweeps(session):
+            found = min(found, _reweigh(session, simulation, start), key=lambda pair: pair[1])
+    chi2, size = sum_by_recording(session, found[0].misfit)
+    order = np.argsort(chi2 / np.maximum(size, 1.0))
+    best = order[: max(len(order) // 2, 1)]
+    outside = miss(chi2, size, float(chi2[best].sum() / max(size[best].sum(), 1.0)))
+    return Agreement(found[0], chi2, size, outside)
+
+
+def leave_out(session: Session, simulation: Simulation, fit: PlainFit, outside: Bool) -> PlainFit:
+    """The plain model fitted to the recordings inside alone, from a fit nearby; `misfit` is that of all."""
+    weight = np.where(outside[session.recording_of], 0.0, 1.0)
+    about = simulation.about(fit.model.physical(fit.theta))
+    priors = int(np.isfinite(fit.model.prior_sd).sum())
+    kept = np.concatenate([weight, np.ones(priors)])
+    found = minimise(partial(_weigh, session, about, fit.model, kept), fit.theta, *make_bounds(fit.model))
+    whole = compute_residuals(session, about, fit.model, found.x[None])[0]
+    return PlainFit(fit.model, found.x, found, found.chi2, whole[: session.size])
+
+
+def _cost_of_noise(session: Session) -> float:
+    """What recordings that all miss by no more than noise cost."""
+    size = np.bincount(session.recording_of, minlength=len(session.recordings))
+    return float(np.sum((_NU + size) * np.log1p(RULES.fault.misses_ratio * size / _NU)))
+
+
+def _weigh(session: Session, simulation: Simulation, model: BaseModel, weight: Float, several: Float) -> Float:
+    """(B, M) weighted residuals and deviations from the prior."""
+    return np.asarray(weight * compute_residuals(session, simulation, model, several))
+
+
+def _reweigh(session: Session, simulation: Simulation, start: PlainFit) -> tuple[PlainFit, float]:
+    """The fit with weights by recording, and its cost: −2 log likelihood under Student's t."""
+    model, x = start.model, start.theta
+    about = simulation.about(model.physical(x))
+    low, high = make_bounds(model)
+    solution = start.solution
+    for _ in range(_ROUNDS):
+        residual = compute_residuals(session, about, model, x[None])[0]
+        chi2, size = sum_by_recording(session, residual[: session.size])
+        weight = np.sqrt((_NU + size) / (_NU + chi2))[session.recording_of]
+        whole = np.concatenate([weight, np.ones(residual.size - session.size)])
+        solution = minimise(partial(_weigh, session, about, model, whole), x, low, high, most=8)
+        moved, x = float(np.abs(solution.x - x).max()), solution.x
+        if moved < _SETTLED:
+            break
+    misfit = compute_residuals(session, about, model, x[None])[0][: session.size]
+    chi2, size = sum_by_recording(session, misfit)
+    cost = float(np.sum((_NU + size) * np.log1p(chi2 / _NU)))
+    return PlainFit(model, x, solution, float(misfit @ misfit), misfit), cost
+
+
+def _fit_sweeps(session: Session) -> Sequence[PlainFit]:
+    """Plain fits of single sweeps, carried over to the whole session."""
+    numbers = list(dict.fromkeys(p.recording for p in session.places if p.block.kind == CHIRP_RESPONSE))
+    found = []
+    for number in numbers[:_STARTS]:
+        own = session.part([p.recording == number for p in session.places])
+        try:
+            alone = fit_plain(own, Simulation(own))
+        except NotIdentifiableError:
+            continue
+        model = session.base_model(alone.model.arms)
+        theta = model.theta(alone.model.physical(alone.theta).film)
+        for i, name in enumerate(alone.model.names):
+            place = model.index(name)
+            if place is not None:
+                theta[place] = alone.theta[i]
+        found.append(PlainFit(model, theta, alone.solution, np.inf, np.zeros(session.size)))
+    return found
+
+
+def refit_rest(session: Session, simulation: Simulation, near: PlainFit) -> PlainFit:
+    """The plain model of a session that a fit of a larger one is near to, searched anew where that is astray."""
+    found = refit_plain(session, simulation, near.model, near.theta)
+    if found.chi2 < RULES.plain.sound * session.size:
+        return found
+    again = fit_plain(session, simulation)
+    return again if again.chi2 < found.chi2 else found

@@ -1,0 +1,221 @@
+"""Recordings first: the session without what is wrong with its recordings, and what that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.diagnose.faults.agreement import (
+    Agreement,
+    find_agreement,
+    leave_out,
+    miss,
+    refit_rest,
+    sum_by_recording,
+)
+from pipeline.diagnose.faults.change import find_change
+from pipeline.diagnose.faults.correct import list_corrections
+from pipeline.diagnose.faults.fault import DEAD_CHANNEL, STRAIN_WRONG, Fault
+from pipeline.diagnose.faults.fitted import Fitted, fit_session
+from pipeline.diagnose.faults.hypotheses import MECHANISM, SOUND, Judged, judge_hypotheses
+from pipeline.diagnose.faults.levels import Levels, name_clamp, read_levels
+from pipeline.diagnose.faults.predict import Suspect
+from pipeline.diagnose.faults.session_wide import find_shared, find_stated_by_all, merge_lengths
+from pipeline.diagnose.features.kinds import EXTRA_MASS, RecordingFeatures
+from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.plain_fit import PlainFit, compute_residuals, fit_plain
+from pipeline.diagnose.simulation.hum import with_hum
+from pipeline.diagnose.simulation.session import Session, make_session
+from pipeline.diagnose.simulation.simulation import Simulation
+from schemas.errors import NotIdentifiableError
+from schemas.protocols import CALIBRATION
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A session whose recordings are sound, or as sound as can be told, with its plain fit, and the faults that were found."""
+
+    session: Session
+    simulation: Simulation
+    plain: PlainFit
+    faults: tuple[Fault, ...]
+
+
+def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
+    """The session of one specimen without the recordings that have a fault of their own, fitted, with what was found.
+
+    Raises `NotIdentifiableError` where the recordings cannot be asked at all.
+    """
+    levels = {r.recording_id: own for r, own in zip(recordings, _read(recordings), strict=True)}
+    recordings, found = find_stated_by_all(recordings, levels)
+    explained = frozenset(id for f in found for id in f.recordings)
+    suspects = frozenset(id for id, own in levels.items() if own.is_suspect) - explained
+    if 2 * len(suspects) >= len(recordings):
+        suspects = frozenset()  # what most recordings have in common is asked of all of them
+    fitted = _fit(recordings, suspects)
+    if fitted is None:
+        suspects, fitted = frozenset(), fit_session(recordings)
+    outside, agreement = _find_outside(*fitted)
+    if agreement is not None or len(suspects) > 1:
+        change = _ask_change(recordings, fitted, agreement, suspects)
+        if change is not None:
+            found.append(change)
+            suspects, outside, agreement = suspects - frozenset(change.recordings), frozenset(), None
+    if suspects or outside:
+        found += _judge_each(recordings, levels, fitted, agreement, suspects, outside)
+    culprits = frozenset(id for f in found for id in f.recordings if f.sets_aside)
+    if culprits != {r.recording_id for r in recordings} - {r.recording_id for r in fitted[0].recordings}:
+        fitted = _fit(recordings, culprits, near=fitted[2]) or fitted
+    sound = [r for r in recordings if r.recording_id not in culprits]
+    if not any(f.sets_aside for f in found):
+        _, fitted, shared = find_shared(sound, fitted)
+        found += shared
+    return Checked(*fitted, tuple(merge_lengths(found)))
+
+
+def _read(recordings: Sequence[RecordingFeatures]) -> Sequence[Levels]:
+    """Levels of each recording; calibrations have none."""
+    tests = [r for r in recordings if r.loading != CALIBRATION]
+    known = dict(zip((r.recording_id for r in tests), read_levels(tests), strict=True))
+    return [known.get(r.recording_id, Levels({}, False, 0.0, {})) for r in recordings]
+
+
+def _refit(recordings: Sequence[RecordingFeatures], near: PlainFit | None) -> Fitted:
+    if near is None:
+        return fit_session(recordings)
+    session = with_hum(make_session(recordings))
+    simulation = Simulation(session)
+    model = session.base_model(near.model.arms)
+    if model.names != near.model.names:
+        return session, simulation, fit_plain(session, simulation)
+    return session, simulation, refit_rest(session, simulation, near)
+
+
+def _fit(
+    recordings: Sequence[RecordingFeatures], without: frozenset[str], near: PlainFit | None = None
+) -> Fitted | None:
+    """The session without some recordings, None where the others cannot be asked."""
+    try:
+        return _refit([r for r in recordings if r.recording_id not in without], near)
+    except NotIdentifiableError:
+        return None
+
+
+def _find_outside(session: Session, simulation: Simulation, plain: PlainFit) -> tuple[frozenset[str], Agreement | None]:
+    """Recordings that miss the film and the rig that the others agree on."""
+    chi2, size = sum_by_recording(session, plain.misfit)
+    if not miss(chi2, size, 1.0).any():
+        return frozenset(), None
+    found = find_agreement(session, simulation, plain)
+    if not found.outside.any() or 2 * found.outside.sum() > found.outside.size:
+        return frozenset(), None
+    names = [r.recording_id for r in session.recordings]
+    return frozenset(n for n, out in zip(names, found.outside, strict=True) if out), found
+
+
+def _ask_change(
+    recordings: Sequence[RecordingFeatures], fitted: Fitted, agreement: Agreement | None, suspects: frozenset[str]
+) -> Fault | None:
+    """A film that was another from one recording on."""
+    session, simulation, plain = fitted
+    near = plain if agreement is None else agreement.fit
+    if suspects:
+        session = with_hum(make_session(recordings))
+        if session.base_model(near.model.arms).names != near.model.names:
+            return None
+        simulation = Simulation(session)
+    misfit = compute_residuals(session, simulation, near.model, near.theta[None])[0]
+    chi2 = min(float(misfit @ misfit), np.inf if suspects else plain.chi2)
+    return find_change(session, simulation, near, chi2)
+
+
+def _judge_each(
+    recordings: Sequence[RecordingFeatures],
+    levels: dict[str, Levels],
+    first: Fitted,
+    agreement: Agreement | None,
+    suspects: frozenset[str],
+    outside: frozenset[str],
+) -> list[Fault]:
+    """Faults of single recordings: of those whose levels are odd, and of those that miss the film the others agree on."""
+    session, simulation, plain = first
+    base, dispersion = plain, plain.chi2 / max(session.size, 1)
+    if agreement is not None:
+        base = leave_out(session, simulation, agreement.fit, agreement.outside)
+        chi2, size = sum_by_recording(session, base.misfit)
+        inside = ~agreement.outside
+        dispersion = float(chi2[inside].sum() / max(size[inside].sum(), 1.0))
+    if outside and dispersion > RULES.fault.agrees:
+        outside = frozenset()  # others do not agree with each other either: no fault of one recording
+    whole = with_hum(make_session(recordings)) if suspects else session
+    asked = suspects | outside
+    found = []
+    for number, recording in enumerate(whole.recordings):
+        if not recording.blocks:
+            found.append(_state_dead(recording))
+        elif recording.recording_id in asked:
+            rig = _find_rig(session, recording)
+            fault = _judge_one(Suspect.of(whole, number, base, rig), levels[recording.recording_id], asked)
+            found += [] if fault is None else [fault]
+    return found
+
+
+def _state_dead(recording: RecordingFeatures) -> Fault:
+    """The fault of a recording that no features can be made of because a channel stands still."""
+    return Fault(DEAD_CHANNEL, (recording.recording_id,), 1.0, "; ".join(recording.warnings))
+
+
+def _find_rig(session: Session, recording: RecordingFeatures) -> int:
+    """Number in a session of the rig of a recording; of that most recordings have where it is none of them."""
+    for other, number in zip(session.recordings, session.rig, strict=True):
+        if name_clamp(other.rig) == name_clamp(recording.rig) and (
+            other.values.get(EXTRA_MASS) == recording.values.get(EXTRA_MASS)
+        ):
+            return int(number)
+    return int(np.bincount(session.rig).argmax())
+
+
+def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault | None:
+    """The fault of a recording, None where it has none or a mechanism may be at work."""
+    session = suspect.session
+    own = session.recordings[suspect.number]
+    peers = [r for r in session.recordings if r.recording_id not in asked]
+    mechanism = RULES.fault.mechanism_beside_peer if _has_peer(own, peers, session) else RULES.fault.mechanism
+    judged = judge_hypotheses(suspect, levels, mechanism)
+    by_cause: dict[str, float] = {}
+    for j, probability in judged:
+        by_cause[j.hypothesis.cause] = by_cause.get(j.hypothesis.cause, 0.0) + probability
+    wrong = sum(p for cause, p in by_cause.items() if cause not in (SOUND, MECHANISM, GAIN_ERROR.id))
+    if wrong < RULES.fault.named:
+        return None
+    likely = [(j, p) for j, p in judged if j.hypothesis.cause not in (SOUND, MECHANISM, GAIN_ERROR.id)]
+    best: Judged = likely[0][0]
+    cause = best.hypothesis.cause
+    corrections = [c for j, p in likely if p > 0.01 for c in list_corrections(own, j.hypothesis, p)]
+    return Fault(
+        cause=cause,
+        recordings=(own.recording_id,),
+        probability=by_cause[cause],
+        finding=best.hypothesis.detail,
+        corrections=tuple(corrections),
+        sets_aside=cause != STRAIN_WRONG,
+        left_per_value=best.chi2 / suspect.size
+        if suspect.size and best.hypothesis.predict is not None
+        else float("nan"),
+    )
+
+
+def _has_peer(own: RecordingFeatures, others: Sequence[RecordingFeatures], session: Session) -> bool:
+    """Whether a recording like this one is among those that agree: what a mechanism does in it would show there as well."""
+    first, last = session.recordings[0].recording_id, session.recordings[-1].recording_id
+    if own.recording_id in (first, last):
+        return False
+    key = "largest_voltage_kv" if own.loading == "electrical" else "largest_strain"
+    return any(
+        (r.protocol, r.loading) == (own.protocol, own.loading)
+        and r.values.get(key, 0.0) >= 0.8 * own.values.get(key, 0.0)
+        for r in others
+    )

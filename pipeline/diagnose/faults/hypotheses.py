@@ -1,0 +1,269 @@
+"""The faults that one recording may have, each with what it changes, what levels it moves, and what would put it right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from pipeline.diagnose.faults import fault as ids
+from pipeline.diagnose.faults.levels import DRIVE, NOISE, RATE, SENSED, STRAIN, TENSION, Levels
+from pipeline.diagnose.faults.predict import Prediction, Suspect
+from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR, SENSOR_SATURATION
+from pipeline.diagnose.rules import RULES
+from pipeline.transform.calibration import GRAVITY_M_PER_S2
+from schemas.arrays import Float
+from schemas.numbers import significant
+
+SOUND, MECHANISM = "", "mechanism"
+"""What is no fault: the recording is as it should be; the film or the rig does there what the plain model does not."""
+_POUND_FORCE, _EFFECTIVE = 4.4482216, 2.0**0.5
+"""N of a pound-force; amplitude over effective value of a sinusoid."""
+_FORCE_SLIPS = (
+    1e3,
+    1e-3,
+    GRAVITY_M_PER_S2,
+    1 / GRAVITY_M_PER_S2,
+    1e3 / GRAVITY_M_PER_S2,
+    _POUND_FORCE,
+    1 / _POUND_FORCE,
+)
+"""Recorded over true force where a file says N of mN, kN, kgf, gf, lbf, or the other way round."""
+_TRAVEL_SLIPS = (1e3, 1e-3, 25.4, 1 / 25.4)
+"""The same of displacements in µm, m and inches."""
+_COMMON_SLIPS = (2.0, 0.5, 10.0, 0.1, 100.0, 0.01, 2 * _EFFECTIVE, 1 / (2 * _EFFECTIVE), _EFFECTIVE, 1 / _EFFECTIVE)
+"""Of amplitude, peak to peak and effective value for one another, and of ranges and probes ten times off."""
+_STRETCHES = (2.0, 0.5, 10.0, 0.1)
+"""Claimed over true time where a rate was entered wrongly."""
+_LATEST_S, _FASTEST = 0.02, 2e-3
+"""Longest delay and largest drift between two channels that are searched."""
+_EXACT = 1e-6
+"""Share of the distance of two places to which a continuous parameter is found."""
+_OF_FILM = 4
+"""Parameters of a film of its own that one recording shows."""
+_PROMISING = 0.05
+"""Share of χ² that a drift must come down to for it to be followed through the functionals."""
+_PLACES = 41
+"""Places of a continuous parameter at which its search begins."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One way in which a recording may be wrong.
+
+    Parameters
+    ----------
+    cause : id of the fault, or one of the two that are none
+    detail : which channel and by how much, in words
+    predict : what the recording would show, None where that may be anything
+    log_prior : of this fault with this parameter
+    free : number of continuous parameters, those of a film of its own included
+    shifts, open_levels, flipped : of levels, as `Levels.log_likelihood` takes them
+    shows : what of the samples themselves it explains: `flat`, `held`, `foreign`, `rig`
+    channel, factor : of which channel samples were multiplied by what
+    late : delay and drift of the output
+    stretch : claimed over true time
+    """
+
+    cause: str
+    detail: str
+    predict: Callable[[], Prediction | None] | None
+    log_prior: float
+    free: int = 0
+    shifts: Mapping[str, float] = field(default_factory=dict)
+    open_levels: frozenset[str] = frozenset()
+    flipped: bool = False
+    shows: frozenset[str] = frozenset()
+    channel: str = ""
+    factor: float = 1.0
+    late: tuple[float, float] = (0.0, 0.0)
+    stretch: float = 1.0
+
+
+def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Iterator[Hypothesis]:
+    """All that may be wrong with a recording, and that nothing is; `mechanism`: probability that a mechanism shows in it."""
+    prior = float(np.log(RULES.fault.prior))
+    if levels.own_rig:
+        words = "the others' rig explains it, the rig that its metadata name does not"
+        yield Hypothesis(ids.FOREIGN_RIG, words, lambda: suspect.sound, prior, shows=frozenset({"rig"}))
+    else:
+        yield Hypothesis(SOUND, "", lambda: suspect.sound, 0.0)
+    yield Hypothesis(MECHANISM, "", None, float(np.log(mechanism)), 2)
+    yield from _scales(suspect, prior)
+    yield from _delays(suspect, prior)
+    yield from _stretches(suspect, levels, prior)
+    if not suspect.is_electrical:
+        yield Hypothesis(
+            ids.CHANNELS_SWAPPED,
+            "force and displacement are in each other's place",
+            suspect.swap,
+            prior,
+            open_levels=frozenset({STRAIN, RATE, TENSION, NOISE + "force", NOISE + "displacement"}),
+        )
+        for factor, weight in ((None, 0.5), (2.0, 0.25), (0.5, 0.25)):
+            strain = levels.by_name.get(STRAIN)
+            if strain is not None:
+                shift = strain.value if factor is None else -float(np.log(factor))
+                stated = float(np.exp(-shift))
+                yield Hypothesis(
+                    ids.STRAIN_WRONG,
+                    f"strain_pp says {significant(stated, 3)} times the strain that was driven",
+                    lambda: suspect.sound,
+                    prior + float(np.log(weight)),
+                    1 if factor is None else 0,
+                    {STRAIN: shift},
+                    factor=stated,
+                )
+    output = "force"
+    dead = partial(suspect.scale, {output: 0.0})
+    yield Hypothesis(
+        ids.DEAD_CHANNEL, f"the {output} shows nothing but noise", dead, prior,
+        open_levels=frozenset({TENSION, NOISE + output}), channel=output, factor=0.0,
+    )  # fmt: skip
+    if levels.held:
+        name, share = max(levels.held.items(), key=lambda item: item[1])
+        yield Hypothesis(
+            ids.DEAD_CHANNEL,
+            f"the {name} stands still through {significant(100 * share, 2)} % of the record",
+            None, prior, 1, open_levels=frozenset({TENSION, NOISE + name}), shows=frozenset({"held", "flat"}), channel=name,
+        )  # fmt: skip
+    if levels.flat > 0:
+        yield Hypothesis(
+            SENSOR_SATURATION.id,
+            f"{significant(100 * levels.flat, 2)} % of the force's samples lie on a flat top",
+            None, prior, 1, open_levels=frozenset({TENSION}), shows=frozenset({"flat", "held"}), channel="force",
+        )  # fmt: skip
+    own = {TENSION, SENSED, NOISE + "force", NOISE + "displacement", NOISE + "voltage"}
+    yield Hypothesis(
+        ids.FOREIGN_RECORDING,
+        "its film is not that of the others",
+        None, prior, _OF_FILM, open_levels=frozenset(own), shows=frozenset({"foreign", "rig"}),
+    )  # fmt: skip
+
+
+def _scales(suspect: Suspect, prior: float) -> Iterator[Hypothesis]:
+    channels: dict[str, tuple[float, ...]] = {"force": _FORCE_SLIPS}
+    channels |= {"voltage": ()} if suspect.is_electrical else {"displacement": _TRAVEL_SLIPS}
+    for channel, slips in channels.items():
+        every = (*slips, *_COMMON_SLIPS)
+        for factor in every:
+            yield _scale(suspect, channel, factor, ids.UNIT_SLIP, prior - float(np.log(len(every) * len(channels))), 0)
+        if channel == "voltage":
+            continue  # its square acts: a sign does not show
+        yield _scale(suspect, channel, -1.0, ids.SIGN_FLIPPED, prior - float(np.log(2)), 0)
+        found = _search(partial(_scale_by, suspect, channel), suspect, np.linspace(-1.5, 1.5, _PLACES))
+        yield _scale(suspect, channel, float(np.exp(found)), GAIN_ERROR.id, prior - float(np.log(2)), 1)
+
+
+def _scale_by(suspect: Suspect, channel: str, log_factor: float) -> Prediction:
+    return suspect.scale({channel: float(np.exp(log_factor))})
+
+
+def _scale(suspect: Suspect, channel: str, factor: float, cause: str, log_prior: float, free: int) -> Hypothesis:
+    shift = float(np.log(abs(factor)))
+    shifts = {NOISE + channel: shift}
+    if channel == "force":
+        shifts[TENSION] = shift
+    shifts |= {STRAIN: shift} if channel == "displacement" else {DRIVE: shift} if channel == "voltage" else {}
+    words = "has the opposite sign" if factor == -1.0 else f"is recorded {significant(factor, 3)} times too large"
+    return Hypothesis(
+        cause, f"the {channel} {words}", partial(suspect.scale, {channel: factor}), log_prior, free, shifts,
+        flipped=channel == "force" and factor < 0, channel=channel, factor=factor,
+    )  # fmt: skip
+
+
+def _delays(suspect: Suspect, prior: float) -> Iterator[Hypothesis]:
+    grid = _spread(_LATEST_S, 1e-6)
+    late = _search(lambda x: suspect.delay(x, 0.0), suspect, grid)
+    yield Hypothesis(
+        ids.CHANNEL_SKEW, f"the force is stamped {significant(1e3 * late, 3)} ms late", partial(suspect.delay, late, 0.0),
+        prior, 1, channel="force", late=(late, 0.0),
+    )  # fmt: skip
+    drift = _search(lambda x: suspect.delay(0.0, x), suspect, _spread(_FASTEST, 1e-7))
+    drifting: Callable[[float], Prediction] = partial(suspect.delay, 0.0)
+    if suspect.compute_chi2(drifting(drift)) < _PROMISING * suspect.sound_chi2:
+        drifting = suspect.follow_drift
+        drift = _search(drifting, suspect, drift * np.linspace(0.98, 1.02, 5))
+    yield Hypothesis(
+        ids.CLOCK_DRIFT,
+        f"the clock of the force runs {significant(1e6 * abs(drift), 3)} ppm {'ahead of' if drift > 0 else 'behind'} that of the input",
+        partial(drifting, drift), prior, 1, channel="force", late=(0.0, drift),
+    )  # fmt: skip
+
+
+def _spread(largest: float, least: float) -> Float:
+    """Places of both signs in equal steps of the logarithm, and 0."""
+    positive = np.geomspace(least, largest, _PLACES)
+    return np.concatenate([-positive[::-1], [0.0], positive])
+
+
+def _stretches(suspect: Suspect, levels: Levels, prior: float) -> Iterator[Hypothesis]:
+    rate = levels.by_name.get(RATE)
+    for factor in _STRETCHES:
+        yield _stretch(suspect, factor, prior + float(np.log(0.5 / len(_STRETCHES))), 0)
+    if rate is not None and abs(rate.value) > rate.sd:
+        found = float(np.exp(-rate.value))
+        if not suspect.is_electrical and suspect.own.recordings[suspect.number].protocol == "chirp":
+            near = -rate.value + np.linspace(-3, 3, 13) * rate.sd
+            found = float(np.exp(_search(lambda x: suspect.stretch(float(np.exp(x))), suspect, near)))
+        yield _stretch(suspect, found, prior + float(np.log(0.5)), 1)
+
+
+def _stretch(suspect: Suspect, factor: float, log_prior: float, free: int) -> Hypothesis:
+    return Hypothesis(
+        ids.SAMPLE_RATE_WRONG,
+        f"its clock claims {significant(factor, 4)} times the time that passed",
+        partial(suspect.stretch, factor), log_prior, free, {RATE: -float(np.log(factor))}, stretch=factor,
+    )  # fmt: skip
+
+
+def _search(predict: Callable[[float], Prediction], suspect: Suspect, places: Float) -> float:
+    """Where a continuous parameter makes χ² least: at the best of its places (q,), then between the neighbours of that."""
+
+    def cost(x: float) -> float:
+        return suspect.compute_chi2(predict(x))
+
+    best = int(np.argmin([cost(float(x)) for x in places]))
+    low, high = float(places[max(best - 1, 0)]), float(places[min(best + 1, places.size - 1)])
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": _EXACT * (high - low)})
+    return float(found.x)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A hypothesis with its χ² (that of the noise where it may be anything) and its log posterior, not normalised."""
+
+    hypothesis: Hypothesis
+    chi2: float
+    log_posterior: float
+
+
+def judge_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Sequence[tuple[Judged, float]]:
+    """Hypotheses with their posterior probabilities, the most probable first."""
+    rules, judged = RULES.fault, []
+    fall = max(suspect.temper(suspect.sound_chi2) - suspect.temper(suspect.size), 1.0) if suspect.size else 1.0
+    seen = {
+        "flat": levels.flat > rules.flat,
+        "held": max(levels.held.values(), default=0.0) > rules.held,
+        "foreign": levels.foreign,
+        "rig": levels.own_rig,
+    }
+    for h in list_hypotheses(suspect, levels, mechanism):
+        predicted = None if h.predict is None else h.predict()
+        if h.predict is not None and predicted is None:
+            continue
+        chi2 = float(suspect.size) if predicted is None else suspect.compute_chi2(predicted)
+        total = h.log_prior - 0.5 * suspect.temper(chi2) - 0.5 * h.free * float(np.log(max(fall, 2.0)))
+        total += levels.log_likelihood(h.shifts, open_levels=h.open_levels, flipped=h.flipped)
+        total += sum(
+            float(np.log(rules.unmistakable)) for name, is_seen in seen.items() if is_seen and name not in h.shows
+        )
+        judged.append(Judged(h, chi2, total))
+    log = np.array([j.log_posterior for j in judged])
+    probability = np.exp(log - log.max())
+    probability /= probability.sum()
+    order = np.argsort(-probability)
+    return [(judged[i], float(probability[i])) for i in order]

@@ -1,0 +1,193 @@
+"""What a recording would show with a fault, from a film and a rig that the others agree on, and how well it shows that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.diagnose.faults.undo import CAPACITANCE, RESPONSES, follow_block, scale_of, turn, turned
+from pipeline.diagnose.features.kinds import REST_HUM, SPHS_RESPONSE
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.plain_fit import PlainFit
+from pipeline.diagnose.simulation.effects import NONE, Effect, View
+from pipeline.diagnose.simulation.families import dynamic, film_at, rig_of
+from pipeline.diagnose.simulation.parameters import BaseModel, Physical
+from pipeline.diagnose.simulation.session import Session
+from pipeline.diagnose.simulation.simulation import Simulation
+from schemas.arrays import Complex, Float
+from schemas.protocols import ELECTRICAL, MECHANICAL
+
+_DIFFERENCE = 1e-4
+"""Step of an entry by which slopes are taken."""
+
+
+@dataclass(frozen=True)
+class StretchedModel(BaseModel):
+    """A plain model whose recordings claim `stretch` times the time that has passed.
+
+    A response at a claimed frequency f is the true one at `stretch` × f: relaxation times and dampers grow by the
+    factor, masses by its square.
+    """
+
+    stretch: float = 1.0
+
+    def physical(self, theta: Float) -> Physical:
+        """θ (P,) in physical terms, by the claimed clock."""
+        true, c = super().physical(theta), self.stretch
+        film = replace(true.film, tau=tuple(c * t for t in true.film.tau), c_inf=c * true.film.c_inf)
+        rigs = tuple(replace(r, mass=c**2 * r.mass, extra=c**2 * r.extra, damping=c * r.damping) for r in true.rigs)
+        return replace(true, film=film, rigs=rigs)
+
+
+def stretch_model(model: BaseModel, stretch: float) -> StretchedModel:
+    """The model by a clock that claims `stretch` times the time."""
+    return StretchedModel(**{f.name: getattr(model, f.name) for f in fields(BaseModel)}, stretch=stretch)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Features (n,) of a recording, and their slopes (n, P) by the entries of θ; neither is whitened."""
+
+    value: Float
+    slope: Float
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One recording of a session beside the film and the rig that the others agree on.
+
+    Parameters
+    ----------
+    session : with this recording among them
+    number : of the recording
+    own : this recording alone
+    rig : number in the fit of the rig that it is simulated on
+    simulation : of it
+    fit : of the others; its covariance is how well they know what the recording should show
+    """
+
+    session: Session
+    number: int
+    own: Session
+    rig: int
+    simulation: Simulation
+    fit: PlainFit
+
+    @classmethod
+    def of(cls, session: Session, number: int, fit: PlainFit, rig: int) -> Suspect:
+        """The suspect with that number, on the rig with the number `rig` in the fit."""
+        kept = [p.recording == number and p.block.kind != REST_HUM for p in session.places]
+        own = session.part(kept)
+        states = replace(own.states, rig=np.full_like(own.states.rig, rig))
+        on_rig = replace(own, rig=np.full_like(own.rig, rig), states=states)
+        return cls(session, number, own, rig, Simulation(on_rig), fit)
+
+    @property
+    def size(self) -> int:
+        """Number of its features."""
+        return self.own.size
+
+    @property
+    def is_electrical(self) -> bool:
+        """Whether it is a test under voltage."""
+        return self.own.recordings[self.number].loading == ELECTRICAL
+
+    @cached_property
+    def sound(self) -> Prediction:
+        """What it would show without a fault."""
+        return self._simulate(self.fit.model, lambda _: NONE)
+
+    def scale(self, factors: dict[str, float]) -> Prediction:
+        """What it would show with samples of some channels multiplied by factors."""
+        parts = [np.full(p.block.size, scale_of(p.block.kind, self.is_electrical, factors)) for p in self.own.places]
+        factor = np.concatenate(parts)
+        return Prediction(factor * self.sound.value, factor[:, None] * self.sound.slope)
+
+    def delay(self, delay_s: float, drift: float) -> Prediction:
+        """What it would show with its output stamped later, by a delay and by a share of the time since its start."""
+        late = Effect(force=(lambda view: np.exp(-2j * np.pi * view.frequency_hz * delay_s),))
+        theta = self.fit.theta
+        value = self.sound.value if delay_s == 0 else self.simulation.predict(self.fit.model, theta, late)
+        value, slope = value.copy(), self.sound.slope.copy()
+        for p in self.own.places:
+            if p.block.kind in RESPONSES:
+                own = slice(p.first, p.stop)
+                value[own] = turned(value[own], turn(p.block, 0.0, drift))
+                slope[own] = turned(slope[own].T, turn(p.block, delay_s, drift)).T
+        return Prediction(value, slope)
+
+    def follow_drift(self, drift: float) -> Prediction:
+        """What it would show with its output stamped later by a share of the time, its functionals included."""
+        nodes = self.own.recordings[self.number].nodes
+        on_rig = self.simulation.session
+        places = tuple(
+            p if p.block.kind == SPHS_RESPONSE else replace(p, block=follow_block(p.block, nodes, 0.0, drift))
+            for p in on_rig.places
+        )
+        followed = replace(self, simulation=Simulation(replace(on_rig, places=places)))
+        found = followed._simulate(self.fit.model, lambda _: NONE)
+        for p in self.own.places:
+            if p.block.kind == SPHS_RESPONSE:
+                own, factor = slice(p.first, p.stop), turn(p.block, 0.0, drift)
+                found.value[own] = turned(found.value[own], factor)
+                found.slope[own] = turned(found.slope[own].T, factor).T
+        return found
+
+    def stretch(self, factor: float) -> Prediction:
+        """What it would show by a clock that claims `factor` times the time."""
+        return self._simulate(stretch_model(self.fit.model, factor), lambda _: NONE)
+
+    def swap(self) -> Prediction | None:
+        """What it would show with force and displacement in each other's place; None of tests under voltage."""
+        if self.own.recordings[self.number].loading != MECHANICAL:
+            return None
+        found = self._simulate(self.fit.model, lambda physical: _swap(physical, self.rig))
+        value, slope = found.value.copy(), found.slope.copy()
+        for p in self.own.places:
+            if p.block.kind in CAPACITANCE:  # of what is no displacement: it says nothing
+                value[p.first : p.stop], slope[p.first : p.stop] = p.block.value, 0.0
+        return Prediction(value, slope)
+
+    def _simulate(self, model: BaseModel, effect: Callable[[Physical], Effect]) -> Prediction:
+        theta = self.fit.theta
+        moved = theta + np.concatenate([np.zeros((1, theta.size)), _DIFFERENCE * np.eye(theta.size)])
+        rows = np.array([self.simulation.predict(model, x, effect(model.physical(x))) for x in moved])
+        return Prediction(rows[0], (rows[1:] - rows[0]).T / _DIFFERENCE)
+
+    def compute_chi2(self, prediction: Prediction) -> float:
+        """χ² of the recording against a prediction as well as the others make it: eᵀ (I + J C Jᵀ)⁻¹ e, whitened."""
+        e = self.own.whiten(self.own.value - prediction.value)
+        j = self.own.whiten(prediction.slope)
+        if not (np.isfinite(e).all() and np.isfinite(j).all()):
+            return float("inf")
+        known = np.linalg.inv(self.fit.solution.covariance)
+        scale = np.sqrt(np.diag(known))
+        shared = j / scale
+        inner = known / np.outer(scale, scale) + shared.T @ shared
+        along = shared.T @ e
+        return max(float(e @ e - along @ np.linalg.solve(inner, along)), 0.0)
+
+    @cached_property
+    def sound_chi2(self) -> float:
+        """χ² without a fault."""
+        return self.compute_chi2(self.sound)
+
+    def temper(self, chi2: float) -> float:
+        """−2 log likelihood of a χ², with every form wrong by a share of the misfit that asks for it."""
+        excess = max(self.sound_chi2 / max(self.size, 1) - 1, 0.0)
+        variance = 1 + RULES.fault.form_error**2 * excess
+        return chi2 / variance + self.size * float(np.log(variance))
+
+
+def _swap(physical: Physical, number: int) -> Effect:
+    """1/G in place of G = F/x."""
+
+    def inverse(view: View) -> Complex:
+        rig = rig_of(physical, number, NONE)
+        k = film_at(physical, NONE, view).k
+        return np.asarray(1 / rig.mechanical(k, dynamic(rig, view, NONE, k)) ** 2)
+
+    return Effect(force=(inverse,))

@@ -1,0 +1,310 @@
+"""Faults that many recordings share: what all of them state wrongly, a clock, the rig's file, a film that changed midway."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from pipeline.diagnose.faults import fault as ids
+from pipeline.diagnose.faults.clock import find_drift
+from pipeline.diagnose.faults.correct import write
+from pipeline.diagnose.faults.fault import Correction, Fault
+from pipeline.diagnose.faults.fitted import Fitted, fit_session
+from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels
+from pipeline.diagnose.faults.undo import scale_channels, stretch_clock
+from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.features.observed import AMPLITUDE, STATED
+from pipeline.diagnose.mechanisms.rig import RIG_CONSTANTS
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.plain_fit import PlainFit, measure_roughness
+from pipeline.diagnose.simulation.session import Session, make_session
+from pipeline.transform.calibration import GRAVITY_M_PER_S2
+from schemas.errors import NotIdentifiableError
+from schemas.metadata import RigConstants
+from schemas.numbers import significant
+from schemas.protocols import MECHANICAL
+
+_ALIKE = 0.03
+"""Difference of the logarithms of levels up to which recordings share one."""
+_RIG_SLIPS = (10.0, 0.1, 1e3, 1e-3, 2.2046, 0.45359, 2.0, 0.5, 100.0, 0.01)
+"""Written over true constants of a rig where a file says kg of g or lb, or a digit too many or too few."""
+_FORCE_SLIPS = (1 / GRAVITY_M_PER_S2, GRAVITY_M_PER_S2, 1e3, 1e-3, 4.4482216, 1 / 4.4482216)
+"""Recorded over true force of all recordings."""
+_SIZES = (("film_thickness_mm", 1.0, 0.5), ("film_width_mm", -1.0, 0.3), ("relative_permittivity", -1.0, 0.2))
+"""Sizes that the actuation follows: power of the measured over the promised one, and how often each is the one that is wrong."""
+_SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
+"""Slips of a size: of layers, halves and digits."""
+_WAYS = 2 * len(_RIG_SLIPS) + len(_FORCE_SLIPS)
+"""Ways in which a rig's file or the unit of all forces may be wrong."""
+_TRIED = 2
+"""Ways to put a rig right that are fitted, of those that make the film smoothest."""
+
+
+def find_stated_by_all(
+    recordings: Sequence[RecordingFeatures], levels: Mapping[str, Levels]
+) -> tuple[list[RecordingFeatures], list[Fault]]:
+    """What the metadata of all mechanical tests state otherwise than their samples show, with the recordings put right."""
+    found: list[Fault] = []
+    tests = [r for r in recordings if r.loading == MECHANICAL]
+    stated, strain = _share(tests, levels, STRAIN)
+    if strain is not None:
+        found.append(_fault_of_strain(stated, -strain))
+    put_right = list(recordings)
+    turning, rate = _share([r for r in tests if r.protocol == "cyclic"], levels, RATE)
+    if rate is not None and len(turning) > 1:
+        stretch = float(np.exp(-rate))
+        put_right = [stretch_clock(r, stretch) if r in tests else r for r in recordings]
+        found.append(
+            Fault(
+                ids.SAMPLE_RATE_WRONG,
+                tuple(r.recording_id for r in tests),
+                RULES.fault.named,
+                f"the clocks of all mechanical tests claim {significant(stretch, 4)} times the time that passed",
+                tuple(
+                    Correction(r.recording_id, ids.SAMPLE_RATE_WRONG, "time.scale", "1", write(1 / stretch), RULES.fault.named)
+                    for r in tests
+                ),
+                sets_aside=False,
+            )
+        )  # fmt: skip
+    driven, drive = _share([r for r in recordings if r.loading == "electrical"], levels, DRIVE)
+    if drive is not None:
+        factor = float(np.exp(drive))
+        found.append(
+            Fault(
+                ids.UNIT_SLIP,
+                tuple(r.recording_id for r in driven),
+                0.5,
+                f"the voltage is {significant(factor, 3)} times what drive_kv says in all tests",
+                tuple(
+                    Correction(r.recording_id, ids.UNIT_SLIP, "columns.voltage.scale", "1", write(1 / factor), 0.5)
+                    for r in driven
+                ),
+                sets_aside=False,
+            )
+        )  # fmt: skip
+    return put_right, found
+
+
+def _share(
+    recordings: Sequence[RecordingFeatures], levels: Mapping[str, Levels], name: str
+) -> tuple[list[RecordingFeatures], float | None]:
+    """Recordings that have a level, and the one that all of them share far from what is expected; None where they do not."""
+    having = [r for r in recordings if name in levels[r.recording_id].by_name]
+    values = np.array([levels[r.recording_id].by_name[name].value for r in having])
+    if len(having) < 2:
+        return having, None
+    middle = float(np.median(values))
+    far = min(levels[r.recording_id].by_name[name].z() for r in having) > RULES.fault.suspect
+    return having, middle if far and np.abs(values - middle).max() < max(_ALIKE, 0.1 * abs(middle)) else None
+
+
+def _fault_of_strain(recordings: Sequence[RecordingFeatures], stated: float) -> Fault:
+    """Strains of all recordings that are stated by a common factor wrong, ln of it: the strains or the length they refer to."""
+    factor = float(np.exp(stated))
+    amplitude_for_pp = abs(abs(stated) - np.log(2)) < 2 * _ALIKE
+    share = 0.6 if amplitude_for_pp else 0.2
+    corrections = []
+    for r in recordings:
+        strain = r.values[STATED + AMPLITUDE] / r.values["strain_length_mm"]
+        now, then = write(strain), write(strain / factor)
+        corrections.append(Correction(r.recording_id, ids.STRAIN_WRONG, "strain_pp", now, then, share))
+        for key in ("film_length_mm", "total_length_mm"):
+            length = r.values.get(STATED + key)
+            if length is not None:
+                now, then = write(length), write(length / factor)
+                corrections.append(Correction(r.recording_id, ids.SIZE_WRONG, key, now, then, 1 - share))
+    return Fault(
+        ids.STRAIN_WRONG if share > 0.5 else ids.SIZE_WRONG,
+        tuple(r.recording_id for r in recordings),
+        max(share, 1 - share),
+        f"strain_pp times the length says {significant(factor, 3)} times the travel that was driven in all tests:"
+        " either the strains or the length is wrong, which of them the recordings do not tell",
+        tuple(corrections),
+        sets_aside=False,
+    )
+
+
+@dataclass(frozen=True)
+class _Remedy:
+    """A way to put all recordings right: the fault, the key, written over true value, and how."""
+
+    cause: str
+    key: str
+    factor: float
+    words: str
+    apply: Callable[[RecordingFeatures], RecordingFeatures]
+
+    def correct(self, recording: RecordingFeatures) -> tuple[str, str]:
+        """Value now, and proposed."""
+        if self.key.startswith("rig."):
+            now = getattr(recording.rig, self.key.removeprefix("rig."))
+            return write(now), write(now / self.factor)
+        return "1", write(1 / self.factor)
+
+
+def _list_remedies(session: Session) -> Iterator[_Remedy]:
+    for key, words in (("clamp_mass_kg", "clamp mass"), ("load_cell_stiffness_n_per_mm", "load cell's stiffness")):
+        if all(getattr(r.rig, key) for r in session.recordings):
+            for factor in _RIG_SLIPS:
+                yield _Remedy(
+                    RIG_CONSTANTS.id, f"rig.{key}", factor,
+                    f"the {words} in the rig's file is {significant(factor, 4)} times that of the rig",
+                    partial(_correct_rig, key, factor),
+                )  # fmt: skip
+    for factor in _FORCE_SLIPS:
+        yield _Remedy(
+            ids.UNIT_SLIP, "columns.force.scale", factor, f"the force of all tests is recorded {significant(factor, 3)} times too large",
+            partial(scale_channels, factors={"force": 1 / factor}),
+        )  # fmt: skip
+
+
+def _correct_rig(key: str, factor: float, recording: RecordingFeatures) -> RecordingFeatures:
+    return replace(recording, rig=_change_rig(recording.rig, key, factor))
+
+
+def _change_rig(rig: RigConstants, key: str, factor: float) -> RigConstants:
+    """The rig with one constant, and its error, divided by a factor."""
+    value, sd = getattr(rig, key), getattr(rig, f"{key}_sd")
+    changed = {key: value / factor} | ({} if sd is None else {f"{key}_sd": sd / factor})
+    return replace(rig, **changed)
+
+
+def find_shared(
+    recordings: Sequence[RecordingFeatures], fitted: Fitted
+) -> tuple[list[RecordingFeatures], Fitted, list[Fault]]:
+    """What is wrong with all recordings that their plain fit shows: rig's file, unit of the force, a clock that drifts, sizes."""
+    session, _, plain = fitted
+    found: list[Fault] = []
+    put_right = list(recordings)
+    if plain.chi2 > RULES.fault.agrees * session.size or _find_furthest(plain) > RULES.fault.off:
+        remedied = _try_remedies(put_right, fitted)
+        if remedied is None:
+            remedied = find_drift(put_right, fitted)
+        if remedied is not None:
+            put_right, fitted, fault = remedied
+            found.append(fault)
+    size = _ask_sizes(fitted)
+    return put_right, fitted, found + ([] if size is None else [size])
+
+
+def _find_furthest(plain: PlainFit) -> float:
+    """Deviation of the rig's constants from their file, in standard deviations, the largest."""
+    model = plain.model
+    own = [i for i, name in enumerate(model.names) if name.startswith("rig ") and "damping" not in name]
+    return max((abs(float(plain.theta[i] - model.prior_mean[i]) / float(model.prior_sd[i])) for i in own), default=0.0)
+
+
+def _rank_remedies(session: Session) -> list[_Remedy]:
+    """Remedies that make the responses much more like those of a film, the smoothest first; none where there is no response."""
+    try:
+        as_it_is = measure_roughness(session)
+    except NotIdentifiableError:
+        return []
+    found = []
+    for number, remedy in enumerate(_list_remedies(session)):
+        if remedy.key.startswith("rig."):
+            own = remedy.key.removeprefix("rig.")
+            changed = replace(session, rigs=tuple(_change_rig(rig, own, remedy.factor) for rig in session.rigs))
+        else:
+            changed = make_session([remedy.apply(r) for r in session.recordings], session.laws)
+        try:
+            found.append((measure_roughness(changed), number, remedy))
+        except (NotIdentifiableError, ValueError):
+            continue  # no film at all fits such a rig
+    found.sort(key=lambda item: item[:2])
+    return [remedy for roughness, _, remedy in found if roughness < RULES.fault.smoother * as_it_is]
+
+
+def _try_remedies(
+    recordings: Sequence[RecordingFeatures], fitted: Fitted
+) -> tuple[list[RecordingFeatures], Fitted, Fault] | None:
+    """The remedy that brings all recordings together with the rig's file, None where none does."""
+    session, _, plain = fitted
+    rough = _rank_remedies(session)
+    if not rough:
+        return None
+    best: tuple[float, list[RecordingFeatures], Fitted, _Remedy] | None = None
+    for remedy in rough[:_TRIED]:
+        tried = [remedy.apply(r) for r in recordings]
+        fit = fit_session(tried)
+        if best is None or fit[2].chi2 < best[0]:
+            best = fit[2].chi2, tried, fit, remedy
+    if best is None or best[0] > RULES.fault.agrees * session.size:
+        return None
+    chi2, changed, again, remedy = best
+    odds = 0.5 * (plain.chi2 - chi2) + float(np.log(RULES.fault.prior / _WAYS))
+    probability = float(1 / (1 + np.exp(-np.clip(odds, -50, 50))))
+    if probability < RULES.fault.named or _find_furthest(again[2]) > RULES.fault.off:
+        return None
+    corrections = tuple(
+        Correction(r.recording_id, remedy.cause, remedy.key, *remedy.correct(r), probability) for r in recordings
+    )
+    names = tuple(r.recording_id for r in recordings)
+    left = chi2 / max(again[0].size, 1)
+    return changed, again, Fault(remedy.cause, names, probability, remedy.words, corrections, False, left)
+
+
+def _round_off(log_factor: float, sd: float) -> float:
+    """The usual slip that a factor, known by its logarithm, may be; the factor itself where it is none."""
+    off = [abs(log_factor - np.log(slip)) for slip in _SIZE_SLIPS]
+    near = int(np.argmin(off))
+    return _SIZE_SLIPS[near] if off[near] < 2 * sd else float(np.exp(log_factor))
+
+
+def merge_lengths(faults: Sequence[Fault]) -> list[Fault]:
+    """Faults with one of the length where strains and actuation are off by the same factor: a wrong length does both at once."""
+    strains = [f for f in faults if any(c.key == "total_length_mm" for c in f.corrections)]
+    sizes = [f for f in faults if any(c.key == "film_thickness_mm" for c in f.corrections)]
+    if not strains or not sizes:
+        return list(faults)
+    ratios = []
+    for fault, key in ((strains[0], "total_length_mm"), (sizes[0], "film_thickness_mm")):
+        c = next(c for c in fault.corrections if c.key == key)
+        ratios.append(float(np.log(float(c.value_now) / float(c.value_proposed))))
+    if abs(ratios[0] - ratios[1]) > RULES.features.permittivity_sd:
+        return list(faults)
+    lengths = tuple(
+        replace(c, probability=RULES.fault.named) for c in strains[0].corrections if c.cause == ids.SIZE_WRONG
+    )
+    merged = replace(
+        strains[0],
+        cause=ids.SIZE_WRONG,
+        probability=RULES.fault.named,
+        corrections=lengths,
+        finding=f"the length is {significant(np.exp(ratios[0]), 3)} times too large: strains and actuation are off by that alike",
+    )
+    return [merged, *(f for f in faults if f not in (strains[0], sizes[0]))]
+
+
+def _ask_sizes(fitted: Fitted) -> Fault | None:
+    """The actuation against what thickness, width and permittivity promise: they show in nothing else."""
+    session, _, plain = fitted
+    place = plain.model.index("log actuation")
+    if place is None or plain.chi2 > RULES.fault.agrees_after * session.size:
+        return None
+    sd = float(plain.model.prior_sd[place])
+    ratio = float(plain.theta[place] - plain.model.prior_mean[place])
+    if not np.isfinite(sd) or abs(ratio) < RULES.fault.off * sd:
+        return None
+    electrical = [r for r in session.recordings if r.loading == "electrical"]
+    factor = _round_off(ratio, sd)
+    corrections = []
+    for r in electrical:
+        for key, power, share in _SIZES:
+            now = r.values.get(STATED + key)
+            if now is not None:
+                then = now * factor ** (-power)
+                corrections.append(Correction(r.recording_id, ids.SIZE_WRONG, key, write(now), f"{then:.3g}", share))
+    return Fault(
+        ids.SIZE_WRONG,
+        tuple(r.recording_id for r in electrical),
+        RULES.fault.named,
+        f"the voltage acts {significant(np.exp(ratio), 2)} times as strongly as thickness, width and permittivity promise:"
+        " one of them is wrong, which of them the recordings do not tell",
+        tuple(corrections),
+        sets_aside=False,
+    )

@@ -1,0 +1,170 @@
+"""Undoing a fault in the features of a recording: units, signs and delays of a channel act on them as factors.
+
+Every feature is a linear functional of one channel, most of them over the size of the other. A factor on a channel is
+therefore a factor on each kind of features, and on each part of their noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from pipeline.diagnose.features.blocks import operator_of
+from pipeline.diagnose.features.kinds import (
+    CHIRP_HARMONIC,
+    CHIRP_LEVEL,
+    CHIRP_RESPONSE,
+    CYCLE_FORCE,
+    CYCLIC_CAPACITANCE,
+    CYCLIC_HARMONIC,
+    CYCLIC_LEVEL,
+    CYCLIC_RESPONSE,
+    RELAXATION_FORCE,
+    REST_HUM,
+    SPHS_CAPACITANCE,
+    SPHS_DETECTION,
+    SPHS_RESPONSE,
+    SPHS_VOLTAGE,
+    STEP_CAPACITANCE,
+    STEP_FORCE,
+    STEP_VOLTAGE,
+    FeatureBlock,
+    RecordingFeatures,
+)
+from schemas.arrays import Complex, Float
+from schemas.protocols import ELECTRICAL
+
+RESPONSES = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, SPHS_RESPONSE})
+"""Kinds of complex responses of the force, which a delay between the channels turns."""
+_OF_OUTPUT = frozenset(
+    {
+        CHIRP_RESPONSE,
+        CHIRP_HARMONIC,
+        CHIRP_LEVEL,
+        CYCLIC_RESPONSE,
+        CYCLIC_HARMONIC,
+        CYCLIC_LEVEL,
+        STEP_FORCE,
+        RELAXATION_FORCE,
+        CYCLE_FORCE,
+    }
+)
+"""Kinds of functionals of the force."""
+CAPACITANCE = frozenset({CYCLIC_CAPACITANCE, SPHS_CAPACITANCE, STEP_CAPACITANCE})
+_VOLTAGE = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
+
+
+def scale_channels(features: RecordingFeatures, factors: dict[str, float]) -> RecordingFeatures:
+    """The features as they were had the samples of some channels been multiplied by factors.
+
+    Parameters
+    ----------
+    factors : quantity → factor, negative for a sign
+
+    Notes
+    -----
+    A response F/x scales with f/x of the factors, −F/V² with f/v². What is simulated from the recorded input and not
+    divided by it (levels, windows) is brought to the same by the inverse factor, so that the simulation need not change.
+    Covariances scale by what their quantity's own noise does not say already.
+    """
+    blocks = tuple(_scale_block(b, features.loading == ELECTRICAL, factors) for b in features.blocks)
+    noise = tuple(replace(n, power=n.power * factors.get(n.quantity, 1.0) ** 2) for n in features.noise)
+    values = dict(features.values)
+    if "rest_force_n" in values:
+        values["rest_force_n"] *= factors.get("force", 1.0)
+    return replace(features, blocks=blocks, noise=noise, values=values)
+
+
+def _scale_block(block: FeatureBlock, electrical: bool, factors: dict[str, float]) -> FeatureBlock:
+    factor = scale_of(block.kind, electrical, factors)
+    own = np.array([(factor / factors.get(name.partition("/")[0], 1.0)) ** 2 for name in block.components])
+    basis = block.basis * own.reshape(-1, *(1,) * (block.basis.ndim - 1))
+    return replace(block, value=block.value * factor, basis=basis)
+
+
+def scale_of(kind: str, electrical: bool, factors: dict[str, float]) -> float:
+    """Factor of the features of a kind."""
+    if kind == REST_HUM:
+        return 1.0
+    if electrical:
+        voltage = factors.get("voltage", 1.0)
+        if kind in _VOLTAGE:
+            return voltage / factors.get("command", 1.0)
+        output = factors.get("capacitance" if kind in CAPACITANCE else "force", 1.0)
+        return output / voltage**2
+    output = factors.get("capacitance" if kind in CAPACITANCE else "force", 1.0)
+    return output / factors.get("displacement", 1.0)
+
+
+def turn(block: FeatureBlock, delay_s: float, drift: float) -> Complex:
+    """Factors (n/2,) of a response where the output is stamped later by `delay_s`, and by `drift` of the time since the start."""
+    half = block.size // 2
+    late = delay_s + drift * block.time_s[:half]
+    return np.asarray(np.exp(-2j * np.pi * block.frequency_hz[:half] * late))
+
+
+def follow_delay(features: RecordingFeatures, delay_s: float, drift: float) -> RecordingFeatures:
+    """The features with the knowledge that the output is stamped later by a delay and by a share of the time since the start.
+
+    Functionals of the output take it into their weights at each frequency. Lines of a multisine are turned back; those
+    that were not excited are left out, for a period that does not fit leaks into them.
+    """
+    followed = [follow_block(b, features.nodes, delay_s, drift) for b in features.blocks if b.kind != SPHS_DETECTION]
+    return replace(features, blocks=tuple(followed))
+
+
+def follow_block(block: FeatureBlock, nodes: Float, delay_s: float, drift: float) -> FeatureBlock:
+    """The same of one block; what is no functional of the output stays."""
+    if block.kind == SPHS_RESPONSE:
+        return advance_block(block, delay_s, drift)
+    if block.kind not in _OF_OUTPUT:
+        return block
+    operator = operator_of(block, nodes.size)
+    late = delay_s + drift * np.nan_to_num(block.time_s)
+
+    def turn_weights(weights: csr_array, part: Callable[[Float], Float]) -> csr_array:
+        row = np.repeat(np.arange(block.size), np.diff(weights.indptr))
+        turned_data = weights.data * part(-2 * np.pi * nodes[weights.indices] * late[row])
+        return csr_array((turned_data, weights.indices, weights.indptr), shape=weights.shape)
+
+    re = csr_array(turn_weights(operator.re, np.cos) + turn_weights(operator.im, np.sin))
+    im = csr_array(turn_weights(operator.im, np.cos) - turn_weights(operator.re, np.sin))
+    support = dict(block.support)
+    for name, weights in (("re", re), ("im", im)):
+        support |= {
+            f"{name}_data": weights.data,
+            f"{name}_columns": weights.indices.astype(float),
+            f"{name}_rows": weights.indptr.astype(float),
+        }
+    return replace(block, support=support)
+
+
+def advance_block(block: FeatureBlock, delay_s: float, drift: float) -> FeatureBlock:
+    """A block of responses turned back as if its output had been stamped earlier; what is no response stays."""
+    if block.kind not in RESPONSES:
+        return block
+    return replace(block, value=turned(block.value, 1 / turn(block, delay_s, drift)))
+
+
+def turned(values: Float, factor: Complex) -> Float:
+    """Real and imaginary parts (..., n) of complex numbers times factors (n/2,)."""
+    half = values.shape[-1] // 2
+    product = (values[..., :half] + 1j * values[..., half:]) * factor
+    return np.concatenate([product.real, product.imag], axis=-1)
+
+
+def stretch_clock(features: RecordingFeatures, factor: float) -> RecordingFeatures:
+    """The features had the clock of the recording claimed `factor` times less time than it does.
+
+    Weights of samples stay as they are: what was claimed to be a frequency is `factor` times that.
+    """
+    blocks = tuple(replace(b, frequency_hz=b.frequency_hz * factor, time_s=b.time_s / factor) for b in features.blocks)
+    noise = tuple(
+        replace(n, interval_s=n.interval_s / factor, frequency_hz=n.frequency_hz * factor) for n in features.noise
+    )
+    return replace(
+        features, blocks=blocks, noise=noise, nodes=features.nodes * factor, duration_s=features.duration_s / factor
+    )
