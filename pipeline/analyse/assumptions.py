@@ -162,6 +162,13 @@ def _about_voltage(about: RecordingMetadata, rig: RigConstants, channels: Collec
         )
     if about.layers is None and about.film_thickness_mm is not None:
         yield Assumption("layers", "1", "no layers", "field, expected forces and permittivity")
+    if about.layers is not None and about.layers > 1 and about.film_thickness_mm is not None:
+        yield Assumption(
+            "film_thickness_mm of a stack",
+            "that of all layers together",
+            f"{about.layers} layers",
+            "field, expected forces and permittivity; diagnoses, where the actuation does not say that it is of one layer",
+        )
     if about.relative_permittivity is not None and about.relative_permittivity_sd is None:
         yield Assumption(
             "standard deviation of the permittivity",

@@ -328,6 +328,9 @@ class FaultRules:
         6.0, "deviation of a level from which a recording is left out until it is explained", unit="SD"
     )
     anywhere: float = _rule(3.0, "range of the logarithm of a level that a fault leaves open")
+    stray: float = _rule(
+        0.05, "probability that a rest level or a noise is another than in the other recordings without a fault", CLEAN
+    )
     flat: float = _rule(0.003, "share of a force's samples on a flat top that is clipping", CLEAN)
     held: float = _rule(0.01, "share of a record in which a channel stands still that is a drop-out", CLEAN)
     unmistakable: float = _rule(1e-6, "probability of a flat top, a drop-out or another film's sizes without the fault")

@@ -34,8 +34,10 @@ def edited(name: str) -> list[RecordingFeatures]:
     return [f if a is b else reduce(b) for f, a, b in zip(sound(), before, after, strict=True)]
 
 
-def find_proposals(checked: Checked, key: str) -> list[float]:
-    return [float(c.value_proposed) for f in checked.faults for c in f.corrections if c.key == key]
+@lru_cache(maxsize=8)
+def check(name: str) -> Checked:
+    """What is found in the session with a fault."""
+    return check_recordings(edited(name))
 
 
 NOT_TOLD = "clock of the force 200 ppm fast in one sweep"
@@ -54,7 +56,7 @@ ONE_RECORDING = [
 @pytest.mark.parametrize("name", ONE_RECORDING)
 def test_a_fault_of_one_recording_is_named_with_it(name: str) -> None:
     edit = EDITS[name]
-    checked = check_recordings(edited(name))
+    checked = check(name)
     (fault,) = checked.faults
     assert fault.cause in (edit.cause, *edit.instead), fault.finding
     assert fault.recordings == edit.culprits(recordings())
@@ -73,7 +75,7 @@ def test_another_specimens_recording_is_foreign() -> None:
 
 def test_a_film_torn_midway_is_another_from_there_on() -> None:
     name = "film torn from the seventh recording on"
-    (fault,) = check_recordings(edited(name)).faults
+    (fault,) = check(name).faults
     assert fault.cause == "specimen_changed"
     assert fault.recordings == EDITS[name].culprits(recordings())
     assert "0.800 times" in fault.finding
@@ -91,7 +93,7 @@ def test_a_film_torn_midway_is_another_from_there_on() -> None:
     ],
 )
 def test_what_would_put_it_right_is_proposed(name: str, key: str, expected: float) -> None:
-    checked = check_recordings(edited(name))
+    checked = check(name)
     (fault,) = checked.faults
     best = max((c for c in fault.corrections if c.key == key), key=lambda c: c.probability)
     assert float(best.value_proposed) == pytest.approx(expected, rel=2e-3)
@@ -101,7 +103,7 @@ def test_what_would_put_it_right_is_proposed(name: str, key: str, expected: floa
 @pytest.mark.parametrize("name", ["strain_pp of all doubled", "thickness doubled", "width halved", "length doubled"])
 def test_wrong_sizes_and_strains_are_named_and_said_not_to_be_told_apart(name: str) -> None:
     edit = EDITS[name]
-    (fault,) = check_recordings(edited(name)).faults
+    (fault,) = check(name).faults
     assert fault.cause in (edit.cause, *edit.instead)
     assert not fault.sets_aside
     assert len({c.key for c in fault.corrections}) > 1

@@ -34,6 +34,20 @@ def without_rest(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
+def only_first_sweep(recording: Recording) -> Recording:
+    """A chirp from its first movement to the end of its first sweep: no rest at all."""
+    cut = without_rest(recording)
+    given = cut.channels["displacement"]
+    first = given.time_ns < cut.start_ns + int(0.9e9 * recording.metadata.period_s)
+    moves = np.abs(given.values - given.values[0]) > 0.02 * np.ptp(given.values)
+    stop_ns = int(given.time_ns[np.flatnonzero(moves & first)[-1]])
+    channels = {}
+    for quantity, channel in cut.channels.items():
+        kept = channel.time_ns < stop_ns
+        channels[quantity] = replace(channel, time_ns=channel.time_ns[kept], values=channel.values[kept])
+    return replace(cut, metadata=replace(cut.metadata, repeats=1, period_s=None, rest_before_s=None), channels=channels)
+
+
 def diagnose_without_rest(*effects: Effect) -> Diagnosis:
     session = compact_session(SESSION_SEED, effects)
     return diagnose([reduce(without_rest(recording)) for recording in session.recordings])
@@ -52,6 +66,22 @@ def test_every_sweep_and_cycle_counts_without_rest_before_it() -> None:
         for before, after in zip(responses[0][settled], responses[1][settled], strict=True):
             size = np.abs(before.value).max()
             assert np.abs(before.value - after.value).max() < 0.02 * size
+
+
+def test_a_sweep_without_any_rest_tells_its_noise_beyond_its_harmonics() -> None:
+    for recording in compact_session(SESSION_SEED, ()).recordings:
+        if recording.metadata.protocol != "chirp":
+            continue
+        whole, cut = reduce(recording), reduce(only_first_sweep(recording))
+        (alone,) = [b for b in cut.blocks if b.kind == CHIRP_RESPONSE]
+        first = next(b for b in whole.blocks if b.kind == CHIRP_RESPONSE)
+        assert alone.value.size > 0.9 * first.value.size
+        for quantity in ("displacement", "force"):
+            found, expected = (
+                float(np.mean([np.median(n.power) * n.interval_s for n in f.noise if n.quantity == quantity]))
+                for f in (cut, whole)
+            )
+            assert found == pytest.approx(expected, rel=0.5), quantity
 
 
 def test_nothing_is_found_in_a_clean_session_without_rest() -> None:

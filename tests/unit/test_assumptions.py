@@ -86,6 +86,8 @@ def test_what_an_electrical_test_leaves_out() -> None:
         "layers": "1",
         "standard deviation of the permittivity": "10 %",
     }
+    stack = assumed("force_map", "electrical", "voltage force_1 force_2", **keys, layers=4)
+    assert stack["film_thickness_mm of a stack"] == "that of all layers together"
     steps = assumed("step", "electrical", "voltage force command", **keys)
     assert steps["state of the film whose electrode was measured"] == "stretched"
     assert steps["gain of the amplifier"] == "1.5 kV/V"

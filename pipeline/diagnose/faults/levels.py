@@ -67,14 +67,20 @@ class Levels:
     def log_likelihood(
         self, shifts: Mapping[str, float], *, open_levels: frozenset[str] = frozenset(), flipped: bool = False
     ) -> float:
-        """Of the levels under a fault that moves some of them; `open_levels` may be anywhere, `flipped` turns the tension."""
-        total = 0.0
+        """Of the levels under a fault that moves some of them; `open_levels` may be anywhere, `flipped` turns the tension.
+
+        Any level may stray without a fault: a load cell is tared, a range or a filter is changed.
+        """
+        rules, total = RULES.fault, 0.0
         for name, level in self.by_name.items():
+            anywhere = -float(np.log(rules.anywhere / level.sd))
             if name in open_levels:
-                total -= np.log(RULES.fault.anywhere / level.sd)
+                total += anywhere
                 continue
             z = level.z(shifts.get(name, 0.0), flipped and name == TENSION)
-            total -= 0.5 * (_NU + 1) * float(np.log1p(z**2 / _NU))
+            expected = -0.5 * (_NU + 1) * float(np.log1p(z**2 / _NU))
+            may_stray = name in (TENSION, SENSED) or name.startswith(NOISE)
+            total += float(np.logaddexp(expected, np.log(rules.stray) + anywhere)) if may_stray else expected
         return total
 
 

@@ -288,7 +288,8 @@ def _ask_sizes(fitted: Fitted) -> Fault | None:
         return None
     sd = float(plain.model.prior_sd[place])
     ratio = float(plain.theta[place] - plain.model.prior_mean[place])
-    if not np.isfinite(sd) or abs(ratio) < RULES.fault.off * sd:
+    believed = plain.model.free_actuation(plain.theta, RULES.fault.off)
+    if not np.isfinite(sd) or np.isfinite(believed.prior_sd[place]):
         return None
     electrical = [r for r in session.recordings if r.loading == "electrical"]
     factor = _round_off(ratio, sd)

@@ -40,6 +40,8 @@ _TOP = 0.5
 """Log frequency below the highest band that says how the film goes on above the sweep."""
 _CAME_BACK = 6.0
 """Standard deviations of its noise within which a driven end is back where it began."""
+_CLEAR_OF_HARMONICS = 3.5
+"""Times the highest frequency of a sweep above which neither it nor its harmonics show, but the noise."""
 _REMEMBERED = 3
 """Sweeps, the last one itself, in which all is that a film answers with while one passes: with all of many, time and memory would grow
 as the square of their number."""
@@ -80,12 +82,6 @@ def chirp_blocks(
     pieces, amplitude = _sweeps(recording, found, found.values[names[0]])
     before = rest_samples(found.values[names[0]], back=int(0.25 / (low * found.interval_s)))
     start = find_start(before, RULES.features.chirp_rest, _rests_after(pieces))
-    if not start.quiet:
-        raise NotIdentifiableError(
-            "no rest before the first sweep nor after one: nothing tells the noise",
-            where=where,
-            expected=f"at least {RULES.features.chirp_rest} samples of rest",
-        )
     rest = start.samples
     x, y = found.values[names[0]] - _rest_position(found.values[names[0]], start), found.values[names[1]]
     y = y - y[:rest].mean()
@@ -93,6 +89,15 @@ def chirp_blocks(
     # After a sweep the film still relaxes: a parabola takes that off.
     degree = 1 if start.rests else 2
     noise = [found.noise(q, v[s], degree=degree) for s in start.quiet for q, v in zip(names, (x, y), strict=True)]
+    if not start.quiet:
+        noise = [found.noise_beyond(q, _CLEAR_OF_HARMONICS * high) for q in names]
+    if None in noise[:2]:
+        raise NotIdentifiableError(
+            "no rest before the first sweep nor after one, and samples too rare for the noise beyond it",
+            where=where,
+            expected=f"at least {RULES.features.chirp_rest} samples of rest,"
+            f" or more than {2 * _CLEAR_OF_HARMONICS * high:.4g} samples a second",
+        )
     warnings: list[str] = []
     signals = Signals(
         x, y, found.interval_s, nodes, (), found.channel_factor(names[1], names[0]), noise_sd=white_sd(y, start.quiet)

@@ -149,7 +149,7 @@ class RecordingFeatures:
     nodes : (J,) Hz, frequencies of the response that the operators of the blocks take
     values : numbers by name that sessions and predictions need and that are no features: `strain_length_mm`, `rest_force_n`,
         `largest_strain`, `exposure_kv2_s`, `largest_voltage_kv`, `temperature_degc`, `rest_before_s`, `force_range_n`,
-        `actuation_n_per_kv2` and `actuation_sd` (from geometry, relative), ...; absent where not known
+        `actuation_n_per_kv2` and `actuation_sd` (from geometry, relative), `layers`, ...; absent where not known
     settings : texts by name (`command` recorded or not, ...)
     warnings : what could not be reduced and why
     """

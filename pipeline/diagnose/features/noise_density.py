@@ -55,12 +55,14 @@ def noise_sample(
     interval_s: float,
     *,
     degree: int = 1,
+    above_hz: float = 0.0,
     below_hz: float = np.inf,
     setting: tuple[float, float] = (0.0, 0.0),
 ) -> NoiseSample | None:
     """Hann periodogram of a stretch of noise (n,) without its polynomial of that degree; None below 16 samples.
 
-    The lowest bins, of which the polynomial takes a part, those above `below_hz` and those near the mains are left out.
+    The lowest bins, of which the polynomial takes a part, those outside `above_hz` to `below_hz` and those near the mains are
+    left out.
     """
     n = residual.size
     if n < RULES.features.noise_samples:
@@ -71,7 +73,7 @@ def noise_sample(
     power = np.abs(np.fft.rfft(e * window)) ** 2 / np.sum(window**2)
     frequency = np.arange(power.size) / (n * interval_s)
     kept = np.arange(power.size) >= 2 + degree // 2
-    kept &= frequency <= below_hz
+    kept &= (frequency >= above_hz) & (frequency <= below_hz)
     kept[-1] = False
     for mains in MAINS_HZ:
         kept &= np.abs(frequency - mains) > max(_MAINS_WIDTH_HZ, 2.5 / (n * interval_s))

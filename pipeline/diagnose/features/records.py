@@ -84,17 +84,30 @@ class Record:
     def noise(self, quantity: str, values: Float, *, degree: int = 1, below_hz: float = np.inf) -> NoiseSample | None:
         """Periodogram of a stretch (n,) of a channel without signal, or with one that a polynomial of that degree follows."""
         passed_hz = _PASSED * 0.5 / self.interval_s if self.thinned > 1 else np.inf
-        own_s = self.own_interval_s[quantity]
-        if own_s > _RARER * self.interval_s / self.thinned:
-            passed_hz = min(passed_hz, _PASSED * 0.5 / own_s)
         return noise_sample(
             quantity,
             values,
             self.interval_s,
             degree=degree,
-            below_hz=min(below_hz, passed_hz),
+            below_hz=min(below_hz, passed_hz, self._sampled_hz(quantity)),
             setting=self.setting(quantity),
         )
+
+    def noise_beyond(self, quantity: str, above_hz: float) -> NoiseSample | None:
+        """Periodogram of a whole channel at its own samples above a frequency; None where there is nothing above that."""
+        return noise_sample(
+            quantity,
+            _bridged(self.sampled.values[quantity]),
+            self.interval_s / self.thinned,
+            above_hz=above_hz,
+            below_hz=self._sampled_hz(quantity),
+            setting=self.setting(quantity),
+        )
+
+    def _sampled_hz(self, quantity: str) -> float:
+        """Frequency up to which a channel's own samples show its spectrum, where the clock's are more: they are interpolated."""
+        own_s = self.own_interval_s[quantity]
+        return _PASSED * 0.5 / own_s if own_s > _RARER * self.interval_s / self.thinned else np.inf
 
     def setting(self, quantity: str) -> tuple[float, float]:
         """Interval of the converter's samples in s and its step, to three digits."""

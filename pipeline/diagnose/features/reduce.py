@@ -105,6 +105,7 @@ def _values(recording: Recording) -> dict[str, float]:
     expected = actuation_prior(metadata)
     if expected is not None:
         values["actuation_n_per_kv2"], values["actuation_sd"] = expected
+        values["layers"] = float(metadata.layers or 1)
     return values
 
 

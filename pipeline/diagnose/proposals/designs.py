@@ -84,7 +84,7 @@ another."""
 _EXTRA_KG = "extra_clamp_mass_kg"
 _USUAL_CLAMP_KG, _WEIGHTS_KG = 0.1, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Mass of a clamp where no file gives one, and masses of a usual set of weights, kg."""
-_CARRIED = ("actuation_n_per_kv2", "actuation_sd")
+_CARRIED = ("actuation_n_per_kv2", "actuation_sd", "layers")
 """What a recording tells of the specimen, and the next one would tell again."""
 _CALIBRATION_SD = {"tap": (7e-4, 3e-3), "weight": (1e-3,)}
 """Standard deviations that calibrations have in a laboratory: of ln f and of the damping ratio; of the gain."""

@@ -27,13 +27,17 @@ _RIG_NAMES = (CLAMP_MASS, "load-cell stiffness", "load-cell damping", "force gai
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of θ: prior mean and standard deviation (infinite: flat), bounds of a search."""
+    """One entry of θ: prior mean and standard deviation (infinite: flat), bounds of a search.
+
+    also : another mean that is as likely
+    """
 
     name: str
     mean: float = 0.0
     sd: float = np.inf
     low: float = -np.inf
     high: float = np.inf
+    also: float | None = None
 
 
 @dataclass(frozen=True)
@@ -200,6 +204,8 @@ class BaseModel:
     def free_actuation(self, theta: Float, far: float) -> BaseModel:
         """The model that does not believe what sizes and permittivity say of the actuation, where θ contradicts it.
 
+        Where the sizes can be read in two ways, the other one is believed before none is.
+
         Parameters
         ----------
         theta : (P,) entries
@@ -208,8 +214,11 @@ class BaseModel:
         place = self.index(ACTUATION)
         if place is None or not abs(theta[place] - self.prior_mean[place]) > far * self.prior_sd[place]:
             return self
-        entries = list(self.entries)
-        entries[place] = replace(entries[place], sd=float("inf"))
+        entries, entry = list(self.entries), self.entries[place]
+        if entry.also is not None and abs(theta[place] - entry.also) <= far * entry.sd:
+            entries[place] = replace(entry, mean=entry.also, also=None)
+        else:
+            entries[place] = replace(entry, sd=float("inf"))
         return replace(self, entries=tuple(entries))
 
     @property

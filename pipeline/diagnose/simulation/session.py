@@ -210,13 +210,11 @@ class Session:
         if electrical:
             known = [r for r in electrical if "actuation_n_per_kv2" in r.values]
             if known:
-                entries.append(
-                    Entry(
-                        ACTUATION,
-                        float(np.log(known[0].values["actuation_n_per_kv2"])),
-                        max(known[0].values["actuation_sd"], 1e-6),
-                    )
-                )
+                values = known[0].values
+                mean, layers = float(np.log(values["actuation_n_per_kv2"])), values.get("layers", 1.0)
+                # A thickness is that of all layers together; many a laboratory writes that of one.
+                also = mean - float(np.log(layers)) if layers > 1 else None
+                entries.append(Entry(ACTUATION, mean, max(values["actuation_sd"], 1e-6), also=also))
             else:
                 entries.append(Entry(ACTUATION, float(np.log(1e-3))))
         for number, rig in enumerate(self.rigs):
