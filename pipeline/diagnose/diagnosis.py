@@ -64,7 +64,8 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     checked = check_recordings(recordings)
     session, simulation, plain = checked.session, checked.simulation, checked.plain
     # 2. to 6. What is left, and which mechanisms explain it.
-    evidence = _search_causes(Extended(session, simulation, plain.model, (), np.ones(session.size)), plain)
+    of = Extended(session, simulation, plain.model, (), np.ones(session.size))
+    evidence = _screen(of, plain.theta)[1] if checked.is_barred else _search_causes(of, plain)
     # 7. Parts are left out and predicted.
     final = evidence.final
     held_out = None if final is None else predict_left_out(evidence.plain, final)
@@ -93,16 +94,10 @@ def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
 
 def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Evidence:
     """Steps 2 to 6 from entries `start` (P,) of the plain model; `mechanical` (P,): those of the mechanical tests alone."""
-    # 2. Is there anything? Signatures of all mechanisms, and smooth patterns that none of them proposes.
-    noise_fit = _fit_under_noise(of, start)
-    changes = compute_secants(noise_fit)
-    signatures = compute_signatures(changes, noise_fit)
-    scores = find_best_scores(signatures)
-    patterns = test_patterns(noise_fit)
-    p_value = signatures.compute_p(scores[0].statistic) if scores else 1.0
-    threshold = signatures.find_threshold(RULES.alarm.mechanism_level) if scores else float("inf")
-    nothing = Evidence(
-        noise_fit, signatures, p_value, threshold, patterns, plain=noise_fit
+    # 2. Is there anything?
+    changes, nothing = _screen(of, start)
+    noise_fit, signatures, p_value, patterns = (
+        nothing.noise_fit, nothing.signatures, nothing.p_value, nothing.patterns_before,
     )  # fmt: skip
     by_mechanism, by_pattern = p_value < RULES.alarm.mechanism_level, patterns.p_value < RULES.alarm.pattern_level
     if not (by_mechanism or by_pattern):
@@ -119,7 +114,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
     fall = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
     left = test_patterns(plain) if by_pattern else None
     pattern_stays = left is not None and left.p_value < RULES.alarm.left_level
-    if not pattern_stays and fall < RULES.alarm.confirmed * threshold:
+    if not pattern_stays and fall < RULES.alarm.confirmed * nothing.threshold:
         # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the
         # model.
         return replace(nothing, p_value=signatures.compute_p(fall)) if singles else nothing
@@ -154,6 +149,17 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
         final=final,
         patterns_after=test_patterns(plain if final is None else final),
     )
+
+
+def _screen(of: Extended, start: Float) -> tuple[Secants, Evidence]:
+    """Step 2, the plain model under the noise: signatures of all mechanisms, and smooth patterns that none of them proposes."""
+    noise_fit = _fit_under_noise(of, start)
+    changes = compute_secants(noise_fit)
+    signatures = compute_signatures(changes, noise_fit)
+    scores = find_best_scores(signatures)
+    p_value = signatures.compute_p(scores[0].statistic) if scores else 1.0
+    threshold = signatures.find_threshold(RULES.alarm.mechanism_level) if scores else float("inf")
+    return changes, Evidence(noise_fit, signatures, p_value, threshold, test_patterns(noise_fit), plain=noise_fit)
 
 
 def _test_again(changes: Secants, noise: Hypothesis) -> float:

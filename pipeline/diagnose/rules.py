@@ -337,15 +337,22 @@ class FaultRules:
     misses: float = _rule(6.0, "excess of a recording's χ² over the noise at which it misses the others", unit="SD")
     misses_ratio: float = _rule(2.0, "its χ² per value over that of the others from which it does", CLEAN)
     astray: float = _rule(20.0, "χ² per value from which the films of single sweeps are tried as starts", COST)
-    agrees: float = _rule(1.5, "χ² per value up to which the other recordings agree with each other", CLEAN)
-    agrees_after: float = _rule(1.2, "χ² per value up to which recordings that were put right agree", CLEAN)
-    smoother: float = _rule(
-        0.5, "roughness of the film with a corrected rig, over that without, up to which it is tried"
+    agrees: float = _rule(1.5, "χ² per value up to which recordings agree with each other", CLEAN)
+    noise_off: float = _rule(
+        3.0, "the same where the noise may be misjudged: it is next to nothing of the misfit", CLEAN
     )
+    smoother: float = _rule(
+        0.7, "roughness of the film with a corrected rig, over that without, up to which it is tried"
+    )
+    film_like: float = _rule(0.15, "the same up to which a rig's file is called wrong by the responses alone", CLEAN)
+    film_points: float = _rule(20.0, "independent values that speak in it, of any number of responses", CLEAN)
     form_error: float = _rule(0.01, "share of a misfit by which an undone fault may be wrong in form")
     named: float = _rule(0.95, "probability from which a fault is named", "verdicts: named from 0.95")
     prior: float = _rule(
         0.003, "probability of each kind of fault in a recording", "habits of laboratories, not counted"
+    )
+    mechanism_scale: float = _rule(
+        0.3, "logarithm of the factor by which a mechanism usually changes a recording's response", unit="SD"
     )
     mechanism: float = _rule(0.2, "probability of a mechanism that shows in a recording like which there is no other")
     mechanism_beside_peer: float = _rule(1e-4, "the same where another recording like it agrees with all others")

@@ -132,4 +132,15 @@ def test_the_diagnosis_says_the_fault_first_and_the_rest_is_sound() -> None:
     assert (found.verdict, found.mechanisms) == ("named", ("unit_slip",))
     assert found.faults[0].recordings == EDITS["force of one sweep in mN"].culprits(recordings())
     assert found.extension is None
+    assert found.stage == "record"
+    assert max(found.probabilities, key=lambda name: found.probabilities[name]) == "unit_slip"
     assert len(found.residuals) == len(sound()) - 1
+
+
+def test_faults_and_what_is_beside_them_are_consistent() -> None:
+    found = diagnose(edited("strain_pp of all doubled"))
+    assert (found.verdict, found.mechanisms, found.also_possible) == ("ambiguous", ("strain_wrong",), ("size_wrong",))
+    assert found.stage == "record"
+    assert found.p_value < 1e-6
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)
+    assert found.probabilities["strain_wrong"] > found.probabilities["size_wrong"] > 0.1

@@ -71,6 +71,12 @@ def miss(chi2: Float, size: Float, dispersion: float) -> Bool:
     return np.asarray((size > 0) & (per_value > noise * rules.misses_ratio * max(dispersion, 1.0)))
 
 
+def agrees(left: float, before: float) -> bool:
+    """Whether χ² per value says that recordings agree, where it was `before` without the fault that they are asked for."""
+    rules = RULES.fault
+    return left <= rules.agrees or (left <= rules.noise_off and left <= rules.form_error * before)
+
+
 def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) -> Agreement:
     """The fit that most recordings agree on, from the plain fit and from the films of single sweeps."""
     found = _reweigh(session, simulation, plain)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
+from pipeline.diagnose.faults.agreement import agrees
 from pipeline.diagnose.faults.fault import Fault
 from pipeline.diagnose.faults.undo import scale_of
 from pipeline.diagnose.rules import RULES
@@ -46,7 +47,7 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     fall = before - chi2
     odds = 0.5 * fall - float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
     left = chi2 / session.size
-    if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or left > RULES.fault.agrees_after:
+    if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or not agrees(left, before / session.size):
         return None
     return Fault(
         ids.SPECIMEN_CHANGED,

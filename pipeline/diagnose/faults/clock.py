@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
+from pipeline.diagnose.faults.agreement import agrees
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
 from pipeline.diagnose.faults.undo import RESPONSES, advance_block, follow_delay, turn, turned
@@ -44,7 +45,7 @@ def find_drift(
     changed = [follow_delay(r, 0.0, drift) for r in recordings]
     again = fit_session(changed)
     left = again[2].chi2 / max(again[0].size, 1)
-    if left > RULES.fault.agrees_after:
+    if not agrees(left, plain.chi2 / max(session.size, 1)):
         return None
     other = plain.chi2
     delay = _scan(session, _DELAYS, drifting=False)

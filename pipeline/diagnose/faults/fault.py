@@ -9,6 +9,8 @@ SAMPLE_RATE_WRONG, CLOCK_DRIFT, CHANNEL_SKEW = "sample_rate_wrong", "clock_drift
 STRAIN_WRONG, SIZE_WRONG = "strain_wrong", "size_wrong"
 DEAD_CHANNEL, FOREIGN_RECORDING, FOREIGN_RIG = "dead_channel", "foreign_recording", "foreign_rig"
 SPECIMEN_CHANGED = "specimen_changed"
+RECORD = "record"
+"""The stage of all that is wrong with recordings."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Fault:
     finding : what shows it, a sentence without its end
     corrections : what would put it right, the most probable first
     sets_aside : whether the recordings are left out of the diagnosis of the others; else they are put right in it
+    bars : whether nothing else can be asked of the session before it is put right
     left_per_value : χ² per value that the recordings leave once they are put right, NaN where they cannot be
     """
 
@@ -53,3 +56,4 @@ class Fault:
     corrections: tuple[Correction, ...] = ()
     sets_aside: bool = True
     left_per_value: float = float("nan")
+    bars: bool = False

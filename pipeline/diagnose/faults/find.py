@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.diagnose.faults.agreement import (
     Agreement,
+    agrees,
     find_agreement,
     leave_out,
     miss,
@@ -42,6 +43,11 @@ class Checked:
     simulation: Simulation
     plain: PlainFit
     faults: tuple[Fault, ...]
+
+    @property
+    def is_barred(self) -> bool:
+        """Whether no mechanism can be asked before a fault is put right."""
+        return any(f.bars for f in self.faults)
 
 
 def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
@@ -148,7 +154,7 @@ def _judge_each(
         chi2, size = sum_by_recording(session, base.misfit)
         inside = ~agreement.outside
         dispersion = float(chi2[inside].sum() / max(size[inside].sum(), 1.0))
-    if outside and dispersion > RULES.fault.agrees:
+    if outside and not agrees(dispersion, plain.chi2 / max(session.size, 1)):
         outside = frozenset()  # others do not agree with each other either: no fault of one recording
     whole = with_hum(make_session(recordings)) if suspects else session
     asked = suspects | outside

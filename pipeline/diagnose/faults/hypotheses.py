@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.levels import DRIVE, NOISE, RATE, SENSED, STRAIN, TENSION, Levels
+from pipeline.diagnose.faults.levels import DRIVE, NOISE, RATE, SENSED, STRAIN, TENSION, Levels, log_likelihood_of
 from pipeline.diagnose.faults.predict import Prediction, Suspect
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR, SENSOR_SATURATION
 from pipeline.diagnose.rules import RULES
@@ -44,6 +44,10 @@ _EXACT = 1e-6
 """Share of the distance of two places to which a continuous parameter is found."""
 _OF_FILM = 4
 """Parameters of a film of its own that one recording shows."""
+_NOTHING_LEFT = 0.02
+"""Response over that predicted below which hardly any is left."""
+_NOT_SIMULATED = 0.1
+"""How often a recording with a wrong clock shows what its simulation with that clock does not."""
 _PROMISING = 0.05
 """Share of χ² that a drift must come down to for it to be followed through the functionals."""
 _PLACES = 41
@@ -91,7 +95,7 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
         yield Hypothesis(ids.FOREIGN_RIG, words, lambda: suspect.sound, prior, shows=frozenset({"rig"}))
     else:
         yield Hypothesis(SOUND, "", lambda: suspect.sound, 0.0)
-    yield Hypothesis(MECHANISM, "", None, float(np.log(mechanism)), 2)
+    yield Hypothesis(MECHANISM, "", None, 0.0)
     yield from _scales(suspect, prior)
     yield from _delays(suspect, prior)
     yield from _stretches(suspect, levels, prior)
@@ -210,6 +214,10 @@ def _stretches(suspect: Suspect, levels: Levels, prior: float) -> Iterator[Hypot
             near = -rate.value + np.linspace(-3, 3, 13) * rate.sd
             found = float(np.exp(_search(lambda x: suspect.stretch(float(np.exp(x))), suspect, near)))
         yield _stretch(suspect, found, prior + float(np.log(0.5)), 1)
+        if rate.z() > RULES.fault.suspect and suspect.sound_chi2 > RULES.fault.agrees * suspect.size:
+            # What it shows of rig and film at such times may be finer than its frequencies are simulated.
+            stated = _stretch(suspect, found, prior + float(np.log(_NOT_SIMULATED)), _OF_FILM)
+            yield replace(stated, predict=None)
 
 
 def _stretch(suspect: Suspect, factor: float, log_prior: float, free: int) -> Hypothesis:
@@ -227,7 +235,7 @@ def _search(predict: Callable[[float], Prediction], suspect: Suspect, places: Fl
         return suspect.compute_chi2(predict(x))
 
     best = int(np.argmin([cost(float(x)) for x in places]))
-    low, high = float(places[max(best - 1, 0)]), float(places[min(best + 1, places.size - 1)])
+    low, high = sorted((float(places[max(best - 1, 0)]), float(places[min(best + 1, places.size - 1)])))
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": _EXACT * (high - low)})
     return float(found.x)
 
@@ -239,6 +247,20 @@ class Judged:
     hypothesis: Hypothesis
     chi2: float
     log_posterior: float
+
+
+def _weigh_mechanism(suspect: Suspect, predicted: Prediction, chi2: float, mechanism: float) -> float:
+    """Log probability of a recording under a mechanism that has its way beside what is predicted.
+
+    It is known by no more than how often it is there, by its two parameters, and that it does not change the response by much.
+    """
+    scale = suspect.measure_scale(predicted)
+    if scale <= _NOTHING_LEFT:
+        common = float(np.log(RULES.fault.unmistakable))
+    else:
+        common = log_likelihood_of(float(np.log(scale)) / RULES.fault.mechanism_scale)
+    excess = max(suspect.temper(chi2) - suspect.temper(suspect.size), 2.0)
+    return float(np.log(mechanism)) - 0.5 * suspect.temper(suspect.size) - float(np.log(excess)) + common
 
 
 def judge_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Sequence[tuple[Judged, float]]:
@@ -256,7 +278,14 @@ def judge_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Sequ
         if h.predict is not None and predicted is None:
             continue
         chi2 = float(suspect.size) if predicted is None else suspect.compute_chi2(predicted)
-        total = h.log_prior - 0.5 * suspect.temper(chi2) - 0.5 * h.free * float(np.log(max(fall, 2.0)))
+        total = h.log_prior - 0.5 * h.free * float(np.log(max(fall, 2.0)))
+        if h.cause == MECHANISM:
+            total += _weigh_mechanism(suspect, suspect.sound, suspect.sound_chi2, mechanism)
+        elif predicted is None or h.cause == SOUND:
+            total -= 0.5 * suspect.temper(chi2)
+        else:  # what a fault leaves may be a mechanism, as it may be without one
+            beside = _weigh_mechanism(suspect, predicted, chi2, mechanism)
+            total += float(np.logaddexp(-0.5 * suspect.temper(chi2), beside))
         total += levels.log_likelihood(h.shifts, open_levels=h.open_levels, flipped=h.flipped)
         total += sum(
             float(np.log(rules.unmistakable)) for name, is_seen in seen.items() if is_seen and name not in h.shows

@@ -78,10 +78,15 @@ class Levels:
                 total += anywhere
                 continue
             z = level.z(shifts.get(name, 0.0), flipped and name == TENSION)
-            expected = -0.5 * (_NU + 1) * float(np.log1p(z**2 / _NU))
+            expected = log_likelihood_of(z)
             may_stray = name in (TENSION, SENSED) or name.startswith(NOISE)
             total += float(np.logaddexp(expected, np.log(rules.stray) + anywhere)) if may_stray else expected
         return total
+
+
+def log_likelihood_of(z: float) -> float:
+    """Of a level that many standard deviations from what is expected, less that of one as expected (Student's t)."""
+    return -0.5 * (_NU + 1) * float(np.log1p(z**2 / _NU))
 
 
 def read_levels(recordings: Sequence[RecordingFeatures]) -> tuple[Levels, ...]:

@@ -170,6 +170,12 @@ class Suspect:
         along = shared.T @ e
         return max(float(e @ e - along @ np.linalg.solve(inner, along)), 0.0)
 
+    def measure_scale(self, prediction: Prediction) -> float:
+        """The recording's features over those predicted: the factor with which these come nearest; 1 where nothing is predicted."""
+        y, f = self.own.whiten(self.own.value), self.own.whiten(prediction.value)
+        power = float(f @ f)
+        return float(y @ f) / power if power > 0 else 1.0
+
     @cached_property
     def sound_chi2(self) -> float:
         """χ² without a fault."""

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
+from pipeline.diagnose.faults.agreement import agrees
 from pipeline.diagnose.faults.clock import find_drift
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
@@ -39,6 +40,8 @@ _SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
 """Slips of a size: of layers, halves and digits."""
 _WAYS = 2 * len(_RIG_SLIPS) + len(_FORCE_SLIPS)
 """Ways in which a rig's file or the unit of all forces may be wrong."""
+_WORTH_SAYING = 0.05
+"""Probability from which a way to put a rig right is said."""
 _TRIED = 2
 """Ways to put a rig right that are fitted, of those that make the film smoothest."""
 
@@ -198,8 +201,11 @@ def _find_furthest(plain: PlainFit) -> float:
     return max((abs(float(plain.theta[i] - model.prior_mean[i]) / float(model.prior_sd[i])) for i in own), default=0.0)
 
 
-def _rank_remedies(session: Session) -> list[_Remedy]:
-    """Remedies that make the responses much more like those of a film, the smoothest first; none where there is no response."""
+def _rank_remedies(session: Session) -> list[tuple[float, _Remedy]]:
+    """Remedies that make the responses much more like those of a film, the smoothest first, each with what is left of their roughness.
+
+    None where there is no response.
+    """
     try:
         as_it_is = measure_roughness(session)
     except NotIdentifiableError:
@@ -216,7 +222,7 @@ def _rank_remedies(session: Session) -> list[_Remedy]:
         except (NotIdentifiableError, ValueError):
             continue  # no film at all fits such a rig
     found.sort(key=lambda item: item[:2])
-    return [remedy for roughness, _, remedy in found if roughness < RULES.fault.smoother * as_it_is]
+    return [(left / as_it_is, remedy) for left, _, remedy in found if left < RULES.fault.smoother * as_it_is]
 
 
 def _try_remedies(
@@ -228,13 +234,14 @@ def _try_remedies(
     if not rough:
         return None
     best: tuple[float, list[RecordingFeatures], Fitted, _Remedy] | None = None
-    for remedy in rough[:_TRIED]:
+    for _, remedy in rough[:_TRIED]:
         tried = [remedy.apply(r) for r in recordings]
         fit = fit_session(tried)
         if best is None or fit[2].chi2 < best[0]:
             best = fit[2].chi2, tried, fit, remedy
-    if best is None or best[0] > RULES.fault.agrees * session.size:
-        return None
+    if best is None or not agrees(best[0] / session.size, plain.chi2 / session.size):
+        fault = _blame_file(rough, recordings)
+        return None if fault is None else (list(recordings), fitted, fault)
     chi2, changed, again, remedy = best
     odds = 0.5 * (plain.chi2 - chi2) + float(np.log(RULES.fault.prior / _WAYS))
     probability = float(1 / (1 + np.exp(-np.clip(odds, -50, 50))))
@@ -246,6 +253,30 @@ def _try_remedies(
     names = tuple(r.recording_id for r in recordings)
     left = chi2 / max(again[0].size, 1)
     return changed, again, Fault(remedy.cause, names, probability, remedy.words, corrections, False, left)
+
+
+def _blame_file(ranked: Sequence[tuple[float, _Remedy]], recordings: Sequence[RecordingFeatures]) -> Fault | None:
+    """The rig's file, where the responses are those of a film with another one only.
+
+    The features themselves were made with the file: their noise and what is simulated for them are wrong with it, so that no
+    fit of them can tell.
+    """
+    rules = RULES.fault
+    of_file = [(left, r) for left, r in ranked if r.cause == RIG_CONSTANTS.id]
+    if not of_file or of_file[0][0] > rules.film_like:
+        return None
+    log = np.array([-rules.film_points * np.log(left) for left, _ in ranked])
+    share = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    probability = float(share[[r.cause == RIG_CONSTANTS.id for _, r in ranked]].sum())
+    if probability < rules.named:
+        return None
+    likely = [(float(p), r) for p, (_, r) in zip(share, ranked, strict=True) if p > _WORTH_SAYING]
+    corrections = tuple(
+        Correction(own.recording_id, r.cause, r.key, *r.correct(own), p) for p, r in likely for own in recordings
+    )
+    words = " or ".join(r.words for _, r in likely)
+    names = tuple(r.recording_id for r in recordings)
+    return Fault(RIG_CONSTANTS.id, names, probability, words, corrections, sets_aside=False, bars=True)
 
 
 def _round_off(log_factor: float, sd: float) -> float:
@@ -284,7 +315,7 @@ def _ask_sizes(fitted: Fitted) -> Fault | None:
     """The actuation against what thickness, width and permittivity promise: they show in nothing else."""
     session, _, plain = fitted
     place = plain.model.index("log actuation")
-    if place is None or plain.chi2 > RULES.fault.agrees_after * session.size:
+    if place is None or plain.chi2 > RULES.fault.noise_off * session.size:
         return None
     sd = float(plain.model.prior_sd[place])
     ratio = float(plain.theta[place] - plain.model.prior_mean[place])

@@ -5,28 +5,56 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pipeline.diagnose.faults.fault import Fault
+from scipy.stats import norm
+
+from pipeline.diagnose.faults.fault import RECORD, Fault
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, UNKNOWN, Diagnosis
+from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.posterior import PLAIN
 from schemas.mechanisms import plain_name
 
 
 def state_faults(diagnosis: Diagnosis, faults: Sequence[Fault]) -> Diagnosis:
     """The diagnosis of the sound recordings with the faults of the others first; as it is where there are none.
 
-    A fault is named. What is named beside it is what the sound recordings name; what they leave open stays open, in words.
+    A fault is named, or ambiguous where several would put the recordings right alike. What is named beside it is what the sound
+    recordings name; what they leave open stays open, in words.
     """
     if not faults:
         return diagnosis
     beside = diagnosis.mechanisms if diagnosis.verdict == NAMED else ()
     causes = tuple(dict.fromkeys((*(f.cause for f in faults), *beside)))
+    others = dict.fromkeys(c.cause for f in faults for c in f.corrections if c.cause not in causes)
+    is_clear = all(f.probability >= RULES.fault.named for f in faults)
     return replace(
         diagnosis,
-        verdict=NAMED,
+        verdict=NAMED if is_clear else AMBIGUOUS,
         mechanisms=causes,
-        also_possible=(),
+        also_possible=() if is_clear else tuple(others),
+        # Whatever is called a fault is so many standard deviations away, or more.
+        p_value=min(diagnosis.p_value, float(2 * norm.sf(RULES.fault.off))),
+        probabilities=_combine(diagnosis, faults),
+        stage=RECORD,
+        depends_on=(),
         faults=tuple(faults),
-        unexplained=(*_describe_rest(diagnosis), *diagnosis.unexplained),
+        unexplained=(*_describe_rest(diagnosis, faults), *diagnosis.unexplained),
     )
+
+
+def _combine(diagnosis: Diagnosis, faults: Sequence[Fault]) -> dict[str, float]:
+    """Probabilities of the faults with what is behind the sound recordings, and without."""
+    found: dict[tuple[str, ...], float] = {
+        () if name == PLAIN else (name,): p for name, p in (diagnosis.probabilities or {PLAIN: 1.0}).items()
+    }
+    for fault in reversed(faults):
+        other = next((c.cause for c in fault.corrections if c.cause != fault.cause), "")
+        with_fault: dict[tuple[str, ...], float] = {}
+        for names, p in found.items():
+            for cause, share in ((fault.cause, fault.probability), (other, 1 - fault.probability)):
+                both = names if not cause or cause in names else (cause, *names)
+                with_fault[both] = with_fault.get(both, 0.0) + p * share
+        found = with_fault
+    return {"+".join(names) or PLAIN: p for names, p in found.items()}
 
 
 def describe_fault(fault: Fault) -> str:
@@ -36,8 +64,10 @@ def describe_fault(fault: Fault) -> str:
     return f"{who}, {fault.finding}"
 
 
-def _describe_rest(diagnosis: Diagnosis) -> tuple[str, ...]:
+def _describe_rest(diagnosis: Diagnosis, faults: Sequence[Fault]) -> tuple[str, ...]:
     """What the sound recordings leave open."""
+    if any(f.bars for f in faults):
+        return ("No other cause can be asked of these recordings before that is put right.",)
     if diagnosis.verdict == UNKNOWN:
         return ("What the other recordings show is explained by no listed cause either.",)
     if diagnosis.verdict != AMBIGUOUS:
