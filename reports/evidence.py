@@ -20,6 +20,8 @@ from reports.results import Query, Results, Row
 from schemas.arrays import Float
 
 STIFFNESS = "stiffness_n_per_mm"
+MISSES = 0.2
+"""Relative error from which a model does not predict, but misses."""
 _LOADINGS = {"mechanical": 0, "joint": 1, "electrical": 2}
 _METHODS = {"forward": 0, "corrected": 1, "time_domain": 2}
 _IN_99_OF_100 = 2.326

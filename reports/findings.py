@@ -18,6 +18,8 @@ from schemas.mechanisms import MECHANISMS, UNLISTED, cause, model_name, plain_na
 from schemas.numbers import NBSP, capital, compact, p_equals, percent, pm, significant, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
+RECORD = "record"
+"""Stage of what is wrong with recordings and their metadata."""
 LESS_THAN_NOISE = "the model leaves less than the errors that the fit reckons with"
 
 
@@ -82,6 +84,11 @@ def lede(standing: Standing) -> Piece:
         return f"{capital(short(standing.negative, 300))}. Nothing fitted to these recordings means anything before that is right."
     if fit is None:
         return ""
+    if d and d["stage"] == RECORD:
+        return (
+            "Put that right first. All that follows is computed from the recordings as they are: what is fitted to them is no"
+            " property of the film before."
+        )
     k0 = numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm")
     if d:
         return Markup("{} {} model, {} = {}; reduced χ² {}.").format(

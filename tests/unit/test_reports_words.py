@@ -88,6 +88,16 @@ def test_ambiguous_names_all_and_unknown_names_none() -> None:
     assert "none of the 23 listed causes" in unknown
 
 
+def test_what_is_fitted_to_wrong_recordings_is_no_film() -> None:
+    fit = {"model_order": 1, "k0_n_per_mm": 0.4, "k0_n_per_mm_sd": 0.01, "reduced_chi2": 1.0}
+    wrong = diagnosis("named", mechanism="unit_slip", mechanisms=["unit_slip"], stage="record")
+    right = diagnosis("named", mechanism="slack", mechanisms=["slack"], stage="contact")
+    said = [str(findings.lede(Standing("P-07", None, None, fit, d))) for d in (wrong, right)]
+    assert "Put that right first" in said[0]
+    assert "The film itself" not in said[0]
+    assert "The film itself" in said[1]
+
+
 @pytest.mark.parametrize("text", [None, "", "not json", "[1]", '{"a": 1}', '{"a": null}'])
 def test_broken_severity_is_no_error(text: str | None) -> None:
     d = diagnosis("named", mechanism="slack", mechanisms=["slack"], severity=text)

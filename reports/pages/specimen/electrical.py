@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from reports.blocks import Figure, Head, Pair, Row, Section, Table, bold, flow
-from reports.evidence import Measured, drawable
+from reports.evidence import MISSES, Measured, drawable
 from reports.figures import electrical as figures
 from reports.figures.curves import Rig, stiffness
 from reports.figures.electrical import Drive
@@ -132,7 +132,10 @@ def _predictions(draft: Draft) -> tuple[Query, list[Record]]:
 def _prediction_words(draft: Draft) -> str:
     for row in _predictions(draft)[1]:
         if row["fitted_on"].startswith("mechanical") and row["predicted"].startswith(("electrical", "sphs")):
-            return f"The mechanical model predicts the force under voltage to {percent(row['relative_error'])}."
+            error = row["relative_error"]
+            if error is not None and error >= MISSES:
+                return f"The mechanical model misses the force under voltage by {percent(error)}."
+            return f"The mechanical model predicts the force under voltage to {percent(error)}."
     return ""
 
 

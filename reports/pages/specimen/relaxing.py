@@ -11,6 +11,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from reports.blocks import Figure, Pair, Section, bold, flow
+from reports.evidence import MISSES
 from reports.figures.curves import arms, rig
 from reports.figures.relaxation import relaxation
 from reports.names import short
@@ -88,7 +89,9 @@ def _heading(courses: Sequence[Course]) -> str:
         return f"After the step the output over the input goes from {falls} in {until}"
     off = [c.off for c in courses if c.off is not None]
     text = f"The film relaxes from {falls} in {until}"
-    return f"{text}; the model follows to {percent(max(off))}" if off else text
+    if not off:
+        return text
+    return f"{text}; the model {'follows to' if max(off) < MISSES else 'misses that by'} {percent(max(off))}"
 
 
 def _figure(draft: Draft, course: Course, name: str) -> Figure:
