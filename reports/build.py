@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import functools
 import time
+import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from reports import manifest
+from reports.blocks import Link, Page, flow, name
 from reports.digests import digests
 from reports.ledger import Ledger, batches
+from reports.names import short
 from reports.plan import Planned, make, plan
 from reports.render import html
 from reports.results import DATABASE, MEMORY, Results, short_of_memory
@@ -29,18 +32,38 @@ _PAGES_AT_ONCE = 200
 _FEWEST = 50
 """Pages below which workers are not worth their start."""
 
-Made = tuple[str, list[str]]
-"""The address of a page that was written, and its data files."""
+_OF_A_PAGE = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
+"""What goes wrong in the making of one page, not with the lab, its disk or the memory."""
+
+Made = tuple[str, list[str], str]
+"""The address of a page that was written, its data files, and what went wrong in making it; empty for nothing."""
 
 
 @dataclass(frozen=True)
 class ReportResult:
-    """What a build did: pages made anew and left as they were, the index, the time it took in s."""
+    """What a build did.
+
+    Parameters
+    ----------
+    pages_written, pages_unchanged : numbers of pages made anew and left as they were
+    index : path of the first page
+    seconds : time it took, s
+    problems : address → why, of pages that say only that they could not be made; they are tried again by the next build
+    """
 
     pages_written: int
     pages_unchanged: int
     index: Path
     seconds: float
+    problems: Mapping[str, str] = field(default_factory=dict)
+
+    def describe_problems(self) -> str | None:
+        """The pages that could not be made, in a sentence; None where there are none."""
+        if not self.problems:
+            return None
+        (first, why), *_ = self.problems.items()
+        others = f", and {len(self.problems) - 1} other pages" if len(self.problems) > 1 else ""
+        return f"{first}: {why}{others}; every other page is written"
 
 
 def build_reports(
@@ -53,16 +76,19 @@ def build_reports(
     start = time.perf_counter()
     for memory in MEMORY:
         try:
-            written, unchanged = _build(lab, memory, force, workers if jobs > 1 else None, jobs)
+            written, unchanged, problems = _build(lab, memory, force, workers if jobs > 1 else None, jobs)
             break
         except Exception as error:
             if memory == MEMORY[-1] or not short_of_memory(error):
                 raise
-    return ReportResult(written, unchanged, lab / "reports" / INDEX, time.perf_counter() - start)
+    return ReportResult(written, unchanged, lab / "reports" / INDEX, time.perf_counter() - start, problems)
 
 
-def _build(lab: Path, memory: str, force: bool, workers: Callable[[], Executor] | None, jobs: int) -> tuple[int, int]:
-    """Numbers of pages that were written and left alone."""
+def _build(
+    lab: Path, memory: str, force: bool, workers: Callable[[], Executor] | None, jobs: int
+) -> tuple[int, int, dict[str, str]]:
+    """Numbers of pages that were written and left alone, and what went wrong with which."""
+    problems: dict[str, str] = {}
     folder = lab / "reports"
     with Results(lab, memory) as results:
         ledger, site = results.ledger, Site(results)
@@ -76,16 +102,16 @@ def _build(lab: Path, memory: str, force: bool, workers: Callable[[], Executor] 
             count, stale = (ledger.number(f"SELECT count(*) FROM {table}") for table in ("pages", "stale"))
             waiting = (Planned(*row) for row in ledger.each(_STALE))
             if workers is None or stale < _FEWEST:
-                _note(ledger, (_write(folder, site, one) for one in waiting))
+                _note(ledger, problems, (_write(folder, site, one) for one in waiting))
             else:
-                _note(ledger, [_write(folder, site, next(waiting))])
-                _note(ledger, _shared(lab, memory, waiting, stale - 1, workers, jobs))
+                _note(ledger, problems, [_write(folder, site, next(waiting))])
+                _note(ledger, problems, _shared(lab, memory, waiting, stale - 1, workers, jobs))
             manifest.remove_stale(folder, ledger)
             if stale or ledger.number("SELECT count(*) FROM known") != count:
                 manifest.write(folder, ledger)
         except OSError as error:
             raise LabError(f"the report cannot be written: {error}", where=str(folder)) from error
-    return stale, count - stale
+    return stale, count - stale, problems
 
 
 _STALE = "SELECT path, kind, item FROM pages JOIN stale USING (place) ORDER BY place"
@@ -103,8 +129,18 @@ def _find_stale(ledger: Ledger) -> None:
     )
 
 
-def _note(ledger: Ledger, made: Iterable[Made]) -> None:
-    ledger.add("data", ((page, path) for page, files in made for path in files))
+def _note(ledger: Ledger, problems: dict[str, str], made: Iterable[Made]) -> None:
+    """Data files of pages to the ledger, what went wrong to the problems; such a page is made again by the next build."""
+
+    def note() -> Iterator[tuple[str, str]]:
+        for page, files, problem in made:
+            if problem:
+                problems[page] = problem
+            yield from ((page, path) for path in files)
+
+    ledger.add("data", note())
+    for page in problems:
+        ledger.run("UPDATE pages SET digest = '' WHERE path = ?", (page,))
 
 
 def _shared(
@@ -139,9 +175,40 @@ def _known_site(lab: Path, memory: str, state: tuple[int, int]) -> Site:
 
 
 def _write(folder: Path, site: Site, planned: Planned) -> Made:
-    page = make(site, planned)
-    text = html(page)
+    problem = ""
+    try:
+        page = make(site, planned)
+        text = html(page)
+    except _OF_A_PAGE as error:
+        if short_of_memory(error):
+            raise
+        problem = _describe(error)
+        page = _apologise(planned, problem)
+        text = html(page)
     for path, data in page.files.items():
         manifest.write_text(folder / path, data)
     manifest.write_text(folder / planned.path, text)
-    return planned.path, list(page.files)
+    return planned.path, list(page.files), problem
+
+
+def _describe(error: Exception) -> str:
+    """An error with its place, for whoever mends it."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
+
+
+def _apologise(planned: Planned, problem: str) -> Page:
+    """The page in place of one that could not be made."""
+    up = "../" * planned.path.count("/")
+    words = (
+        f"An error of dealab's own, not of the recordings: {problem}. All results of this page stand in the database; `dealab"
+        " sql` shows them. Please report the error with this sentence."
+    )
+    subject = planned.item or planned.kind
+    return Page(
+        title=f"{short(subject, 40)}: could not be made",
+        heading=flow(name(subject), ": this page could not be made"),
+        bar=(Link("Last night", f"{up}{INDEX}"),),
+        lede=words,
+        sections=(),
+    )

@@ -24,7 +24,7 @@ def run(arguments: Namespace) -> int:
         led = "1 recording or table" if number == 1 else f"{number} recordings and tables"
         print(f"dealab: {led} led to no result; what was missing is said above", file=sys.stderr)
     if summary.report_problem is not None:
-        print(f"dealab: the report could not be written: {make_safe(summary.report_problem)}", file=sys.stderr)
+        print(f"dealab: the report is not whole: {make_safe(summary.report_problem)}", file=sys.stderr)
     print(summary.paragraph())
     print(f"Database: {lab.database}")
     print(f"Report:   {lab.reports / 'index.html'}")

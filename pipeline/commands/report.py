@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 
-from pipeline.commands.command import DONE, LAB, Command
+from pipeline.commands.command import DONE, FAILED, LAB, Command
 from pipeline.lab.lab import Lab
+from schemas.visible import make_safe
 
 
 def run(arguments: Namespace) -> int:
@@ -14,9 +16,12 @@ def run(arguments: Namespace) -> int:
     lab = Lab(arguments.lab)
     lab.require_database()
     lab.refuse_links()
-    build_reports(lab.folder, force=True)
+    problems = build_reports(lab.folder, force=True).describe_problems()
     print(f"Report: {lab.reports / 'index.html'}")
-    return DONE
+    if problems is None:
+        return DONE
+    print(f"dealab: the report is not whole: {make_safe(problems)}", file=sys.stderr)
+    return FAILED
 
 
 COMMAND = Command("report", "rebuild the pages from the database alone", ("", "--lab /data/lab"), (LAB,), run)

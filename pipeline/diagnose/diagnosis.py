@@ -16,14 +16,14 @@ from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.judge import judge_session
 from pipeline.diagnose.proposals.next_recording import Rival, propose_separating
 from pipeline.diagnose.report import report_session
-from pipeline.diagnose.results import AMBIGUOUS, Diagnosis, NextRecording
+from pipeline.diagnose.results import AMBIGUOUS, UNKNOWN, Diagnosis, NextRecording
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.consensus import find_consensus, search_from_consensus
 from pipeline.diagnose.search.evidence import Evidence, find_best
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, order_causes, settle_outliers
 from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
-from pipeline.diagnose.search.held_out import predict_left_out
+from pipeline.diagnose.search.held_out import predict_by_function, predict_left_out
 from pipeline.diagnose.search.patterns import test_patterns
 from pipeline.diagnose.search.plain_fit import PlainFit
 from pipeline.diagnose.search.posterior import (
@@ -66,11 +66,14 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     # 2. to 6. What is left, and which mechanisms explain it.
     of = Extended(session, simulation, plain.model, (), np.ones(session.size))
     evidence = _screen(of, plain.theta)[1] if checked.is_barred else _search_causes(of, plain)
-    # 7. Parts are left out and predicted.
-    final = evidence.final
-    held_out = None if final is None else predict_left_out(evidence.plain, final)
-    # 8. The verdict.
+    # 7. The verdict, and 8. parts are left out and predicted: with the named causes, or the function of what has no name.
     verdict = judge_session(evidence)
+    final, function = (evidence.final, None) if verdict != UNKNOWN else (None, evidence.function)
+    held_out = None
+    if final is not None:
+        held_out = predict_left_out(evidence.plain, final)
+    elif function is not None:
+        held_out = predict_by_function(function)
     # 9. What to measure next.
     proposal = _propose_recording(evidence) if verdict == AMBIGUOUS else None
     # 10. Numbers and words.

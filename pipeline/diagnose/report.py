@@ -32,7 +32,7 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.held_out import list_supporting_protocols
 from pipeline.diagnose.search.intervals import NORMAL_90, find_interval_ends, make_linear_ends
 from pipeline.diagnose.search.patterns import name_variable
-from pipeline.diagnose.search.posterior import Posterior
+from pipeline.diagnose.search.posterior import Posterior, RegionFit
 from pipeline.diagnose.search.tempering import measure_explained_share
 from pipeline.diagnose.simulation.parameters import ACTUATION
 from pipeline.diagnose.simulation.session import Session
@@ -62,10 +62,13 @@ def report_session(
     simulation : of the session, with nodes for any film
     evidence, verdict : what was found, and concluded
     held_out : errors on parts that were left out; None where there are none
-    extended : the model with the causes, in which blocks that it does not describe count for less; None without causes
+    extended : the model with the causes, in which blocks that it does not describe count for less; None without causes, and where
+        they have no name
     proposal : the recording to make next
     """
-    final, session = evidence.final, evidence.noise_fit.of.session
+    # What has no name has a function in place of causes.
+    final, function = (None, evidence.function) if verdict == UNKNOWN else (evidence.final, None)
+    session = evidence.noise_fit.of.session
     context = make_context(simulation, evidence.noise_fit)
     smallest = find_smallest(discount_further_arms(evidence.noise_fit, evidence.signatures), evidence.threshold)
     named = () if final is None else final.of.mechanism_ids
@@ -84,7 +87,7 @@ def report_session(
         supported_by=() if final is None else list_supporting_protocols(evidence.plain, final),
         held_out=held_out,
         extension=None if extended is None else _report_extension(evidence, extended, context, held_out),
-        candidates=_list_candidates(evidence, context, held_out),
+        candidates=_list_candidates(evidence, final, context, held_out),
         discrepancies=list_discrepancies(evidence.noise_fit),
         next_recording=proposal,
         smallest_detectable=report_smallest(smallest, context),
@@ -92,7 +95,7 @@ def report_session(
         could_not_ask=_list_unaskable(session),
         unexplained=_describe_unexplained(evidence, verdict, extended),
         plain_film=_take_film(evidence.noise_fit),
-        residuals=_list_residuals(evidence.noise_fit, extended),
+        residuals=_list_residuals(evidence.noise_fit, _predict_extended(extended, function)),
         smallest_parameters={id: values for id, (_, values) in smallest.items()},
         explained=float("nan") if final is None else measure_explained_share(evidence.plain, final),
         probabilities={} if posterior is None else posterior.probability,
@@ -210,12 +213,14 @@ def _estimate_severity(
     }
 
 
-def _list_candidates(evidence: Evidence, context: Context, held_out: HeldOut | None) -> tuple[Candidate, ...]:
+def _list_candidates(
+    evidence: Evidence, final: ExtendedFit | None, context: Context, held_out: HeldOut | None
+) -> tuple[Candidate, ...]:
     """Every mechanism that was fitted alone, best evidence first."""
     posterior, plain = evidence.posterior, evidence.plain
     if posterior is None:
         return ()
-    causes = () if evidence.final is None else evidence.final.of.mechanism_ids
+    causes = () if final is None else final.of.mechanism_ids
     size = _estimate_effective_size(plain)
     found = []
     for hypothesis in posterior.listed:
@@ -251,10 +256,17 @@ def _estimate_effective_size(plain: ExtendedFit) -> float:
     return max(r.size * (1 - rho) / (1 + rho), 10.0)
 
 
-def _list_residuals(plain_fit: ExtendedFit, extended_fit: ExtendedFit | None) -> tuple[Residuals, ...]:
+def _predict_extended(extended: ExtendedFit | None, function: RegionFit | None) -> Float | None:
+    """(N,) features by the extended model: with the causes, or with the function of what has no name."""
+    if extended is not None:
+        return extended.of.predict(extended.x)
+    return None if function is None else function.predict()
+
+
+def _list_residuals(plain_fit: ExtendedFit, predicted: Float | None) -> tuple[Residuals, ...]:
     session = plain_fit.of.session
     plain = plain_fit.of.predict(plain_fit.x)
-    extended = plain if extended_fit is None else extended_fit.of.predict(extended_fit.x)
+    extended = plain if predicted is None else predicted
     kind, frequency, time = session.kind, session.covariate("frequency_hz"), session.covariate("time_s")
     label = np.concatenate([np.full(p.block.size, p.block.label) for p in session.places])
     found = []

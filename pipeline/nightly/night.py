@@ -195,18 +195,18 @@ def _summarise(night: Night, found: Found, seconds: float, problem: str | None) 
 
 
 def _write_report(night: Night) -> str | None:
-    """Writes the pages; a page that fails is told, but the database is published all the same."""
+    """Writes the pages; one that fails is told, but the others and the database are published all the same."""
     from reports.build import build_reports
 
     workers = night.workers
     try:
-        build_reports(night.lab.folder, workers=workers.lend if workers.local else None, jobs=workers.jobs)
+        made = build_reports(night.lab.folder, workers=workers.lend if workers.local else None, jobs=workers.jobs)
     except DealabError as error:
         return str(error)
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
-    return None
+    return made.describe_problems()
 
 
 def _load_beside(module: str) -> threading.Thread:

@@ -59,7 +59,7 @@ def test_the_report_that_fails_is_told_and_the_database_is_published(
 ) -> None:
     monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: "no ink")
     assert main(["nightly", str(lab.folder.parent / "raw"), "--lab", str(lab.folder), "--jobs", "0"]) == 1
-    assert "the report could not be written: no ink" in said(capsys)[1]
+    assert "the report is not whole: no ink" in said(capsys)[1]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import fit_each_mechanism
+from pipeline.diagnose.search.likelihood import Linearised
 from pipeline.diagnose.search.posterior import Hypothesis, settle_hypothesis, weigh_fit
 from pipeline.diagnose.search.screen import compute_secants, compute_signatures, find_best_scores
 from pipeline.diagnose.search.tempering import temper_weights
@@ -34,6 +35,7 @@ def find_consensus(fits: Sequence[ExtendedFit], mechanical: Float | None) -> Hyp
     The plain model at its optimum under the weights that the likelihood gives it
     """
     starts = [*fits, *([] if mechanical is None else [_stand_at(fits[0], mechanical)])]
+    starts = [f for f in starts if Linearised.of(f).is_computed] or list(fits)
     return max((settle_hypothesis(weigh_fit(f)) for f in starts), key=lambda h: h.log_evidence)
 
 

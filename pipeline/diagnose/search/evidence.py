@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.patterns import Patterns
-from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior
+from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior, RegionFit
 from pipeline.diagnose.search.screen import Signatures
 
 
@@ -53,6 +53,12 @@ class Evidence:
     def best(self) -> Hypothesis | None:
         """The most probable hypothesis of listed causes; None where the plain model is more probable."""
         return None if self.posterior is None else find_best(self.posterior)
+
+    @property
+    def function(self) -> RegionFit | None:
+        """The most probable function of a region without a name; None where there is none."""
+        regions = () if self.posterior is None else self.posterior.regions
+        return regions[0].region if regions else None
 
     @property
     def credible(self) -> tuple[Hypothesis, ...]:

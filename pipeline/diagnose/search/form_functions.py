@@ -14,15 +14,13 @@ from scipy.special import logsumexp
 
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
-from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
+from pipeline.diagnose.search.likelihood import LARGEST, Groups, Linearised, find_absorbed, find_peak, measure_trace
 from pipeline.diagnose.search.posterior import Hypothesis, RegionFit, measure_trace_of_causes
 from pipeline.diagnose.search.regions import STEP, Region, list_regions
 from schemas.arrays import Bool, Float
 
-_WIDTHS = np.geomspace(1e-4, 1.0, 7)
+WIDTHS = np.geomspace(1e-4, 1.0, 7)
 """Widths of the priors of a region's weights."""
-_LARGEST = 1e100
-"""Change of a feature beyond which it was not computed."""
 _NO_TRACE = 1e-6
 """Length below which a shape leaves no trace."""
 
@@ -52,18 +50,22 @@ def differentiate_regions(plain: ExtendedFit) -> list[RegionChange]:
     ----------
     plain : the plain model, with the film that most groups of features agree on
     """
-    session, absorbed = plain.of.session, find_absorbed(plain)
-    base, found = plain.of.predict(plain.x), []
-    for region in list_regions(session):
-        changes = np.array([
-            (plain.of.simulation.predict(plain.of.model, plain.theta, e) - base) / STEP for e in region.effects
-        ])  # fmt: skip
-        computed = np.all(np.abs(changes) < _LARGEST, axis=1)  # about a resonance without damping a change may be any
-        columns = session.whiten(np.where(computed[:, None], changes, 0.0).T)
+    absorbed, found = find_absorbed(plain), []
+    for region in list_regions(plain.of.session):
+        columns = differentiate_region(plain, region)
         length = np.linalg.norm(columns - absorbed @ (absorbed.T @ columns), axis=0)
         if np.any(length > _NO_TRACE):
             found.append(RegionChange(region, columns, length > _NO_TRACE, length))
     return found
+
+
+def differentiate_region(plain: ExtendedFit, region: Region) -> Float:
+    """(N, K) whitened change of a session's features by each weight of a region, about the plain model."""
+    of = plain.of
+    base = of.predict(plain.x)
+    changes = np.array([(of.simulation.predict(of.model, plain.theta, e) - base) / STEP for e in region.effects])
+    computed = np.all(np.abs(changes) < LARGEST, axis=1)
+    return of.session.whiten(np.where(computed[:, None], changes, 0.0).T)
 
 
 def weigh_regions(plain: ExtendedFit, changes: Sequence[RegionChange]) -> list[Hypothesis]:
@@ -91,7 +93,7 @@ def _weigh_region(
     region, seen = change.region, change.seen
     size = about.jacobian.shape[1]
     evidence, best = [], None
-    for width in _WIDTHS:
+    for width in WIDTHS:
         scale = width * region.width[seen]
         own = change.columns[:, seen] * scale
         extended = about.extend(own)
@@ -105,7 +107,7 @@ def _weigh_region(
             weights, spread = np.zeros(seen.size), np.zeros((seen.size, seen.size))
             weights[seen] = scale * peak.step[size:]
             spread[np.ix_(seen, seen)] = np.outer(scale, scale) * covariance
-            best = RegionFit(region, weights, spread), peak
+            best = RegionFit(region, weights, spread, plain, peak.step[:size]), peak
     assert best is not None, region.id
     total = float(logsumexp(evidence) - np.log(len(evidence)))
     return Hypothesis(region.id, total, prior, None, best[0], best[1].weight, best[1].odd)

@@ -14,6 +14,9 @@ import numpy as np
 from pipeline.diagnose.results import HeldOut, Predicted
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.form_functions import WIDTHS, differentiate_region
+from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak
+from pipeline.diagnose.search.posterior import RegionFit
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.arrays import Float, Int
@@ -37,6 +40,32 @@ class _Part:
     blocks: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """The model that parts are left out of.
+
+    Parameters
+    ----------
+    session : what it was fitted to
+    jacobian : (M, P) of its whitened residuals and of what priors add
+    touched : (B,) share that each block has of all that it explains
+    """
+
+    session: Session
+    jacobian: Float
+    touched: Float
+
+
+@dataclass(frozen=True)
+class _Left:
+    """Errors in a block that was left out: its number, χ² before and after, and features."""
+
+    block: int
+    before: float
+    after: float
+    size: int
+
+
 def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | None:
     """Errors of both models on parts that they were not fitted to, pooled; None where nothing can be left out.
 
@@ -50,12 +79,11 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
     Its interval is a bootstrap over blocks.
     """
     session = extended.of.session
-    touched = extended.trace / max(float(extended.trace.sum()), 1e-300)
-    parts = _choose_parts(extended, touched)
+    asked = _Asked(session, extended.solution.jacobian, extended.trace / max(float(extended.trace.sum()), 1e-300))
+    parts = _choose_parts(asked)
     if len(parts) < 2:
         return None
-    found: list[tuple[int, float, float, int]] = []
-    named: dict[str, tuple[float, float]] = {}
+    found: dict[str, list[_Left]] = {}
     predicted: list[Predicted] = []
     entries: list[Float] = []
     for part in parts:
@@ -75,21 +103,86 @@ def predict_left_out(plain: ExtendedFit, extended: ExtendedFit) -> HeldOut | Non
             values.append(fit.of.predict(again.x))
             errors.append(session.whiten(session.value - values[-1]))
         entries.append(again.x[again.of.model.size :])  # of the extended model, the last
-        own = []
-        for i in part.blocks:
-            place = session.places[i]
-            if touched[i] < RULES.gain.touched:
-                continue
-            before, after = (float(np.sum(e[place.first : place.stop] ** 2)) for e in errors)
-            own.append((i, before, after, place.stop - place.first))
-            predicted.append(_record_prediction(session, place, values[0], values[1]))
-        found += own
-        size = sum(n for *_, n in own)
-        if size:
-            named[part.name] = _compute_rms([r[1] for r in own], size), _compute_rms([r[2] for r in own], size)
+        found[part.name] = _measure_part(asked, part, errors[0], errors[1])
+        predicted += [
+            _record_prediction(session, session.places[left.block], values[0], values[1]) for left in found[part.name]
+        ]
+    return _pool_parts(found, predicted, entries)
+
+
+def predict_by_function(region: RegionFit) -> HeldOut | None:
+    """The same of a region without a name: its function and the widths of its weights are found anew without each part.
+
+    Parameters
+    ----------
+    region : the region with the plain model that it was computed about; both are followed to first order
+
+    Returns
+    -------
+    Errors of the plain model and of that with the function; None where nothing can be left out
+    """
+    plain = region.plain
+    session, about = plain.of.session, Linearised.of(plain)
+    columns = differentiate_region(plain, region.region)
+    change, absorbed = columns @ region.weights, find_absorbed(plain)
+    change = change - absorbed @ (absorbed.T @ change)
+    trace = np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in session.places])
+    # Its widths are known from the whole to choose parts by; they are found anew without each.
+    spread = np.sqrt(np.maximum(np.diag(region.covariance) + region.weights**2, 0.0))
+    whole = about.extend(columns * spread)
+    jacobian = np.concatenate([whole.jacobian, whole.beside_jacobian])
+    asked = _Asked(session, jacobian, trace / max(float(trace.sum()), 1e-300))
+    parts = _choose_parts(asked)
+    if len(parts) < 2:
+        return None
+    functions = [about, *(about.extend(columns * width * region.region.width) for width in WIDTHS)]
+    found = {part.name: _measure_part(asked, part, *_predict_part(asked, part, functions)) for part in parts}
+    return _pool_parts(found, [], [])
+
+
+def _predict_part(asked: _Asked, part: _Part, models: Sequence[Linearised]) -> tuple[Float, Float]:
+    """(N,) whitened errors of the first model, and of the likeliest of the others, fitted without a part."""
+    kept = np.ones(asked.session.size)
+    for i in part.blocks:
+        kept[asked.session.places[i].first : asked.session.places[i].stop] = 0.0
+    groups, size = Groups.of(asked.session), models[0].jacobian.shape[1]
+    nothing = np.zeros(groups.size.size)
+    found = []
+    for model in models:
+        seen = Linearised(
+            model.residual * kept, model.jacobian * kept[:, None], model.beside, model.beside_jacobian
+        )  # fmt: skip
+        peak = find_peak(groups, seen, nothing, size, noise_alone=False)
+        own = peak.covariance[size:, size:]
+        evidence = peak.log_likelihood + (0.5 * float(np.linalg.slogdet(own)[1]) if own.size else 0.0)
+        found.append((evidence, model.residual + model.jacobian @ peak.step))
+    return found[0][1], max(found[1:], key=lambda pair: pair[0])[1]
+
+
+def _measure_part(asked: _Asked, part: _Part, before: Float, after: Float) -> list[_Left]:
+    """The blocks of a part that the causes touch, with the errors (N,) of both models there."""
+    found = []
+    for i in part.blocks:
+        place = asked.session.places[i]
+        if asked.touched[i] >= RULES.gain.touched:
+            own = slice(place.first, place.stop)
+            found.append(_Left(i, float(np.sum(before[own] ** 2)), float(np.sum(after[own] ** 2)), place.block.size))
+    return found
+
+
+def _pool_parts(
+    by_part: dict[str, list[_Left]], predicted: Sequence[Predicted], entries: Sequence[Float]
+) -> HeldOut | None:
+    """Errors over all parts with the gain and its interval; None where no cause touches any."""
+    found = [left for own in by_part.values() for left in own]
     if not found:
         return None
-    table = np.array([r[1:] for r in found], dtype=float)
+    named = {
+        name: (_compute_rms([r.before for r in own], size), _compute_rms([r.after for r in own], size))
+        for name, own in by_part.items()
+        if (size := sum(r.size for r in own))
+    }
+    table = np.array([(r.before, r.after, r.size) for r in found], dtype=float)
     pooled = table.sum(axis=0)
     draws = np.random.default_rng(_SEED).integers(0, len(found), (_DRAWS, len(found)))
     drawn = table[draws].sum(axis=1)
@@ -153,9 +246,9 @@ def _compute_gain(before: Float | float, after: Float | float, size: Float | flo
     return np.asarray(np.clip((np.asarray(before) - after) / removable, -1.0, 1.0))
 
 
-def _choose_parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
+def _choose_parts(asked: _Asked) -> list[_Part]:
     """Protocols that show the causes; in smaller parts where the rest would not know what it is to predict them with."""
-    session = extended.of.session
+    session, touched = asked.session, asked.touched
     by_protocol: dict[str, list[int]] = {}
     for i, p in enumerate(session.places):
         by_protocol.setdefault(name_protocol(session, p.recording), []).append(i)
@@ -163,18 +256,14 @@ def _choose_parts(extended: ExtendedFit, touched: Float) -> list[_Part]:
     parts: list[_Part] = []
     for name in shows:
         whole = _Part(name, tuple(by_protocol[name]))
-        parts += (
-            [whole]
-            if len(shows) > 1 and _is_predictable(extended, whole, touched)
-            else _split_protocol(extended, whole, touched)
-        )
+        parts += [whole] if len(shows) > 1 and _is_predictable(asked, whole) else _split_protocol(asked, whole)
     return parts
 
 
-def _split_protocol(extended: ExtendedFit, part: _Part, touched: Float) -> list[_Part]:
+def _split_protocol(asked: _Asked, part: _Part) -> list[_Part]:
     """A protocol's recordings dealt into parts, and these into blocks where needed; what cannot be predicted is not
     left out."""
-    session = extended.of.session
+    session = asked.session
     recordings: dict[int, list[int]] = {}
     for i in part.blocks:
         recordings.setdefault(session.places[i].recording, []).append(i)
@@ -186,37 +275,36 @@ def _split_protocol(extended: ExtendedFit, part: _Part, touched: Float) -> list[
     found = []
     for names, blocks in dealt:
         smaller = _Part(", ".join(names), tuple(blocks))
-        if len(dealt) > 1 and _is_predictable(extended, smaller, touched):
+        if len(dealt) > 1 and _is_predictable(asked, smaller):
             found.append(smaller)
             continue
-        units = _group_blocks(extended, blocks)
+        units = _group_blocks(asked.session, blocks)
         for side in (0, 1):
             half = _Part(f"{smaller.name}, {('odd', 'even')[side]} blocks", tuple(i for u in units[side::2] for i in u))
-            if half.blocks and len(half.blocks) < len(blocks) and _is_predictable(extended, half, touched):
+            if half.blocks and len(half.blocks) < len(blocks) and _is_predictable(asked, half):
                 found.append(half)
     return found
 
 
-def _group_blocks(extended: ExtendedFit, blocks: Sequence[int]) -> list[list[int]]:
+def _group_blocks(session: Session, blocks: Sequence[int]) -> list[list[int]]:
     """Blocks by sweep or group of cycles, whose features need each other; one by one where all are of one such group."""
     by_state: dict[int, list[int]] = {}
     for i in blocks:
-        by_state.setdefault(extended.of.session.places[i].state, []).append(i)
+        by_state.setdefault(session.places[i].state, []).append(i)
     return list(by_state.values()) if len(by_state) > 1 else [[i] for i in blocks]
 
 
-def _is_predictable(extended: ExtendedFit, part: _Part, touched: Float) -> bool:
+def _is_predictable(asked: _Asked, part: _Part) -> bool:
     """Whether the rest of the session determines the prediction of a part: its mean variance is below that of the
     noise."""
-    places = extended.of.session.places
-    jacobian = extended.solution.jacobian
+    places, jacobian = asked.session.places, asked.jacobian
 
     def features(blocks: Sequence[int]) -> Int:
         return np.concatenate([np.arange(places[i].first, places[i].stop) for i in blocks])
 
     keep = np.ones(jacobian.shape[0], dtype=bool)
     keep[features(part.blocks)] = False
-    counted = [i for i in part.blocks if touched[i] >= RULES.gain.touched]
+    counted = [i for i in part.blocks if asked.touched[i] >= RULES.gain.touched]
     if not counted:
         return True
     scale = np.sqrt(np.maximum(np.sum(jacobian**2, axis=0), 1e-300))

@@ -26,6 +26,8 @@ from schemas.arrays import Float, Int
 
 _RIDGE = 1e-9
 """Share of a scaled normal matrix's diagonal that is added before it is inverted."""
+LARGEST = 1e100
+"""Change of a feature beyond which it was not computed: about a resonance without damping it may be anything."""
 _PLACES, _MORE_PLACES = 9, 29
 """Variances of groups that drift, and of those that are wrong by something else, that are summed over."""
 _STEPS = 6
@@ -93,6 +95,11 @@ class Linearised:
     jacobian: Float
     beside: Float
     beside_jacobian: Float
+
+    @property
+    def is_computed(self) -> bool:
+        """Whether all of it is a number that squares can be taken of."""
+        return bool(np.all(np.abs(self.residual) < LARGEST) and np.all(np.abs(self.jacobian) < LARGEST))
 
     @classmethod
     def of(cls, fit: ExtendedFit) -> Linearised:

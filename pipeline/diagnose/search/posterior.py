@@ -43,16 +43,25 @@ class RegionFit:
     ----------
     region : what depends on what
     weights, covariance : (K,) and (K, K), in the units of the region's shapes
+    plain : the plain model that it was computed about
+    step : (P,) of the entries of film and rig from there to the optimum with the function
     """
 
     region: Region
     weights: Float
     covariance: Float
+    plain: ExtendedFit
+    step: Float
 
     def tell(self) -> tuple[Float, Float]:
         """(M,) the function at the region's values, as a relative change, and its standard deviation."""
         shapes = self.region.shapes
         return shapes @ self.weights, np.sqrt(np.maximum(np.sum((shapes @ self.covariance) * shapes, axis=1), 0.0))
+
+    def predict(self) -> Float:
+        """(N,) features of the session with the function, film and rig at its optimum."""
+        of, x = self.plain.of, self.plain.x
+        return np.asarray(of.predict(x + self.step) + self.compute_change_in(of, x))
 
     def compute_change_in(self, of: Extended, x: Float) -> Float:
         """(N,) what it would change in the features of a session, to first order.

@@ -66,7 +66,7 @@ def _factor(draft: Draft, fits: list[Record]) -> Row | None:
             continue
         text = f"{short(r['specimen_id'], 20)}: {pm(r['modulus_mpa'], r['modulus_mpa_sd'], 'MPa')}"
         size = lengths.get(r["specimen_id"])
-        if size is not None and size["total_mm"] and size["active_mm"]:
+        if size is not None and size["active_mm"] and size["total_mm"] and size["total_mm"] > size["active_mm"]:
             factor = size["total_mm"] / size["active_mm"] - 1
             text += f", with the factor {pm(r['modulus_mpa'] / factor, r['modulus_mpa_sd'] / factor)}"
         if r["mechanical_modulus_mpa"] is not None:

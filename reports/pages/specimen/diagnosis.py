@@ -34,7 +34,7 @@ from reports.figures import diagnosis as figures
 from reports.findings import LISTED_CAUSES, evidence, gain, what_is_wrong, what_next
 from reports.names import Verbatim, short, visible
 from reports.pages.draft import Draft
-from reports.pages.specimen import comparing_models, unnamed
+from reports.pages.specimen import comparing_models, explanations, unnamed
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.corrections import write_corrections
@@ -63,6 +63,7 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     blocks += _faults(draft)
     blocks += _wrong(draft, d)
     blocks += comparing_models.blocks(draft, d)
+    blocks += explanations.blocks(draft, d)
     blocks += unnamed.blocks(draft, d)
     blocks += _candidates(draft, d)
     blocks += _gain(draft, d)
@@ -225,8 +226,8 @@ def _common_start(names: list[str]) -> str:
     return first[: cut + 1]
 
 
-_CANDIDATES_SQL = """SELECT mechanism, gain_lower, gain_upper, held_out_error, likelihood_ratio, max(likelihood_ratio) OVER () - likelihood_ratio AS behind, probability,
-       explained, severity, severity_sd, gain, form, equation
+_CANDIDATES_SQL = """SELECT mechanism, gain_lower, gain_upper, held_out_error, likelihood_ratio, probability, explained,
+       severity, severity_sd, gain, form, equation
 FROM diagnosis_candidates
 WHERE specimen_id = $specimen
 ORDER BY probability DESC, likelihood_ratio DESC, held_out_error, mechanism, form"""
@@ -239,7 +240,6 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
         return []
     if all(r["likelihood_ratio"] is None for r in found):
         return _places(d, found, query)
-    near = sum(r["behind"] is not None and r["behind"] < _DECISIVE for r in found)
     rows = []
     for r in found:
         chosen = r["mechanism"] in (d["mechanisms"] or [])
@@ -248,23 +248,22 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
             Row(
                 (
                     flow(plain_name(r["mechanism"]), Markup("<br>"), code(r["mechanism"])),
-                    significant(r["likelihood_ratio"]), "best" if r["behind"] == 0 else significant(r["behind"], 3),
-                    percent(r["probability"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"]),
+                    percent(r["probability"]), significant(r["likelihood_ratio"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"]),
                 ),
                 "sel" if chosen else "dim",
             )
         )  # fmt: skip
     heads = (
-        Head("Cause"), Head("2Δ ln L", "n"), Head("Behind the best", "n"), Head("Probability", "n"),
+        Head("Cause"), Head("Probability", "n"), Head("Fall of χ²", "n"),
         Head("Share of the misfit explained", "barcell"), Head("Severity"),
     )  # fmt: skip
-    note = f"best {len(found)} of {LISTED_CAUSES}; within {_DECISIVE} of the best: {near}"
+    note = f"the {len(found)} of {LISTED_CAUSES} that were fitted"
     below = (
-        "2Δ ln L: fall of χ², with each model’s form allowed to be a little wrong. “Best of the listed causes” is what this"
-        " can show."
+        "Probability: of this cause alone, among all explanations. Fall of χ²: in the search, under weights that allow every form a"
+        " share of what is missed; it does not decide."
     )
     blocks: list[Block] = [
-        Heading("Why: the causes, ranked"),
+        Heading("The listed causes, one by one"),
         Table("Each cause alone, refitted together with the film", heads, tuple(rows), query.shown(), note, below),
     ]
     by_id = {r["mechanism"]: r for r in found}
