@@ -18,6 +18,8 @@ from schemas.mechanisms import MECHANISMS, UNLISTED, cause, model_name, plain_na
 from schemas.numbers import NBSP, capital, compact, p_equals, percent, pm, significant, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
+_STAGES = {"contact": "clamping of the film", "drift": "force while a recording lasts"}
+"""Stages whose name is no word for people."""
 RECORD = "record"
 """Stage of what is wrong with recordings and their metadata."""
 LESS_THAN_NOISE = "the model leaves less than the errors that the fit reckons with"
@@ -52,7 +54,7 @@ def headline(standing: Standing) -> Markup:
     if d and d["verdict"] == "ambiguous":
         return flow(who, f": {what_is_wrong(standing)}. The recordings cannot tell which.")
     if d and d["verdict"] == "unknown":
-        return flow(who, f": the simulation is wrong, and none of the {LISTED_CAUSES} listed causes explains it")
+        return flow(who, f": {_tell_unnamed(d)}; none of the {LISTED_CAUSES} listed causes explains it")
     if fit is None:
         return flow(who, "")
     if no_relaxation(fit) and not d:
@@ -65,6 +67,15 @@ def headline(standing: Standing) -> Markup:
     if not ending:
         return flow(who, f": a {film}, ", sub("k", 0), f"{NBSP}={NBSP}{stiffness}")
     return flow(who, f": a {film}, ", sub("k", 0), f"{NBSP}={NBSP}{stiffness}; {ending}")
+
+
+def _tell_unnamed(d: Row) -> str:
+    """Where an effect without a name acts, and on what it depends, as far as that is known."""
+    if not d["stage"]:
+        return "the simulation is wrong"
+    where = f"an effect without a name acts in the {_STAGES.get(d['stage'], d['stage'])}"
+    on = [str(name).replace("_", " ") for name in d["depends_on"] or ()]
+    return f"{where} and depends on the {listed(on)}" if on else where
 
 
 def _residual_words(fit: Row) -> str:

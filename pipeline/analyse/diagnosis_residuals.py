@@ -24,7 +24,7 @@ _LEAST_SHOWN = 1e-12
 def residual_tables(diagnosis: Diagnosis, features: Sequence[RecordingFeatures]) -> dict[str, pa.Table]:
     """Tables `diagnosis_blocks` and `diagnosis_curves`; `features` (in any order) are what the diagnosis was made from."""
     blocks = list(_blocks(diagnosis, features))
-    extended = diagnosis.extension is not None
+    extended = diagnosis.is_extended
     curves = TABLES["diagnosis_curves"]
     return {
         "diagnosis_blocks": TABLES["diagnosis_blocks"].from_objects(

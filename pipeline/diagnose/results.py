@@ -229,6 +229,11 @@ class Diagnosis:
     faults: tuple[Fault, ...] = ()
 
     @property
+    def is_extended(self) -> bool:
+        """Whether there is a model beside the plain one: with the causes, or with the function of what has no name."""
+        return self.extension is not None or (self.verdict == UNKNOWN and bool(self.terms))
+
+    @property
     def mechanism(self) -> str | None:
         """The strongest; None for none and unknown."""
         return self.mechanisms[0] if self.verdict in (NAMED, AMBIGUOUS) and self.mechanisms else None
