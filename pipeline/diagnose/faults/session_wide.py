@@ -16,7 +16,7 @@ from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
 from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels
 from pipeline.diagnose.faults.undo import scale_channels, stretch_clock
-from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.features.kinds import CHIRP_RESPONSE, CYCLIC_RESPONSE, RecordingFeatures
 from pipeline.diagnose.features.observed import AMPLITUDE, STATED
 from pipeline.diagnose.mechanisms.rig import RIG_CONSTANTS
 from pipeline.diagnose.rules import RULES
@@ -240,7 +240,7 @@ def _try_remedies(
         if best is None or fit[2].chi2 < best[0]:
             best = fit[2].chi2, tried, fit, remedy
     if best is None or not agrees(best[0] / session.size, plain.chi2 / session.size):
-        fault = _blame_file(rough, recordings)
+        fault = _blame_file(session, rough)
         return None if fault is None else (list(recordings), fitted, fault)
     chi2, changed, again, remedy = best
     odds = 0.5 * (plain.chi2 - chi2) + float(np.log(RULES.fault.prior / _WAYS))
@@ -255,13 +255,16 @@ def _try_remedies(
     return changed, again, Fault(remedy.cause, names, probability, remedy.words, corrections, False, left)
 
 
-def _blame_file(ranked: Sequence[tuple[float, _Remedy]], recordings: Sequence[RecordingFeatures]) -> Fault | None:
+def _blame_file(session: Session, ranked: Sequence[tuple[float, _Remedy]]) -> Fault | None:
     """The rig's file, where the responses are those of a film with another one only.
 
     The features themselves were made with the file: their noise and what is simulated for them are wrong with it, so that no
-    fit of them can tell.
+    fit of them can tell. Voltages alone do not tell: how strongly they act is not known well enough.
     """
-    rules = RULES.fault
+    rules, recordings = RULES.fault, session.recordings
+    values = sum(p.block.size // 2 for p in session.places if p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE))
+    if values < rules.film_points:
+        return None
     of_file = [(left, r) for left, r in ranked if r.cause == RIG_CONSTANTS.id]
     if not of_file or of_file[0][0] > rules.film_like:
         return None
