@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ingest.formats import UNREAD
 from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
 from ingest.mapping_keys import IGNORE
 from ingest.parts import list_parts, part_of
@@ -252,6 +253,9 @@ class _Walk:
             self.note(f"{shown(path)}: passed over, as {mapping.source} says")
             return
         if file_format is None and mapping is None and not own_mapping(path).is_file():
+            if path.suffix.lower() in UNREAD:
+                todo = UNREAD[path.suffix.lower()]
+                self.note(f"{shown(path)}: a format that is not read: passed over; {todo}")
             return
         if mapping is None and error is None:
             if path.name.lower().startswith(_DOCUMENTS):

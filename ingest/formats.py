@@ -17,6 +17,19 @@ from ingest.mapping_keys import FORMATS, OPTIONS, Key
 GROUP = "dealab.readers"
 
 
+UNREAD: Mapping[str, str] = {
+    **dict.fromkeys((".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar", ".tgz"), "unpack it"),
+    **dict.fromkeys((".parquet", ".feather", ".arrow", ".npy", ".npz", ".nc"), "export it as HDF5 or CSV"),
+    **dict.fromkeys((".lvm", ".prn", ".tab"), 'text: a mapping with format = "csv" reads it'),
+    **dict.fromkeys((".tdm", ".tdx"), "export it as TDMS"),
+    **dict.fromkeys(
+        (".mf4", ".mdf", ".dxd", ".wfm", ".isf", ".trc", ".sie", ".bin", ".raw"), "export it as CSV, MAT or HDF5"
+    ),
+    **dict.fromkeys((".json", ".jsonl", ".xml", ".db3", ".bag", ".sqlite", ".db"), "export it as CSV or MCAP"),
+}
+"""Endings of files that often hold measurements and that no reader of ours takes, with what to do about them."""
+
+
 @dataclass(frozen=True)
 class Plugin:
     """A reader of another package.

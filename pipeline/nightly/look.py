@@ -109,6 +109,7 @@ def look_at_files(
     ledger.add("looks", look())
     if not ledger.number("SELECT EXISTS (SELECT 1 FROM looks)"):
         also = f"; {len(unmapped)} data files have no mapping" if unmapped else ""
+        also += f"; {len(notes)} were passed over, such as {notes[0]}" if notes else ""
         raise LabError(
             f"no recordings were found{also}",
             where=", ".join(os.fspath(given) for given in raw)[:300],

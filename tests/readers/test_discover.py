@@ -312,3 +312,13 @@ def test_safe_names(name: str) -> None:
     assert safe[0].isalnum()
     assert set(safe) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789._-")
     assert entry_name(Path("/x") / "a") == entry_name(Path("/x") / "a")
+
+
+@pytest.mark.parametrize("name", ["run.csv.gz", "run.parquet", "run.LVM", "run.mf4"])
+def test_a_format_that_is_not_read_is_named(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"1,2\n")
+    (tmp_path / "photo.jpg").write_bytes(b"x")
+    found = discover([tmp_path])
+    assert found.files == ()
+    assert len(found.notes) == 1
+    assert f"{name}: a format that is not read: passed over; " in found.notes[0]
