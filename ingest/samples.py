@@ -79,10 +79,10 @@ def write_table(table: pa.Table, path: Path) -> None:
 
     values = [name for name in table.column_names if name != TIME]
     encodings = {name: _encoding(_values(table.column(name))) for name in values}
-    with written_whole(path) as temporary:
+    with written_whole(path) as temporary, temporary.open("wb") as file:  # a name such as s3:x would be an address
         pq.write_table(
             table,
-            temporary,
+            file,
             row_group_size=ROW_GROUP,
             compression="zstd",
             use_dictionary=[name for name in values if encodings[name] is None],

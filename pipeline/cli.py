@@ -7,6 +7,7 @@ failed. What the commands are and do is in `pipeline.commands`.
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -65,6 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line and returns the exit status. Errors are one line on stderr, never a traceback."""
     if argv is None:
         leave_working_folder()
+        _make_streams_usable()
     given = sys.argv[1:] if argv is None else list(argv)
     wanted = next((word for word in given if not word.startswith("-")), None)
     arguments = _make_parser(wanted).parse_args(given)
@@ -86,6 +88,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"dealab: {place}{error.strerror or error}", file=sys.stderr)
         return FAILED
     return ended
+
+
+def _make_streams_usable() -> None:
+    """Streams that were closed lead nowhere, and signs that a terminal does not have are written as escapes.
+
+    A file that is opened while a stream is closed would stand in its place. What goes to a file or a program is UTF-8.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - until the end
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding=None if stream.isatty() else "utf-8", errors="backslashreplace")
 
 
 def _tell(error: DealabError, status: int) -> int:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from reports.ledger import AT_ONCE, Ledger
 from reports.names import Verbatim, seen
+from schemas.database import spell_database
 from schemas.errors import LabError
 from schemas.tables import TABLES
 from schemas.views import VIEWS
@@ -84,7 +85,7 @@ class Results:
                 remedy=f"Run `dealab nightly RAW --lab {shlex.quote(str(lab))}` first",
             )
         try:
-            self._connection = duckdb.connect(str(self.path), read_only=True)
+            self._connection = duckdb.connect(spell_database(self.path), read_only=True)
             for setting in ("TimeZone = 'UTC'", "threads = 1", f"memory_limit = '{memory}'"):
                 self._connection.execute(f"SET {setting}")
             named = "SELECT table_name FROM duckdb_tables() UNION ALL SELECT view_name FROM duckdb_views()"

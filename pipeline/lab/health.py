@@ -13,6 +13,7 @@ from pipeline.lab.installation import Finding, tell
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import is_busy
 from pipeline.lab.settings import load_settings
+from schemas.database import spell_database
 from schemas.errors import DealabError
 from schemas.views import fingerprint
 
@@ -50,7 +51,7 @@ def _check_database(lab: Lab) -> Iterator[Finding]:
     import duckdb
 
     try:
-        with duckdb.connect(str(lab.database), read_only=True) as connection:
+        with duckdb.connect(spell_database(lab.database), read_only=True) as connection:
             found = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
             current = found is not None and found[0] == fingerprint()
             yield Finding(

@@ -97,6 +97,9 @@ class Lab:
 
     def create(self) -> None:
         """Makes the folder. Raises `LabError` where that is impossible."""
+        from schemas.database import spell_database
+
+        spell_database(self.database)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -21,6 +21,7 @@ from pipeline.lab.checks import find_violations
 from pipeline.lab.lab import Lab
 from schemas import without_result
 from schemas.control import REMEMBER
+from schemas.database import spell_database
 from schemas.errors import LabError
 from schemas.tables import TABLES, Table
 from schemas.views import VIEWS, fingerprint
@@ -176,7 +177,7 @@ def _open(database: Path, memory: str) -> Any:
     connection = _bound(duckdb.connect(), database, memory)
     new = f", STORAGE_VERSION '{READABLE_FROM['storage_compatibility_version']}'"
     options = f"ROW_GROUP_SIZE {_ROW_GROUP}{'' if database.exists() else new}"
-    connection.execute(f"ATTACH '{_quote(str(database))}' AS building ({options})")
+    connection.execute(f"ATTACH '{_quote(spell_database(database))}' AS building ({options})")
     connection.execute("USE building")
     return connection
 
@@ -198,7 +199,7 @@ def _bound(connection: Any, database: Path, memory: str) -> Any:
 
 def _name_spill_folder(database: Path) -> str:
     """The folder of what DuckDB has no memory for."""
-    return f"{database}.tmp"
+    return f"{spell_database(database)}.tmp"
 
 
 def _read_about(connection: Any) -> dict[str, str]:
@@ -241,7 +242,7 @@ def _create_tables(connection: Any) -> None:
 
 def _migrate(connection: Any, published: Path) -> None:
     """Rows of a database of another schema: columns of the same name, cast where the type has changed."""
-    connection.execute(f"ATTACH '{_quote(str(published))}' AS old (READ_ONLY)")
+    connection.execute(f"ATTACH '{_quote(spell_database(published))}' AS old (READ_ONLY)")
     columns = connection.execute(
         "SELECT table_name, column_name FROM duckdb_columns() WHERE database_name = 'old' AND NOT internal"
     ).fetchall()
@@ -325,7 +326,7 @@ def _finish(connection: Any) -> dict[str, int]:
 def _check_database(database: Path, rows: Mapping[str, int], memory: str) -> None:
     import duckdb
 
-    with duckdb.connect(str(database), read_only=True) as connection:
+    with duckdb.connect(spell_database(database), read_only=True) as connection:
         broken = list(find_violations(_bound(connection, database, memory), rows))
     if broken:
         raise LabError(
