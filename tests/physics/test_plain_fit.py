@@ -1,5 +1,6 @@
 """The plain model's search: where rig files are far from the truth, and how sure its film is."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,13 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from tests.helpers.judging import Case, made
 from tests.helpers.truth_rig import Effect, compact_designs
 from tests.helpers.truth_rig import make_session as true_session
+from tests.helpers.truth_rig.material import Film, random_specimen
+from tests.helpers.truth_rig.session import full_designs
 
 HARD_THIRD_ARM = 700_267_027
 """Seed of a session whose third arm is hard to find."""
+SLOW_FILM = 1
+"""Seed of a film whose only arm is slower than the sweeps."""
 FAR_CLAMP, FAR_CLAMP_TOO = 895_730_046, 895_730_069
 """Seeds of sessions whose clamps are put far from their files."""
 
@@ -92,3 +97,19 @@ def test_a_damper_is_surer_than_its_spring_and_time_where_only_their_product_sho
     assert dampers[fastest] / film.c[fastest] < relative[fastest], (
         "arm above the band: k and tau err against each other"
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tau_s", [12.0, 40.0])
+def test_an_arm_slower_than_every_sweep_is_found(tau_s: float) -> None:
+    """To the responses it is a spring; what the mean force does over a recording tells it from one."""
+    specimen = random_specimen(np.random.default_rng(SLOW_FILM), kind=None, name="S")
+    film = Film(specimen.film.k0, (0.5 * specimen.film.k0,), (tau_s,))
+    designs = [d for d in full_designs() if d["protocol"] in ("chirp", "cyclic") and d.get("loading") != "electrical"]
+    truth = true_session(SLOW_FILM, [*designs[:2], *designs[6:7]], material=replace(specimen, film=film))
+    session = make_session([reduce(r) for r in truth.recordings])
+    found = fit_plain(session, Simulation(session))
+    fitted = found.model.physical(found.theta).film
+    assert len(fitted.k) == 1
+    assert fitted.k0 == pytest.approx(film.k0, rel=0.05)
+    assert fitted.tau[0] == pytest.approx(tau_s, rel=0.1)

@@ -36,6 +36,7 @@ from pipeline.physics.least_squares import Solution, minimise
 from pipeline.physics.rig import RIGID, Rig
 from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
+from schemas.protocols import MECHANICAL
 
 _MECHANICAL = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, RELAXATION_FORCE, CYCLE_FORCE, TAP_RING, WEIGHT_GAIN})
 _LEVELS = frozenset({CHIRP_LEVEL, CYCLIC_LEVEL})
@@ -47,6 +48,8 @@ _MOST = 30
 """Steps of a search at most."""
 _IDLE = 0.05
 """Share of the stiffness with which an arm that the mechanical tests do not show is placed anew."""
+_OF_ARM = 0.3
+"""Share of the stiffness that an arm has where it is placed before anything is known of it."""
 _PLACES = 6
 """Places at which a further arm is tried."""
 _STIFFNESSES, _TIMES = (0.03, 0.1, 0.3, 3.0), (0.03, 1.0, 30.0)
@@ -119,7 +122,7 @@ def _add_arms_that_suffice(session: Session, simulation: Simulation, found: Plai
             break
         model = replace(session.base_model(arms), sensing_creep=found.model.sensing_creep)
         model = model.widened if found.model.is_widened else model
-        times = np.geomspace(*_bound_arm_times(estimate_stiffness(session)[0]), _PLACES)
+        times = np.geomspace(*_bound_arm_times(session, estimate_stiffness(session)[0]), _PLACES)
         best = min(
             (refit_plain(session, simulation, model, _add_arm(model, best, float(tau))) for tau in times),
             key=lambda f: f.chi2,
@@ -142,7 +145,7 @@ def _place_idle_arms(session: Session, model: BaseModel, start: Float) -> list[F
     if not idle:
         return []
     starts = []
-    for tau in np.geomspace(*_bound_arm_times(estimate_stiffness(session)[0]), _PLACES):
+    for tau in np.geomspace(*_bound_arm_times(session, estimate_stiffness(session)[0]), _PLACES):
         at = {i: float(tau) * 3.0**n for n, i in enumerate(idle)}
         arms = [
             (at.get(i, t), _IDLE * film.k0 if i in at else k)
@@ -280,12 +283,21 @@ def _make_starts(session: Session, model: BaseModel, lower: PlainFit | None) -> 
     f, k = estimate_stiffness(session)
     starts = []
     if lower is not None:
-        starts = [_add_arm(model, lower, tau) for tau in np.geomspace(*_bound_arm_times(f), _PLACES)[::-1]]
+        starts = [_add_arm(model, lower, tau) for tau in np.geomspace(*_bound_arm_times(session, f), _PLACES)[::-1]]
     films = [_cluster_arms(f, k, model.arms)[0], _spread_arms(f, k, model.arms)]
     if not _responds_to_motion(session):
         films += _scale_films(films[1])
+    elif model.arms == 1:
+        films += _place_one_arm(session, f, k)
     starts += [_make_theta(session, model, film) for film in films]
     return starts
+
+
+def _place_one_arm(session: Session, f: Float, k: Complex) -> list[RelaxationModel]:
+    """Films with one arm at times all over what the recordings show: a slow one is a spring to the responses."""
+    lowest = float(np.abs(k).min())
+    times = np.geomspace(*_bound_arm_times(session, f), _PLACES)[::-1]
+    return [RelaxationModel((1 - _OF_ARM) * lowest, (_OF_ARM * lowest,), (float(tau),), 0.0) for tau in times]
 
 
 def _scale_films(film: RelaxationModel) -> list[RelaxationModel]:
@@ -312,9 +324,10 @@ def _try_other_clamps(session: Session, model: BaseModel) -> list[Float]:
     return [start for _, start in tried[: RULES.plain.clamps]]
 
 
-def _bound_arm_times(f: Float) -> tuple[float, float]:
-    """Shortest and longest relaxation time at which another arm is tried."""
-    return 0.2 / (2 * np.pi * f.max()), 30 / (2 * np.pi * f.min())
+def _bound_arm_times(session: Session, f: Float) -> tuple[float, float]:
+    """Shortest and longest relaxation time at which another arm is tried: a slow one shows over a whole recording only."""
+    longest = max((r.duration_s for r in session.recordings if r.loading == MECHANICAL), default=0.0)
+    return 0.2 / (2 * np.pi * f.max()), max(30 / (2 * np.pi * f.min()), longest)
 
 
 def _add_arm(model: BaseModel, lower: PlainFit, tau: float) -> Float:
