@@ -63,7 +63,7 @@ class Lab(pipeline.lab.lab.Lab):
                 f'no samples of recording "{recording_id}" in this lab',
                 remedy=self.spell_command('sql "SELECT recording_id, status FROM recordings"') + " lists them",
             )
-        table = pq.read_table(self.folder / path)
+        table = pq.read_table((self.folder / path).absolute())  # s3:x would be an address
         frame: Any = table.to_pandas()
         start = int(frame["time_ns"].iloc[0]) if len(frame) else 0
         frame.index = ((frame.pop("time_ns") - start) / 1e9).rename("time_s")

@@ -85,6 +85,7 @@ def test_a_lab_is_a_folder_whatever_its_name(
     night = [["nightly", str(made / "raw"), "--jobs", "0"]] if name in _NIGHTS else []
     for words in [*night, ["status"], ["sql", "SELECT count(*) FROM samples('L-1')"]]:
         assert main([*words, "--lab", name]) == 0, capsys.readouterr()
+    assert len(Lab(name).samples("L-1"))
 
 
 def test_a_backslash_is_refused_at_once(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
