@@ -201,8 +201,8 @@ def _apologise(planned: Planned, problem: str) -> Page:
     """The page in place of one that could not be made."""
     up = "../" * planned.path.count("/")
     words = (
-        f"An error of dealab's own, not of the recordings: {problem}. All results of this page stand in the database; `dealab"
-        " sql` shows them. Please report the error with this sentence."
+        f"An error of dealab's own, not of the recordings: {problem}. All results of this page stand in the database (`dealab sql"
+        " --examples` shows how to ask it). Please report the error with this sentence."
     )
     subject = planned.item or planned.kind
     return Page(

@@ -17,12 +17,14 @@ from tests.faults.harness import count_session
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
 NIGHT = """
+import signal
 import sys
 from pathlib import Path
 from pipeline.nightly.workers import LocalPool
 from tests.faults.test_end_of_a_night import parse_for_ever
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what a test runs under may have it ignored
     mark = Path(sys.argv[1])
     pool = LocalPool(2, deadline_s=60, preload=("pipeline.nightly.read", "pipeline.nightly.derive"))
     mark.touch()

@@ -71,8 +71,10 @@ def test_slow_and_fast_cycles_of_a_plain_film_hold_nothing() -> None:
 
 
 def test_the_stack_of_the_demonstration_softens_with_its_strain() -> None:
+    """Where it acts and on what it depends; its formula is not quite ours, at a noise of a millionth."""
     found = diagnose(features(*CYCLES, "ST-2-relaxation"))
-    assert found.mechanisms == ("amplitude_softening",)
+    assert (found.stage, found.depends_on) == ("film", ("amplitude",))
+    assert found.candidates[0].mechanism == "amplitude_softening"
 
 
 def test_a_single_cyclic_test_that_begins_at_once_asks_for_the_arms_that_it_needs() -> None:

@@ -96,7 +96,7 @@ def _table(query: Query, rows: Sequence[Record], unit: tuple[float, str]) -> Tab
         made.append(
             Row(
                 (
-                    capital(r["plan"]) if new else "", significant(r["voltage_kv"]),
+                    capital(r["plan"]), significant(r["voltage_kv"]),
                     significant(unit[0] * r["duration_s"]), str(r["specimens"]),
                     significant(r["expected_failures"], 2), significant(r["rig_hours"]),
                     f"× {significant(r['limits_ratio'])}" if new else "",

@@ -40,7 +40,7 @@ def blocks(draft: Draft, d: Record) -> list[Block]:
         total += p
         if total >= _TOLD:
             break
-    heads = (Head("Explanation"), Head("Probability", "n"), Head("", "barcell"))
+    heads = (Head("Explanation"), Head("Probability", "n"), Head("Share", "barcell"))
     below = (
         "All explanations are compared under one likelihood that allows each a form that is not quite right; the plain model"
         " counts among them."
