@@ -59,7 +59,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     NotIdentifiableError
         where they cannot be asked at all: none of them, several specimens, no response of the film
     """
-    # 1. Recordings first: one session of those that agree with each other and their own metadata, with its noise,
+    # 0. and 1. Recordings first: one session of those that agree with each other and their own metadata, with its noise,
     # simulated with a film and the rig as its file has it.
     checked = check_recordings(recordings)
     session, simulation, plain = checked.session, checked.simulation, checked.plain
