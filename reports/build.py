@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import time
-import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, Future
@@ -25,7 +24,7 @@ from reports.plan import Planned, make, plan
 from reports.render import html
 from reports.results import DATABASE, MEMORY, Results, short_of_memory
 from reports.site import INDEX, Site
-from schemas.errors import LabError
+from schemas.errors import LabError, describe_error
 
 _PAGES_AT_ONCE = 200
 """Pages that a worker makes for one task, at most."""
@@ -182,19 +181,13 @@ def _write(folder: Path, site: Site, planned: Planned) -> Made:
     except _OF_A_PAGE as error:
         if short_of_memory(error):
             raise
-        problem = _describe(error)
+        problem = describe_error(error)
         page = _apologise(planned, problem)
         text = html(page)
     for path, data in page.files.items():
         manifest.write_text(folder / path, data)
     manifest.write_text(folder / planned.path, text)
     return planned.path, list(page.files), problem
-
-
-def _describe(error: Exception) -> str:
-    """An error with its place, for whoever mends it."""
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
 
 
 def _apologise(planned: Planned, problem: str) -> Page:

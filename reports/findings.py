@@ -14,14 +14,12 @@ from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxat
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
-from schemas.mechanisms import MECHANISMS, UNLISTED, cause, model_name, plain_name
+from schemas.mechanisms import MECHANISMS, RECORD, UNLISTED, cause, model_name, plain_name
 from schemas.numbers import NBSP, capital, compact, p_equals, percent, pm, significant, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
 _STAGES = {"contact": "clamping of the film", "drift": "force while a recording lasts"}
 """Stages whose name is no word for people."""
-RECORD = "record"
-"""Stage of what is wrong with recordings and their metadata."""
 LESS_THAN_NOISE = "the model leaves less than the errors that the fit reckons with"
 
 

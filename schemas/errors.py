@@ -7,6 +7,15 @@ whether trying again could help. Programming errors are left to Python's own exc
 from __future__ import annotations
 
 
+def describe_error(error: Exception) -> str:
+    """An error of the software itself with its place, for whoever mends it."""
+    import traceback  # neither is needed until something has gone wrong
+    from pathlib import Path
+
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
+
+
 class DealabError(Exception):
     """An error with its place and its remedy.
 

@@ -13,6 +13,9 @@ from typing import Any
 
 from schemas.numbers import ABSENT, NBSP, ordinal, pm, significant, with_unit
 
+RECORD = "record"
+"""The stage of what is wrong with recordings and their metadata."""
+
 
 @dataclass(frozen=True)
 class Parameter:

@@ -11,7 +11,6 @@ import os
 import signal
 import threading
 import time
-import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -39,7 +38,7 @@ from pipeline.nightly.publish import (
 from pipeline.nightly.read import adopt_journal, include_recordings, read_contents
 from pipeline.nightly.stages import STAGES, Night
 from pipeline.nightly.workers import Track, Workers, load_module
-from schemas.errors import DealabError, UsageError
+from schemas.errors import DealabError, UsageError, describe_error
 
 
 @dataclass(frozen=True)
@@ -204,8 +203,7 @@ def _write_report(night: Night) -> str | None:
     except DealabError as error:
         return str(error)
     except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
+        return describe_error(error)
     return made.describe_problems()
 
 

@@ -17,6 +17,9 @@ from scipy.linalg import solve_banded
 
 from schemas.arrays import Complex, Float
 
+EPSILON_0_N_PER_KV2 = 8.8541878e-6
+"""Permittivity of the vacuum: 1 kV²/mm² × mm² gives so many N."""
+
 
 @dataclass(frozen=True)
 class RelaxationModel:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pipeline.physics.film import EPSILON_0_N_PER_KV2
 from schemas.arrays import Float
 
 
@@ -41,5 +42,4 @@ def pull_in_field(modulus_mpa: float, relative_permittivity: float) -> float:
     Equal stretches of a neo-Hookean film of shear modulus μ = Y/3: εE₀² = μ (λ⁻² − λ⁻⁸), E₀ the nominal field; its largest value, at
     λ = 4^(1/6), is 0.4725 μ.
     """
-    vacuum_n_per_kv2 = 8.8541878e-6
-    return float(np.sqrt(0.4725 * modulus_mpa / 3 / (vacuum_n_per_kv2 * relative_permittivity)))
+    return float(np.sqrt(0.4725 * modulus_mpa / 3 / (EPSILON_0_N_PER_KV2 * relative_permittivity)))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.diagnose.features.reduce import EPSILON_0_N_PER_KV2, actuation_prior
+from pipeline.diagnose.features.reduce import actuation_prior
+from pipeline.physics.film import EPSILON_0_N_PER_KV2
 from schemas.metadata import RecordingMetadata
 
 KEYS = {

@@ -9,8 +9,6 @@ SAMPLE_RATE_WRONG, CLOCK_DRIFT, CHANNEL_SKEW = "sample_rate_wrong", "clock_drift
 STRAIN_WRONG, SIZE_WRONG = "strain_wrong", "size_wrong"
 DEAD_CHANNEL, FOREIGN_RECORDING, FOREIGN_RIG = "dead_channel", "foreign_recording", "foreign_rig"
 SPECIMEN_CHANGED = "specimen_changed"
-RECORD = "record"
-"""The stage of all that is wrong with recordings."""
 
 
 @dataclass(frozen=True)

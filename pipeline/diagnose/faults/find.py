@@ -19,7 +19,7 @@ from pipeline.diagnose.faults.agreement import (
 from pipeline.diagnose.faults.change import find_change
 from pipeline.diagnose.faults.correct import list_corrections
 from pipeline.diagnose.faults.fault import DEAD_CHANNEL, STRAIN_WRONG, Fault
-from pipeline.diagnose.faults.fitted import Fitted, fit_session
+from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
 from pipeline.diagnose.faults.hypotheses import MECHANISM, SOUND, Judged, judge_hypotheses
 from pipeline.diagnose.faults.levels import Levels, name_clamp, read_levels
 from pipeline.diagnose.faults.predict import Suspect
@@ -28,8 +28,7 @@ from pipeline.diagnose.features.kinds import EXTRA_MASS, RecordingFeatures
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, compute_residuals, fit_plain
-from pipeline.diagnose.simulation.hum import with_hum
-from pipeline.diagnose.simulation.session import Session, make_session
+from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import CALIBRATION
@@ -92,7 +91,7 @@ def _read(recordings: Sequence[RecordingFeatures]) -> Sequence[Levels]:
 def _refit(recordings: Sequence[RecordingFeatures], near: PlainFit | None) -> Fitted:
     if near is None:
         return fit_session(recordings)
-    session = with_hum(make_session(recordings))
+    session = assemble_session(recordings)
     simulation = Simulation(session)
     model = session.base_model(near.model.arms)
     if model.names != near.model.names:
@@ -129,7 +128,7 @@ def _ask_change(
     session, simulation, plain = fitted
     near = plain if agreement is None else agreement.fit
     if suspects:
-        session = with_hum(make_session(recordings))
+        session = assemble_session(recordings)
         if session.base_model(near.model.arms).names != near.model.names:
             return None
         simulation = Simulation(session)
@@ -156,7 +155,7 @@ def _judge_each(
         dispersion = float(chi2[inside].sum() / max(size[inside].sum(), 1.0))
     if outside and not agrees(dispersion, plain.chi2 / max(session.size, 1)):
         outside = frozenset()  # others do not agree with each other either: no fault of one recording
-    whole = with_hum(make_session(recordings)) if suspects else session
+    whole = assemble_session(recordings) if suspects else session
     asked = suspects | outside
     found = []
     for number, recording in enumerate(whole.recordings):

@@ -13,8 +13,13 @@ from pipeline.diagnose.simulation.simulation import Simulation
 Fitted = tuple[Session, Simulation, PlainFit]
 
 
+def assemble_session(recordings: Sequence[RecordingFeatures]) -> Session:
+    """A session with the mains that its rests show."""
+    return with_hum(make_session(recordings))
+
+
 def fit_session(recordings: Sequence[RecordingFeatures]) -> Fitted:
     """A session, its simulation and its plain fit."""
-    session = with_hum(make_session(recordings))
+    session = assemble_session(recordings)
     simulation = Simulation(session)
     return session, simulation, fit_plain(session, simulation)

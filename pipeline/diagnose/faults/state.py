@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from scipy.stats import norm
 
-from pipeline.diagnose.faults.fault import RECORD, Fault
+from pipeline.diagnose.faults.fault import Fault
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, UNKNOWN, Diagnosis
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.posterior import PLAIN
-from schemas.mechanisms import plain_name
+from schemas.mechanisms import RECORD, plain_name
 
 
 def state_faults(diagnosis: Diagnosis, faults: Sequence[Fault]) -> Diagnosis:

@@ -18,6 +18,7 @@ from pipeline.diagnose.features.sphs import sphs_blocks
 from pipeline.diagnose.features.step import step_blocks
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.nodes import response_nodes
+from pipeline.physics.film import EPSILON_0_N_PER_KV2
 from pipeline.physics.rig import TONNES_PER_KG
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -27,8 +28,6 @@ from schemas.recording import Recording
 
 Reducer = Callable[[Recording, Float], tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]]
 
-EPSILON_0_N_PER_KV2 = 8.8541878e-6
-"""Permittivity of the vacuum: 1 kV²/mm² × mm² gives so many N."""
 _REDUCERS: dict[tuple[str, str], Reducer] = {
     ("chirp", MECHANICAL): chirp_blocks,
     ("cyclic", MECHANICAL): cyclic_blocks,

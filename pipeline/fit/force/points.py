@@ -20,9 +20,9 @@ import numpy as np
 from scipy import special
 
 from pipeline.fit.survival.kaplan_meier import LEVEL, UNKNOWN, Estimate
+from pipeline.physics.film import EPSILON_0_N_PER_KV2
 from pipeline.transform.force_map import ForceMapReadings, ForceReading
 
-VACUUM_N_PER_KV2 = 8.8541878e-6
 _SAME_VOLTAGE = 0.02
 """Readings at voltages that differ by less than this share belong to one point."""
 
@@ -51,7 +51,7 @@ def force_per_permittivity(
         across *= stretch_2 if direction == 1 else stretch_1
     elif drawn != "stretched":
         raise ValueError(f"drawn {drawn!r} is neither undeformed nor stretched")
-    return layers * VACUUM_N_PER_KV2 * voltage_kv**2 * across * stretch_1 * stretch_2 / thickness_mm
+    return layers * EPSILON_0_N_PER_KV2 * voltage_kv**2 * across * stretch_1 * stretch_2 / thickness_mm
 
 
 @dataclass(frozen=True)
