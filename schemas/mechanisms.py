@@ -123,7 +123,12 @@ MECHANISMS: dict[str, Mechanism] = {
     "slack": Mechanism(
         "Slack film",
         "the film goes slack, when {} of its preload are gone",
-        {"onset": _share("of the preload"), "onset_n": Parameter("fall of the tension", 1.0, "N"), "overload": _BEYOND},
+        {
+            "onset": _share("of the preload"),
+            "onset_n": Parameter("fall of the tension", 1.0, "N"),
+            "overload": _BEYOND,
+            "residual": _share("of the stiffness left on the softer side"),
+        },
     ),
     "strain_stiffening": Mechanism(
         "Stiffening with strain",
@@ -161,6 +166,7 @@ MECHANISMS: dict[str, Mechanism] = {
             "slip_force": _share("of the peak force"),
             "slip_force_n": Parameter("slip force", 1.0, "N"),
             "overload": _BEYOND,
+            "hardening": _share("of the stiffness slips"),
         },
     ),
     "mains_hum": Mechanism(
@@ -274,13 +280,13 @@ def main(mechanism: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {key: parameters[key] for key in found[: 2 if mechanism == "rig_constants" else 1]}
 
 
-def candidate(mechanism: str, value: float | None, sd: float | None) -> str:
-    """The main severity of a cause that was tried, as read."""
+def candidate(mechanism: str, value: float | None, sd: float | None, parameter: str | None = None) -> str:
+    """The severity of a cause that was tried, as read: of that parameter, or of its first."""
     if value is None:
         return ABSENT
     known = _WORDS.get(mechanism)
     main = next(iter(known.parameters), "") if known else ""
-    return amount(mechanism, main, {"value": value, "sd": sd})
+    return amount(mechanism, parameter or main, {"value": value, "sd": sd})
 
 
 def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:

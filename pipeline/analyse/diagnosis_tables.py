@@ -13,7 +13,7 @@ from pipeline.analyse.diagnosis_residuals import residual_tables
 from pipeline.diagnose.faults.state import describe_fault
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.results import Diagnosis, Extension
+from pipeline.diagnose.results import NONE, Diagnosis, Extension
 from pipeline.diagnose.single.comparison import Comparison, RankedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.mechanisms import FINDING
@@ -69,17 +69,21 @@ def comparison_tables(diagnosis: Diagnosis, comparison: Comparison) -> dict[str,
 
 def _place_row(d: Diagnosis, place: RankedModel) -> dict[str, Any]:
     model = place.model
-    main = next(iter(model.severity.values()), None)
+    key, main = next(iter(model.severity.items()), (None, None))
+    gain = {
+        "gain": _finite(place.gain),
+        "gain_lower": _finite(place.lower),
+        "gain_upper": _finite(place.upper),
+        "explained": _finite(place.explained),
+    }
     return {
         "specimen_id": d.specimen_id,
         "mechanism": model.mechanism,
+        "parameter": key,
         "severity": None if main is None else main.value,
         "severity_sd": None if main is None else _finite(main.sd),
-        "gain": place.gain,
-        "gain_lower": place.lower,
-        "gain_upper": place.upper,
         "held_out_error": place.after,
-        "explained": place.explained,
+        **({} if d.verdict == NONE else gain),
         "form": model.variant or None,
         "equation": model.equation,
     }

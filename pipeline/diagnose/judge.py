@@ -45,7 +45,7 @@ def judge_predictions(comparison: Comparison) -> str:
     -------
     `none`, `named`, `ambiguous` or `unknown`
     """
-    if not comparison.misfit > 0:
+    if comparison.p_value >= RULES.single.level:
         return NONE
     possible = comparison.possible
     if not possible or max(p.explained for p in possible) < RULES.single.explained:

@@ -244,6 +244,7 @@ def _list_candidates(
                 gain=held_out.gain if is_the_cause and held_out is not None else float("nan"),
                 variant=chosen.variant,
                 equation=chosen.mechanism.equation,
+                parameter=key,
             )
         )
     return tuple(found)

@@ -48,7 +48,7 @@ class Candidate:
         wrong
     bic : fall of χ² less log(effective number of data) per parameter, negative: not worth its parameters
     probability : among the candidates, by the evidence of each with a log-uniform prior of its severity
-    severity : main severity by its key in the contract, and its standard deviation
+    severity : main severity by its key in the contract, `parameter`, and its standard deviation
     explained : share of the plain model's misfit that it explains
     gain : share of the removable held-out error; NaN where it was not asked for
     equation, variant : what was tried
@@ -64,6 +64,7 @@ class Candidate:
     gain: float
     variant: str
     equation: str
+    parameter: str = ""
 
 
 @dataclass(frozen=True)

@@ -306,7 +306,9 @@ class SingleRules:
     above_excited: float = _rule(1.25, "frequency over the highest excited one from which the output is noise")
     excited: float = _rule(1e-4, "share of the input's largest power from which a frequency is excited")
     memory: float = _rule(5.0, "decay times over which a residual remembers", unit="decay times")
-    place_level: float = _rule(0.01, "probability below which a band or level of a system is listed as wrong")
+    level: float = _rule(
+        0.01, "false-alarm level of the misfit of a record, and of the places where it is listed as wrong"
+    )
     shortest: int = _rule(128, "fewest samples of a system's records that can be dealt into parts", unit="samples")
     run_in: float = _rule(1.0, "memory of a system over the length of its records, above which they do not tell it")
     most_steps: int = _rule(100_000, "steps that one simulation of a system may take", COST, "steps")

@@ -109,6 +109,7 @@ TABLES: tuple[Table, ...] = (
             real("likelihood_ratio", "", "2 x gain in log-likelihood"),
             real("bic", "", "Bayesian information criterion with the effective number of data"),
             real("probability", "", "among the listed causes"),
+            text("parameter", "of the mechanism, whose value severity is"),
             real("severity", "see mechanism", "estimate"),
             real("severity_sd", "see mechanism", "standard deviation"),
             *with_bounds("gain", "", "share of the removable held-out error; limits where each cause was asked alone"),

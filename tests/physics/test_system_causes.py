@@ -224,7 +224,8 @@ def test_too_few_samples_are_said_so(size: int) -> None:
 @pytest.mark.parametrize("spike", [50.0, 1e6, 1e9])
 def test_a_spike_sends_the_linear_start_nowhere(spike: float) -> None:
     record = _noisy(2000, spike)
-    omega, ratio, _ = find_linear_start([record])
+    (mode,) = find_linear_start([record])
+    omega, ratio = mode.angular_frequency, mode.ratio
     lowest, highest = 2 * np.pi / (2000 * 0.01), np.pi / 0.01
     assert 0.49 * lowest < omega < 2.01 * highest
     assert 1e-4 <= ratio <= 3.0

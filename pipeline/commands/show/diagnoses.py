@@ -171,7 +171,7 @@ def _compare_explanations(row: Row) -> _Cells:
         *(
             (
                 f"{_mark(row, c)} {c['mechanism']}", significant(c["likelihood_ratio"]), percent(c["probability"]),
-                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"]),
+                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"], c["parameter"]),
             )
             for c in ranked[:_SHOWN]
         ),
@@ -187,7 +187,7 @@ def _compare_predictions(row: Row) -> _Cells:
             (
                 f"{_mark(row, c)} {c['mechanism']}" + (f", {c['form']}" if c["form"] else ""), percent(c["gain"]),
                 f"{percent(c['gain_lower'])} to {percent(c['gain_upper'])}",
-                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"]),
+                percent(c["explained"]), candidate(c["mechanism"], c["severity"], c["severity_sd"], c["parameter"]),
             )
             for c in ranked
         ),

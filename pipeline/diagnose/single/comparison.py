@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2 as chi2_law
 
 from pipeline.diagnose.results import Estimate
 from pipeline.diagnose.rules import RULES
@@ -25,6 +26,7 @@ class TriedModel:
     ----------
     mechanism, variant, equation : of the mechanism; empty for the plain model
     severity : key → estimate, from the fit to everything
+    nothing : the first of them where the mechanism does nothing
     whole : (N,) simulation of everything, fitted to everything
     unseen : (H,) prediction of the part left out, fitted to the rest
     drawn : (B or 1, H) the same with parameters drawn from what the fit to the rest leaves open
@@ -37,6 +39,7 @@ class TriedModel:
     whole: Float
     unseen: Float
     drawn: Float
+    nothing: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,9 @@ class RankedModel:
     ----------
     model : the model
     before, after : root mean square error on the part left out, plain model and this one, in units of the noise
-    gain : share of the removable held-out error that it removes, `lower` to `upper` its 95 % interval
-    explained : share of the misfit to everything that it explains, fitted to everything
+    gain : share of the removable held-out error that it removes, `lower` to `upper` its 95 % interval; NaN where the plain
+        model's error is within the noise: there is nothing to remove
+    explained : share of the misfit to everything that it explains, fitted to everything; NaN where there is none
     beaten : whether the best model predicts better by more than chance
     """
 
@@ -68,11 +72,11 @@ class Comparison:
 
     Parameters
     ----------
-    misfit : mean square error of the plain model over everything, in units of the noise, less 1
+    p_value : of the plain model's misfit to everything, or where it is worst, under the noise alone
     ranked : the models
     """
 
-    misfit: float
+    p_value: float
     ranked: tuple[RankedModel, ...]
 
     @property
@@ -82,7 +86,12 @@ class Comparison:
 
 
 def compare_predictions(
-    plain: TriedModel, models: Sequence[TriedModel], measured: Float, left_out: Float, sd: float
+    plain: TriedModel,
+    models: Sequence[TriedModel],
+    measured: Float,
+    left_out: Float,
+    sd: float,
+    places: Sequence[float] = (),
 ) -> Comparison:
     """Models ranked by what they predict of the part left out.
 
@@ -92,41 +101,50 @@ def compare_predictions(
     measured : (N,) everything
     left_out : (H,) the part left out
     sd : standard deviation of the noise of one value, the largest that it may be
+    places : p-values of the plain model's misfit in parts of everything
 
     Notes
-    ----- The part left out is one, and is no sample of anything, and the plain model's prediction of it is the one that
-    was made: intervals are of what the fits to the rest leave open about the models.
+    -----
+    The part left out is one, and is no sample of anything, and the plain model's prediction of it is the one that was
+    made: intervals are of what the fits to the rest leave open about the models. What errs less than the noise removes
+    all that can be removed, no more.
     """
-    size = left_out.size
-
-    def measure_error(model: TriedModel) -> tuple[float, Float]:
-        """Mean square over the noise, and (B,) of the predictions drawn."""
-        drawn = np.mean(((model.drawn - left_out) / sd) ** 2, axis=1)
-        return float(np.mean(((model.unseen - left_out) / sd) ** 2)), drawn
-
-    before, _ = measure_error(plain)
-    removable = max(before - 1, 1 / size)
-    misfit = float(np.mean(((plain.whole - measured) / sd) ** 2)) - 1
-    found = [(model, *measure_error(model)) for model in models]
-    found.sort(key=lambda one: one[1])
+    chi2 = float(np.sum(((plain.whole - measured) / sd) ** 2))
+    of_all = float(chi2_law.sf(chi2, measured.size))
+    p_value = min(1.0, 2 * min(of_all, len(places) * min(places))) if places else of_all
+    before = _measure_error(plain.unseen, left_out, sd)
+    excess, misfit = before - 1, chi2 / measured.size - 1
+    if excess <= RULES.gain.removable * np.sqrt(2 / left_out.size):
+        excess = float("nan")
+    tried = [
+        (model, _measure_error(model.unseen, left_out, sd), np.mean(((model.drawn - left_out) / sd) ** 2, axis=1))
+        for model in models
+    ]
+    tried.sort(key=lambda one: one[1])
     ranked = []
-    for model, after, drawn in found:
-        lower, upper = _take_interval((before - drawn) / removable)
-        left = float(np.mean(((model.whole - measured) / sd) ** 2)) - 1
-        worse, _ = _take_interval(drawn - found[0][2])
+    for model, after, drawn in tried:
+        gain = 1 - max(after - 1, 0.0) / excess
+        lower, upper = _take_interval(1 - np.maximum(drawn - 1, 0.0) / excess)
+        left = max(_measure_error(model.whole, measured, sd) - 1, 0.0)
+        worse, _ = _take_interval(drawn - tried[0][1])
         ranked.append(
             RankedModel(
                 model=model,
                 before=float(np.sqrt(before)),
                 after=float(np.sqrt(after)),
-                gain=(before - after) / removable,
-                lower=lower,
-                upper=upper,
-                explained=1 - left / max(misfit, 1 / size),
+                gain=gain,
+                lower=min(lower, gain),
+                upper=max(upper, gain),
+                explained=1 - left / misfit if misfit > 0 else float("nan"),
                 beaten=worse > 0,
             )
         )
-    return Comparison(misfit, tuple(ranked))
+    return Comparison(p_value, tuple(ranked))
+
+
+def _measure_error(predicted: Float, measured: Float, sd: float) -> float:
+    """Mean square error over that of the noise."""
+    return float(np.mean(((predicted - measured) / sd) ** 2))
 
 
 def _take_interval(drawn: Float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from scipy.stats import chi2 as chi2_law
 from pipeline.diagnose.features.kinds import CYCLE_FORCE
 from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS, list_invisible
-from pipeline.diagnose.results import AMBIGUOUS, NONE, Diagnosis, Discrepancy, Estimate, NextRecording, Residuals
+from pipeline.diagnose.results import AMBIGUOUS, NAMED, Diagnosis, Discrepancy, Estimate, NextRecording, Residuals
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, TriedModel, compare_predictions
 from pipeline.diagnose.single.cycle_model import CycleMechanism, CycleModel, Fitted, LargeCycle, list_mechanisms
@@ -118,10 +118,13 @@ def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Comparison]:
     plain, *others = (_try_mechanism(cycle, m, rng) for m in (None, *list_mechanisms(span, interval)))
     # Those fitted to the loading predict the unloading.
     plain_model, *models = (t.predict_unloading(~up, plain) for t in (plain, *others))
-    comparison = compare_predictions(plain_model, models, cycle.stress, cycle.stress[~up], sd)
+    places = tuple(_list_discrepancies(cycle, (cycle.stress - plain.whole.stress()) / sd, sd))
+    comparison = compare_predictions(
+        plain_model, models, cycle.stress, cycle.stress[~up], sd, [place.p_value for place in places]
+    )
     verdict = judge_predictions(comparison)
     proposal = _propose_recording(cycle, others, comparison, sd) if verdict == AMBIGUOUS else None
-    details = _collect_details(cycle, sd, plain, others, comparison, verdict, proposal)
+    details = _collect_details(cycle, sd, plain, others, comparison, verdict, places, proposal)
     simulated = plain.whole.stress()
     return report_comparison(comparison, verdict, cycle.stress, cycle.stress[~up], sd, simulated, details), comparison
 
@@ -183,14 +186,15 @@ def _collect_details(
     others: Sequence[_Tried],
     found: Comparison,
     verdict: str,
+    places: tuple[Discrepancy, ...],
     proposal: NextRecording | None,
 ) -> Details:
     best = found.ranked[0]
     winner = next(t for t in others if _is_of(t, best.model))
-    left = (cycle.stress - plain.whole.stress()) / sd
     plain_sd, _ = _estimate_film_sd(plain)
     extended_sd, damper_sd = _estimate_film_sd(winner)
-    words = plain_name(best.model.mechanism).lower()
+    named = verdict in (NAMED, AMBIGUOUS)
+    words, left = (plain_name(best.model.mechanism).lower(), winner) if named else ("one branch", plain)
     return Details(
         specimen_id=cycle.fits.specimen_id,
         protocols=("cycle",),
@@ -202,12 +206,12 @@ def _collect_details(
             extended_sd,
             damper_sd,
         ),
-        discrepancies=tuple(_list_discrepancies(cycle, left, sd)),
-        residuals=(_list_residuals(cycle, plain, plain if verdict == NONE else winner, sd),),
+        discrepancies=places,
+        residuals=(_list_residuals(cycle, plain, winner if named else plain, sd),),
         smallest=list_smallest(p.model for p in found.ranked),
         invisible=tuple(m for m in list_invisible({CYCLE_FORCE}) if m in MECHANISMS),
         could_not_ask=_list_unaskable(sd),
-        unexplained=(describe_what_stays(words, winner.whole.residual, sd, "kPa"),),
+        unexplained=(describe_what_stays(words, left.whole.residual, sd, "kPa"),),
         next_recording=proposal,
     )
 

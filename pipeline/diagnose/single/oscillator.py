@@ -3,9 +3,10 @@
 In units of a reference amplitude of the output A and a reference angular frequency w (time in 1/w):
 
     y″ + δ y′ + κ y + β₂ y² + β₃ y³ + c |y′| y′ + a q = γ u(t)/A,      q′ = y′ − (r + s |y′|) q
-    reading = y/√(1 + l y²), late by Δ
+    z_j″ + δ_j z_j′ + κ_j z_j = γ_j u(t)/A,      x = y + z₁ + z₂
+    reading = x/√(1 + l x²), late by Δ
 
-with δ, κ, γ the linear system of one mode. β₃ > 0 is the hardening spring of Duffing (Nayfeh and Mook, Nonlinear
+with δ, κ, γ the linear system of one mode, and z_j further modes that stay linear: they are read off their responses. β₃ > 0 is the hardening spring of Duffing (Nayfeh and Mook, Nonlinear
 Oscillations, chapter 4), β₂ one that is stiffer on one side, c quadratic damping; q with s = 0 is a Maxwell arm of rate
 r, with r = 0 a slider in series with a spring in the smooth form of Dahl (1968), which yields at a/s. Between samples
 the input is band-limited; a step between two of them is taken as midway.
@@ -26,7 +27,9 @@ from schemas.arrays import Bool, Float
 
 STIFFNESS, DAMPING, GAIN, QUADRATIC, CUBIC, DRAG, ARM, RATE, SLIP, CEILING, DELAY = range(11)
 """Rows of the parameters: κ, δ, γ, β₂, β₃, c, a, ln r, ln s, l, Δ. A rate or slip of −∞ is none."""
-PARAMETERS = 11
+FURTHER = ((11, 12, 13), (14, 15, 16))
+"""Rows of κ, δ, γ of each further mode; without a gain γ it is none."""
+PARAMETERS = 17
 """Number of parameters."""
 
 _FORGOTTEN = 1e-4
@@ -57,11 +60,24 @@ class SystemRecord:
     from_rest: bool = False
 
 
-def make_linear(damping: float, gain: float) -> Float:
-    """(PARAMETERS,) of the linear system of κ = 1 with that δ and γ."""
+@dataclass(frozen=True)
+class Mode:
+    """A linear resonance y″ + 2ζω y′ + ω² y = g u: ω in rad/s, ζ, and g."""
+
+    angular_frequency: float
+    ratio: float
+    gain: float
+
+
+def make_linear(damping: float, gain: float, further: Sequence[tuple[float, float, float]] = ()) -> Float:
+    """(PARAMETERS,) of the linear system of κ = 1 with that δ and γ, and of further modes with κ, δ, γ each."""
     start = np.zeros(PARAMETERS)
     start[[STIFFNESS, DAMPING, GAIN]] = 1.0, damping, gain
     start[[RATE, SLIP]] = -np.inf
+    for rows in FURTHER:
+        start[list(rows)] = 1.0, 1.0, 0.0
+    for rows, mode in zip(FURTHER, further, strict=False):
+        start[list(rows)] = mode
     return start
 
 
@@ -82,17 +98,26 @@ def count_steps(records: Sequence[SystemRecord], angular_frequency: float, dampi
 class Oscillator:
     """Simulation of records of one system.
 
-    amplitude : A, unit of the output; angular_frequency : w, rad/s; damping : least δ that is expected, for the run-in
+    amplitude : A, unit of the output; angular_frequency : w, rad/s; damping : least δ that is expected, for the run-in;
+    memory : s, of further modes where they remember longer; finer : steps for one that would do
     """
 
     def __init__(
-        self, records: Sequence[SystemRecord], amplitude: float, angular_frequency: float, damping: float
+        self,
+        records: Sequence[SystemRecord],
+        amplitude: float,
+        angular_frequency: float,
+        damping: float,
+        *,
+        memory: float = 0.0,
+        finer: int = 1,
     ) -> None:
         interval = records[0].interval_s
         self.records = tuple(records)
         self.amplitude, self.angular_frequency = amplitude, angular_frequency
-        self.run_in = int(np.ceil(memory_s(angular_frequency, damping) / interval))
-        self._steps = max(1, int(np.ceil(angular_frequency * interval / _TURN)))
+        self._given = damping, memory, finer
+        self.run_in = int(np.ceil(max(memory_s(angular_frequency, damping), memory) / interval))
+        self._steps = finer * max(1, int(np.ceil(angular_frequency * interval / _TURN)))
         self._h = angular_frequency * interval / self._steps
         longest = max(r.input.size for r in records)
         self._length = min(longest, max(self.run_in, _SHORTEST))
@@ -100,10 +125,15 @@ class Oscillator:
         self._count = [s.shape[1] for s in stretches]
         self._input: Float = np.concatenate(stretches, axis=1)
 
+    def refine(self) -> Oscillator:
+        """The same in steps half as long."""
+        damping, memory, finer = self._given
+        return Oscillator(self.records, self.amplitude, self.angular_frequency, damping, memory=memory, finer=2 * finer)
+
     def _stretches(self, record: SystemRecord) -> Float:
         """(T, K) input over A of the K stretches of a record, at the T ends and middles of all steps."""
         n, fine = record.input.size, 2 * self._steps
-        u = (record.input if record.from_rest else record.input - record.input.mean()) / self.amplitude
+        u = self._drive(record)
         if record.periodic:
             between = resample(u, n * fine)
         else:
@@ -122,9 +152,33 @@ class Oscillator:
     def __call__(self, parameters: Float) -> list[Float]:
         """(C, n) readings of every record, in the unit of its output, of C sets of parameters (PARAMETERS, C)."""
         with np.errstate(over="ignore", invalid="ignore"):
-            y = self._integrate(parameters)
-            y = y / np.sqrt(1 + parameters[CEILING] * y**2)
-            return self._read(y, parameters[DELAY] / self.angular_frequency)
+            x = self._integrate(parameters)
+            for rows in FURTHER:
+                chosen = np.flatnonzero(parameters[rows[2]] != 0)
+                if chosen.size:
+                    x[..., chosen] += self._respond(*parameters[list(rows)][:, chosen])
+            x = x / np.sqrt(1 + parameters[CEILING] * x**2)
+            return self._read(x, parameters[DELAY] / self.angular_frequency)
+
+    def _respond(self, stiffness: Float, damping: Float, gain: Float) -> Float:
+        """(L, K, C) of a linear mode at the samples of all stretches, from its frequency response; (C,) each."""
+        found = []
+        for record in self.records:
+            n = record.input.size
+            size = n if record.periodic else 2 * n
+            w = 2 * np.pi * np.fft.rfftfreq(size, record.interval_s) / self.angular_frequency
+            spectrum = np.fft.rfft(self._drive(record), size)
+            response = gain[:, None] / (stiffness[:, None] - w**2 + 1j * damping[:, None] * w)
+            values = np.fft.irfft(response * spectrum, size)[:, :n]
+            count = -(-n // self._length)
+            padded = np.zeros((gain.size, count * self._length))
+            padded[:, :n] = values
+            found.append(padded.reshape(gain.size, count, self._length).transpose(2, 1, 0))
+        return np.concatenate(found, axis=1)
+
+    def _drive(self, record: SystemRecord) -> Float:
+        """(n,) input over A."""
+        return np.asarray((record.input if record.from_rest else record.input - record.input.mean()) / self.amplitude)
 
     def _read(self, y: Float, delay_s: Float) -> list[Float]:
         """(C, n) of every record from the stretches (L, K, C), late by (C,)."""

@@ -6,7 +6,7 @@ Does not belong here: which fits are asked for, and what follows from them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,12 +19,14 @@ from pipeline.diagnose.single.oscillator import (
     DAMPING,
     DELAY,
     DRAG,
+    FURTHER,
     GAIN,
     PARAMETERS,
     QUADRATIC,
     RATE,
     SLIP,
     STIFFNESS,
+    Mode,
     Oscillator,
     SystemRecord,
 )
@@ -43,6 +45,11 @@ _BOUNDS = {
     SLIP: (-4.0, 7.0),
     CEILING: (0.0, 100.0),
     DELAY: (-6.0, 6.0),
+    **{
+        row: bounds
+        for rows in FURTHER
+        for row, bounds in zip(rows, ((1e-4, 1e4), (1e-5, 500.0), (-np.inf, np.inf)), strict=True)
+    },
 }
 """Least and largest value of each parameter, in the units of `oscillator`."""
 LOWER, UPPER = np.array([_BOUNDS[i] for i in range(PARAMETERS)]).T
@@ -55,6 +62,8 @@ _LINES = 3000
 """Strongest spectral lines by which a linear start is found."""
 _FREQUENCIES, _RATIOS = 160, np.geomspace(3e-3, 3.0, 9)
 """Frequencies and damping ratios of the grid of linear starts."""
+_TRIED, _TINY = 3, 1e-300
+"""Points of the grid that are tried as they stand, and instead of nothing."""
 _LEAST_RATIO, _LARGEST_RATIO = 1e-4, 3.0
 """Damping ratios that a linear start may have. Beyond 3 an oscillator is a low pass of first order, whose second pole is
 a hundred times the first and more: records do not tell how much, and steps that the first one needs do not follow it."""
@@ -154,39 +163,67 @@ def _simulate(oscillator: Oscillator, problems: Sequence[Problem], entries: Floa
     return found
 
 
-def find_linear_start(records: Sequence[SystemRecord]) -> tuple[float, float, float]:
-    """Angular frequency in rad/s, damping ratio and gain of y″ + 2ζω y′ + ω² y = g u, from spectra under a window of
-    Hann.
+def find_linear_start(records: Sequence[SystemRecord], modes: int = 1) -> tuple[Mode, ...]:
+    """Resonances y″ + 2ζω y′ + ω² y = g u side by side, from spectra under a window of Hann, the one of most output first.
 
-    The response error |Y − g U/D|² on a grid of ω and ζ, with the best g of each, and on from its least. Beyond half the
-    lowest and twice the highest frequency of the records every ω does the same to them: a spike, which excites all
-    frequencies alike, or a system without a resonance would send it to nothing or without end.
+    The response error |Y − Σ g U/D|², with the best g: one resonance after the other on a grid of ω and ζ beside those
+    that are there, and all on from the least. Beyond half the lowest and twice the highest frequency of the records every
+    ω does the same to them: a spike, which excites all frequencies alike, or a system without a resonance would send it to
+    nothing or without end.
     """
     w, u, y = (np.concatenate(part) for part in zip(*(_compute_spectra(r) for r in records), strict=True))
     strongest = np.argsort(np.abs(y))[-_LINES:]
     w, u, y = w[strongest], u[strongest], y[strongest]
+    target = np.concatenate([y.real, y.imag])
 
-    def gain(omega: float, ratio: float) -> tuple[float, float]:
-        of_one = u / (omega**2 - w**2 + 2j * ratio * omega * w)
-        g = float(np.vdot(of_one, y).real / np.vdot(of_one, of_one).real)
-        return g, float(np.sum(np.abs(y - g * of_one) ** 2))
+    def respond(x: Float) -> Float:
+        """(2 n, modes) output of each resonance of gain 1; x : ln ω and ln ζ of each."""
+        omega, ratio = np.exp(x[::2]), np.exp(x[1::2])
+        of_one = u[:, None] / (omega**2 - w[:, None] ** 2 + 2j * ratio * omega * w[:, None])
+        return np.concatenate([of_one.real, of_one.imag])
+
+    def fit_gains(x: Float) -> tuple[Float, Float, float]:
+        columns = respond(x)
+        scale = np.linalg.norm(columns, axis=0)
+        gains = np.linalg.lstsq(columns / scale, target, rcond=1e-12)[0] / scale
+        return columns, gains, float(np.sum((target - columns @ gains) ** 2))
 
     lowest, highest = float(w.min()) / 2, float(w.max()) * 2
-    grid = [
-        (gain(omega, ratio)[1], omega, ratio)
-        for omega in np.geomspace(lowest, highest, _FREQUENCIES)
-        for ratio in _RATIOS
-    ]
-    _, omega, ratio = min(grid)
-    found = minimize(
-        lambda x: gain(float(np.exp(x[0])), float(np.exp(x[1])))[1],
-        np.log([omega, ratio]),
-        method="Nelder-Mead",
-        bounds=np.log([(lowest, highest), (_LEAST_RATIO, _LARGEST_RATIO)]),
-        options={"initial_simplex": np.log([omega, ratio]) + np.array([[0, 0], [0.05, 0], [0, 0.5]])},
+    limits = np.log([(lowest, highest), (_LEAST_RATIO, _LARGEST_RATIO)])
+    grid = np.log([(o, r) for o in np.geomspace(lowest, highest, _FREQUENCIES) for r in _RATIOS])
+    found = np.zeros(0)
+    for _ in range(modes):
+        x = min(
+            (np.concatenate([found, one]) for one in _shortlist(grid, found, respond, target)),
+            key=lambda x: fit_gains(x)[2],
+        )
+        simplex = np.vstack([x, x + np.diag(np.tile([0.05, 0.5], x.size // 2))])
+        found = minimize(
+            lambda x: fit_gains(x)[2],
+            x,
+            method="Nelder-Mead",
+            bounds=np.tile(limits, (x.size // 2, 1)),
+            options={"initial_simplex": simplex, "maxfev": 200 * x.size},
+        ).x
+    columns, gains, _ = fit_gains(found)
+    output = np.linalg.norm(columns * gains, axis=0)
+    return tuple(
+        Mode(float(np.exp(found[2 * i])), float(np.exp(found[2 * i + 1])), float(gains[i])) for i in np.argsort(-output)
     )
-    omega, ratio = np.exp(found.x)
-    return float(omega), float(ratio), gain(omega, ratio)[0]
+
+
+def _shortlist(grid: Float, found: Float, respond: Callable[[Float], Float], target: Float) -> Float:
+    """(S, 2) points of the grid that, beside the resonances found, take most off what these leave."""
+    left, basis = target, np.zeros((target.size, 0))
+    if found.size:
+        basis = np.linalg.qr(respond(found))[0]
+        left = target - basis @ (basis.T @ target)
+    taken = []
+    for one in grid:
+        column = respond(one)[:, 0]
+        column = column - basis @ (basis.T @ column)
+        taken.append(float(column @ left) ** 2 / max(float(column @ column), _TINY))
+    return np.asarray(grid[np.argsort(taken)[-_TRIED:]])
 
 
 def _compute_spectra(record: SystemRecord) -> tuple[Float, Complex, Complex]:

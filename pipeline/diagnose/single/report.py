@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2 as chi2_law
 
 from pipeline.diagnose.results import (
     AMBIGUOUS,
@@ -26,6 +25,7 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, RankedModel, TriedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
+from schemas.numbers import with_unit
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Details:
     left_out : what was left out, in words → root mean square error of the plain and of the best model
     films : the film in both models
     smallest : mechanism → key → smallest detectable severity
-    unexplained : what the best mechanism leaves, in words
+    unexplained : what is left in words: by the best mechanism, or by the plain model where no mechanism has a name
     """
 
     specimen_id: str
@@ -85,28 +85,30 @@ def report_comparison(
     """
     best = comparison.ranked[0]
     chi2 = float(np.sum(((measured - plain) / sd) ** 2))
-    nothing = verdict == NONE
+    found = verdict in (NAMED, AMBIGUOUS)
     possible = dict.fromkeys(p.model.mechanism for p in comparison.possible)
     others = tuple(m for m in possible if m != best.model.mechanism)
     return Diagnosis(
         specimen_id=details.specimen_id,
         verdict=verdict,
-        mechanisms=() if nothing else (best.model.mechanism,),
+        mechanisms=(best.model.mechanism,) if found else (),
         also_possible=others if verdict == AMBIGUOUS else (),
-        p_value=float(chi2_law.sf(chi2, measured.size)),
-        supported_by=details.protocols if verdict in (NAMED, AMBIGUOUS) else (),
-        held_out=HeldOut(best.before, best.after, best.gain, best.lower, best.upper, left_out.size, details.left_out),
-        extension=None if nothing else _report_extension(best, measured, sd, chi2, details.films),
+        p_value=comparison.p_value,
+        supported_by=details.protocols if found else (),
+        held_out=HeldOut(best.before, best.after, best.gain, best.lower, best.upper, left_out.size, details.left_out)
+        if found
+        else None,
+        extension=_report_extension(best, measured, sd, chi2, details.films) if found else None,
         candidates=(),
         discrepancies=details.discrepancies,
         next_recording=details.next_recording if verdict == AMBIGUOUS else None,
         smallest_detectable=details.smallest,
         invisible=details.invisible,
         could_not_ask=details.could_not_ask,
-        unexplained=() if nothing else details.unexplained,
+        unexplained=() if verdict == NONE else details.unexplained,
         plain_film=details.films.plain,
         residuals=details.residuals,
-        explained=best.explained,
+        explained=best.explained if found else float("nan"),
     )
 
 
@@ -132,7 +134,8 @@ def list_smallest(models: Iterable[TriedModel]) -> dict[str, dict[str, float]]:
     for model in models:
         for key, estimate in list(model.severity.items())[:1]:
             if np.isfinite(estimate.sd) and estimate.sd > 0:
-                found.setdefault(model.mechanism, {key: RULES.single.detectable * estimate.sd})
+                away = RULES.single.detectable * estimate.sd
+                found.setdefault(model.mechanism, {key: abs(model.nothing - away)})
     return found
 
 
@@ -141,15 +144,21 @@ def describe_what_stays(words: str, residual: Float, sd: float, unit: str) -> st
 
     Parameters
     ----------
-    words : the mechanism
+    words : the model
     residual : (N,) of the fit to everything, in `unit`
     sd : standard deviation of the noise
     """
     correlation = float(residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300))
+    left = with_unit(f"{np.sqrt(np.mean(residual**2)):.3g}", name_unit(unit))
     return (
-        f"{words}, fitted to everything, leaves {np.sqrt(np.mean(residual**2)):.3g} {unit}, "
+        f"{words}, fitted to everything, leaves {left}, "
         f"{np.sqrt(np.mean((residual / sd) ** 2)):.2g} times the noise, of which neighbours have {correlation:.3f} in common"
     )
+
+
+def name_unit(unit: str) -> str:
+    """A unit as it stands behind a number: nothing for what has none."""
+    return "" if unit == "1" else unit
 
 
 def thin_curves(values: Sequence[Float], most: int) -> list[Float]:

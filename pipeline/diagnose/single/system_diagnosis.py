@@ -1,5 +1,5 @@
 """The diagnosis of a system of another kind: what a linear simulation of its records gets wrong, in bands about its
-resonance and by how large the output is, and which mechanism predicts it.
+strongest resonance and by how large the output is, and which mechanism predicts it.
 
 Does not belong here: the models (`oscillator`, `system_mechanisms`), and what their comparison means (`judge`,
 `report`).
@@ -14,15 +14,23 @@ from scipy.stats import chi2
 
 from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.results import NONE, Diagnosis, Discrepancy, Residuals
+from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, Discrepancy, Residuals
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import SystemRecord
-from pipeline.diagnose.single.report import Details, Films, describe_what_stays, list_smallest, report_comparison
-from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system, list_asked
+from pipeline.diagnose.single.report import (
+    Details,
+    Films,
+    describe_what_stays,
+    list_smallest,
+    name_unit,
+    report_comparison,
+)
+from pipeline.diagnose.single.system_mechanisms import MOST_RESONANCES, SystemQuestion, ask_system, list_asked
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.mechanisms import plain_name
+from schemas.numbers import with_unit
 
 OUTPUT = "system.output"
 """Kind of residuals: the output as both models, fitted to everything, simulate it."""
@@ -35,7 +43,9 @@ _NO_FILM = RelaxationModel(1.0, (), ())
 def diagnose_system(
     specimen_id: str, records: Sequence[SystemRecord], protocols: Sequence[str], unit: str
 ) -> tuple[Diagnosis, Comparison]:
-    """What one linear resonance gets wrong of a system's records, and which mechanism predicts a part left out.
+    """What a linear simulation gets wrong of a system's records, and which mechanism predicts a part left out.
+
+    The simulation has one resonance, and one more as long as that predicts better than every mechanism does.
 
     Parameters
     ----------
@@ -48,12 +58,36 @@ def diagnose_system(
     -------
     The diagnosis, and the comparison of the mechanisms behind it
     """
-    question = ask_system(records)
+    for resonances in range(1, MOST_RESONANCES + 1):
+        question = ask_system(records, resonances)
+        comparison = compare_models(question)
+        verdict = judge_predictions(comparison)
+        if verdict == NONE or not _is_further_better(question):
+            break
     measured, left_out, sd = question.measured, question.left_out, question.sd
-    comparison = compare_predictions(question.plain, question.models, measured, left_out, sd)
-    verdict = judge_predictions(comparison)
     details = _collect_details(specimen_id, tuple(dict.fromkeys(protocols)), question, comparison, verdict, unit)
     return report_comparison(comparison, verdict, measured, left_out, sd, question.plain.whole, details), comparison
+
+
+def compare_models(question: SystemQuestion) -> Comparison:
+    """The mechanisms of a system by what they predict.
+
+    Parameters
+    ----------
+    question : with the models
+    """
+    q = question
+    return compare_predictions(
+        q.plain, q.models, q.measured, q.left_out, q.sd, [place.p_value for place in _test_places(q)]
+    )
+
+
+def _is_further_better(q: SystemQuestion) -> bool:
+    """Whether one resonance more predicts the part left out better than the plain model and every mechanism, beyond chance."""
+    if q.further is None:
+        return False
+    first, *others = compare_predictions(q.plain, (*q.models, q.further), q.measured, q.left_out, q.sd).ranked
+    return first.model is q.further and first.lower > 0 and all(other.beaten for other in others)
 
 
 def _collect_details(
@@ -67,7 +101,12 @@ def _collect_details(
         )
         for part in question.parts
     }
-    words = f"{plain_name(best.mechanism).lower()} ({best.variant})"
+    simulation = f"a simulation with {count_resonances(question.resonances)}"
+    named = verdict in (NAMED, AMBIGUOUS)
+    model, words = (
+        (best, f"{plain_name(best.mechanism).lower()} ({best.variant})") if named else (question.plain, simulation)
+    )
+    noise = with_unit(f"{question.sd:.2g}", name_unit(unit))
     return Details(
         specimen_id=specimen_id,
         protocols=protocols,
@@ -78,12 +117,17 @@ def _collect_details(
         smallest=list_smallest(p.model for p in found.ranked),
         invisible=tuple(m for m in MECHANISMS if m not in list_asked()),
         could_not_ask=(
-            "This is no film in a rig: it is simulated as one resonance, and asked for what bends it",
-            f"The noise of the output, {question.sd:.2g} {unit}, is {question.noise}",
+            f"This is no film in a rig: it is simulated with {count_resonances(question.resonances)}, and asked for what bends it",
+            f"The noise of the output is taken to be {noise}: {question.noise}",
             *(f"{name}: its model has no finite simulation of these records" for name in question.without),
         ),
-        unexplained=(describe_what_stays(words, best.whole - question.measured, question.sd, unit),),
+        unexplained=(describe_what_stays(words, model.whole - question.measured, question.sd, unit),),
     )
+
+
+def count_resonances(number: int) -> str:
+    """`one resonance`, `2 resonances`."""
+    return "one resonance" if number == 1 else f"{number} resonances"
 
 
 def _compute_error(difference: Float, sd: float) -> float:
@@ -92,7 +136,7 @@ def _compute_error(difference: Float, sd: float) -> float:
 
 def _list_residuals(question: SystemQuestion, found: Comparison, verdict: str) -> list[Residuals]:
     """Of every record the stretch about its largest output."""
-    winner = found.ranked[0].model.variant if verdict != NONE else ""
+    winner = found.ranked[0].model.variant if verdict in (NAMED, AMBIGUOUS) else ""
     forms = [question.plain.variant, *(e.variant for e in question.models)]
     plain, best = question.simulations[0], question.simulations[forms.index(winner)]
     shown = []
@@ -141,6 +185,13 @@ def list_system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ..
     ----------
     question : with the plain simulation of all records
     """
+    places = _test_places(question)
+    level = RULES.single.level / max(len(places), 1)
+    return tuple(sorted((d for d in places if d.p_value < level), key=lambda d: -d.chi2 / d.degrees_of_freedom))
+
+
+def _test_places(question: SystemQuestion) -> list[Discrepancy]:
+    """All bands and thirds of all records, whether the simulation is wrong there or not."""
     found = []
     plain = question.simulations[0]
     for name, times, y, simulated, compared in zip(
@@ -149,9 +200,7 @@ def list_system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ..
         interval = float(times[1] - times[0])
         found += _test_bands(name, interval, y[compared], simulated[compared], question)
         found += _test_levels(name, y[compared], simulated[compared], question)
-    return tuple(
-        sorted((d for d in found if d.p_value < RULES.single.place_level), key=lambda d: -d.chi2 / d.degrees_of_freedom)
-    )
+    return found
 
 
 def _test_bands(name: str, interval: float, y: Float, simulated: Float, question: SystemQuestion) -> list[Discrepancy]:
@@ -164,7 +213,7 @@ def _test_bands(name: str, interval: float, y: Float, simulated: Float, question
         if inside.any():
             last = min(high * resonance, float(frequency[-1]))
             where = f"{low * resonance:.3g} to {last:.3g} Hz"
-            found.append(_make_discrepancy(name, where, words, measured[inside], error[inside], 2, question.sd))
+            found.append(_make_discrepancy(name, where, words, measured[inside], error[inside], 2, question))
     return found
 
 
@@ -176,17 +225,17 @@ def _test_levels(name: str, y: Float, simulated: Float, question: SystemQuestion
         chosen = np.concatenate([windows[i] for i in third])
         largest = float(np.abs(y[chosen]).max() / question.amplitude)
         where = f"outputs up to {100 * largest:.0f} % of the largest"
-        found.append(
-            _make_discrepancy(name, where, words, y[chosen] ** 2, (simulated - y)[chosen] ** 2, 1, question.sd)
-        )
+        found.append(_make_discrepancy(name, where, words, y[chosen] ** 2, (simulated - y)[chosen] ** 2, 1, question))
     return found
 
 
 def _make_discrepancy(
-    name: str, where: str, words: str, measured: Float, error: Float, each: int, sd: float
+    name: str, where: str, words: str, measured: Float, error: Float, each: int, question: SystemQuestion
 ) -> Discrepancy:
     """measured, error : (n,) squares, of `each` values"""
-    square, freedom = float(error.sum()) / sd**2, each * error.size
-    share = 100 * float(np.sqrt(error.sum() / measured.sum()))
-    text = f"{words} ({where}), the linear simulation is wrong by {share:.2g} % of the output there"
+    square, freedom = float(error.sum()) / question.sd**2, each * error.size
+    share = float(np.sqrt(error.sum() / measured.sum()))
+    much = f"{100 * share:.2g} % of the output there" if share < 1 else "more than the output there"
+    simulation = f"a simulation with {count_resonances(question.resonances)}"
+    text = f"{words} ({where}), {simulation} is wrong by {much}"
     return Discrepancy(name, where, square, freedom, float(chi2.sf(square, freedom)), text)

@@ -1,7 +1,7 @@
 """A system of another kind: models of its records with one mechanism each, and what they predict of a part left out.
 
-The plain model is y″ + d y′ + w₀² y = g u of one mode; every mechanism adds one term with one or two parameters
-(`oscillator`). All are fitted to everything, and for the held-out error to each of two parts, whose other one they
+The plain model is y″ + d y′ + w₀² y = g u of one mode, with further ones beside it where one is asked to be too few; every
+mechanism adds one term with one or two parameters to the first (`oscillator`). All are fitted to everything, and for the held-out error to each of two parts, whose other one they
 predict (`system_parts`). Means are not compared (`SystemRecord`). An arm that relaxes and a delay are linear: they say
 that the order of the plain model is at fault.
 
@@ -42,11 +42,13 @@ from pipeline.diagnose.single.oscillator import (
     DAMPING,
     DELAY,
     DRAG,
+    FURTHER,
     GAIN,
     QUADRATIC,
     RATE,
     SLIP,
     STIFFNESS,
+    Mode,
     Oscillator,
     SystemRecord,
     count_steps,
@@ -66,6 +68,8 @@ from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 
 _LINEAR = (STIFFNESS, DAMPING, GAIN)
+MOST_RESONANCES = 1 + len(FURTHER)
+"""Resonances that a linear simulation may have."""
 _DRAWN = 200
 """Parameters that are drawn from what a fit leaves open."""
 _SEED = 7
@@ -120,6 +124,8 @@ class SystemQuestion:
     left_out : (H,) those of the parts left out, one after the other
     sd, noise : standard deviation of the noise of one value, and in words how it was told
     plain, models : the plain model, and those with a mechanism
+    resonances : of the plain model
+    further : a linear model with one resonance more; None where that has no finite simulation or is not tried
     parts : what was left out
     angular_frequency, damping_ratio : of the linear system, rad/s and share of the critical one
     amplitude : largest output
@@ -135,6 +141,8 @@ class SystemQuestion:
     noise: str
     plain: TriedModel
     models: tuple[TriedModel, ...]
+    resonances: int
+    further: TriedModel | None
     parts: tuple[Part, ...]
     angular_frequency: float
     damping_ratio: float
@@ -161,6 +169,7 @@ class _SystemMechanism:
     rows : parameters that are free beyond the linear ones
     starts : of them, each tried
     report : severities by key
+    nothing : the first of them without the term
     negative : the mechanism that the term stands for where the first of its parameters is negative, and its report
     """
 
@@ -171,6 +180,7 @@ class _SystemMechanism:
     starts: tuple[tuple[float, ...], ...]
     report: Report
     negative: tuple[Mechanism, Report] | None = None
+    nothing: float = 0.0
 
     def choose_sign(self, value: float) -> tuple[Mechanism, Report]:
         """The mechanism and its report by the value of the first parameter."""
@@ -224,7 +234,13 @@ MECHANISMS: tuple[_SystemMechanism, ...] = (
         (AMPLITUDE_SOFTENING, _report_drop),
     ),
     _SystemMechanism(
-        SLACK, "quadratic stiffness", "y″ + d y′ + w₀² y + k₂ y² = g u", (QUADRATIC,), ((0.0,),), _report_quadratic
+        SLACK,
+        "quadratic stiffness",
+        "y″ + d y′ + w₀² y + k₂ y² = g u",
+        (QUADRATIC,),
+        ((0.0,),),
+        _report_quadratic,
+        nothing=1.0,
     ),
     _SystemMechanism(
         LOAD_CELL_DAMPING,
@@ -269,12 +285,13 @@ def list_asked() -> frozenset[str]:
     return frozenset(mechanism.id for ones in both for mechanism in ones)
 
 
-def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> SystemQuestion:
+def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: float | None = None) -> SystemQuestion:
     """Models of one system's records, fitted to everything and to each of two parts.
 
     Parameters
     ----------
     records : all with one sampling interval
+    resonances : of the plain model
     sd : standard deviation of the noise of one output, where the caller knows it, for instance from periods that repeat
 
     Raises
@@ -287,48 +304,59 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
             f"the records have {samples} samples",
             expected=f"at least {RULES.single.shortest} to say what bends a resonance",
         )
-    oscillator, start = _start_plain(records)
+    more = find_linear_start(records, resonances + 1) if resonances < MOST_RESONANCES else ()
+    oscillator, start = _start_plain(records, resonances, more)
     measured_outputs = tuple(_centre_output(oscillator, r) for r in records)
     measured = join_compared(oscillator, measured_outputs)
     everything = np.ones(measured.size, dtype=bool)
     name, loud = split_in_two(oscillator, measured_outputs)
-    folds = (everything, ~loud, loud)
+    linear = _list_linear_rows(resonances)
+    # The plain model, the mechanisms on it, and one resonance more.
+    asked: list[tuple[Float, tuple[int, ...], tuple[tuple[float, ...], ...], _SystemMechanism | None]] = [
+        (start, linear, ((),), None),
+        *((start, linear, term.starts, term) for term in MECHANISMS),
+    ]
+    if more:
+        asked.append((_express(more, oscillator.angular_frequency), _list_linear_rows(resonances + 1), ((),), None))
     problems, owners = [], []
-    for number, term in enumerate((None, *MECHANISMS)):
-        rows = term.rows if term else ()
-        for given in term.starts if term else ((),):
-            theta = start.copy()
-            theta[list(rows)] = given
-            for fold, fitted in enumerate(folds):
-                problems.append(Problem(theta, (*_LINEAR, *rows), fitted))
+    for number, (begin, rows, starts, term) in enumerate(asked):
+        own = term.rows if term else ()
+        for given in starts:
+            theta = begin.copy()
+            theta[list(own)] = given
+            for fold, fitted in enumerate((everything, ~loud, loud)):
+                problems.append(Problem(theta, (*rows, *own), fitted))
                 owners.append((number, fold))
     fits: dict[tuple[int, int], Fit] = {}
     for owner, fit in zip(owners, fit_all(oscillator, measured, problems), strict=True):
         if owner not in fits or fit.cost < fits[owner].cost:
             fits[owner] = fit
-    finite = [all(np.isfinite(fits[number, fold].cost) for fold in range(3)) for number in range(1 + len(MECHANISMS))]
+    finite = [all(np.isfinite(fits[number, fold].cost) for fold in range(3)) for number in range(len(asked))]
     if not finite[0]:
         raise NotIdentifiableError(
-            "a single resonance has no finite simulation of the records",
-            expected="a system that one resonance resembles",
+            "a linear resonance has no finite simulation of the records",
+            expected="a system that a resonance resembles",
         )
-    decay = 2 / start[DAMPING] / oscillator.angular_frequency / records[0].interval_s
-    memory = int(max(RULES.single.memory * decay, measured.size / _BLOCKS, 1))
-    known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
-    tried = [(number, term) for number, term in enumerate((None, *MECHANISMS)) if finite[number]]
-    found = [
-        _try_model(term, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
-        for number, term in tried
-    ]
+    decay = 2 / min(start[rows[1]] for rows in _list_modes(resonances)) / oscillator.angular_frequency
+    memory = int(max(RULES.single.memory * decay / records[0].interval_s, measured.size / _BLOCKS, 1))
+    level, noise = _tell_noise(records, oscillator, fits[0, 0], sd)
+    found = {
+        number: _try_model(term, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
+        for number, (_, _, _, term) in enumerate(asked)
+        if finite[number]
+    }
     compared = tuple(oscillator.compared(r) for r in records)
     louder, quieter = np.flatnonzero(loud), np.flatnonzero(~loud)
+    tried = [number for number in found if number <= len(MECHANISMS)]
     return SystemQuestion(
         measured=measured,
         left_out=np.concatenate([measured[louder], measured[quieter]]),
-        sd=known,
+        sd=level,
         noise=noise,
         plain=found[0],
-        models=tuple(found[1:]),
+        models=tuple(found[number] for number in tried[1:]),
+        resonances=resonances,
+        further=found.get(1 + len(MECHANISMS)),
         parts=(
             Part(name[0], slice(0, louder.size), louder),
             Part(name[1], slice(louder.size, measured.size), quieter),
@@ -340,53 +368,109 @@ def ask_system(records: Sequence[SystemRecord], *, sd: float | None = None) -> S
         times=tuple(np.arange(float(r.input.size)) * r.interval_s for r in records),
         measured_outputs=measured_outputs,
         simulations=tuple(
-            Simulated(model.mechanism, fits[number, 0].records, compared, fits[number, 0].parameters)
-            for (number, _), model in zip(tried, found, strict=True)
+            Simulated(found[number].mechanism, fits[number, 0].records, compared, fits[number, 0].parameters)
+            for number in tried
         ),
-        without=tuple(term.variant for number, term in enumerate((None, *MECHANISMS)) if term and not finite[number]),
+        without=tuple(term.variant for number, term in enumerate(MECHANISMS, 1) if not finite[number]),
     )
 
 
-def _start_plain(records: Sequence[SystemRecord]) -> tuple[Oscillator, Float]:
+def _list_modes(resonances: int) -> tuple[tuple[int, ...], ...]:
+    """Rows of κ, δ, γ of each resonance."""
+    return (_LINEAR, *FURTHER[: resonances - 1])
+
+
+def _list_linear_rows(resonances: int) -> tuple[int, ...]:
+    return tuple(row for rows in _list_modes(resonances) for row in rows)
+
+
+def _express(modes: Sequence[Mode], omega: float) -> Float:
+    """(PARAMETERS,) of resonances in units of a reference frequency; the one that is nearest to it is the first."""
+    first, *others = sorted(modes, key=lambda mode: abs(np.log(mode.angular_frequency / omega)))
+    start = make_linear(
+        2 * first.ratio * first.angular_frequency / omega,
+        first.gain / omega**2,
+        [
+            ((m.angular_frequency / omega) ** 2, 2 * m.ratio * m.angular_frequency / omega, m.gain / omega**2)
+            for m in others
+        ],
+    )
+    start[STIFFNESS] = (first.angular_frequency / omega) ** 2
+    return clip_parameters(start)
+
+
+def _start_plain(records: Sequence[SystemRecord], resonances: int, more: Sequence[Mode]) -> tuple[Oscillator, Float]:
     """The oscillator in units of the linear fit to everything, and its parameters (PARAMETERS,).
+
+    Its run-in is long enough for the resonances of a further model, too, where the records are.
 
     Raises `NotIdentifiableError` where the records do not tell a resonance.
     """
     amplitude = max(float(np.abs(r.output - (0 if r.from_rest else r.output.mean())).max()) for r in records)
-    omega, ratio, gain = find_linear_start(records)
+    modes = list(find_linear_start(records, resonances))
+    last = sum(r.input.size for r in records) * records[0].interval_s
+    beside = max((_recall(mode) for mode in more), default=0.0)
+    beside = beside if beside < RULES.single.run_in * last else 0.0
     for _ in range(2):
-        _check_memory(records, omega, _SAFETY * 2 * ratio)
-        oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * ratio)
-        start = make_linear(damping=2 * ratio, gain=gain / omega**2)
+        for mode in modes:
+            _check_memory(records, mode)
+        main = modes[0]
+        memory = max(beside, *(_recall(mode) for mode in modes))
+        omega = main.angular_frequency
+        oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * main.ratio, memory=memory)
+        start = _express(modes, omega)
         measured = join_compared(oscillator, [_centre_output(oscillator, r) for r in records])
-        plain = fit_all(oscillator, measured, [Problem(start, _LINEAR, np.ones(measured.size, dtype=bool))])[0]
-        theta = plain.parameters
+        problem = Problem(start, _list_linear_rows(resonances), np.ones(measured.size, dtype=bool))
+        theta = fit_all(oscillator, measured, [problem])[0].parameters
         frequency = float(np.sqrt(theta[STIFFNESS]))
         if abs(frequency - 1) < 0.1:
             break
-        ratio, gain = float(theta[DAMPING]) / 2 / frequency, float(theta[GAIN]) * omega**2
-        omega *= frequency
+        modes = [_read_mode(theta[list(rows)], omega) for rows in _list_modes(resonances)]
     return oscillator, theta
 
 
-def _check_memory(records: Sequence[SystemRecord], omega: float, damping: float) -> None:
+def _read_mode(entries: Float, omega: float) -> Mode:
+    """A resonance from its κ, δ, γ in units of a reference frequency."""
+    root = float(np.sqrt(entries[0]))
+    return Mode(omega * root, float(entries[1]) / 2 / root, float(entries[2]) * omega**2)
+
+
+def _recall(mode: Mode) -> float:
+    """Seconds for which a resonance remembers its start, damped as little as it may be."""
+    return memory_s(mode.angular_frequency, _SAFETY * 2 * mode.ratio)
+
+
+def _check_memory(records: Sequence[SystemRecord], mode: Mode) -> None:
     """Raises `NotIdentifiableError` where a system remembers longer than its records last, or takes too long to simulate."""
     last = sum(r.input.size for r in records) * records[0].interval_s
-    memory = memory_s(omega, damping)
-    found = f"the best single resonance, {omega / (2 * np.pi):.3g} Hz with a damping ratio of {damping / 2:.2g},"
+    memory = _recall(mode)
+    found = (
+        f"the best resonance, {mode.angular_frequency / (2 * np.pi):.3g} Hz with a damping ratio of {mode.ratio:.2g},"
+    )
     if memory > RULES.single.run_in * last and not all(r.periodic for r in records):
         raise NotIdentifiableError(
             f"{found} remembers its start for {memory:.3g} s and the records last {last:.3g} s",
             expected="records that outlast it, or one steady period (period_s)",
             remedy="Look for spikes in the input and output, which fit no resonance",
         )
-    steps = count_steps(records, omega, damping)
+    steps = count_steps(records, mode.angular_frequency, _SAFETY * 2 * mode.ratio)
     if steps > RULES.single.most_steps:
         raise NotIdentifiableError(
             f"{found} takes {steps:.3g} steps to simulate",
             expected=f"at most {RULES.single.most_steps}",
             remedy="Look for spikes in the input and output, which fit no resonance",
         )
+
+
+def _tell_noise(
+    records: Sequence[SystemRecord], oscillator: Oscillator, plain: Fit, sd: float | None
+) -> tuple[float, str]:
+    """Standard deviation of what a simulation cannot follow: the noise of one output, and what its steps leave out."""
+    known, words = (sd, "given") if sd is not None else estimate_noise_sd(records)
+    finer = oscillator.refine()(plain.parameters[:, None])
+    coarse = join_compared(oscillator, plain.records)
+    steps = float(np.sqrt(np.mean((coarse - join_compared(oscillator, [values[0] for values in finer])) ** 2)))
+    return float(np.hypot(known, steps)), "what the simulation resolves" if steps > known else words
 
 
 def _centre_output(oscillator: Oscillator, record: SystemRecord) -> Float:
@@ -417,10 +501,10 @@ def _try_model(
         drawn.append(predicted + changes @ slope.T)
     whole = fits[0]
     if term is None:
-        id, variant, equation, severity = "", "", "", dict[str, Estimate]()
+        id, variant, equation, severity, nothing = "", "", "", dict[str, Estimate](), 0.0
     else:
         mechanism, report = term.choose_sign(float(whole.parameters[term.rows[0]]))
-        id, variant, equation = mechanism.id, term.variant, term.equation
+        id, variant, equation, nothing = mechanism.id, term.variant, term.equation, term.nothing
         severity = _estimate_severity(report, whole, oscillator, measured, memory, rng)
     return TriedModel(
         mechanism=id,
@@ -430,6 +514,7 @@ def _try_model(
         whole=whole.simulated,
         unseen=np.concatenate(unseen),
         drawn=np.concatenate(drawn, axis=1),
+        nothing=nothing,
     )
 
 
@@ -445,8 +530,8 @@ def _estimate_severity(
     values = report(whole.parameters, speed, oscillator.angular_frequency)
     found = {}
     for key, spread in report(around, speed, oscillator.angular_frequency).items():
-        low, high = np.quantile(spread, [0.05, 0.95])
-        found[key] = Estimate(float(values[key]), float(np.std(spread)), float(low), float(high))
+        value, (low, high) = float(values[key]), np.quantile(spread, [0.05, 0.95])
+        found[key] = Estimate(value, float(np.std(spread)), min(float(low), value), max(float(high), value))
     return found
 
 

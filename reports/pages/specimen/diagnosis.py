@@ -227,7 +227,7 @@ def _common_start(names: list[str]) -> str:
 
 
 _CANDIDATES_SQL = """SELECT mechanism, gain_lower, gain_upper, held_out_error, likelihood_ratio, probability, explained,
-       severity, severity_sd, gain, form, equation
+       parameter, severity, severity_sd, gain, form, equation
 FROM diagnosis_candidates
 WHERE specimen_id = $specimen
 ORDER BY probability DESC, likelihood_ratio DESC, held_out_error, mechanism, form"""
@@ -248,7 +248,7 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
             Row(
                 (
                     flow(plain_name(r["mechanism"]), Markup("<br>"), code(r["mechanism"])),
-                    percent(r["probability"]), significant(r["likelihood_ratio"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"]),
+                    percent(r["probability"]), significant(r["likelihood_ratio"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),
                 ),
                 "sel" if chosen else "dim",
             )
@@ -289,7 +289,7 @@ def _places(d: Record, found: Sequence[Record], query: Query) -> list[Block]:
                     significant(r["held_out_error"], 3), percent(r["gain"]),
                     f"{percent(r['gain_lower'])} to {percent(r['gain_upper'])}",
                     ABSENT if r["explained"] is None else bar(r["explained"], chosen=chosen),
-                    candidate(r["mechanism"], r["severity"], r["severity_sd"]),
+                    candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),
                 ),
                 "sel" if chosen else "dim",
             )
