@@ -53,6 +53,8 @@ from schemas.lifetimes import (
 from schemas.recording import Recording
 
 _LONG_TEST = 0.9
+_SLOW_RISE_S = 1.0
+"""A voltage that is there sooner has been switched on."""
 
 
 def detect_breakdown(recording: Recording) -> Lifetime:
@@ -118,6 +120,7 @@ class _Judgement:
         dips, note = dips_between(self.trace, start, verdict.last)
         self.counts.dips += dips
         self.counts.notes += [note] if note else []
+        self._note_rise(start_s, float(self.trace.time[verdict.last]))
         if raised_s < self.trace.time[verdict.last]:
             return self._raised(start_s, raised_s, verdict)
         return lifetime(self.metadata, self.trace, self.counts, verdict, start_s, float(self.trace.time[verdict.last]))
@@ -141,6 +144,13 @@ class _Judgement:
         if hole > self.trace.longest_gap:
             self.counts.notes.append(
                 f"the voltage came on in a gap of {hole:.3g} s: the life may be longer by that much"
+            )
+
+    def _note_rise(self, start_s: float, end_s: float) -> None:
+        rise, held = start_s - application(self.trace), end_s - start_s
+        if rise > max(held, _SLOW_RISE_S):
+            self.counts.notes.append(
+                f"the voltage took {rise:.3g} s to rise, longer than it was held: what the rise did is not in the life"
             )
 
     # ---- falls ------------------------------------------------------------------------------------------------------

@@ -30,6 +30,8 @@ _REACHED = 0.80
 _ZERO = 0.02
 _RETURNS, _AWAY = 3, 0.2
 """So often back, and so much of the time down: the voltage is not constant."""
+_REGULAR = 0.02
+"""Scatter of the distances of falls, over their mean, up to which a clock makes them and no film."""
 _ELSEWHERE = 20.0
 """A voltage that is so many times the set point, or its inverse, has been given in other units than kV."""
 _STEP = 0.075
@@ -248,27 +250,48 @@ def plateaus(medians: Float, block_s: float) -> Float:
 
 
 def check_constant(trace: Trace, start: int) -> None:
-    """Raises `NotIdentifiableError` when the voltage alternates, or goes to and fro, from its start of life on.
+    """Raises `NotIdentifiableError` when the voltage alternates, swings, or is switched by a clock, from its start of life on.
 
-    A life belongs to one voltage. Self-healing discharges and sags that recover leave the voltage up for most of the time.
+    A life belongs to one voltage. Self-healing discharges and sags that recover leave the voltage up for most of the time,
+    and come when they come.
     """
-    value = trace.value[start:]
+    problem = _find_switching(trace, start) or _find_swings(trace, start)
+    if problem:
+        raise NotIdentifiableError(
+            problem, expected="constant voltage for a life", remedy="Give tests in cycles as a table of lives"
+        )
+
+
+def _find_switching(trace: Trace, start: int) -> str:
+    """In words how the voltage goes off and comes back as no film makes it; empty where it does not."""
+    value, time = trace.value[start:], trace.time[start:]
     state = np.where(value >= FULL * trace.set_point, 1, np.where(value < HALF * trace.set_point, -1, 0))
     last = np.flatnonzero(state == 1)
     state = state[: int(last[-1]) + 1 if last.size else 0]
     away = float(np.mean(state == -1)) if state.size else 0.0
-    turns = np.diff(state[state != 0])
-    returns = int(np.count_nonzero(turns > 0))
+    known = np.flatnonzero(state)
+    turns = np.diff(state[known])
+    returns, falls = int(np.count_nonzero(turns > 0)), time[known[1:][turns < 0]]
     below = float(value.min())
     if below < -HALF * trace.set_point and np.count_nonzero(value < -HALF * trace.set_point) >= 2 and returns:
-        problem = f"the voltage alternates between {below:.3g} and {float(value.max()):.3g} kV: not constant"
-    elif returns >= _RETURNS and away > _AWAY:
-        problem = f"the voltage came back {returns} times and was down for {100 * away:.0f} % of the time: not constant"
-    else:
-        return
-    raise NotIdentifiableError(
-        problem, expected="constant voltage for a life", remedy="Give tests in cycles as a table of lives"
-    )
+        return f"the voltage alternates between {below:.3g} and {float(value.max()):.3g} kV: not constant"
+    if returns >= _RETURNS and away > _AWAY:
+        return f"the voltage came back {returns} times and was down for {100 * away:.0f} % of the time: not constant"
+    apart = np.diff(falls)
+    if apart.size >= _RETURNS and np.ptp(apart) < _REGULAR * apart.mean() + 2 * trace.interval < 0.5 * apart.mean():
+        return f"the voltage went off every {apart.mean():.3g} s and came back {returns} times: not constant"
+    return ""
+
+
+def _find_swings(trace: Trace, start: int) -> str:
+    """In words how the voltage goes to and fro about its set point; empty where it does not."""
+    medians, _ = block_medians(trace.value[start:], trace.interval)
+    up = medians[medians >= HALF * trace.set_point]
+    state = np.where(up > _RAISED * trace.set_point, 1, np.where(up < trace.set_point / _RAISED, -1, 0))
+    returns = int(np.count_nonzero(np.diff(state[state != 0]) > 0))
+    if returns < _RETURNS or min(float(np.mean(state == 1)), float(np.mean(state == -1))) < _AWAY:
+        return ""
+    return f"the voltage goes to and fro between {up.min():.3g} and {up.max():.3g} kV: not constant"
 
 
 def current_jumps(channel: Channel | None, origin_ns: int) -> Float | None:

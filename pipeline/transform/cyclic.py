@@ -12,18 +12,24 @@ from typing import Any
 import numpy as np
 
 from pipeline.transform import quality
+from pipeline.transform.averaging import SAME_AMPLITUDE
 from pipeline.transform.channels import Drive, drive, stretched_length
 from pipeline.transform.harmonics import Harmonics, harmonics, refined_frequency, slow_terms
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sampling import seconds
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
+from schemas.numbers import ordinal
 from schemas.recording import Channel, Recording
 
 SETTLING_CYCLES = 2
 _FEWEST_CYCLES = 3
 _UNSEEN = 0.15
 """Share of a cycle that may be missing at the ends of the motion."""
+_NEVER_STILL = 0.1
+"""Least over largest amplitude of cycles that are those of a sinusoid, and no noise or another frequency."""
+_SINUSOID = 0.05
+"""Largest harmonic of an input, over its fundamental, that is still called a sinusoid."""
 _MOST_CYCLES = 100
 """Cycles that are evaluated one by one, evenly spread where there are more."""
 
@@ -65,12 +71,21 @@ def cyclic_response(
         )
     given, found = estimate.input, estimate.output
     u = given.amplitude[0]
+    low, high = _amplitude_range(t_x, x, frequency, begin, whole)
+    changing = f"the amplitude goes from {low:.3g} to {high:.3g} {source.input_unit} from cycle to cycle"
     if abs(u) < 5 * np.sqrt(given.variance[0]) or abs(u) == 0:
+        if low > _NEVER_STILL * high:
+            raise NotIdentifiableError(
+                changing, where=where, expected="one amplitude", remedy="Cut the recording into one for each amplitude"
+            )
         raise NotIdentifiableError(
             f"the input does not move at {frequency:.4g} Hz: amplitude {abs(u):.3g} ± {np.sqrt(given.variance[0]):.2g}",
             where=where,
             expected="a sinusoid well above the noise",
         )
+    if high - low > SAME_AMPLITUDE * (high + low) / 2:
+        warnings.append(f"{changing}: the response is that of all together")
+    warnings += _name_harmonics(given)
     details = _details(recording, source, given, found, frequency, whole)
     details |= _change(t_x, x, t_y, y, frequency, begin, whole, source.sign)
     length = stretched_length(recording.metadata)
@@ -96,6 +111,24 @@ def cyclic_response(
     )
     response = quality.judged(response, float("inf"))
     return response, _distortions(source, estimate.value, given, found, frequency), tuple(warnings)
+
+
+def _amplitude_range(time: Float, x: Float, frequency: float, begin: float, whole: int) -> tuple[float, float]:
+    """Least and largest amplitude of the settled cycles, each by itself; zero where they cannot be told."""
+    chosen = np.unique(np.rint(np.linspace(SETTLING_CYCLES, whole - 1, min(whole, _MOST_CYCLES))).astype(int)).tolist()
+    spans = ((begin + cycle / frequency, begin + (cycle + 1) / frequency) for cycle in chosen)
+    found = [one for first, last in spans if (one := harmonics(time, x, frequency, first, last)) is not None]
+    sizes = [float(abs(one.amplitude[0])) for one in found]
+    return (min(sizes), max(sizes)) if sizes else (0.0, 0.0)
+
+
+def _name_harmonics(given: Harmonics) -> list[str]:
+    """A note where the input is far from a sinusoid."""
+    shares = np.abs(given.amplitude[1:] / given.amplitude[0])
+    if not shares.size or shares.max() < _SINUSOID:
+        return []
+    order = int(shares.argmax())
+    return [f"the input is no sinusoid: its {ordinal(order + 2)} harmonic is {100 * shares[order]:.0f} % of it"]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from pipeline.transform import local_polynomial, quality, sweeps
+from pipeline.transform.averaging import SAME_AMPLITUDE
 from pipeline.transform.channels import Drive, drive
 from pipeline.transform.periodic import (
     BestLinear,
@@ -72,6 +73,7 @@ def sphs_response(recording: Recording) -> tuple[FrequencyResponse, tuple[Distor
     lines = _lines(recording, u, period_s)
     groups, dropped, notes = _settled(u, y, lines)
     warnings += notes
+    _check_periodic(u[:, lines], groups, period_s, where)
     result = best_linear_approximation([u[g][:, lines] for g in groups], [y[g][:, lines] for g in groups])
     used = np.concatenate(groups)
     distortions, odd_power = _distortions(u, y, groups, lines, result, period_s, source.output_unit)
@@ -244,6 +246,30 @@ def _settled(u: Complex, y: Complex, lines: Int) -> tuple[list[Int], list[int], 
     if longest == 2:
         notes.append("two periods cannot tell settling from noise: both are used")
     return groups, dropped, notes
+
+
+def _check_periodic(u: Complex, groups: list[Int], period_s: float, where: str) -> None:
+    """Raises `NotIdentifiableError` where the periods of the input (periods, lines) are not alike.
+
+    Groups are the periods of each excitation: where every one is another, nothing repeats.
+    """
+    if u.shape[0] > 1 and max(group.size for group in groups) == 1:
+        raise NotIdentifiableError(
+            f"no two periods of {period_s:.4g} s of the input are alike",
+            where=where,
+            expected="a multisine that repeats itself",
+            remedy="Correct period_s; a noise is of the protocol noise, a sweep of the protocol chirp",
+        )
+    for group in groups:
+        mean = u[group].mean(axis=0)
+        share = (u[group] @ mean.conj()).real / float(np.sum(np.abs(mean) ** 2))
+        if np.abs(share - 1).max() > SAME_AMPLITUDE:
+            raise NotIdentifiableError(
+                f"the input goes from {100 * share.min():.0f} to {100 * share.max():.0f} % of its mean from period to period",
+                where=where,
+                expected="a multisine that repeats itself",
+                remedy="Cut the recording into one for each amplitude",
+            )
 
 
 def _first_settled(u: Complex, y: Complex) -> int:

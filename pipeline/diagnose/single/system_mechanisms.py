@@ -306,6 +306,11 @@ def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: floa
         )
     more = find_linear_start(records, resonances + 1) if resonances < MOST_RESONANCES else ()
     oscillator, start = _start_plain(records, resonances, more)
+    known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
+    steps = _measure_steps(oscillator, start)
+    if steps > known:
+        # What steps half as long change is what the steps err, and they err a sixteenth.
+        oscillator, steps = oscillator.refine(), steps / 16
     measured_outputs = tuple(_centre_output(oscillator, r) for r in records)
     measured = join_compared(oscillator, measured_outputs)
     everything = np.ones(measured.size, dtype=bool)
@@ -339,7 +344,6 @@ def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: floa
         )
     decay = 2 / min(start[rows[1]] for rows in _list_modes(resonances)) / oscillator.angular_frequency
     memory = int(max(RULES.single.memory * decay / records[0].interval_s, measured.size / _BLOCKS, 1))
-    level, noise = _tell_noise(records, oscillator, fits[0, 0], sd)
     found = {
         number: _try_model(term, [fits[number, fold] for fold in range(3)], oscillator, measured, loud, memory)
         for number, (_, _, _, term) in enumerate(asked)
@@ -351,8 +355,8 @@ def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: floa
     return SystemQuestion(
         measured=measured,
         left_out=np.concatenate([measured[louder], measured[quieter]]),
-        sd=level,
-        noise=noise,
+        sd=float(np.hypot(known, steps)),
+        noise="what the simulation resolves" if steps > known else noise,
         plain=found[0],
         models=tuple(found[number] for number in tried[1:]),
         resonances=resonances,
@@ -462,15 +466,11 @@ def _check_memory(records: Sequence[SystemRecord], mode: Mode) -> None:
         )
 
 
-def _tell_noise(
-    records: Sequence[SystemRecord], oscillator: Oscillator, plain: Fit, sd: float | None
-) -> tuple[float, str]:
-    """Standard deviation of what a simulation cannot follow: the noise of one output, and what its steps leave out."""
-    known, words = (sd, "given") if sd is not None else estimate_noise_sd(records)
-    finer = oscillator.refine()(plain.parameters[:, None])
-    coarse = join_compared(oscillator, plain.records)
-    steps = float(np.sqrt(np.mean((coarse - join_compared(oscillator, [values[0] for values in finer])) ** 2)))
-    return float(np.hypot(known, steps)), "what the simulation resolves" if steps > known else words
+def _measure_steps(oscillator: Oscillator, start: Float) -> float:
+    """Root mean square of what steps half as long change in the simulation of a model (PARAMETERS,)."""
+    both = (join_compared(o, [values[0] for values in o(start[:, None])]) for o in (oscillator, oscillator.refine()))
+    coarse, fine = both
+    return float(np.sqrt(np.mean((coarse - fine) ** 2)))
 
 
 def _centre_output(oscillator: Oscillator, record: SystemRecord) -> Float:
