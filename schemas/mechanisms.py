@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from schemas.numbers import ABSENT, NBSP, ordinal, pm, significant, with_unit
+from schemas.numbers import ABSENT, NBSP, UNRESOLVED, ordinal, pm, significant, with_unit
 
 RECORD = "record"
 """The stage of what is wrong with recordings and their metadata."""
@@ -281,12 +281,17 @@ def main(mechanism: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def candidate(mechanism: str, value: float | None, sd: float | None, parameter: str | None = None) -> str:
-    """The severity of a cause that was tried, as read: of that parameter, or of its first."""
+    """The severity of a cause that was tried, as read: of that parameter, or of its first.
+
+    A share that is not known to within the whole, and not even whether it is there, is unresolved.
+    """
     if value is None:
         return ABSENT
     known = _WORDS.get(mechanism)
-    main = next(iter(known.parameters), "") if known else ""
-    return amount(mechanism, parameter or main, {"value": value, "sd": sd})
+    shown = parameter or (next(iter(known.parameters), "") if known else "")
+    if sd is not None and _shown(mechanism, shown).unit == "%" and sd > max(abs(value), 1.0):
+        return UNRESOLVED
+    return amount(mechanism, shown, {"value": value, "sd": sd})
 
 
 def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:

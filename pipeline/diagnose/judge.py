@@ -48,6 +48,6 @@ def judge_predictions(comparison: Comparison) -> str:
     if comparison.p_value >= RULES.single.level:
         return NONE
     possible = comparison.possible
-    if not possible or max(p.explained for p in possible) < RULES.single.explained:
+    if not any(p.explained >= RULES.single.explained for p in possible):
         return UNKNOWN
     return NAMED if len({p.model.mechanism for p in possible}) == 1 else AMBIGUOUS

@@ -52,7 +52,7 @@ class RankedModel:
     before, after : root mean square error on the part left out, plain model and this one, in units of the noise
     gain : share of the removable held-out error that it removes, `lower` to `upper` its 95 % interval; NaN where the plain
         model's error is within the noise: there is nothing to remove
-    explained : share of the misfit to everything that it explains, fitted to everything; NaN where there is none
+    explained : share of the misfit to everything that it explains, fitted to everything; NaN where that is within the noise
     beaten : whether the best model predicts better by more than chance
     """
 
@@ -113,9 +113,7 @@ def compare_predictions(
     of_all = float(chi2_law.sf(chi2, measured.size))
     p_value = min(1.0, 2 * min(of_all, len(places) * min(places))) if places else of_all
     before = _measure_error(plain.unseen, left_out, sd)
-    excess, misfit = before - 1, chi2 / measured.size - 1
-    if excess <= RULES.gain.removable * np.sqrt(2 / left_out.size):
-        excess = float("nan")
+    excess, misfit = _beyond_noise(before, left_out.size), _beyond_noise(chi2 / measured.size, measured.size)
     tried = [
         (model, _measure_error(model.unseen, left_out, sd), np.mean(((model.drawn - left_out) / sd) ** 2, axis=1))
         for model in models
@@ -123,8 +121,8 @@ def compare_predictions(
     tried.sort(key=lambda one: one[1])
     ranked = []
     for model, after, drawn in tried:
-        gain = 1 - max(after - 1, 0.0) / excess
-        lower, upper = _take_interval(1 - np.maximum(drawn - 1, 0.0) / excess)
+        gain = float(np.maximum(1 - max(after - 1, 0.0) / excess, -1.0))
+        lower, upper = _take_interval(np.maximum(1 - np.maximum(drawn - 1, 0.0) / excess, -1.0))
         left = max(_measure_error(model.whole, measured, sd) - 1, 0.0)
         worse, _ = _take_interval(drawn - tried[0][1])
         ranked.append(
@@ -135,11 +133,17 @@ def compare_predictions(
                 gain=gain,
                 lower=min(lower, gain),
                 upper=max(upper, gain),
-                explained=1 - left / misfit if misfit > 0 else float("nan"),
+                explained=float(np.maximum(1 - left / misfit, 0.0)),
                 beaten=worse > 0,
             )
         )
     return Comparison(p_value, tuple(ranked))
+
+
+def _beyond_noise(square: float, size: int) -> float:
+    """Excess of a mean square over that of the noise; NaN where the noise may have made it."""
+    excess = square - 1
+    return excess if excess > RULES.gain.removable * np.sqrt(2 / size) else float("nan")
 
 
 def _measure_error(predicted: Float, measured: Float, sd: float) -> float:
