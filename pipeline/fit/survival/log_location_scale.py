@@ -231,6 +231,7 @@ def _newton(
     converged = np.zeros(parameters.shape[0], dtype=np.bool_)
     if size == 0:
         return parameters, value, ~converged
+    stuck = np.zeros_like(converged)
     tolerance = _GRADIENT * lives.specimens
     for _ in range(_ITERATIONS):
         g, h = gradient[:, free], hessian[:, free, free]
@@ -238,9 +239,9 @@ def _newton(
         step = np.linalg.solve(damping - (h if lives.entered is None else _curved_down(h)), g[:, :, None])[:, :, 0]
         gain = np.einsum("bi,bi->b", g, step)
         converged = (np.abs(g).max(axis=1) <= tolerance) | (gain <= 1e-14 * (1 + np.abs(value)))
-        if converged.all():
+        if (converged | stuck).all():
             break
-        length = np.where(converged, 0.0, 1.0)
+        length = np.where(converged | stuck, 0.0, 1.0)
         if free.start == 0:  # α stays positive
             shrinking = step[:, 0] < 0
             limit = np.divide(-0.9 * parameters[:, 0], step[:, 0], out=np.full(length.size, np.inf), where=shrinking)
@@ -254,6 +255,7 @@ def _newton(
             if not bad.any():
                 break
             length = np.where(bad, length / 2, length)
+        stuck |= ~converged & ~(new_value > value)  # no step is short enough: the next would end here again
         improved = (new_value >= value)[:, None]
         parameters = np.where(improved, trial, parameters)
         value = np.where(improved[:, 0], new_value, value)
