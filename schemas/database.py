@@ -10,6 +10,9 @@ import os
 
 from schemas.errors import LabError
 
+REBUILD = "Move it away; the next nightly over all raw folders builds it anew"
+"""What to do with a published database that cannot be read."""
+
 
 def spell_database(path: str | os.PathLike[str]) -> str:
     """The path as DuckDB is given it. Raises `LabError` for one that DuckDB would take for another."""

@@ -1,8 +1,11 @@
-"""What must hold in a database before it is published, as SQL; `dealab doctor` asks the same of a published one."""
+"""What must hold in a database before it is published: as SQL, and that all of it can be read.
+
+`dealab doctor` asks the same of a published one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from schemas.tables import TABLES, find_references
@@ -60,3 +63,48 @@ def find_violations(connection: Any, rows: Mapping[str, int] | None = None) -> I
         broken = connection.execute(f"SELECT * FROM ({query}) LIMIT 3").fetchall()
         if broken:
             yield f"not so: {statement} ({', '.join(str(row[0]) for row in broken)})"
+
+
+_OUT_OF_MEMORY = ("failed to allocate", "could not allocate", "failed to pin")
+
+
+def is_short_of_memory(error: BaseException | None) -> bool:
+    """Whether DuckDB wanted more than it may use, also behind what came of it, such as an aborted transaction."""
+    import duckdb
+
+    if error is None:
+        return False
+    told = isinstance(error, duckdb.OutOfMemoryException) or any(text in str(error) for text in _OUT_OF_MEMORY)
+    return told or is_short_of_memory(error.__context__)
+
+
+def find_damage(open_database: Callable[[], Any]) -> Iterator[str]:
+    """The tables that cannot be read to their ends, with the reason.
+
+    DuckDB compares the checksum of every block that it reads, and reads a block when somebody asks for what is in it: a
+    broken one may be copied from night to night.
+
+    Parameters
+    ----------
+    open_database : gives a connection to the database; called again after each damaged table, which spoils a connection
+
+    Raises
+    ------
+    duckdb.Error
+        The database cannot be opened, or takes more memory than it may.
+    """
+    import duckdb
+
+    connection = open_database()
+    try:
+        for (name,) in connection.execute("SELECT table_name FROM duckdb_tables() ORDER BY table_name").fetchall():
+            try:
+                connection.execute(f'SELECT bit_xor(hash(t)) FROM "{name}" AS t').fetchall()
+            except duckdb.Error as error:
+                if is_short_of_memory(error):
+                    raise
+                yield f"{name} ({str(error).splitlines()[0][:160]})"
+                connection.close()
+                connection = open_database()
+    finally:
+        connection.close()

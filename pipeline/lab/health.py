@@ -8,12 +8,12 @@ from typing import Any
 from ingest.quarantine import entries as quarantine_entries
 from ingest.quarantine import entry_name
 from pipeline.lab.annotations import find_broken_lines
-from pipeline.lab.checks import find_violations
+from pipeline.lab.checks import find_damage, find_violations
 from pipeline.lab.installation import Finding, tell
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import is_busy
 from pipeline.lab.settings import load_settings
-from schemas.database import spell_database
+from schemas.database import REBUILD, spell_database
 from schemas.errors import DealabError
 from schemas.views import fingerprint
 
@@ -21,7 +21,7 @@ _LISTED = 5
 
 
 def check_lab(lab: Lab) -> Iterator[Finding]:
-    """Is the lab whole? Reads every samples file's footer, no samples."""
+    """Is the lab whole? Reads all of the database and every samples file's footer, no samples."""
     yield from _check_readable(lab)
     journal = lab.database.with_name(lab.database.name + ".wal")
     yield Finding(
@@ -50,8 +50,15 @@ def _check_readable(lab: Lab) -> Iterator[Finding]:
 def _check_database(lab: Lab) -> Iterator[Finding]:
     import duckdb
 
+    def connect() -> Any:
+        return duckdb.connect(spell_database(lab.database), read_only=True)
+
     try:
-        with duckdb.connect(spell_database(lab.database), read_only=True) as connection:
+        damage = list(find_damage(connect))
+        yield tell("all of the database can be read", damage, REBUILD[0].lower() + REBUILD[1:])
+        if damage:
+            return
+        with connect() as connection:
             found = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
             current = found is not None and found[0] == fingerprint()
             yield Finding(
@@ -66,7 +73,7 @@ def _check_database(lab: Lab) -> Iterator[Finding]:
     except duckdb.Error as error:
         yield Finding(
             "the database can be read",
-            f"{str(error).splitlines()[0]}; move it away, the next nightly over all raw folders builds it anew",
+            f"{str(error).splitlines()[0]}; {REBUILD[0].lower()}{REBUILD[1:]}",
         )
         return
     yield from _check_samples(lab, rows)

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from schemas.database import spell_database
+from schemas.database import REBUILD, spell_database
 from schemas.errors import LabError
 from schemas.tables import TABLES, Column
 
@@ -47,14 +47,17 @@ class Reader:
                 self._connection.execute(f"SET memory_limit = '{self._memory}'")
             found = self._connection.execute("SELECT table_name, column_name FROM duckdb_columns()").fetchall()
         except duckdb.Error as error:
-            raise LabError(
-                f"the published database cannot be read: {str(error).splitlines()[0]}",
-                where=str(self._database),
-                remedy="Move it away; the next nightly over all raw folders builds it anew",
-            ) from None
+            raise self._explain(error) from None
         for table, column in found:
             self._columns.setdefault(table, set()).add(column)
         return self
+
+    def _explain(self, error: Exception) -> LabError:
+        return LabError(
+            f"the published database cannot be read: {str(error).splitlines()[0][:300]}",
+            where=str(self._database),
+            remedy=REBUILD,
+        )
 
     def __exit__(self, *_: object) -> None:
         self._connection.close()
@@ -90,9 +93,14 @@ class Reader:
     def _iterate_values(self, query: tuple[str, list[list[str]]] | None) -> Iterator[tuple[Any, ...]]:
         if query is None:
             return
-        found = self._connection.execute(*query)
-        while some := found.fetchmany(_AT_ONCE):
-            yield from some
+        import duckdb
+
+        try:
+            found = self._connection.execute(*query)
+            while some := found.fetchmany(_AT_ONCE):
+                yield from some
+        except duckdb.Error as error:  # a damaged block is noticed when it is read
+            raise self._explain(error) from None
 
     def _choose_columns(self, name: str, columns: Sequence[str] | None) -> list[Column]:
         return [c for c in TABLES[name].columns if columns is None or c.name in columns]

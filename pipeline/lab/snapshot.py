@@ -7,6 +7,7 @@ before it is renamed over the old. Readers keep the file they have open.
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,23 +18,24 @@ from typing import Any, TypeAlias
 import pyarrow as pa
 
 from ingest.atomic import flush
-from pipeline.lab.checks import find_violations
+from pipeline.lab.checks import find_damage, find_violations, is_short_of_memory
 from pipeline.lab.lab import Lab
 from schemas import without_result
 from schemas.control import REMEMBER
-from schemas.database import spell_database
+from schemas.database import REBUILD, spell_database
 from schemas.errors import LabError
 from schemas.tables import TABLES, Table
 from schemas.views import VIEWS, fingerprint
 
 _BATCH_BYTES = 8 << 20
+_TOLD = 5
+"""Damaged tables that are named."""
 BATCH_PIECES = 500
 """What is inserted at once. A small arrow table, or a row as a dictionary, holds ten times the bytes of its values, so
 their number counts as well."""
 _THREADS, _MEMORY = 1, ("32MB", "128MB", "512MB", "2GB")
 """What DuckDB may use while it edits the copy, however many rows there are and whatever machine it is on; the rest goes
 to its file. The first is enough but for very long texts, of which it holds a row group at a time."""
-_OUT_OF_MEMORY = ("failed to allocate", "could not allocate", "failed to pin")
 _ROW_GROUP = 4096
 """Rows that DuckDB compresses together, which it does in memory: with much text, the usual 122880 are too many."""
 READABLE_FROM = {"storage_compatibility_version": "v1.2.0"}
@@ -90,6 +92,7 @@ def publish(lab: Lab, changes: Changes) -> None:
         building.replace(lab.database)
         flush(lab.folder)
     except duckdb.Error as error:
+        _refuse_damaged_before(lab.database)
         raise LabError(
             f"the database could not be built: {str(error).splitlines()[0]}",
             where=str(building),
@@ -112,21 +115,46 @@ def _build_database(published: Path, building: Path, changes: Changes) -> None:
                 rows = _finish(connection)
             finally:
                 connection.close()
+            _refuse_damaged(published, building)
             _check_database(building, rows, memory)
             return
         except duckdb.Error as error:
-            if memory == _MEMORY[-1] or not _is_short_of_memory(error):
+            if memory == _MEMORY[-1] or not is_short_of_memory(error):
                 raise
 
 
-def _is_short_of_memory(error: BaseException | None) -> bool:
-    """Whether DuckDB wanted more than it may use, also behind what came of it, such as an aborted transaction."""
+def _refuse_damaged(published: Path, building: Path) -> None:
+    """Raises `LabError` where a block of the next database cannot be read: what is broken is never published."""
+    if damage := _read_all(building):
+        _refuse_damaged_before(published)
+        raise LabError(
+            f"the new database is damaged: {'; '.join(damage[:_TOLD])}",
+            where=str(building),
+            remedy="The published database is as it was. Run the nightly again; look at this machine's disk and memory",
+        )
+
+
+def _refuse_damaged_before(published: Path) -> None:
+    """Raises `LabError` where the published database was damaged before this night."""
+    if damage := _read_all(published) if published.exists() else []:
+        raise LabError(
+            f"the published database is damaged: {'; '.join(damage[:_TOLD])}",
+            where=str(published),
+            remedy=REBUILD,
+        )
+
+
+def _read_all(database: Path) -> list[str]:
+    """What of a database cannot be read, in as little memory as will do."""
     import duckdb
 
-    if error is None:
-        return False
-    told = isinstance(error, duckdb.OutOfMemoryException) or any(text in str(error) for text in _OUT_OF_MEMORY)
-    return told or _is_short_of_memory(error.__context__)
+    for memory in _MEMORY:
+        try:
+            return list(find_damage(functools.partial(_open_to_read, database, memory)))
+        except duckdb.Error as error:
+            if memory == _MEMORY[-1] or not is_short_of_memory(error):
+                return [str(error).splitlines()[0]]
+    return []
 
 
 def discard(database: Path) -> None:
@@ -159,7 +187,7 @@ def _open_base(published: Path, building: Path, memory: str) -> Any:
         raise LabError(
             f"the published database cannot be read: {str(error).splitlines()[0]}",
             where=str(published),
-            remedy="Move it away; the next nightly over all raw folders builds it anew",
+            remedy=REBUILD,
         ) from None
     if _read_about(connection) == _TODAY:
         return connection
@@ -323,11 +351,16 @@ def _finish(connection: Any) -> dict[str, int]:
     return rows
 
 
-def _check_database(database: Path, rows: Mapping[str, int], memory: str) -> None:
+def _open_to_read(database: Path, memory: str) -> Any:
+    """A connection to the file as readers will have it."""
     import duckdb
 
-    with duckdb.connect(spell_database(database), read_only=True) as connection:
-        broken = list(find_violations(_bound(connection, database, memory), rows))
+    return _bound(duckdb.connect(spell_database(database), read_only=True), database, memory)
+
+
+def _check_database(database: Path, rows: Mapping[str, int], memory: str) -> None:
+    with _open_to_read(database, memory) as connection:
+        broken = list(find_violations(connection, rows))
     if broken:
         raise LabError(
             "the new database does not pass its checks: " + "; ".join(broken),

@@ -1,0 +1,130 @@
+"""A block of the database that cannot be read: never published, told as what it is, mended as the night and doctor say."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import duckdb
+import pytest
+
+import pipeline.nightly.night
+from pipeline import Lab
+from pipeline.lab import snapshot
+from pipeline.lab.checks import find_damage
+from pipeline.nightly.night import nightly
+from schemas.errors import LabError
+from tests.faults.lab_state import content, healthy, left_over
+from tests.helpers.small_lab import life
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+HEADERS, BLOCK = 3 * 4096, 256 << 10
+"""Bytes of the headers of a DuckDB file, and of each block behind them."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A raw folder and the lab of a night over it."""
+    folder = tmp_path_factory.mktemp("damaged")
+    raw, lab = folder / "raw", Lab(folder / "lab")
+    raw.mkdir()
+    life(raw / "L-1.mcap", 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
+        assert nightly([raw], lab, jobs=0).exit_status == 0
+    return raw, lab.folder
+
+
+@pytest.fixture
+def lab(made: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lab:
+    """A copy of the lab; its nights write no pages."""
+    monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
+    shutil.copytree(made[1], tmp_path / "lab")
+    return Lab(tmp_path / "lab")
+
+
+def flip(database: Path, place: int) -> None:
+    """Changes one bit of a file."""
+    with database.open("r+b") as file:
+        file.seek(place)
+        (byte,) = file.read(1)
+        file.seek(place)
+        file.write(bytes([byte ^ 0x10]))
+
+
+def find_place(database: Path) -> int:
+    """The middle of the block that holds the metadata of the recordings."""
+    with duckdb.connect(str(database), read_only=True) as connection:
+        (block,) = connection.execute(
+            "SELECT max(block_id) FROM pragma_storage_info('recordings') WHERE column_name = 'metadata' AND block_id >= 0"
+        ).fetchone() or (None,)
+    assert block is not None
+    return int(HEADERS + (block + 0.5) * BLOCK)
+
+
+def damaged(database: Path) -> list[str]:
+    """The tables that cannot be read."""
+    return list(find_damage(lambda: duckdb.connect(str(database), read_only=True)))
+
+
+def test_every_block_in_use_is_read(lab: Lab) -> None:
+    with duckdb.connect(str(lab.database), read_only=True) as connection:
+        ((blocks, free),) = connection.execute(
+            "SELECT total_blocks, free_blocks FROM pragma_database_size()"
+        ).fetchall()
+    whole = lab.database.read_bytes()
+    seen = 0
+    looked = range(0, blocks, 4)
+    for block in looked:
+        flip(lab.database, HEADERS + block * BLOCK + BLOCK // 2)
+        try:
+            seen += bool(damaged(lab.database))
+        except duckdb.Error:
+            seen += 1
+        lab.database.unlink()
+        lab.database.write_bytes(whole)
+    assert seen >= len(looked) - free
+    assert seen > len(looked) / 2
+    assert damaged(lab.database) == []
+
+
+def test_a_new_database_with_a_broken_block_is_not_published(
+    made: tuple[Path, Path], lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = lab.database.read_bytes()
+    refuse = snapshot._refuse_damaged
+
+    def flipped(published: Path, building: Path) -> None:
+        flip(building, find_place(building))
+        refuse(published, building)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(snapshot, "_refuse_damaged", flipped)
+        with pytest.raises(LabError, match="the new database is damaged: recordings") as told:
+            nightly([made[0]], lab, jobs=0)
+    assert "The published database is as it was" in str(told.value)
+    assert lab.database.read_bytes() == before
+    assert nightly([made[0]], lab, jobs=0).exit_status == 0
+    assert healthy(lab) == []
+    assert left_over(lab) == []
+
+
+@pytest.mark.parametrize("where", ["metadata", "middle"])
+def test_a_published_database_with_a_broken_block_is_told_and_left(
+    made: tuple[Path, Path], lab: Lab, tmp_path: Path, where: str
+) -> None:
+    """Whether the night reads the block for itself, or copies it only."""
+    whole = content(lab)
+    flip(lab.database, find_place(lab.database) if where == "metadata" else lab.database.stat().st_size // 2)
+    before = lab.database.read_bytes()
+    assert any("all of the database can be read" in finding for finding in healthy(lab))
+    for _ in range(2):
+        with pytest.raises(LabError, match=r"the published database (is damaged|cannot be read)") as told:
+            nightly([made[0]], lab, jobs=0)
+        assert "Move it away" in str(told.value)
+        assert lab.database.read_bytes() == before
+    lab.database.rename(tmp_path / "away.duckdb")
+    assert nightly([made[0]], lab, jobs=0).exit_status == 0, "the remedy helps"
+    assert content(lab) == whole
+    assert healthy(lab) == []
