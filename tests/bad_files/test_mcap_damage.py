@@ -47,6 +47,9 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def read(path: Path, content: bytes) -> RawRecording | None:
     """What is read, None when it is refused; anything else fails the test."""
+    path.unlink(
+        missing_ok=True
+    )  # a file that is written over is put on the disk at once, which takes longer than reading
     path.write_bytes(content)
     try:
         return read_mcap(path)

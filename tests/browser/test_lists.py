@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import duckdb
@@ -13,6 +12,7 @@ from hypothesis import strategies as st
 
 from reports.build import build_reports
 from reports.pages.index import lists
+from tests.helpers import synthetic_lab
 
 
 @given(st.integers(0, 2000))
@@ -44,27 +44,30 @@ def lists_of(lab: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in names}
 
 
-def test_a_new_recording_leaves_the_full_parts_alone(
-    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_new_recording_leaves_the_full_parts_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lists, "PART", 4)
-    copy = Path(shutil.copytree(lab, tmp_path / "lab"))
-    build_reports(copy)
-    before = lists_of(copy)
+    story = synthetic_lab.Story()
+    for i in range(26):
+        story.recording(f"r-{i:02d}", f"s-{i:02d}", "chirp", "mechanical")
+        story.fits(f"s-{i:02d}", synthetic_lab.SILICONE)
+    story.run()
+    lab = story.write(tmp_path / "lab")
+    build_reports(lab)
+    before = lists_of(lab)
     assert len(before) > 6
     linked = re.findall(rb'<a href="(recordings/[^"]+)"', b"".join(before.values()))
-    assert set(linked) == {b"recordings/" + path.name.encode() for path in copy.glob("reports/recordings/*.html")}
-    with duckdb.connect(str(copy / "results.duckdb")) as connection:
+    assert set(linked) == {b"recordings/" + path.name.encode() for path in lab.glob("reports/recordings/*.html")}
+    with duckdb.connect(str(lab / "results.duckdb")) as connection:
         connection.execute(
-            "INSERT INTO recordings BY NAME SELECT * REPLACE ('P-05_chirp-4' AS recording_id, 'new' AS source_path,"
+            "INSERT INTO recordings BY NAME SELECT * REPLACE ('r-26' AS recording_id, 'new' AS source_path,"
             " (SELECT max(started_at) FROM recordings) AS started_at)"
-            " FROM recordings WHERE recording_id = 'P-05_chirp-1' AND status = 'ok'"
+            " FROM recordings WHERE recording_id = 'r-01'"
         )
-    build_reports(copy)
-    after = lists_of(copy)
+    build_reports(lab)
+    after = lists_of(lab)
     changed = {name for name in after if before.get(name) != after[name]}
     assert "recordings.html" in changed
     assert len([name for name in changed if name.startswith("recordings")]) <= 3
     assert len([name for name in changed if name.startswith("specimens")]) <= 2
-    build_reports(copy, force=True)
-    assert lists_of(copy) == after, "what was left alone is what would be made"
+    build_reports(lab, force=True)
+    assert lists_of(lab) == after, "what was left alone is what would be made"

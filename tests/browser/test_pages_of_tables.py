@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import re
 import typing
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from pipeline.nightly.freshness import find_sources
-from reports import build
-from reports.plan import Planned
-from reports.results import Query, Results
 from schemas.tables import TABLES
 from schemas.tables.table import Page
 from schemas.views import VIEWS
-from tests.helpers import synthetic_lab
+from tests.browser.conftest import Built
 
 PAGES: tuple[str, ...] = typing.get_args(Page)
 OF_NIGHTS = {"runs"}
@@ -38,37 +33,10 @@ def declared(page: str) -> set[str]:
     return {table.name for table in TABLES.values() if page in table.pages}
 
 
-@pytest.fixture(scope="module")
-def asked(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
+@pytest.fixture(scope="session")
+def asked(built: Built) -> dict[str, set[str]]:
     """Tables that each kind of page asks for, of a lab with findings of many kinds."""
-    found: dict[str, set[str]] = {page: set() for page in PAGES}
-    now: list[str] = []
-
-    def noting(method: Callable[..., Any], names: Callable[[Any], set[str]]) -> Callable[..., Any]:
-        def ask(self: Results, what: Any, *more: Any) -> Any:
-            for page in now:
-                found[page] |= tables_in(names(what))
-            return method(self, what, *more)
-
-        return ask
-
-    def make(site: Any, planned: Planned) -> Any:
-        now[:] = [planned.kind if planned.kind in PAGES else "index"]
-        page = usual(site, planned)
-        now.clear()
-        return page
-
-    usual = build.make
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "make", make)
-        for name in ("rows", "columns", "each"):
-            usual_method = getattr(Results, name)
-            patch.setattr(
-                Results, name, noting(usual_method, lambda q: asked_from(q.sql if isinstance(q, Query) else q))
-            )
-        patch.setattr(Results, "has", noting(Results.has, lambda table: {table}))
-        build.build_reports(synthetic_lab.whole_story().write(tmp_path_factory.mktemp("asked") / "lab"))
-    return found
+    return {page: {t for sql in built.asked[page] for t in tables_in(asked_from(sql))} for page in PAGES}
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -19,11 +19,12 @@ from urllib.parse import unquote
 import duckdb
 import pytest
 
-from reports import build
+from reports import build, plan
 from reports.build import build_reports
 from reports.manifest import NAME
 from reports.results import MEMORY, Query, Results, Row
 from schemas.errors import LabError
+from tests.faults import many_pages
 from tests.helpers import synthetic_lab
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -116,12 +117,13 @@ def small(tmp_path: Path) -> Path:
     return lab
 
 
-def test_same_database_same_bytes(lab: Path, tmp_path: Path) -> None:
+def test_same_database_same_bytes(small: Path, tmp_path: Path) -> None:
+    """In another place; of the lab with everything, below, with workers."""
     other = tmp_path / "elsewhere" / "lab"
     other.mkdir(parents=True)
-    shutil.copy(lab / "results.duckdb", other)
+    shutil.copy(small / "results.duckdb", other)
     build_reports(other)
-    assert contents(other / "reports") == contents(lab / "reports")
+    assert contents(other / "reports") == contents(small / "reports")
 
 
 def test_forced_everything_is_made_and_nothing_changes(small: Path) -> None:
@@ -402,14 +404,14 @@ def work(lab: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int, int]:
 def test_hundreds_of_recordings_stay_small_and_cost_in_proportion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Queries and rows per page do not grow with the campaign: what 80 recordings cost, 500 cost six times."""
-    labs = {count: synthetic_lab.many(count, points=200).write(tmp_path / str(count)) for count in (40, 80)}
+    """Queries and rows per page do not grow with the campaign: what 70 recordings cost, 500 cost seven times."""
+    labs = {count: synthetic_lab.many(count, points=200).write(tmp_path / str(count)) for count in (30, 70)}
     few, many = (work(lab, monkeypatch) for lab in labs.values())
     assert many[0] > few[0] + 40
     assert many[1] / many[0] <= 1.2 * few[1] / few[0], "a square would double it"
     assert many[2] / many[0] <= 1.2 * few[2] / few[0]
-    index = (labs[80] / "reports" / "index.html").stat().st_size
-    before = (labs[40] / "reports" / "index.html").stat().st_size
+    index = (labs[70] / "reports" / "index.html").stat().st_size
+    before = (labs[30] / "reports" / "index.html").stat().st_size
     assert index <= 300_000
     assert index - before < 60_000, "small multiples stop at 24 and tables at their limits"
 
@@ -425,7 +427,7 @@ def test_one_new_recording_in_a_large_campaign_touches_a_handful_of_pages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Counted: its own page, its specimen, its campaign, the index and the last part of the list."""
-    lab = synthetic_lab.many(60, points=40).write(tmp_path / "lab")
+    lab = synthetic_lab.many(40, points=40).write(tmp_path / "lab")
     whole = work(lab, monkeypatch)
     with duckdb.connect(str(lab / "results.duckdb")) as connection:
         connection.execute(
@@ -437,7 +439,9 @@ def test_one_new_recording_in_a_large_campaign_touches_a_handful_of_pages(
     assert queries < whole[1] / 3
 
 
-def test_long_lists_come_in_parts_and_the_index_stays_small(tmp_path: Path) -> None:
+def test_long_lists_come_in_parts_and_the_index_stays_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind in ("recording", "specimen"):  # hundreds of them, which have tests of their own
+        monkeypatch.setitem(plan._ABOUT, kind, many_pages.page)
     story = synthetic_lab.Story()
     for i in range(210):
         story.recording(
@@ -462,13 +466,22 @@ def test_long_lists_come_in_parts_and_the_index_stays_small(tmp_path: Path) -> N
         Parsed(path.read_text(encoding="utf-8"))
 
 
-def test_where_memory_does_not_do_more_is_taken(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_memory_does_not_do_more_is_taken(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other = tmp_path / "lab"
     other.mkdir()
-    shutil.copy(lab / "results.duckdb", other)
+    shutil.copy(small / "results.duckdb", other)
+    tried = []
+    usual = build._build
+
+    def counted(lab: Path, memory: str, *more: Any) -> Any:
+        tried.append(memory)
+        return usual(lab, memory, *more)
+
     monkeypatch.setattr(build, "MEMORY", ("1MB", *MEMORY))
+    monkeypatch.setattr(build, "_build", counted)
     build_reports(other)
-    assert contents(other / "reports") == contents(lab / "reports")
+    assert tried == ["1MB", MEMORY[0]]
+    assert contents(other / "reports") == contents(small / "reports")
 
 
 def test_manifest_holds_no_place_and_no_time(site: Path) -> None:

@@ -48,20 +48,18 @@ class Result:
 
 
 class Bench:
-    """A raw folder, a copy of the software, and the lab of an undisturbed night."""
+    """A raw folder with so many chirps and lives, a copy of the software, and the lab of an undisturbed night."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, chirps: int = 2, lives: int = 4) -> None:
         self.folder = folder
         self.software = folder / "software"
         for name in ("schemas", "ingest", "pipeline", "reports", "tests"):
-            shutil.copytree(ROOT / name, self.software / name, ignore=shutil.ignore_patterns("__pycache__"))
-        self.raw = small_campaign(folder / "raw")
+            shutil.copytree(ROOT / name, self.software / name)
+        self.raw = small_campaign(folder / "raw", chirps=chirps, lives=lives)
         old = time.time() - 3600
         for path in self.raw.rglob("*"):
             os.utime(path, (old, old))
         self.undisturbed = Lab(folder / "undisturbed")
-        self.run(self.undisturbed)  # the first run also fills the caches of the machine
-        shutil.rmtree(self.undisturbed.folder)
         begin = time.monotonic()
         done = self.run(self.undisturbed)
         self.seconds = time.monotonic() - begin
@@ -97,6 +95,45 @@ class Bench:
         found += [f"{what}: left over {name}" for name in left_over(lab)]
         found += [f"{what}: {finding}" for finding in healthy(lab)]
         return found
+
+
+def finished(lab: Lab) -> int:
+    """Items that are finished and not published."""
+    return len(list(lab.journal.glob("*.entry"))) if lab.journal.is_dir() else 0
+
+
+STAGES: dict[str, Callable[[Lab], bool]] = {
+    "the journal is there": lambda lab: lab.journal.is_dir(),
+    "an item is finished": lambda lab: finished(lab) >= 1,
+    "four items are finished": lambda lab: finished(lab) >= 4,
+    "samples are there": lambda lab: lab.samples_folder.is_dir(),
+    "the next database is being built": lambda lab: (lab.work / "building.duckdb").exists(),
+    "the database is published": lambda lab: lab.database.exists(),
+}
+"""How far a night has come."""
+
+
+def kills_at_stages(bench: Bench, seed: int) -> Result:
+    """kill -9 at each stage of one lab, then another run."""
+    rng = random.Random(seed)
+    wrong: list[str] = []
+    lab = Lab(bench.folder / "stages")
+    for what, reached in STAGES.items():
+        process = bench.start(lab)
+        while process.poll() is None and not reached(lab):
+            time.sleep(0.002)
+        time.sleep(rng.uniform(0, 0.05))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        if lab.database.exists():
+            wrong += [f"killed when {what}: {one}" for one in healthy(lab) if "temporary" not in one]
+    again = bench.run(lab)
+    if again.returncode:
+        wrong.append(f"the run after all kills ended with {again.returncode}: {again.stderr[-300:]}")
+    else:
+        wrong += bench.differences(lab, "killed at all stages")
+    shutil.rmtree(lab.folder)
+    return Result("kill -9 at each stage, one after the other", len(STAGES), tuple(wrong))
 
 
 def kills(bench: Bench, times: int, seed: int) -> Result:
@@ -271,6 +308,7 @@ def all_faults(bench: Bench, arguments: argparse.Namespace) -> Iterator[Result]:
     """The faults that were asked for, one after the other."""
     faults: dict[str, Callable[[], Result]] = {
         "kills": lambda: kills(bench, arguments.kills, arguments.seed),
+        "stages": lambda: kills_at_stages(bench, arguments.seed),
         "two": lambda: two_at_once(bench, 3),
         "readers": lambda: readers(bench, arguments.publishes),
         "files": lambda: full_disk(bench, tuple(1 << power for power in range(6, 25, 2))),
@@ -295,7 +333,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--publishes", type=int, default=20)
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--only", nargs="*", choices=("kills", "two", "readers", "files", "disk"))
+    parser.add_argument("--only", nargs="*", choices=("kills", "stages", "two", "readers", "files", "disk"))
     arguments = parser.parse_args()
     lines = ["# Faults\n", "Made by `make faults`; not edited by hand.\n"]
     lines += [f"{today()} · {machine()} · seed {arguments.seed}\n", HEAD]

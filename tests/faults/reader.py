@@ -30,7 +30,7 @@ def main() -> int:
     wrong: list[str] = []
     states: set[int] = set()
     queries, last = 0, 0
-    while not stop.is_set():
+    while not stop.wait(0.02):  # what it looks for are states, which do not change while it asks again and again
         try:
             with Query(lab) as database:
                 (row,) = database.run(QUERY).to_pylist()

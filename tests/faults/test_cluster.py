@@ -74,7 +74,7 @@ def test_a_cluster_gives_the_same_and_outlives_its_workers(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
-    raw = small_campaign(tmp_path / "raw", lives=2)
+    raw = small_campaign(tmp_path / "raw", chirps=0, lives=2)
     life(raw / "killonce-1.mcap", 5)
     (raw / "killonce-1.seen").touch()
     local, lab = Lab(tmp_path / "local"), Lab(tmp_path / "lab")
@@ -92,11 +92,11 @@ def test_a_cluster_gives_the_same_and_outlives_its_workers(
     summary = nightly([raw], lab, jobs=2, cluster=address)
     assert (summary.counts.quarantined, summary.counts.pending) == (0, 1), "an accident is no verdict on the content"
     assert "twice" in summary.attention[0]
-    assert summary.counts.reused == 5
+    assert summary.counts.reused == 3
 
 
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pipeline.nightly.workers._CONNECT_S", "1s")
-    raw = small_campaign(tmp_path / "raw", lives=0)
+    raw = small_campaign(tmp_path / "raw", chirps=0, lives=1)
     with pytest.raises(LabError, match="cluster does not answer"):
         nightly([raw], Lab(tmp_path / "lab"), jobs=1, cluster="tcp://127.0.0.1:9")

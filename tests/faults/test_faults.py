@@ -24,7 +24,7 @@ from tests.conftest import ROOT
 from tests.faults import sabotage
 from tests.faults.harness import Bench, full_disk, kills, readers, two_at_once
 from tests.faults.lab_state import content, healthy, left_over, samples, select
-from tests.helpers.small_lab import RIG, life, small_campaign
+from tests.helpers.small_lab import RIG, copy_night, life, small_campaign
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -99,9 +99,7 @@ def test_an_accident_takes_no_earlier_result_away(
     made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
 ) -> None:
     """A folder of rig files without rights, a broken library, a failing disk: earlier results stay, all of it is told."""
-    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
-    shutil.copytree(made[0], raw)
-    assert nightly([raw], lab, jobs=0).exit_status == 0
+    raw, lab = copy_night(made[0], made[1].folder, tmp_path)
     before = content(lab)
     is_file = Path.is_file
 
@@ -142,12 +140,12 @@ def test_what_fails_unexpectedly_is_tried_again(
     made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None
 ) -> None:
     """A defect, or a foreign module in a library's place, is no verdict on the content."""
-    lab = Lab(tmp_path / "lab")
+    lab, lives = Lab(tmp_path / "lab"), sorted(made[0].glob("L-*.mcap"))
     with monkeypatch.context() as broken:
         broken.setattr(ingest.intake, "read_raw", lambda *_: json.of_somebody_else)  # type: ignore[attr-defined]
-        assert nightly([made[0]], lab, jobs=0).exit_status == 3
+        assert nightly(lives, lab, jobs=0).exit_status == 3
     assert {status for status, _ in statuses(lab).values()} == {"quarantined"}
-    assert nightly([made[0]], lab, jobs=0).exit_status == 0
+    assert nightly(lives, lab, jobs=0).exit_status == 0
     assert {status for status, _ in statuses(lab).values()} == {"ok"}
 
 
@@ -184,8 +182,7 @@ def test_unreadable_files_and_folders(made: tuple[Path, Lab], tmp_path: Path) ->
         if shutil.which("setpriv") is None:
             pytest.skip("root needs setpriv to do without the rights of root")
         command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
-    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
-    shutil.copytree(made[0], raw)
+    raw, lab = small_campaign(tmp_path / "raw", chirps=0, lives=2), Lab(tmp_path / "lab")
     (raw / "closed").mkdir()
     life(raw / "closed" / "L-7.mcap", 7)
     os.chmod(raw / "L-1.mcap", 0)
@@ -228,14 +225,14 @@ def test_a_lab_works_in_another_place(made: tuple[Path, Lab], tmp_path: Path) ->
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    return Bench(tmp_path_factory.mktemp("bench"))
+    return Bench(tmp_path_factory.mktemp("bench"), chirps=0, lives=2)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
 def test_the_harness_in_short(bench: Bench) -> None:
-    """`python -m tests.faults.harness` does the same 50 times, with 20 publishes and a dozen sizes of disk."""
+    """`make faults` does the same with more recordings, 50 times, with 20 publishes and a dozen sizes of disk."""
     for result in (
-        kills(bench, 2, seed=11),
+        kills(bench, 1, seed=11),
         two_at_once(bench, 1),
         readers(bench, 2),
         full_disk(bench, (1 << 12, 1 << 19)),

@@ -19,7 +19,7 @@ from pipeline.nightly.night import nightly
 from schemas.tables import TABLES
 from tests.conftest import ROOT
 from tests.faults.lab_state import content, healthy, select
-from tests.helpers.small_lab import START, life, small_campaign
+from tests.helpers.small_lab import START, copy_night, life, small_campaign
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 LABS = ROOT / "tests" / "faults" / "labs"
@@ -30,13 +30,29 @@ def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A raw folder and the lab of a first night over it."""
+    folder = tmp_path_factory.mktemp("life")
+    raw = small_campaign(folder / "raw", lives=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
+        nightly([raw], Lab(folder / "lab"), jobs=0)
+    return raw, folder / "lab"
+
+
 @pytest.fixture
-def night(tmp_path: Path) -> tuple[Path, Lab]:
-    """A raw folder and the lab of a first night over it, one file refused."""
-    raw = small_campaign(tmp_path / "raw", lives=2)
+def night(made: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Lab]:
+    """The same in folders of its own."""
+    return copy_night(*made, tmp_path)
+
+
+@pytest.fixture
+def refused(night: tuple[Path, Lab]) -> tuple[Path, Lab]:
+    """The same after another night, which refused a file."""
+    raw, lab = night
     (raw / "broken.mcap").write_bytes(b"no recording")
-    lab = Lab(tmp_path / "lab")
-    nightly([raw], lab, jobs=0)
+    assert nightly([raw], lab, jobs=0).exit_status == 3
     return raw, lab
 
 
@@ -48,9 +64,9 @@ def files(lab: Lab) -> set[str]:
 
 
 def test_a_dry_run_says_what_would_go_and_removes_nothing(
-    night: tuple[Path, Lab], capsys: pytest.CaptureFixture[str]
+    refused: tuple[Path, Lab], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    raw, lab = night
+    raw, lab = refused
     before, held = content(lab), files(lab)
     (raw / "L-0.mcap").unlink()
     options = ["--samples-days", "0", "--quarantine-days", "0", "--gone", "--lab", str(lab.folder)]
@@ -109,8 +125,8 @@ def test_a_specimen_goes_with_the_last_of_its_recordings(night: tuple[Path, Lab]
     assert content(lab) == content(fresh), "as if it had never been there"
 
 
-def test_copies_of_refused_files_go_and_their_reasons_stay(night: tuple[Path, Lab]) -> None:
-    raw, lab = night
+def test_copies_of_refused_files_go_and_their_reasons_stay(refused: tuple[Path, Lab]) -> None:
+    raw, lab = refused
     assert plan_removal(lab, Rule(quarantine_days=1)).paths == []
     later = datetime.now(UTC) + timedelta(days=2)
     (copy,) = prune(lab, Rule(quarantine_days=1), later).paths

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import random
 import shutil
 import signal
 import subprocess
@@ -16,7 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import pytest
 from filelock import FileLock
 
@@ -34,9 +32,10 @@ from pipeline.nightly.night import Summary, nightly
 from schemas.errors import LabError, UsageError
 from schemas.tables import TABLES
 from tests.conftest import ROOT
+from tests.faults.harness import STAGES, finished
 from tests.faults.lab_state import content, healthy, select
 from tests.helpers import mcap_files
-from tests.helpers.small_lab import RIG, chirp, life, small_campaign
+from tests.helpers.small_lab import RIG, chirp, copy_night, life, small_campaign
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -65,12 +64,7 @@ def without_pages(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def night(made: tuple[Path, Path], tmp_path: Path, without_pages: None) -> Callable[..., Summary]:
     """Runs the nightly over a copy of that folder, in a copy of that lab; `raw` and `lab` are its attributes."""
-    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
-    shutil.copytree(made[0], raw)
-    shutil.copytree(made[1], lab.folder)
-    with duckdb.connect(str(lab.database)) as connection:  # the copied raw folder is another place: look the same
-        connection.execute("UPDATE recordings SET source_path = replace(source_path, ?, ?)", [str(made[0]), str(raw)])
-        connection.execute("DELETE FROM files")
+    raw, lab = copy_night(*made, tmp_path)
 
     def run(*paths: Path, jobs: int = 0, **options: Any) -> Summary:
         return nightly(list(paths) or [raw], lab, jobs=jobs, **options)
@@ -137,21 +131,27 @@ def test_a_night_with_nothing_new_imports_nothing_heavy(made: tuple[Path, Path],
     assert found.stdout.splitlines() == ["0 None", "[]"]
 
 
-def test_a_night_with_one_new_recording_leaves_the_heavy_imports_to_its_worker(
-    made: tuple[Path, Path], tmp_path: Path
-) -> None:
-    raw, lab = shutil.copytree(made[0], tmp_path / "raw"), tmp_path / "lab"
+def run_with_workers(raw: Path, lab: Path, jobs: int) -> list[str]:
+    """What a process tells of its night: how many were new and whether the report failed; its heavy imports."""
     program = (
         "import sys\nfrom pathlib import Path\nfrom pipeline import Lab\nfrom pipeline.nightly.night import nightly\n"
-        f"summary = nightly([{os.fspath(raw)!r}], Lab(Path({os.fspath(lab)!r})), jobs=1)\n"
+        f"summary = nightly([{os.fspath(raw)!r}], Lab(Path({os.fspath(lab)!r})), jobs={jobs})\n"
         "print(summary.counts.ingested, summary.report_problem)\n"
         "print([name for name in ('pandas', 'scipy') if name in sys.modules])"
     )
-    for new, following in ((6, 8), (1, 9)):
-        found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-        assert found.stdout.splitlines() == [f"{new} None", "[]"]
-        life(raw / f"L-{following}.mcap", following)
-    assert redone(Lab(lab)) == {"L-8"} | LIVES
+    found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    return found.stdout.splitlines()
+
+
+def test_workers_give_the_same_as_this_process_and_spare_it_the_heavy_imports(night: Any, tmp_path: Path) -> None:
+    fresh = Lab(tmp_path / "fresh")
+    assert run_with_workers(night.raw, fresh.folder, jobs=2) == ["6 None", "[]"]
+    parallel, serial = content(fresh), content(night.lab)
+    for name in TABLES:
+        assert parallel.get(name) == serial.get(name), name
+    life(night.raw / "L-8.mcap", 8)
+    assert run_with_workers(night.raw, fresh.folder, jobs=1) == ["1 None", "[]"]
+    assert redone(fresh) == {"L-8"} | LIVES
 
 
 def test_folders_tell_that_something_is_new(made: tuple[Path, Path], tmp_path: Path) -> None:
@@ -449,14 +449,6 @@ def test_the_second_nightly_ends_at_once_and_names_the_first(night: Any) -> None
     assert night().exit_status == 0, "a note of a dead process holds nothing"
 
 
-def test_workers_give_the_same_as_this_process(night: Any, tmp_path: Path) -> None:
-    fresh = Lab(tmp_path / "fresh")
-    assert nightly([night.raw], fresh, jobs=2).exit_status == 0
-    parallel, serial = content(fresh), content(night.lab)
-    for name in TABLES:
-        assert parallel.get(name) == serial.get(name), name
-
-
 def run_nightly(raw: Path, lab: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "pipeline.cli", "nightly", str(raw), "--lab", str(lab), "--jobs", "1"]
     return subprocess.Popen(
@@ -464,26 +456,18 @@ def run_nightly(raw: Path, lab: Path) -> subprocess.Popen[bytes]:
     )
 
 
-def test_a_killed_night_is_taken_up_where_it_ended(made: tuple[Path, Path], tmp_path: Path) -> None:
-    """Killed at many stages, then left alone: the same lab as undisturbed, and nothing left over."""
+def test_an_interrupted_and_killed_night_is_taken_up_where_it_ended(made: tuple[Path, Path], tmp_path: Path) -> None:
+    """Interrupted, killed at two stages (`make faults` has them all), left alone: as undisturbed, nothing left over."""
     raw, undisturbed = made
     lab = Lab(tmp_path / "lab")
-    moments = random.Random(7)
-    stages: list[Callable[[], bool]] = [
-        lambda: lab.journal.is_dir(),
-        lambda: finished(lab) >= 1,
-        lambda: finished(lab) >= 4,
-        lambda: lab.samples_folder.is_dir(),
-        lambda: (lab.work / "building.duckdb").exists(),
-        lambda: lab.database.exists(),
-    ]
-    for reached in stages:
-        process = run_nightly(raw, lab.folder)
-        while process.poll() is None and not reached():
-            time.sleep(0.002)
-        time.sleep(moments.uniform(0, 0.05))
-        os.kill(process.pid, signal.SIGKILL)
-        process.communicate()
+    process = end_at(STAGES["an item is finished"], raw, lab, signal.SIGTERM)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert errors.decode() == "dealab: interrupted; what was finished is kept for the next run\n"
+    assert finished(lab)
+    assert not lab.database.exists()
+    for stage in ("the next database is being built", "the database is published"):
+        end_at(STAGES[stage], raw, lab, signal.SIGKILL).communicate()
         if lab.database.exists():
             assert [finding for finding in healthy(lab) if "temporary" not in finding] == []
     process = run_nightly(raw, lab.folder)
@@ -498,9 +482,13 @@ def test_a_killed_night_is_taken_up_where_it_ended(made: tuple[Path, Path], tmp_
     assert not [p for p in lab.folder.rglob("*") if p.suffix in (".tmp", ".wal") or ".partial" in p.name]
 
 
-def finished(lab: Lab) -> int:
-    """Items that are finished and not published."""
-    return len(list(lab.journal.glob("*.entry"))) if lab.journal.is_dir() else 0
+def end_at(reached: Callable[[Lab], bool], raw: Path, lab: Lab, how: signal.Signals) -> subprocess.Popen[bytes]:
+    """A night that is ended as soon as it has come so far."""
+    process = run_nightly(raw, lab.folder)
+    while process.poll() is None and not reached(lab):
+        time.sleep(0.002)
+    process.send_signal(how)
+    return process
 
 
 def test_whatever_a_killed_night_was_at_goes(night: Any) -> None:
@@ -517,22 +505,6 @@ def test_whatever_a_killed_night_was_at_goes(night: Any) -> None:
     night()
     assert not night.lab.work.exists()
     assert healthy(night.lab) == []
-
-
-def test_an_interrupted_night_keeps_what_is_finished(made: tuple[Path, Path], tmp_path: Path) -> None:
-    lab = Lab(tmp_path / "lab")
-    process = run_nightly(made[0], lab.folder)
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline and not finished(lab):
-        time.sleep(0.01)
-    process.send_signal(signal.SIGTERM)
-    _, errors = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert errors.decode() == "dealab: interrupted; what was finished is kept for the next run\n"
-    assert finished(lab)
-    assert not lab.database.exists()
-    assert nightly([made[0]], lab, jobs=0).exit_status == 0
-    assert content(lab) == content(Lab(made[1]))
 
 
 def test_the_second_names_the_first_though_it_asks_before_that_has_said_who_it_is(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from tests.helpers import synthetic_lab
 
 
 def test_one_page_fails_and_all_others_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lab = synthetic_lab.whole_story().write(tmp_path / "lab")
+    lab = synthetic_lab.small_story().write(tmp_path / "lab")
     whole = build_reports(lab)
     assert not whole.problems
     (lab / "reports" / "manifest.json").unlink(missing_ok=True)

@@ -80,12 +80,12 @@ def no_fetching(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_bucket_gives_what_the_folder_gives(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    raw = small_campaign(tmp_path / "raw", lives=2)
+    raw = small_campaign(tmp_path / "raw", chirps=1, lives=2)
     fill(bucket, raw)
     near, far = Lab(tmp_path / "near"), Lab(tmp_path / "far")
     assert nightly([raw], near, jobs=0).attention == ()
     first = run(bucket, far, jobs=2)
-    assert (first.counts.ingested, first.attention) == (4, ())
+    assert (first.counts.ingested, first.attention) == (3, ())
     here, there = content(near), content(far)
     assert here.keys() == there.keys()
     assert {name: len(rows) for name, rows in here.items()} == {name: len(rows) for name, rows in there.items()}
@@ -97,14 +97,14 @@ def test_a_bucket_gives_what_the_folder_gives(bucket: Any, tmp_path: Path, monke
     assert healthy(far) == []
     no_fetching(monkeypatch)
     again = run(bucket, far)
-    assert (again.counts.reused, again.analysed) == (4, 0)
+    assert (again.counts.reused, again.analysed) == (3, 0)
 
 
 def test_an_object_put_a_moment_ago_is_known_the_next_time(
     bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pipeline.nightly.look, "_SETTLED_NS", 3_600_000_000_000)
-    fill(bucket, small_campaign(tmp_path / "raw", lives=1))
+    fill(bucket, small_campaign(tmp_path / "raw", chirps=0, lives=3))
     lab = Lab(tmp_path / "lab")
     run(bucket, lab)
     no_fetching(monkeypatch)
@@ -112,7 +112,7 @@ def test_an_object_put_a_moment_ago_is_known_the_next_time(
 
 
 def test_only_what_has_changed_is_fetched(bucket: Any, tmp_path: Path) -> None:
-    raw = small_campaign(tmp_path / "raw", lives=3)
+    raw = small_campaign(tmp_path / "raw", chirps=0, lives=5)
     fill(bucket, raw)
     lab = Lab(tmp_path / "lab")
     run(bucket, lab)
@@ -127,7 +127,7 @@ def test_only_what_has_changed_is_fetched(bucket: Any, tmp_path: Path) -> None:
 
 
 def test_a_refused_object_is_kept_with_its_reason_and_released(bucket: Any, tmp_path: Path) -> None:
-    raw = small_campaign(tmp_path / "raw", lives=1)
+    raw = small_campaign(tmp_path / "raw", chirps=0, lives=3)
     fill(bucket, raw)
     bucket.put_object(Key="rig-1/L-8.mcap", Body=b"no recording at all")
     lab = Lab(tmp_path / "lab")
@@ -144,7 +144,7 @@ def test_a_refused_object_is_kept_with_its_reason_and_released(bucket: Any, tmp_
 
 
 def test_an_object_that_changes_meanwhile_waits(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    raw = small_campaign(tmp_path / "raw", lives=1)
+    raw = small_campaign(tmp_path / "raw", chirps=0, lives=3)
     fill(bucket, raw)
     lab = Lab(tmp_path / "lab")
     good, done = fetch, []
@@ -152,7 +152,7 @@ def test_an_object_that_changes_meanwhile_waits(bucket: Any, tmp_path: Path, mon
     def changing(file: RemoteFile, path: Path) -> None:
         if file.name == "L-0.mcap" and not done:
             done.append(file)
-            bucket.put_object(Key="rig-1/L-0.mcap", Body=(raw / "P-1-chirp-0.mcap").read_bytes()[:1000])
+            bucket.put_object(Key="rig-1/L-0.mcap", Body=(raw / "L-2.mcap").read_bytes()[:1000])
         good(file, path)
 
     monkeypatch.setattr(pipeline.nightly.look, "fetch", changing)
@@ -164,22 +164,22 @@ def test_an_object_that_changes_meanwhile_waits(bucket: Any, tmp_path: Path, mon
 
 
 def test_without_room_files_are_fetched_twice(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fill(bucket, small_campaign(tmp_path / "raw", lives=1))
+    fill(bucket, small_campaign(tmp_path / "raw", chirps=0, lives=3))
     monkeypatch.setattr(shutil, "disk_usage", lambda _place: shutil._ntuple_diskusage(1000, 1000, 0))
     assert run(bucket, Lab(tmp_path / "lab")).counts.ingested == 3
 
 
 def test_a_single_object_with_what_lies_beside_it(bucket: Any, tmp_path: Path) -> None:
-    fill(bucket, small_campaign(tmp_path / "raw", lives=1))
+    fill(bucket, small_campaign(tmp_path / "raw", chirps=0, lives=3))
     lab = Lab(tmp_path / "lab")
-    summary = nightly([f"s3://{bucket.name}/rig-1/P-1-chirp-0.mcap"], lab, jobs=0)
+    summary = nightly([f"s3://{bucket.name}/rig-1/L-2.mcap"], lab, jobs=0)
     assert (summary.counts.found, summary.counts.ingested) == (1, 1)
     assert fetched_files(lab) == ["rig-a.toml"]
 
 
 @pytest.mark.parametrize("key", ["rig-1/../../escape.mcap", "rig-1//twice.mcap", "rig-1/" + "n" * 230 + ".mcap"])
 def test_names_that_are_no_local_names_are_passed_over(bucket: Any, tmp_path: Path, key: str) -> None:
-    fill(bucket, small_campaign(tmp_path / "raw", lives=1))
+    fill(bucket, small_campaign(tmp_path / "raw", chirps=0, lives=3))
     bucket.put_object(Key=key, Body=b"x")
     summary = run(bucket, Lab(tmp_path / "lab"))
     assert summary.counts.ingested == 3
@@ -190,7 +190,7 @@ def test_names_that_are_no_local_names_are_passed_over(bucket: Any, tmp_path: Pa
 def test_what_cannot_be_reached_is_said_and_the_lab_stays(
     bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fill(bucket, small_campaign(tmp_path / "raw", lives=1))
+    fill(bucket, small_campaign(tmp_path / "raw", chirps=0, lives=3))
     lab = Lab(tmp_path / "lab")
     run(bucket, lab)
     before = content(lab)
@@ -215,7 +215,7 @@ def folder_url(tmp_path: Path) -> Callable[[Path], str]:
 
 def test_any_store_of_fsspec(tmp_path: Path, folder_url: Callable[[Path], str], bucket: Any) -> None:
     """A folder by its URL: listed and fetched like a remote one."""
-    raw = small_campaign(tmp_path / "raw", lives=1)
+    raw = small_campaign(tmp_path / "raw", chirps=0, lives=3)
     lab = Lab(tmp_path / "lab")
     assert nightly([folder_url(raw)], lab, jobs=0).counts.ingested == 3
     found = mirror(folder_url(raw), tmp_path / "mirror")

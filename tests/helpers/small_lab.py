@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import numpy as np
 
 from ingest.mcap_writer import RecordingWriter
+from pipeline import Lab
+from schemas.tables import TABLES
 
 START = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
 RIG = """clamp_mass_kg = 0.05
@@ -19,15 +23,34 @@ load_cell_range_n = 5.0
 """
 
 
-def small_campaign(raw: Path, *, lives: int = 4) -> Path:
-    """Two chirps of one specimen, `lives` lifetime tests of two configurations, a rig file."""
+def small_campaign(raw: Path, *, chirps: int = 2, lives: int = 4) -> Path:
+    """Chirps of one specimen, lifetime tests of two configurations, a rig file.
+
+    Without chirps a night takes a third of the time: there is nothing to fit and no specimen to diagnose.
+    """
     (raw / "rigs").mkdir(parents=True)
     (raw / "rigs" / "rig-a.toml").write_text(RIG)
-    for number in range(2):
+    for number in range(chirps):
         chirp(raw / f"P-1-chirp-{number}.mcap", number)
     for number in range(lives):
         life(raw / f"L-{number}.mcap", number)
     return raw
+
+
+def copy_night(raw: Path, lab: Path, folder: Path) -> tuple[Path, Lab]:
+    """A raw folder and its lab in another folder, as if the nights so far had been there."""
+    shutil.copytree(raw, folder / "raw")
+    shutil.copytree(lab, folder / "lab")
+    copied = Lab(folder / "lab")
+    with duckdb.connect(
+        str(copied.database)
+    ) as connection:  # the files are looked at anew, as nothing is known of them
+        there = [str(raw), str(folder / "raw")]
+        for table in TABLES.values():
+            if "source_path" in table.names:
+                connection.execute(f"UPDATE {table.name} SET source_path = replace(source_path, ?, ?)", there)
+        connection.execute("DELETE FROM files")
+    return folder / "raw", copied
 
 
 def about(name: str, protocol: str, loading: str, specimen: str, minutes: int, **more: Any) -> dict[str, Any]:

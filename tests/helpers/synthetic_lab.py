@@ -16,11 +16,10 @@ import duckdb
 import numpy as np
 
 from pipeline.analyse.survival import analyse_survival
-from pipeline.lab.snapshot import READABLE_FROM
 from schemas.control import REMEMBER
 from schemas.lifetimes import LifetimeRow
 from schemas.tables import TABLES
-from schemas.views import VIEWS
+from tests.helpers.empty_database import copy_empty_database
 
 Rows = dict[str, list[dict[str, Any]]]
 
@@ -352,15 +351,13 @@ class Story:
         lab.mkdir(parents=True, exist_ok=True)
         path = lab / "results.duckdb"
         path.unlink(missing_ok=True)
-        with duckdb.connect(str(path), config=READABLE_FROM) as connection:
+        copy_empty_database(path)
+        with duckdb.connect(str(path)) as connection:
             for name, table in TABLES.items():
-                connection.execute(table.ddl())
                 if self.rows.get(name):
                     arrow = table.rows(self.rows[name])  # noqa: F841 - DuckDB finds it by name
                     order = ", ".join(f'"{c}"' for c in table.key)
                     connection.execute(f"INSERT INTO {name} SELECT * FROM arrow ORDER BY {order}")
-            for view in VIEWS:
-                connection.execute(view.ddl())
             connection.execute(REMEMBER)
             connection.execute("CHECKPOINT")
         return lab

@@ -192,7 +192,7 @@ def test_inspect_says_what_is_wrong(lab: Lab, capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.slow
 def test_a_closed_pipe_is_no_error(lab: Lab) -> None:
-    command = [*DEALAB, "sql", "SELECT repeat('x', 1000) FROM range(100000)", "--lab", str(lab.folder)]
+    command = [*DEALAB, "sql", "SELECT repeat('x', 1000) FROM range(10000)", "--lab", str(lab.folder)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
     assert process.stderr is not None

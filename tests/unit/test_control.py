@@ -21,14 +21,21 @@ from schemas.views import VIEWS
 START = datetime(2026, 3, 1, tzinfo=UTC)
 
 
-@pytest.fixture
-def database() -> Iterator[Any]:
+@pytest.fixture(scope="module")
+def empty() -> Iterator[Any]:
+    """A database without rows."""
     with duckdb.connect() as connection:
-        for table in TABLES.values():
-            connection.execute(table.ddl())
-        for view in VIEWS:
-            connection.execute(view.ddl())
+        for definition in (*TABLES.values(), *VIEWS):
+            connection.execute(definition.ddl())
         yield connection
+
+
+@pytest.fixture
+def database(empty: Any) -> Iterator[Any]:
+    """The same, to which a test may add rows."""
+    empty.execute("BEGIN")
+    yield empty
+    empty.execute("ROLLBACK")
 
 
 def insert(connection: Any, table: str, *rows: dict[str, Any]) -> None:
@@ -83,13 +90,12 @@ def limits(values: np.ndarray, sds: np.ndarray, i: int) -> tuple[float, float]:
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(19.0, 21.0), min_size=FEWEST, max_size=14), st.floats(0.001, 0.5))
-def test_limits_are_the_prediction_from_the_other_points(stiffness: list[float], sd: float) -> None:
-    with duckdb.connect() as connection:
-        for definition in (*TABLES.values(), *VIEWS):
-            connection.execute(definition.ddl())
-        for i, value in enumerate(stiffness):
-            specimen(connection, i, stiffness=value, sd=sd)
-        found = asked(connection, "FROM control_points WHERE quantity = 'load_cell_stiffness_n_per_mm' ORDER BY point")
+def test_limits_are_the_prediction_from_the_other_points(empty: Any, stiffness: list[float], sd: float) -> None:
+    empty.execute("BEGIN")
+    for i, value in enumerate(stiffness):
+        specimen(empty, i, stiffness=value, sd=sd)
+    found = asked(empty, "FROM control_points WHERE quantity = 'load_cell_stiffness_n_per_mm' ORDER BY point")
+    empty.execute("ROLLBACK")
     values, sds = np.array(stiffness), np.full(len(stiffness), sd)
     for i, row in enumerate(found):
         low, high = limits(values, sds, i)
