@@ -33,7 +33,7 @@ def flush(path: Path) -> None:
     """Waits until a file's content, or a folder's list of names, is on the disk."""
     if os.name == "nt" and path.is_dir():
         return  # Windows has no handle for a folder
-    handle = os.open(path, os.O_RDONLY)
+    handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # Windows flushes only what may be written
     try:
         os.fsync(handle)
     finally:

@@ -5,9 +5,10 @@ deadline is tried once more, alone; when that fails too it is a casualty with a 
 wrong with a task is data and comes back as its result. Does not belong here: what the tasks are.
 
 Workers of a dask.distributed cluster have to see the raw folders and the lab under the same paths, have the same dealab
-installed, and work one task at a time (`dask worker --nthreads 1`). A task whose worker dies is given to another one as
-often as the scheduler allows (`distributed.scheduler.allowed-failures`), then counts as lost. Limits of time and memory
-are those of the cluster's workers: the lab's own `deadline_s` and `memory_mb` are for local ones.
+and libraries installed (they are asked, and refused where not), and work one task at a time (`dask worker --nthreads
+1`). A task whose worker dies is given to another one as often as the scheduler allows
+(`distributed.scheduler.allowed-failures`), then counts as lost. Limits of time and memory are those of the cluster's
+workers: the lab's own `deadline_s` and `memory_mb` are for local ones.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
@@ -31,6 +32,7 @@ from pipeline.import_path import leave_working_folder, start_without_working_fol
 from pipeline.lab.journal import Outcome
 from pipeline.lab.settings import Settings
 from schemas.errors import LabError
+from schemas.version import describe_software
 
 Given = TypeVar("Given")
 AnyTask = TypeVar("AnyTask", bound="Task")
@@ -274,7 +276,7 @@ class LocalPool(Executor):
 def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
     """A function that gives executors on the cluster at `address` (its argument is ignored), and the cluster's size.
 
-    Raises `LabError` when the cluster cannot be reached or the extra is not installed.
+    Raises `LabError` when the cluster cannot be reached, a worker has other software, or the extra is not installed.
     """
     try:
         from distributed import Client
@@ -286,7 +288,38 @@ def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
         raise LabError(
             f"the cluster does not answer: {error}", where=address, expected="the address of a dask scheduler"
         ) from None
+    try:
+        refuse_other_software(describe_software(), client.run(describe_software, on_error="return"))
+    except LabError:
+        client.close()
+        raise
     return lambda _jobs: _ClusterExecutor(client), max(1, sum(client.ncores().values()))
+
+
+_REFUSED = 5
+"""Workers with other software that are named."""
+
+
+def refuse_other_software(here: Mapping[str, str], there: Mapping[str, Mapping[str, str] | BaseException]) -> None:
+    """Raises `LabError` where a worker would compute with other code or libraries than the night books.
+
+    Parameters
+    ----------
+    here : `schemas.version.describe_software` of the night
+    there : the same of each worker by its address, or why it could not say
+    """
+    wrong = []
+    for address, found in sorted(there.items()):
+        if isinstance(found, BaseException):
+            wrong.append(f"{address} cannot say what it has ({type(found).__name__}: {str(found)[:100]})")
+        elif other := [f"{name} {found.get(name, 'missing')}" for name in here if found.get(name) != here[name]]:
+            wrong.append(f"{address} has {', '.join(other)}")
+    if wrong:
+        raise LabError(
+            f"workers of the cluster have other software: {'; '.join(wrong[:_REFUSED])}",
+            expected=", ".join(f"{name} {version}" for name, version in here.items()),
+            remedy="Install the same release of dealab with the same libraries for the workers and start them again",
+        )
 
 
 class _ClusterExecutor(Executor):

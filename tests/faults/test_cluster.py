@@ -17,7 +17,9 @@ import pipeline.nightly.night
 import pipeline.nightly.workers
 from pipeline import Lab
 from pipeline.nightly.night import nightly
+from pipeline.nightly.workers import refuse_other_software as refuse
 from schemas.errors import LabError
+from schemas.version import describe_software
 from tests.conftest import ROOT
 from tests.faults import sabotage
 from tests.faults.lab_state import content, healthy, left_over, samples
@@ -93,6 +95,29 @@ def test_a_cluster_gives_the_same_and_outlives_its_workers(
     assert (summary.counts.quarantined, summary.counts.pending) == (0, 1), "an accident is no verdict on the content"
     assert "twice" in summary.attention[0]
     assert summary.counts.reused == 3
+
+
+def test_a_cluster_with_other_software_is_refused_with_both_named(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raw, lab = small_campaign(tmp_path / "raw", chirps=0, lives=1), Lab(tmp_path / "lab")
+    ours = describe_software()
+    monkeypatch.setattr(
+        pipeline.nightly.workers, "refuse_other_software", lambda here, there: refuse(here | {"numpy": "0.1"}, there)
+    )
+    with pytest.raises(LabError, match=f"has numpy {ours['numpy']}") as told:
+        nightly([raw], lab, jobs=1, cluster=address)
+    assert "numpy 0.1" in str(told.value)
+    assert not lab.database.exists()
+
+
+def test_what_a_worker_has_is_held_against_the_nights() -> None:
+    here = {"dealab": "0.1.0 (aa)", "numpy": "2.4"}
+    refuse(here, {"tcp://a": dict(here)})
+    there = {"tcp://a": dict(here), "tcp://b": here | {"numpy": "2.3"}, "tcp://c": ModuleNotFoundError("dealab")}
+    with pytest.raises(LabError, match=r"tcp://b has numpy 2\.3; tcp://c cannot say") as refused:
+        refuse(here, there)
+    assert "dealab 0.1.0 (aa), numpy 2.4" in str(refused.value)
 
 
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
