@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from functools import cache
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 
 from pipeline.diagnose.features.blocks import assembled
 from pipeline.diagnose.features.kinds import (
@@ -35,6 +37,8 @@ from schemas.metadata import RecordingMetadata
 from schemas.recording import Channel, Recording
 
 Key = str | float
+Test = frozenset[tuple[str, Key]]
+"""Keys and values of the `recording` block of a test, without the rest before it and the room it is made in."""
 
 _NS = 1_000_000_000
 """Nanoseconds of a second."""
@@ -75,7 +79,7 @@ _USUAL_STRAIN = 0.02
 """Strain of tests where a session has none."""
 _LONG_REST_S, _LONG_HOLD_S = 7200.0, 7200.0
 """Rest in which a film recovers, and hold that shows slow relaxations, s."""
-_WARMER, _TEMPERATURE = "warmer_k", "temperature_degc"
+_REST, _WARMER, _TEMPERATURE = "rest_before_s", "warmer_k", "temperature_degc"
 _TO_WARM_S, _ROOM_DEGC = 3600.0, 23.0
 """Time in which a film takes the temperature of a room, s; and that of a usual room, °C."""
 WARMER_K, LITTLE_WARMER_K = 10.0, 3.0
@@ -152,7 +156,7 @@ def list_proposals(session: Session, warmer_k: float | None) -> list[Proposal]:
                 f"a step of {100 * level:.2g} % strain held for ten minutes",
             )
         )
-    rested: dict[str, Key] = {"rest_before_s": _LONG_REST_S}
+    rested: dict[str, Key] = {_REST: _LONG_REST_S}
     held: dict[str, Key] = {
         "protocol": "step",
         "loading": "mechanical",
@@ -172,7 +176,7 @@ def list_proposals(session: Session, warmer_k: float | None) -> list[Proposal]:
         Proposal(
             {**p.design, _WARMER: 0.0},
             f"{p.text}, then again after an hour in a room {warmer_k:g} K warmer, the temperature recorded",
-            ({**p.design, _WARMER: warmer_k, "rest_before_s": _TO_WARM_S},),
+            ({**p.design, _WARMER: warmer_k, _REST: _TO_WARM_S},),
         )
         for p in chirps
         if warmer_k is not None
@@ -213,7 +217,7 @@ def repeat_proposal(proposal: Proposal, often: Mapping[str, int]) -> Proposal | 
     None for other tests, and for those with a rest or another room
     """
     design = proposal.design
-    if proposal.test not in often or {_WARMER, "rest_before_s"} & set(design):
+    if proposal.test not in often or {_WARMER, _REST} & set(design):
         return None
     if proposal.test == "chirp":
         number = int(float(design["repeats"])) * often["chirp"]
@@ -311,12 +315,25 @@ def _propose_electrical(highest: float) -> list[Proposal]:
     return found
 
 
-def imagine_features(session: Session, physical: Physical, proposal: Proposal) -> list[RecordingFeatures]:
-    """Features of the proposed recordings, made after the session's last one, on its rig.
+def reduce_tests(session: Session, physical: Physical) -> Callable[[Test], RecordingFeatures]:
+    """Features of tests of the specimen on the session's rig, each made once however often it is proposed.
 
     Parameters
     ----------
     session, physical : what was measured so far, and the plain model in physical units
+    """
+    return cache(lambda test: _reduce_test(session, physical, dict(test)))
+
+
+def imagine_features(
+    session: Session, reduced: Callable[[Test], RecordingFeatures], proposal: Proposal
+) -> list[RecordingFeatures]:
+    """Features of the proposed recordings, made after the session's last one, on its rig.
+
+    Parameters
+    ----------
+    session : what was measured so far
+    reduced : of `reduce_tests`
     proposal : the recordings
 
     Raises
@@ -327,16 +344,33 @@ def imagine_features(session: Session, physical: Physical, proposal: Proposal) -
     made: list[RecordingFeatures] = []
     for number, design in enumerate(proposal.designs):
         last = made[-1] if made else session.recordings[-1]
-        pause_s = float(design.get("rest_before_s", _PAUSE_S))
+        pause_s = float(design.get(_REST, _PAUSE_S))
         started_at = last.started_at + timedelta(seconds=last.duration_s + pause_s)
-        make = _imagine_calibration if design["loading"] == "calibration" else _imagine_test
-        made.append(make(session, physical, proposal, number, started_at))
+        if design["loading"] == "calibration":
+            made.append(_imagine_calibration(session, proposal, number, started_at))
+        else:
+            test = reduced(frozenset((k, v) for k, v in design.items() if k not in (_REST, _WARMER)))
+            made.append(_place_test(session, test, design, number, started_at))
     return made
 
 
-def _imagine_calibration(
-    session: Session, physical: Physical, proposal: Proposal, place: int, started_at: datetime
+def _place_test(
+    session: Session, test: RecordingFeatures, design: Mapping[str, Key], place: int, started_at: datetime
 ) -> RecordingFeatures:
+    """A test at its place after a session, after a rest and in a room as its design says."""
+    last = session.recordings[-1]
+    values = {**test.values, **{k: v for k, v in last.values.items() if k in _CARRIED}}
+    if _REST in design:
+        values[_REST] = float(design[_REST])
+    if _WARMER in design:
+        now = next(
+            filter(np.isfinite, (r.values.get(_TEMPERATURE, np.nan) for r in session.recordings[::-1])), _ROOM_DEGC
+        )
+        values[_TEMPERATURE] = now + float(design[_WARMER])
+    return replace(test, recording_id=f"next-{place + 1}", started_at=started_at, values=values)
+
+
+def _imagine_calibration(session: Session, proposal: Proposal, place: int, started_at: datetime) -> RecordingFeatures:
     """A calibration of the rig; what it would read is predicted later, its noise is what laboratories reach."""
     sd, extra_kg = np.array(_CALIBRATION_SD[proposal.test]), float(proposal.designs[place].get(_EXTRA_KG, 0.0))
     kind = TAP_RING if proposal.test == "tap" else WEIGHT_GAIN
@@ -357,29 +391,35 @@ def _imagine_calibration(
     )
 
 
-def _imagine_test(
-    session: Session, physical: Physical, proposal: Proposal, place: int, started_at: datetime
-) -> RecordingFeatures:
-    """A test of the specimen, with the output that the plain model gives for its input."""
+def _reduce_test(session: Session, physical: Physical, design: Mapping[str, Key]) -> RecordingFeatures:
+    """Features of a test of the specimen, with the output that the plain model gives for its input."""
     last = session.recordings[-1]
     number = session.loaded[int(session.rig[-1])][0]
-    design = proposal.designs[place]
-    rng = np.random.default_rng(_SEED + place)
-    time, given = _INPUTS[proposal.test](design, session.scale.length_mm, 1 / _RATE_HZ[proposal.test])
+    kind = Proposal(design, "").test
+    rng = np.random.default_rng(_SEED)
+    time, given = _INPUTS[kind](design, session.scale.length_mm, 1 / _RATE_HZ[kind])
     electrical = design["loading"] == "electrical"
     channels: dict[str, Float] = {"voltage" if electrical else "displacement": given}
-    frequency = np.asarray(np.fft.rfftfreq(2 * given.size, 1 / _RATE_HZ[proposal.test]), dtype=np.float64)
     drive = given**2 if electrical else given
-    channels["force"] = _filter_signal(drive, _compute_response(physical, number, frequency, electrical))
+    length = next_fast_len(2 * given.size, real=True)
+    frequency = np.asarray(np.fft.rfftfreq(length, 1 / _RATE_HZ[kind]), dtype=np.float64)
+    spectrum = rfft(drive, length)
+
+    def answer(response: Complex) -> Float:
+        """Causal answer to a drive that begins at rest, without wrapping around."""
+        return np.asarray(irfft(spectrum * response, length)[: given.size])
+
+    channels["force"] = answer(_compute_response(physical, number, frequency, electrical))
     kinds = session.kinds
     if electrical and kinds & AMPLIFIER:
         channels["command"] = given / physical.amplifier[number]
-    if proposal.test == "step" and STEP_CAPACITANCE in kinds:
+    if kind == "step" and STEP_CAPACITANCE in kinds:
         k = physical.film.stiffness(frequency)
         crept = (physical.film.k0 / k) ** physical.sensing_creep
-        sensed = _compute_response(physical, number, frequency, True) * crept * physical.pf_per_n
-        channels["capacitance"] = _filter_signal(drive, sensed)
-    begin = int(started_at.timestamp() * _NS)
+        channels["capacitance"] = answer(
+            _compute_response(physical, number, frequency, True) * crept * physical.pf_per_n
+        )
+    begin = int(last.started_at.timestamp() * _NS)
     stamps = begin + np.rint(time * _NS).astype(np.int64)
     made = {
         quantity: Channel(
@@ -387,25 +427,17 @@ def _imagine_test(
         )
         for quantity, values in channels.items()
     }
-    extra = ("polarity", "hold_s", _WARMER)
-    keys = {k: v for k, v in design.items() if k not in extra}
+    keys = {k: v for k, v in design.items() if k not in ("polarity", "hold_s")}
     metadata = RecordingMetadata.parse(
         {
             **{k: (f"{v:g}" if isinstance(v, float) else v) for k, v in keys.items()},
-            "recording_id": f"next-{place + 1}",
+            "recording_id": "next",
             "specimen_id": session.specimen_id,
-            "started_at": started_at.isoformat(),
+            "started_at": last.started_at.isoformat(),
             "total_length_mm": f"{session.scale.length_mm:g}",
         }
     )
-    found = reduce(Recording(metadata=metadata, rig=last.rig, channels=made))
-    carried = {k: v for k, v in last.values.items() if k in _CARRIED}
-    if _WARMER in design:
-        now = next(
-            filter(np.isfinite, (r.values.get(_TEMPERATURE, np.nan) for r in session.recordings[::-1])), _ROOM_DEGC
-        )
-        carried[_TEMPERATURE] = now + float(design[_WARMER])
-    return replace(found, values={**found.values, **carried})
+    return reduce(Recording(metadata=metadata, rig=last.rig, channels=made))
 
 
 def _estimate_noise(session: Session, rig: int, quantity: str) -> float:
@@ -418,11 +450,6 @@ def _compute_response(physical: Physical, number: int, frequency: Float, electri
     rig, k = physical.rigs[number], physical.film.stiffness(frequency)
     clamp = rig.clamp(2 * np.pi * frequency)
     return -physical.actuation * rig.electrical(k, clamp) if electrical else rig.mechanical(k, clamp)
-
-
-def _filter_signal(values: Float, response: Complex) -> Float:
-    """Causal answer of a filter to a signal that begins at rest, without wrapping around."""
-    return np.asarray(np.fft.irfft(np.fft.rfft(values, 2 * values.size) * response, 2 * values.size)[: values.size])
 
 
 def _make_clock(duration_s: float, interval_s: float) -> Float:

@@ -10,7 +10,14 @@ import numpy as np
 
 from pipeline.diagnose.features.kinds import TAP_RING, WEIGHT_GAIN
 from pipeline.diagnose.features.noise_density import NoiseLaw
-from pipeline.diagnose.proposals.designs import MOST_OFTEN, OFTEN, Proposal, imagine_features, repeat_proposal
+from pipeline.diagnose.proposals.designs import (
+    MOST_OFTEN,
+    OFTEN,
+    Proposal,
+    imagine_features,
+    reduce_tests,
+    repeat_proposal,
+)
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.simulation.session import Session, make_session
@@ -22,18 +29,23 @@ from schemas.errors import NotIdentifiableError
 _CALIBRATIONS = (TAP_RING, WEIGHT_GAIN)
 
 
-def imagine_session(final: ExtendedFit, proposal: Proposal) -> tuple[Session, Simulation] | None:
-    """The proposed recordings after a session, and their simulation; None where they would have no features."""
+def imagine_sessions(final: ExtendedFit) -> Callable[[Proposal], tuple[Session, Simulation] | None]:
+    """What makes the proposed recordings after a session, and their simulation; None where they would have no features."""
     session = final.of.session
-    try:
-        new = imagine_features(session, final.of.model.physical(final.theta), proposal)
-        later = make_session([*session.recordings, *new], _extend_laws(session, len(new)))
-    except NotIdentifiableError:
-        return None
-    number = len(session.recordings)
-    # What severities are relative to stays that of the session at hand, however large the new recording is.
-    part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
-    return part, Simulation(part, final.of.simulation)
+    reduced = reduce_tests(session, final.of.model.physical(final.theta))
+
+    def imagine_session(proposal: Proposal) -> tuple[Session, Simulation] | None:
+        try:
+            new = imagine_features(session, reduced, proposal)
+            later = make_session([*session.recordings, *new], _extend_laws(session, len(new)))
+        except NotIdentifiableError:
+            return None
+        number = len(session.recordings)
+        # What severities are relative to stays that of the session at hand, however large the new recording is.
+        part = replace(later.part([p.recording >= number for p in later.places]), scale=session.scale)
+        return part, Simulation(part, final.of.simulation)
+
+    return imagine_session
 
 
 def _extend_laws(session: Session, number: int) -> dict[tuple[int, str], NoiseLaw]:
@@ -54,14 +66,14 @@ class Seen:
     of : its model over these recordings
     values : (N,) features
     rows : (N, P) how they move with the fit's entries
-    moves : (N, N) covariance that the fit's own uncertainty gives them
+    root : (P, P) a root of the fit's covariance, L Lᵀ
     """
 
     fit: ExtendedFit
     of: Extended
     values: Float
     rows: Float
-    moves: Float
+    root: Float
 
     @classmethod
     def of_fit(cls, part: Session, simulation: Simulation, fit: ExtendedFit) -> Seen:
@@ -69,7 +81,10 @@ class Seen:
         of = fit.of.move_to(part, simulation, np.ones(part.size))
         of = replace(of, model=of.model.with_loads(part.loaded))
         rows = central(of.compute_data_residuals, fit.x, *of.limits)
-        return cls(fit, of, part.whiten(of.predict(fit.x)), rows, rows @ fit.covariance @ rows.T)
+        width = np.sqrt(np.diag(fit.covariance))
+        values, vectors = np.linalg.eigh(fit.covariance / np.outer(width, width))
+        root = width[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return cls(fit, of, part.whiten(of.predict(fit.x)), rows, root)
 
     def measure_against(self, others: Float) -> float:
         """χ² that these recordings would say against the fit, were they as `others` (N,) say."""
@@ -86,7 +101,9 @@ class Seen:
         """
         if not (np.isfinite(change).all() and np.isfinite(forms).all()):
             return 0.0
-        return float(change @ np.linalg.solve(self._spread(forms), change))
+        noise, moves, inner = self._share_out(forms)
+        along = moves.T @ (change / noise)
+        return float(np.sum((change / noise) ** 2) - along @ np.linalg.solve(inner, along))
 
     def measure_narrowing(self, forms: Float) -> float:
         """Change of twice the log evidence by what the recordings would say of the mechanisms' parameters.
@@ -99,19 +116,25 @@ class Seen:
         """
         if not np.isfinite(forms).all():
             return 0.0
-        before = self.fit.covariance
-        held = self.rows @ before
-        after = before - held.T @ np.linalg.solve(self._spread(forms), held)
-        return 2 * (self.fit.log_volume(after) - self.fit.log_volume(before))
+        inner = self._share_out(forms)[2]
+        after = self.root @ np.linalg.solve(inner, self.root.T)
+        return 2 * (self.fit.log_volume(after) - self.fit.log_volume(self.fit.covariance))
 
-    def _spread(self, forms: Float) -> Float:
-        """(N, N) covariance of the noise, of what forms are wrong by and of the fit's uncertainty.
+    def _share_out(self, forms: Float) -> tuple[Float, Float, Float]:
+        """The covariance of the recordings, noise and wrong forms on its diagonal and the fit's uncertainty beside it, as its parts.
 
         What forms may be wrong by is weighed down for the fit as well: it takes less of a change up. Calibrations have
         no forms.
+
+        Returns
+        -------
+        Standard deviations (N,) of noise and forms, moves (N, P) of the fit in them, and (P, P) I + movesᵀ moves, with
+        which the matrix inversion lemma (Woodbury) gives every inverse
         """
         wrong = np.where(np.isin(self.of.session.kind, _CALIBRATIONS), 0.0, RULES.proposal.form_error) * forms
-        return np.asarray(np.diag(1 + wrong**2) + self.moves)
+        noise = np.sqrt(1 + wrong**2)
+        moves = (self.rows @ self.root) / noise[:, None]
+        return noise, moves, np.eye(moves.shape[1]) + moves.T @ moves
 
 
 class Judged(Protocol):

@@ -17,11 +17,13 @@ from scipy.special import log_expit, log_ndtr
 
 from pipeline.diagnose.mechanisms import Mechanism
 from pipeline.diagnose.proposals.designs import WARMER_K, Proposal, list_proposals, select_showing
-from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imagine_session
+from pipeline.diagnose.proposals.imagined import Seen, Wanted, choose_best, imagine_sessions
 from pipeline.diagnose.results import NextRecording
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.posterior import RegionFit
+from pipeline.diagnose.simulation.session import Session
+from pipeline.diagnose.simulation.simulation import Simulation
 
 ENOUGH = 2 * RULES.cause.close
 """Difference of Λ from which a cause stands alone."""
@@ -71,9 +73,10 @@ def propose_separating(final: ExtendedFit, rivals: Sequence[Rival]) -> NextRecor
     believed = _list_variants(final)
     others = [replace(r, fit=v) for r in rivals for v in (_list_variants(r.fit) if r.fit.of.chosen else [r.fit])]
     causes = [c.mechanism for fit in (final, *(r.fit for r in rivals)) for c in fit.of.chosen[:1]]
+    imagine_session = imagine_sessions(final)
     best = choose_best(
         select_showing(list_proposals(final.of.session, WARMER_K), causes),
-        lambda proposal: _judge_proposal(proposal, believed, others),
+        lambda proposal: _judge_proposal(imagine_session(proposal), proposal, believed, others),
         _WANTED,
     )
     if best is None:
@@ -140,10 +143,12 @@ class SeparationInTest:
 
 
 def _judge_proposal(
-    proposal: Proposal, believed: Sequence[ExtendedFit], others: Sequence[Rival]
+    made: tuple[Session, Simulation] | None,
+    proposal: Proposal,
+    believed: Sequence[ExtendedFit],
+    others: Sequence[Rival],
 ) -> SeparationInTest | None:
-    """What a proposal would say; None where its recording would have no features."""
-    made = imagine_session(believed[0], proposal)
+    """What the recordings made after a proposal would say; None where they would have no features."""
     if made is None:
         return None
     seen = [Seen.of_fit(*made, fit) for fit in believed]
