@@ -14,7 +14,14 @@ import numpy as np
 
 from pipeline.diagnose.features.kinds import CHIRP_RESPONSE, REST_HUM
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.plain_fit import PlainFit, compute_residuals, fit_plain, make_bounds, refit_plain
+from pipeline.diagnose.search.plain_fit import (
+    PlainFit,
+    compute_residuals,
+    fit_from_ladders,
+    fit_plain,
+    make_bounds,
+    refit_plain,
+)
 from pipeline.diagnose.simulation.parameters import BaseModel
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -81,7 +88,7 @@ def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) ->
     """The fit that most recordings agree on, from the plain fit and from the films of single sweeps."""
     found = _reweigh(session, simulation, plain)
     if found[1] > _cost_of_noise(session) and plain.chi2 > RULES.fault.astray * session.size:
-        for start in _fit_sweeps(session):
+        for start in _fit_sweeps(session, plain.model):
             found = min(found, _reweigh(session, simulation, start), key=lambda pair: pair[1])
     chi2, size = sum_by_recording(session, found[0].misfit)
     order = np.argsort(chi2 / np.maximum(size, 1.0))
@@ -133,17 +140,16 @@ def _reweigh(session: Session, simulation: Simulation, start: PlainFit) -> tuple
     return PlainFit(model, x, solution, float(misfit @ misfit), misfit), cost
 
 
-def _fit_sweeps(session: Session) -> Sequence[PlainFit]:
+def _fit_sweeps(session: Session, model: BaseModel) -> Sequence[PlainFit]:
     """Plain fits of single sweeps, carried over to the whole session."""
     numbers = list(dict.fromkeys(p.recording for p in session.places if p.block.kind == CHIRP_RESPONSE))
     found = []
     for number in numbers[:_STARTS]:
         own = session.part([p.recording == number for p in session.places])
         try:
-            alone = fit_plain(own, Simulation(own))
+            alone = fit_from_ladders(own, Simulation(own), own.base_model(model.arms))
         except NotIdentifiableError:
             continue
-        model = session.base_model(alone.model.arms)
         theta = model.theta(alone.model.physical(alone.theta).film)
         for i, name in enumerate(alone.model.names):
             place = model.index(name)

@@ -10,12 +10,19 @@ import numpy as np
 from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.agreement import agrees
 from pipeline.diagnose.faults.fault import Correction, Fault
-from pipeline.diagnose.faults.fitted import Fitted, fit_session
+from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
 from pipeline.diagnose.faults.undo import RESPONSES, advance_block, follow_delay, turn, turned
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.plain_fit import compute_deviations, make_bounds, measure_roughness
+from pipeline.diagnose.search.plain_fit import (
+    PlainFit,
+    compute_deviations,
+    fit_from_ladders,
+    make_bounds,
+    measure_roughness,
+)
 from pipeline.diagnose.simulation.session import Session
+from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -38,20 +45,23 @@ def find_drift(
     mechanism of its own.
     """
     session, _, plain = fitted
+    before = plain.chi2 / max(session.size, 1)
     start = _scan(session, _DRIFTS, drifting=True)
     if start is None:
         return None
-    drift = _refine([follow_delay(r, 0.0, start) for r in recordings], start, drifting=True)
+    drift, chi2 = _refine([follow_delay(r, 0.0, start) for r in recordings], start, plain, drifting=True)
+    if not agrees(chi2 / max(session.size, 1), before):
+        return None
     changed = [follow_delay(r, 0.0, drift) for r in recordings]
     again = fit_session(changed)
     left = again[2].chi2 / max(again[0].size, 1)
-    if not agrees(left, plain.chi2 / max(session.size, 1)):
+    if not agrees(left, before):
         return None
     other = plain.chi2
     delay = _scan(session, _DELAYS, drifting=False)
     if delay is not None:
-        late = _refine([follow_delay(r, delay, 0.0) for r in recordings], delay, drifting=False)
-        other = min(other, fit_session([follow_delay(r, late, 0.0) for r in recordings])[2].chi2)
+        late = _refine([follow_delay(r, delay, 0.0) for r in recordings], delay, again[2], drifting=False)
+        other = min(other, late[1])
     odds = 0.5 * (other - again[2].chi2) - 0.5 * float(np.log(max(plain.chi2 - again[2].chi2, 2.0)))
     probability = float(1 / (1 + np.exp(-np.clip(odds + np.log(RULES.fault.prior), -50, 50))))
     if probability < RULES.fault.named:
@@ -80,9 +90,16 @@ def _scan(session: Session, sizes: Float, *, drifting: bool) -> float | None:
     return found[1] if found[0] < RULES.fault.smoother * as_it_is else None
 
 
-def _refine(recordings: Sequence[RecordingFeatures], start: float, *, drifting: bool) -> float:
-    """The drift or delay fitted together with film and rig, from recordings put right by a value nearby."""
-    session, simulation, plain = fit_session(recordings)
+def _refine(
+    recordings: Sequence[RecordingFeatures], start: float, near: PlainFit, *, drifting: bool
+) -> tuple[float, float]:
+    """The drift or delay fitted together with film and rig, from recordings put right by a value nearby, and χ² with it.
+
+    `near` is a fit of the same recordings without it.
+    """
+    session = assemble_session(recordings)
+    simulation = Simulation(session)
+    plain = fit_from_ladders(session, simulation, near.model, near)
     about = simulation.about(plain.model.physical(plain.theta))
     unit = _DRIFT_UNIT if drifting else _DELAY_UNIT
 
@@ -100,4 +117,4 @@ def _refine(recordings: Sequence[RecordingFeatures], start: float, *, drifting: 
     low, high = make_bounds(plain.model)
     widest = abs(start) / unit
     found = minimise(residuals, np.append(plain.theta, 0.0), np.append(low, -widest), np.append(high, widest))
-    return start + unit * float(found.x[-1])
+    return start + unit * float(found.x[-1]), found.chi2

@@ -198,6 +198,19 @@ def refit_plain(
     return PlainFit(model, found.x, found, found.chi2, found.residual[: session.size])
 
 
+def fit_from_ladders(
+    session: Session, simulation: Simulation, model: BaseModel, near: PlainFit | None = None
+) -> PlainFit:
+    """The best optimum next to rough films that the responses show, and next to another fit of the same model.
+
+    It takes a fraction of the time of `fit_plain`, and may fall short of it.
+    """
+    f, k = estimate_stiffness(session)
+    films = (_cluster_arms(f, k, model.arms)[0], _spread_arms(f, k, model.arms))
+    starts = [_make_theta(session, model, film) for film in films] + ([] if near is None else [near.theta])
+    return min((refit_plain(session, simulation, model, start) for start in starts), key=lambda f: f.chi2)
+
+
 def _search_near_and_far(session: Session, simulation: Simulation, order: int | None) -> PlainFit:
     """The search near the rigs' files, or that farther away where only it comes near to the data."""
     found = _choose_order(session, simulation, order)
