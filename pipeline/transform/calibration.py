@@ -29,7 +29,8 @@ _REPEATABILITY = 5e-4
 
 @dataclass(frozen=True)
 class TapCalibration:
-    """Clamp without film. `frequency_hz` is the undamped one, √(kL/M)/2π; standard deviations beside the values."""
+    """Clamp without film. `frequency_hz` is the undamped one, √(kL/M)/2π; standard deviations beside the values. `expected_hz` is
+    that of the rig's file, NaN where it gives none."""
 
     frequency_hz: float
     frequency_sd: float
@@ -40,6 +41,12 @@ class TapCalibration:
     warnings: tuple[str, ...] = ()
     extra_mass_kg: float = 0.0
     """What was on the clamp beside its own mass."""
+    expected_hz: float = float("nan")
+
+    @property
+    def contradicts_file(self) -> bool:
+        """Whether something else rings than what the rig's file describes: constants may be wrong by a fifth, which is what a tap is for."""
+        return np.isfinite(self.expected_hz) and not 2 / 3 < self.frequency_hz / self.expected_hz < 1.5
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,28 @@ def calibrate(recording: Recording) -> Calibration:
 
 
 def tap(recording: Recording) -> TapCalibration:
-    """Frequency and damping of the ringing clamp: a damped sinusoid per tap, fitted until it drowns in noise.
+    """Frequency and damping of the ringing clamp, as `read_ring`.
+
+    Raises `NotIdentifiableError` when nothing rings for at least five cycles, or something else than the rig's file describes.
+    """
+    found = read_ring(recording)
+    if found.contradicts_file:
+        raise NotIdentifiableError(
+            describe_contradiction(found.frequency_hz, found.expected_hz),
+            where=recording.metadata.recording_id,
+            expected="the clamp without film",
+            remedy="Check clamp_mass_kg (kg, not g) and load_cell_stiffness_n_per_mm, and what was tapped",
+        )
+    return found
+
+
+def describe_contradiction(frequency_hz: float, expected_hz: float) -> str:
+    """That something else rings than what the rig's file describes."""
+    return f"what rings is at {frequency_hz:.4g} Hz, far from the {expected_hz:.4g} Hz of the clamp that the rig file describes"
+
+
+def read_ring(recording: Recording) -> TapCalibration:
+    """What rings after taps, whatever the rig's file says: a damped sinusoid per tap, fitted until it drowns in noise.
 
     Several taps are averaged; where they differ by more than their noise says, the scatter between them counts. Raises
     `NotIdentifiableError` when nothing rings for at least five cycles.
@@ -97,9 +125,13 @@ def tap(recording: Recording) -> TapCalibration:
             remedy="Tap harder, remove the film, sample faster than ten times the clamp's frequency",
         )
     f, f_sd = _pooled(np.array([x[0] for x in fits]), np.array([x[1] for x in fits]))
-    warnings += _against_rig_file(f, rig, where)
+    expected, sd = _stated_frequency(rig) or (float("nan"), float("nan"))
+    if abs(f - expected) > 3 * sd:
+        warnings.append(
+            f"the clamp rings at {with_unit(significant(f, 4), 'Hz')}, the rig file expects {pm(expected, sd, 'Hz')}"
+        )
     z, z_sd = _pooled(np.array([x[2] for x in fits]), np.array([x[3] for x in fits]))
-    return TapCalibration(f, f_sd, z, z_sd, len(fits), where, tuple(dict.fromkeys(warnings)), extra_kg)
+    return TapCalibration(f, f_sd, z, z_sd, len(fits), where, tuple(dict.fromkeys(warnings)), extra_kg, expected)
 
 
 def _pooled(values: Float, errors: Float) -> tuple[float, float]:
@@ -124,26 +156,6 @@ def _refuse_slow_samples(rig: RigConstants, interval_s: float, where: str) -> No
             where=where,
             expected=f"at least {stated[0] / 0.4:.4g} samples per second",
         )
-
-
-def _against_rig_file(frequency: float, rig: RigConstants, where: str) -> list[str]:
-    """Constants may be wrong by a fifth, which is what a tap is for; by half, something else rings."""
-    stated = _stated_frequency(rig)
-    if stated is None:
-        return []
-    expected, sd = stated
-    if not 2 / 3 < frequency / expected < 1.5:
-        raise NotIdentifiableError(
-            f"what rings is at {frequency:.4g} Hz, far from the {expected:.4g} Hz of the clamp that the rig file describes",
-            where=where,
-            expected="the clamp without film",
-            remedy="Check clamp_mass_kg (kg, not g) and load_cell_stiffness_n_per_mm, and what was tapped",
-        )
-    if abs(frequency - expected) > 3 * sd:
-        return [
-            f"the clamp rings at {with_unit(significant(frequency, 4), 'Hz')}, the rig file expects {pm(expected, sd, 'Hz')}"
-        ]
-    return []
 
 
 def _stated_frequency(rig: RigConstants) -> tuple[float, float] | None:

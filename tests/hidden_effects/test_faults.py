@@ -12,7 +12,7 @@ from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from schemas.recording import Recording
 from tests.helpers.everyday_faults import EDITS, mix_in
-from tests.helpers.truth_rig import KINDS, compact_session
+from tests.helpers.truth_rig import KINDS, compact_session, make_session
 
 SEED, ANOTHER_SEED = 990_000_001, 990_000_002
 
@@ -140,3 +140,30 @@ def test_faults_and_what_is_beside_them_are_consistent() -> None:
     assert found.p_value < 1e-6
     assert sum(found.probabilities.values()) == pytest.approx(1.0)
     assert found.probabilities["strain_wrong"] > found.probabilities["size_wrong"] > 0.1
+
+
+def _tap(name: str | None) -> RecordingFeatures:
+    """Features of a tap on the clamp of the session's rig, whose file is edited."""
+    session = make_session(SEED, ({"protocol": "tap", "loading": "calibration"},), ())
+    return reduce((session.recordings if name is None else EDITS[name](session.recordings))[0])
+
+
+def test_a_tap_tells_of_a_wrong_file_where_the_responses_are_too_few() -> None:
+    """A clamp filed ten times too heavy makes of sound recordings some that seem to have faults of their own."""
+    name = "clamp mass ten times"
+    few = [f for f in edited(name) if f.protocol not in ("chirp", "tap")]
+    tap = _tap(name)
+    (fault,) = check_recordings([*few, tap]).faults
+    assert fault.cause == "rig_constants"
+    assert fault.bars
+    assert set(fault.recordings) == {f.recording_id for f in (*few, tap)}
+    proposed = {c.key: float(c.value_now) / float(c.value_proposed) for c in fault.corrections}
+    assert proposed == pytest.approx({"rig.clamp_mass_kg": 10.0, "rig.load_cell_stiffness_n_per_mm": 0.1}, rel=1e-3)
+
+
+def test_a_tap_on_something_else_is_told_where_the_tests_agree_with_the_file() -> None:
+    tap = _tap("clamp mass ten times")
+    checked = check_recordings([*sound(), tap])
+    (fault,) = checked.faults
+    assert (fault.cause, fault.recordings) == ("foreign_rig", (tap.recording_id,))
+    assert not fault.bars

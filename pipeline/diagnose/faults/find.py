@@ -23,8 +23,14 @@ from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_sessio
 from pipeline.diagnose.faults.hypotheses import MECHANISM, SOUND, Judged, judge_hypotheses
 from pipeline.diagnose.faults.levels import Levels, name_clamp, read_levels
 from pipeline.diagnose.faults.predict import Suspect
-from pipeline.diagnose.faults.session_wide import find_shared, find_stated_by_all, merge_lengths
-from pipeline.diagnose.features.kinds import EXTRA_MASS, RecordingFeatures
+from pipeline.diagnose.faults.session_wide import (
+    find_shared,
+    find_stated_by_all,
+    find_wrong_file,
+    judge_taps,
+    merge_lengths,
+)
+from pipeline.diagnose.features.kinds import EXTRA_MASS, RING_HZ, RecordingFeatures
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, compute_residuals, fit_plain
@@ -54,6 +60,8 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
 
     Raises `NotIdentifiableError` where the recordings cannot be asked at all.
     """
+    taps = [r for r in recordings if RING_HZ in r.values]
+    recordings = [r for r in recordings if RING_HZ not in r.values]
     levels = {r.recording_id: own for r, own in zip(recordings, _read(recordings), strict=True)}
     recordings, found = find_stated_by_all(recordings, levels)
     explained = frozenset(id for f in found for id in f.recordings)
@@ -63,6 +71,15 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
     fitted = _fit(recordings, suspects)
     if fitted is None:
         suspects, fitted = frozenset(), fit_session(recordings)
+    # With a wrong rig's file recordings seem to miss each other: it is asked before any of them.
+    filed = find_wrong_file(recordings, fitted, suspects)
+    if filed is not None:
+        recordings, fitted, _ = filed
+    fault = judge_taps(taps, recordings, fitted) if filed is None else filed[2]
+    if fault is not None:
+        found.append(fault)
+        if fault.bars:
+            return Checked(*fitted, tuple(found))
     outside, agreement = _find_outside(*fitted)
     if agreement is not None or len(suspects) > 1:
         change = _ask_change(recordings, fitted, agreement, suspects)

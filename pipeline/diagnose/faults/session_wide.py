@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,9 +14,15 @@ from pipeline.diagnose.faults.clock import find_drift
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
-from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels
+from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels, name_clamp
 from pipeline.diagnose.faults.undo import scale_channels, stretch_clock
-from pipeline.diagnose.features.kinds import CHIRP_RESPONSE, CYCLIC_RESPONSE, RecordingFeatures
+from pipeline.diagnose.features.kinds import (
+    CHIRP_RESPONSE,
+    CYCLIC_RESPONSE,
+    FILED_RING_HZ,
+    RING_HZ,
+    RecordingFeatures,
+)
 from pipeline.diagnose.features.observed import AMPLITUDE, STATED
 from pipeline.diagnose.mechanisms.rig import RIG_CONSTANTS
 from pipeline.diagnose.rules import RULES
@@ -40,6 +46,8 @@ _SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
 """Slips of a size: of layers, halves and digits."""
 _WAYS = 2 * len(_RIG_SLIPS) + len(_FORCE_SLIPS)
 """Ways in which a rig's file or the unit of all forces may be wrong."""
+_FILED_SD, _ANYWHERE = 0.1, 10.0
+"""Deviation of the logarithm of k/M from a slip's, which constants of a file have; range of that of another thing that was tapped."""
 _WORTH_SAYING = 0.05
 """Probability from which a way to put a rig right is said."""
 _TRIED = 2
@@ -179,19 +187,21 @@ def _change_rig(rig: RigConstants, key: str, factor: float) -> RigConstants:
 def find_shared(
     recordings: Sequence[RecordingFeatures], fitted: Fitted
 ) -> tuple[list[RecordingFeatures], Fitted, list[Fault]]:
-    """What is wrong with all recordings that their plain fit shows: rig's file, unit of the force, a clock that drifts, sizes."""
-    session, _, plain = fitted
+    """What is wrong with all recordings that their plain fit shows beside the rig's file: a clock that drifts, sizes."""
+    _, _, plain = fitted
     found: list[Fault] = []
     put_right = list(recordings)
-    if plain.chi2 > RULES.fault.agrees * session.size or _find_furthest(plain) > RULES.fault.off:
-        remedied = _try_remedies(put_right, fitted)
-        if remedied is None:
-            remedied = find_drift(put_right, fitted)
-        if remedied is not None:
-            put_right, fitted, fault = remedied
-            found.append(fault)
+    drifting = find_drift(put_right, fitted) if _is_off(plain) else None
+    if drifting is not None:
+        put_right, fitted, fault = drifting
+        found.append(fault)
     size = _ask_sizes(fitted)
     return put_right, fitted, found + ([] if size is None else [size])
+
+
+def _is_off(plain: PlainFit) -> bool:
+    """Whether a plain fit misses the recordings, or the rig's file."""
+    return plain.chi2 > RULES.fault.agrees * plain.misfit.size or _find_furthest(plain) > RULES.fault.off
 
 
 def _find_furthest(plain: PlainFit) -> float:
@@ -225,18 +235,28 @@ def _rank_remedies(session: Session) -> list[tuple[float, _Remedy]]:
     return [(left / as_it_is, remedy) for left, _, remedy in found if left < RULES.fault.smoother * as_it_is]
 
 
-def _try_remedies(
-    recordings: Sequence[RecordingFeatures], fitted: Fitted
+def find_wrong_file(
+    recordings: Sequence[RecordingFeatures], fitted: Fitted, without: Collection[str]
 ) -> tuple[list[RecordingFeatures], Fitted, Fault] | None:
-    """The remedy that brings all recordings together with the rig's file, None where none does."""
+    """What is wrong with the rig's file or the unit of all forces: the recordings put right, their fit, and the fault.
+
+    Parameters
+    ----------
+    recordings : of the session
+    fitted : those of them that are not in `without`
+
+    Returns
+    -------
+    None where no correction brings all recordings together with the file
+    """
     session, _, plain = fitted
-    rough = _rank_remedies(session)
+    rough = _rank_remedies(session) if _is_off(plain) else []
     if not rough:
         return None
     best: tuple[float, list[RecordingFeatures], Fitted, _Remedy] | None = None
     for _, remedy in rough[:_TRIED]:
         tried = [remedy.apply(r) for r in recordings]
-        fit = fit_session(tried)
+        fit = fit_session([r for r in tried if r.recording_id not in without])
         if best is None or fit[2].chi2 < best[0]:
             best = fit[2].chi2, tried, fit, remedy
     if best is None or not agrees(best[0] / session.size, plain.chi2 / session.size):
@@ -262,8 +282,7 @@ def _blame_file(session: Session, ranked: Sequence[tuple[float, _Remedy]]) -> Fa
     fit of them can tell. Voltages alone do not tell: how strongly they act is not known well enough.
     """
     rules, recordings = RULES.fault, session.recordings
-    values = sum(p.block.size // 2 for p in session.places if p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE))
-    if values < rules.film_points:
+    if _count_responses(session) < rules.film_points:
         return None
     of_file = [(left, r) for left, r in ranked if r.cause == RIG_CONSTANTS.id]
     if not of_file or of_file[0][0] > rules.film_like:
@@ -280,6 +299,48 @@ def _blame_file(session: Session, ranked: Sequence[tuple[float, _Remedy]]) -> Fa
     words = " or ".join(r.words for _, r in likely)
     names = tuple(r.recording_id for r in recordings)
     return Fault(RIG_CONSTANTS.id, names, probability, words, corrections, sets_aside=False, bars=True)
+
+
+def judge_taps(
+    taps: Sequence[RecordingFeatures], recordings: Sequence[RecordingFeatures], fitted: Fitted
+) -> Fault | None:
+    """What taps say that ring far from the clamp of their rig's file: the file is wrong, or something else was tapped.
+
+    Parameters
+    ----------
+    taps : those that contradict the file
+    recordings, fitted : the others, and their fit with the file as it is
+    """
+    if not taps:
+        return None
+    session, _, plain = fitted
+    ring, filed = (float(np.median([t.values[key] for t in taps])) for key in (RING_HZ, FILED_RING_HZ))
+    words = f"what was tapped rings at {significant(ring, 4)} Hz, the clamp of the rig's file would at {significant(filed, 4)} Hz"
+    if _count_responses(session) >= RULES.fault.film_points and not _is_off(plain):
+        # The film's responses have the clamp of the file on them.
+        names = tuple(t.recording_id for t in taps)
+        return Fault(ids.FOREIGN_RIG, names, RULES.fault.named, f"{words}, and the tests agree with the file")
+    log_ratio = 2 * float(np.log(ring / filed))
+    off = [abs(log_ratio - float(np.log(slip))) for slip in _RIG_SLIPS]
+    near = int(np.argmin(off))
+    # ω² = k/M: too heavy and too soft look alike. A slip is one of a few factors, another thing that was tapped may ring anywhere.
+    slip = float(np.exp(-0.5 * (off[near] / _FILED_SD) ** 2)) / (np.sqrt(2 * np.pi) * _FILED_SD * len(_RIG_SLIPS))
+    probability = slip / (slip + 1 / _ANYWHERE)
+    factor = _RIG_SLIPS[near] if probability > 0.5 else float(np.exp(log_ratio))
+    own = [r for r in recordings if name_clamp(r.rig) == name_clamp(taps[0].rig)]
+    corrections = tuple(
+        Correction(r.recording_id, RIG_CONSTANTS.id, f"rig.{key}", write(now), write(now / off_by), 0.5 * probability)
+        for key, off_by in (("clamp_mass_kg", factor), ("load_cell_stiffness_n_per_mm", 1 / factor))
+        for r in (*taps, *own)
+        if (now := getattr(r.rig, key))
+    )
+    names = tuple(r.recording_id for r in (*taps, *own))
+    return Fault(RIG_CONSTANTS.id, names, probability, words, corrections, sets_aside=False, bars=True)
+
+
+def _count_responses(session: Session) -> int:
+    """Complex values that mechanical tests say of film and clamp."""
+    return sum(p.block.size // 2 for p in session.places if p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE))
 
 
 def _round_off(log_factor: float, sd: float) -> float:

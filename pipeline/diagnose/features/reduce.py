@@ -13,7 +13,7 @@ from pipeline.diagnose.features.kinds import EXTRA_MASS, FeatureBlock, NoiseSamp
 from pipeline.diagnose.features.observed import find_dead, observe_channels
 from pipeline.diagnose.features.ramp import cycle_blocks, relaxation_blocks
 from pipeline.diagnose.features.records import strain_length_mm
-from pipeline.diagnose.features.rest import calibration_block, hum_block
+from pipeline.diagnose.features.rest import calibration_blocks, hum_block
 from pipeline.diagnose.features.sphs import sphs_blocks
 from pipeline.diagnose.features.step import step_blocks
 from pipeline.diagnose.rules import RULES
@@ -63,7 +63,7 @@ def reduce(recording: Recording) -> RecordingFeatures:
     observed = observe_channels(recording)
     dead = find_dead(observed)
     if metadata.loading == CALIBRATION:
-        blocks = [calibration_block(recording)]
+        blocks, values, warnings = calibration_blocks(recording)
     elif dead:
         # No response, but the fault is to be said.
         blocks, warnings = [], [f"{' and '.join(dead)} stand still: nothing is measured"]

@@ -10,11 +10,18 @@ import numpy as np
 from scipy.special import fdtrc, fdtri, ndtr, ndtri
 
 from pipeline.diagnose.features.blocks import assembled
-from pipeline.diagnose.features.kinds import REST_HUM, TAP_RING, WEIGHT_GAIN, FeatureBlock
+from pipeline.diagnose.features.kinds import (
+    FILED_RING_HZ,
+    REST_HUM,
+    RING_HZ,
+    TAP_RING,
+    WEIGHT_GAIN,
+    FeatureBlock,
+)
 from pipeline.diagnose.features.records import rest_samples
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.mains import HUM_HZ
-from pipeline.transform.calibration import tap, weigh
+from pipeline.transform.calibration import describe_contradiction, read_ring, weigh
 from pipeline.transform.channels import drive
 from pipeline.transform.sampling import sample
 from schemas.arrays import Float
@@ -105,10 +112,17 @@ def hum_score(amplitude_n: Float, variance: Float, freedom: Float) -> Float:
     return _score(np.asarray(amplitude_n) ** 2 / variance + fdtri(2, freedom, 0.5), freedom)
 
 
-def calibration_block(recording: Recording) -> FeatureBlock:
-    """The ring of the clamp (ln of its frequency in Hz, damping ratio) or the gain of the force channel."""
+def calibration_blocks(recording: Recording) -> tuple[list[FeatureBlock], dict[str, float], list[str]]:
+    """The ring of the clamp (ln of its frequency in Hz, damping ratio) or the gain of the force channel, with values and warnings.
+
+    A ring that contradicts the rig's file is no feature, for nothing can be simulated with such a file: its values say so.
+    """
+    values: dict[str, float] = {}
     if recording.metadata.protocol == "tap":
-        found = tap(recording)
+        found = read_ring(recording)
+        if found.contradicts_file:
+            values = {RING_HZ: found.frequency_hz, FILED_RING_HZ: found.expected_hz}
+            return [], values, [describe_contradiction(found.frequency_hz, found.expected_hz)]
         value = np.array([np.log(found.frequency_hz), found.damping_ratio])
         variance = np.array(
             [(found.frequency_sd / found.frequency_hz) ** 2 + _REPEATABLE**2, found.damping_ratio_sd**2]
@@ -118,7 +132,7 @@ def calibration_block(recording: Recording) -> FeatureBlock:
         weighed = weigh(recording)
         value, variance = np.array([weighed.gain]), np.array([weighed.gain_sd**2])
         kind, label = WEIGHT_GAIN, f"{weighed.plateaus} levels"
-    return assembled(kind, label, value, ("unit/0",), np.diag(variance)[None], is_complex=False)
+    return [assembled(kind, label, value, ("unit/0",), np.diag(variance)[None], is_complex=False)], values, []
 
 
 _REPEATABLE = 5e-4
