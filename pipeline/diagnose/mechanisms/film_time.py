@@ -34,11 +34,11 @@ def _arm(values: Values, variant: str) -> Effect:
 
 
 def _power(values: Values, variant: str) -> Effect:
-    ratio, exponent = values["stiffness_ratio"], values["exponent"]
+    ratio, exponent, shortest = values["stiffness_ratio"], values["exponent"], values["shortest_s"]
 
     def more(film: Film, view: View) -> Film:
         z = view.power_of_jw(exponent, lowest_hz=_LOWEST_HZ)
-        return Film(film.k + ratio * view.k0 * z, film.share)
+        return Film(film.k + ratio * view.k0 * z / (1 + shortest**exponent * z), film.share)
 
     return Effect(film=(more,)) if ratio else Effect()
 
@@ -126,11 +126,12 @@ POWER_LAW_RELAXATION = Mechanism(
     id="power_law_relaxation",
     stage="film",
     depends_on=("frequency",),
-    equation="k + K (jω · 1 s)^α",
-    source="fractional (spring-pot) element, Nutting 1921",
+    equation="k + K (jω · 1 s)^α/(1 + (jωτ)^α), τ beyond the fastest test or near it: where the film turns to glass the slope ends",
+    source="fractional (spring-pot) element, Nutting 1921, in series with a spring: fractional Maxwell model, Schiessel et al. 1995",
     parameters=(
         Parameter("stiffness_ratio", "1", "K over k0", 0.02, 0.6),
         Parameter("exponent", "1", "α", 0.1, 0.5, SHAPE, log=False, least=0.02, most=0.95),
+        Parameter("shortest_s", "s", "τ", 1e-7, 3e-3, SHAPE, most=0.1),
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs",),
