@@ -25,7 +25,7 @@ from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mecha
 from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
 from pipeline.diagnose.search.held_out import predict_by_function, predict_left_out
 from pipeline.diagnose.search.patterns import test_patterns
-from pipeline.diagnose.search.plain_fit import PlainFit
+from pipeline.diagnose.search.plain_fit import PlainFit, add_arm
 from pipeline.diagnose.search.posterior import (
     Hypothesis,
     Posterior,
@@ -84,10 +84,16 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
 
 def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
     """Steps 2 to 6, begun anew where they find that the plain model was not at its optimum."""
-    start = plain.theta
+    start, mechanical = plain.theta, plain.mechanical
     of = replace(of, simulation=of.simulation.about(of.model.physical(start)))
     for _ in range(RULES.plain.restarts):
-        evidence = _search_from(of, start, plain.mechanical)
+        evidence = _search_from(of, start, mechanical)
+        with_arm = _take_up_arm(evidence)
+        if with_arm is not None:
+            # The mechanical tests alone know nothing of this arm.
+            start, mechanical = with_arm.theta, None
+            of = replace(of, model=with_arm.model, simulation=of.simulation.about(with_arm.model.physical(start)))
+            continue
         better = _find_better_plain(evidence)
         if better is None:
             break
@@ -198,6 +204,30 @@ def _find_better_plain(evidence: Evidence) -> Float | None:
         return None
     best = min((plain.of.fit(f.theta) for f in causes), key=lambda f: f.chi2)
     return best.theta if best.chi2 < plain.chi2 - rules.restart_chi2 else None
+
+
+def _take_up_arm(evidence: Evidence) -> PlainFit | None:
+    """The plain model with one more arm, where that does as well as the relaxation that is said to be missing.
+
+    The order is chosen on the mechanical responses: where these are few, other tests may show an arm that it may well have.
+    """
+    final = evidence.final
+    if final is None or len(final.of.chosen) != 1 or final.of.chosen[0].mechanism.as_arm is None:
+        return None
+    session, values, noise_fit = final.of.session, final.values[0], evidence.noise_fit
+    found = add_arm(
+        session,
+        noise_fit.of.simulation,
+        noise_fit.of.model,
+        final.theta,
+        values["stiffness_ratio"],
+        values["time_constant_s"],
+    )
+    if found is None:
+        return None
+    left = session.whiten(session.value - final.of.predict(final.x))
+    worth = RULES.plain.arm_worth * max(1.0, found.chi2 / max(session.size - found.theta.size, 1))
+    return found if found.chi2 < float(left @ left) + worth else None
 
 
 def _propose_recording(evidence: Evidence) -> NextRecording | None:

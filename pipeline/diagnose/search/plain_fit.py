@@ -132,6 +132,24 @@ def _add_arms_that_suffice(session: Session, simulation: Simulation, found: Plai
     return best if best.chi2 < enough and found.chi2 - best.chi2 > worth else found
 
 
+def add_arm(
+    session: Session, simulation: Simulation, model: BaseModel, theta: Float, ratio: float, time_s: float
+) -> PlainFit | None:
+    """The optimum with one more arm than `model` has at entries theta (P,); None where it has as many as the plain model may have.
+
+    The arm begins with a stiffness of `ratio` times that at rest, and relaxes in `time_s`.
+    """
+    if model.arms >= RULES.plain.orders[-1]:
+        return None
+    more = replace(session.base_model(model.arms + 1), sensing_creep=model.sensing_creep)
+    more = more.widened if model.is_widened else more
+    film = model.physical(theta).film
+    arms = sorted([*zip(film.tau, film.k, strict=True), (time_s, ratio * film.k0)], reverse=True)
+    start = more.theta(RelaxationModel(film.k0, tuple(k for _, k in arms), tuple(t for t, _ in arms), 0.0))
+    start[more.film.stop :] = theta[model.film.stop :]
+    return refit_plain(session, simulation, more, start)
+
+
 def _place_idle_arms(session: Session, model: BaseModel, start: Float) -> list[Float]:
     """Starts with the arms that the mechanical tests do not show at other times: what other tests show may be theirs.
 
