@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pipeline.diagnose.features.records import strain_length_mm
 from pipeline.transform.channels import drive
@@ -37,7 +38,15 @@ _CROSSINGS = 10
 _FEWEST_CROSSINGS = 24
 """Fewest half turns of a sweep whose highest frequency is read."""
 _HYSTERESIS = 0.1
-"""Share of the amplitude beyond which a signal has crossed its level."""
+"""Share of the amplitude beyond which a sine has crossed its level."""
+_TURNS = 0.2
+"""Share of the swing before from which a signal has turned: amplitudes of sweeps fall, or grow, by decades as they go."""
+_FLOOR, _CLEAR = 10.0, 2.0
+"""Swings that may be noise, in its standard deviations; and how far above them those at the highest frequency must be."""
+_FADED = 0.2
+"""Share of the largest swing near by below which a sweep is being faded."""
+_WINDOWS = 40
+"""Parts of a record of which the quietest tells its noise."""
 _FEWEST_HELD = 25
 """Fewest samples in a row of one value in which a channel stands still."""
 _MOVED = 0.3
@@ -106,8 +115,83 @@ def _longest_run(values: Float) -> tuple[int, int]:
     return int(bounds[longest]), int(bounds[longest + 1])
 
 
+@dataclass(frozen=True)
+class _Swings:
+    """A signal from turn to turn.
+
+    Parameters
+    ----------
+    crossed_s : (n,) times at which it passes the middle of the turns near by
+    size : (n,) how far these are apart
+    floor : swings below may be noise
+    """
+
+    crossed_s: Float
+    size: Float
+    floor: float
+
+
+def _estimate_floor(values: Float) -> float:
+    """The swing below which all may be noise or steps of the converter: second differences of the quietest part of the record."""
+    bent = np.abs(np.diff(values, 2))
+    parts = np.array_split(bent, min(_WINDOWS, max(bent.size // _FEWEST_HELD, 1)))
+    noise = min(float(np.median(part)) for part in parts) / (0.6745 * np.sqrt(6))
+    steps = np.abs(np.diff(values))
+    return max(_FLOOR * noise, 2 * float(steps[steps > 0].min(initial=np.inf)) if (steps > 0).any() else 0.0)
+
+
+def _find_swings(time_s: Float, values: Float) -> _Swings:
+    """All swings of a signal, each judged by the one before: those near the largest are seen as well as those a hundred times smaller."""
+    sound = np.isfinite(values)
+    t, x = time_s[sound], values[sound]
+    floor = _estimate_floor(x) if x.size > 2 else np.inf
+    slope = np.sign(np.diff(x))
+    moving = np.flatnonzero(slope)
+    turning = moving[1:][slope[moving[1:]] != slope[moving[:-1]]]
+    extremes = np.concatenate([[0], turning, [x.size - 1]]).astype(np.int64) if x.size else np.zeros(0, dtype=np.int64)
+    turns = _drop_small_turns(x[extremes], floor)
+    places = extremes[turns]
+    middle = (x[places[1:]] + x[places[:-1]]) / 2
+    near = np.convolve(
+        np.pad(middle, _CROSSINGS // 2, mode="edge"), np.full(_CROSSINGS + 1, 1 / (_CROSSINGS + 1)), "valid"
+    )
+    crossed = [
+        _pass(t, x, a, b, level)
+        for a, b, level in zip(places[:-1].tolist(), places[1:].tolist(), near.tolist(), strict=True)
+    ]
+    return _Swings(np.array(crossed), np.abs(np.diff(x[places])), floor)
+
+
+def _drop_small_turns(extremes: Float, floor: float) -> list[int]:
+    """Numbers of those extremes (n,) between which a signal swings, smaller ones on the way left out."""
+    if extremes.size == 0:
+        return []
+    turns, last, swing = [0], 0, 0.0
+    for number, value in enumerate(extremes.tolist()):
+        if number == 0:
+            continue
+        back = value - extremes[last]
+        on = extremes[last] - extremes[turns[-1]]
+        if last == turns[-1] or back * on > 0:
+            if last == turns[-1] or abs(value - extremes[turns[-1]]) > abs(on):
+                last = number
+        elif abs(back) > max(floor, _TURNS * max(swing, abs(on))):
+            swing = abs(on)
+            turns.append(last)
+            last = number
+    return turns
+
+
+def _pass(time_s: Float, values: Float, first: int, last: int, level: float) -> float:
+    """When a signal passes a level between two of its turns."""
+    part = values[first : last + 1] - np.clip(level, *sorted((values[first], values[last])))
+    at = first + int(np.argmax(np.sign(part[1:]) != np.sign(part[0])))
+    step = values[at + 1] - values[at]
+    return float(time_s[at] - part[at - first] / step * (time_s[at + 1] - time_s[at])) if step else float(time_s[at])
+
+
 def _find_crossings(time_s: Float, values: Float) -> Float:
-    """Times (n,) at which a signal crosses its level, noise left out."""
+    """Times (n,) at which a sine crosses its level, noise left out."""
     x = np.nan_to_num(values - (np.nanmax(values) + np.nanmin(values)) / 2)
     clear = np.flatnonzero(np.abs(x) > _HYSTERESIS * np.abs(x).max())
     turns = np.flatnonzero(np.sign(x[clear[1:]]) != np.sign(x[clear[:-1]]))
@@ -123,11 +207,19 @@ def _see_sine(time_s: Float, values: Float) -> float | None:
 
 
 def _see_highest(time_s: Float, values: Float) -> float | None:
-    crossings = _find_crossings(time_s, values)
-    if crossings.size < _FEWEST_CROSSINGS:
+    """The highest frequency of a sweep; None where it may go on below the noise."""
+    swings = _find_swings(time_s, values)
+    crossed = swings.crossed_s
+    if crossed.size < _FEWEST_CROSSINGS:
         return None
-    spans = crossings[_CROSSINGS:] - crossings[:-_CROSSINGS]
-    return float(_CROSSINGS / 2 / spans.min())
+    spans = crossed[_CROSSINGS:] - crossed[:-_CROSSINGS]
+    # Where a sweep is faded in or out, and in the rest, swings are clearly smaller than those near by.
+    largest = maximum_filter1d(swings.size, 2 * _CROSSINGS + 1)
+    full = minimum_filter1d(swings.size / largest, _CROSSINGS + 1, origin=-(_CROSSINGS // 2))[: spans.size] > _FADED
+    if not full.any():
+        return None
+    fastest = int(np.argmin(np.where(full, spans, np.inf)))
+    return float(_CROSSINGS / 2 / spans[fastest]) if swings.size[fastest] > _CLEAR * swings.floor else None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,47 @@
+"""What is read off a recording's samples to be compared with its metadata."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from pipeline.diagnose.features.observed import FREQUENCY, SEEN, observe_channels
+from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.recording import Channel, Recording
+
+STOP_HZ, RATE_HZ, SWEEP_S, REST_S = 100.0, 1000.0, 20.0, 1.0
+
+
+def sweep(exponent: float, noise: float) -> Recording:
+    """A logarithmic sweep from 1 to 100 Hz whose amplitude, 1 mm at first, follows frequency^exponent, between two rests."""
+    time = np.arange(0.0, SWEEP_S + 2 * REST_S, 1 / RATE_HZ)
+    since = np.clip(time - REST_S, 0.0, SWEEP_S)
+    frequency = STOP_HZ ** (since / SWEEP_S)
+    phase = 2 * np.pi * SWEEP_S / np.log(STOP_HZ) * (frequency - 1)
+    fade = np.clip(since / 0.5, 0.0, 1.0) * np.clip((SWEEP_S - since) / 0.05, 0.0, 1.0)
+    given = frequency**exponent * fade * np.sin(phase)
+    rng = np.random.default_rng(1)
+    stamps = np.rint(time * 1e9).astype(np.int64)
+    made = {
+        quantity: Channel(quantity, stamps, given + rng.normal(0.0, noise, given.size))
+        for quantity in ("displacement", "force")
+    }
+    metadata = RecordingMetadata.parse({
+        "recording_id": "R-1", "specimen_id": "S-1", "protocol": "chirp", "loading": "mechanical",
+        "started_at": datetime(2026, 1, 1, tzinfo=UTC).isoformat(), "frequency_start_hz": "1", "frequency_stop_hz": "100",
+        "total_length_mm": "50",
+    })  # fmt: skip
+    return Recording(metadata=metadata, rig=RigConstants(), channels=made)
+
+
+@pytest.mark.parametrize("exponent", [0.3, 0.0, -0.3, -1.0])
+def test_the_end_of_a_sweep_is_read_however_its_amplitude_goes(exponent: float) -> None:
+    """Shakers and motors follow fast sweeps with less and less; that is no other sample rate."""
+    seen = observe_channels(sweep(exponent, 2e-4))[SEEN + FREQUENCY]
+    assert seen == pytest.approx(STOP_HZ, rel=0.03)
+
+
+def test_a_sweep_that_ends_in_the_noise_has_no_highest_frequency() -> None:
+    assert SEEN + FREQUENCY not in observe_channels(sweep(-1.5, 2e-3))
