@@ -34,6 +34,7 @@ from pipeline.diagnose.search.posterior import (
     settle_hypothesis,
     weigh_fit,
 )
+from pipeline.diagnose.search.region_optima import settle_regions
 from pipeline.diagnose.search.screen import Secants, compute_secants, compute_signatures, find_best_scores
 from pipeline.diagnose.search.several_causes import add_causes
 from pipeline.diagnose.search.tempering import temper_weights
@@ -138,7 +139,8 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
     )
     unnamed = differentiate_regions(agreed.model)
     hypotheses = allow_form_errors(hypotheses, unnamed)
-    posterior = Posterior.of([noise, agreed, *hypotheses, *weigh_regions(agreed.model, unnamed)])
+    regions = settle_regions(weigh_regions(agreed.model, unnamed), [noise, agreed, *hypotheses], plain)
+    posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     if noise in posterior.find_set(RULES.verdict.credible):
         # Its noise is what the session makes most of: the level for noise that is known less well, where nothing is more probable.
         level = RULES.alarm.pattern_level if noise is posterior.hypotheses[0] else RULES.alarm.mechanism_level

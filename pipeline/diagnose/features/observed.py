@@ -137,7 +137,8 @@ def _estimate_floor(values: Float) -> float:
     parts = np.array_split(bent, min(_WINDOWS, max(bent.size // _FEWEST_HELD, 1)))
     noise = min(float(np.median(part)) for part in parts) / (0.6745 * np.sqrt(6))
     steps = np.abs(np.diff(values))
-    return max(_FLOOR * noise, 2 * float(steps[steps > 0].min(initial=np.inf)) if (steps > 0).any() else 0.0)
+    least = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
+    return float(max(_FLOOR * noise, 2 * least))
 
 
 def _find_swings(time_s: Float, values: Float) -> _Swings:

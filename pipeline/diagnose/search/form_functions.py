@@ -21,6 +21,8 @@ from schemas.arrays import Bool, Float
 
 WIDTHS = np.geomspace(1e-4, 1.0, 7)
 """Widths of the priors of a region's weights."""
+_NEAR = 100.0
+"""Log probability behind the best cause within which the form of another is allowed for about its own fit."""
 _NO_TRACE = 1e-6
 """Length below which a shape leaves no trace."""
 
@@ -50,20 +52,23 @@ def differentiate_regions(plain: ExtendedFit) -> list[RegionChange]:
     ----------
     plain : the plain model, with the film that most groups of features agree on
     """
-    absorbed, found = find_absorbed(plain), []
-    for region in list_regions(plain.of.session):
-        columns = differentiate_region(plain, region)
-        length = np.linalg.norm(columns - absorbed @ (absorbed.T @ columns), axis=0)
-        if np.any(length > _NO_TRACE):
-            found.append(RegionChange(region, columns, length > _NO_TRACE, length))
-    return found
+    absorbed = find_absorbed(plain)
+    found = [differentiate_region(plain, region, absorbed) for region in list_regions(plain.of.session)]
+    return [change for change in found if change.seen.any()]
 
 
-def differentiate_region(plain: ExtendedFit, region: Region) -> Float:
-    """(N, K) whitened change of a session's features by each weight of a region, about the plain model."""
-    of = plain.of
-    base = of.predict(plain.x)
-    changes = np.array([(of.simulation.predict(of.model, plain.theta, e) - base) / STEP for e in region.effects])
+def differentiate_region(fit: ExtendedFit, region: Region, absorbed: Float) -> RegionChange:
+    """A region about a fit, with its causes where it has any; `absorbed` (N, R) is the basis of what film and rig take up."""
+    columns = compute_columns(fit, region)
+    length = np.linalg.norm(columns - absorbed @ (absorbed.T @ columns), axis=0)
+    return RegionChange(region, columns, length > _NO_TRACE, length)
+
+
+def compute_columns(fit: ExtendedFit, region: Region) -> Float:
+    """(N, K) whitened change of a session's features by each weight of a region, about a fit."""
+    of, theta, own = fit.of, fit.theta, fit.of.effect(fit.x)
+    base = of.predict(fit.x)
+    changes = np.array([(of.simulation.predict(of.model, theta, own | e) - base) / STEP for e in region.effects])
     computed = np.all(np.abs(changes) < LARGEST, axis=1)
     return of.session.whiten(np.where(computed[:, None], changes, 0.0).T)
 
@@ -107,7 +112,7 @@ def _weigh_region(
             weights, spread = np.zeros(seen.size), np.zeros((seen.size, seen.size))
             weights[seen] = scale * peak.step[size:]
             spread[np.ix_(seen, seen)] = np.outer(scale, scale) * covariance
-            best = RegionFit(region, weights, spread, plain, peak.step[:size]), peak
+            best = RegionFit(region, weights, spread, plain, peak.step[:size], float(width)), peak
     assert best is not None, region.id
     total = float(logsumexp(evidence) - np.log(len(evidence)))
     return Hypothesis(region.id, total, prior, None, best[0], best[1].weight, best[1].odd)
@@ -125,15 +130,23 @@ def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChang
     found : hypotheses of listed causes at their optima
     changes : of all regions, about the plain model
     """
-    return [_allow_form_error(h, changes) for h in found]
+    first = [_allow_form_error(h, changes) for h in found]
+    near = max((h.log_joint for h in first), default=0.0) - _NEAR
+    return [
+        _allow_form_error(h, changes, anew=True) if a.log_joint > near else a for h, a in zip(found, first, strict=True)
+    ]
 
 
-def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange]) -> Hypothesis:
+def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange], *, anew: bool = False) -> Hypothesis:
+    """One of them; `anew`: with the shapes about its own fit, for about the plain model they are not those of a strong effect."""
     fit = hypothesis.model
     if len(fit.of.chosen) != 1:
         return hypothesis
     mechanism = fit.of.chosen[0].mechanism
     own = [c for c in changes if c.region.stage == mechanism.stage and c.region.depends_on in mechanism.depends_on]
+    if anew:
+        absorbed = find_absorbed(fit)
+        own = [change for c in own if (change := differentiate_region(fit, c.region, absorbed)).seen.any()]
     if not own:
         return hypothesis
     groups, about = Groups.of(fit.of.session), Linearised.of(fit)

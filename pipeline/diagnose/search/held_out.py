@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.diagnose.results import HeldOut, Predicted
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
-from pipeline.diagnose.search.form_functions import WIDTHS, differentiate_region
+from pipeline.diagnose.search.form_functions import WIDTHS, compute_columns
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak
 from pipeline.diagnose.search.posterior import RegionFit
 from pipeline.diagnose.simulation.session import Place, Session
@@ -123,7 +123,7 @@ def predict_by_function(region: RegionFit) -> HeldOut | None:
     """
     plain = region.plain
     session, about = plain.of.session, Linearised.of(plain)
-    columns = differentiate_region(plain, region.region)
+    columns = compute_columns(plain, region.region)
     change, absorbed = columns @ region.weights, find_absorbed(plain)
     change = change - absorbed @ (absorbed.T @ change)
     trace = np.array([float(np.sum(change[p.first : p.stop] ** 2)) for p in session.places])

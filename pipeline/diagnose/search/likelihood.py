@@ -165,7 +165,9 @@ def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: 
     return total, np.sum(share * slope, axis=0), np.sum(share[usual_end:rare_end], axis=0)
 
 
-def find_peak(groups: Groups, of: Linearised, trace: Float, moving: int, *, noise_alone: bool) -> Peak:
+def find_peak(
+    groups: Groups, of: Linearised, trace: Float, moving: int, *, noise_alone: bool, stay: bool = False
+) -> Peak:
     """The optimum of a linearised model under the mixture: least squares with weights that follow from what is left.
 
     Parameters
@@ -174,10 +176,11 @@ def find_peak(groups: Groups, of: Linearised, trace: Float, moving: int, *, nois
     of : the model about a point
     trace, noise_alone : as in `score_groups`
     moving : number of entries, film and rig first, whose steps are bounded
+    stay : whether the point itself is the optimum
     """
     step = np.zeros(of.jacobian.shape[1])
     best = -np.inf, step, np.ones(groups.size.size), np.zeros(groups.size.size)
-    for _ in range(_STEPS):
+    for _ in range(1 if stay else _STEPS):
         residual, beside = of.residual + of.jacobian @ step, of.beside + of.beside_jacobian @ step
         scores, weight, odd = score_groups(groups, residual, trace, noise_alone=noise_alone)
         value = float(scores.sum() - 0.5 * beside @ beside)

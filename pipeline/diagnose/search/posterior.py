@@ -20,7 +20,7 @@ from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
-from pipeline.diagnose.search.regions import STEP, Region
+from pipeline.diagnose.search.regions import Region
 from schemas.arrays import Float
 
 PLAIN, ANYTHING = "plain", "anything"
@@ -37,7 +37,7 @@ _WITHIN = 30.0
 
 @dataclass(frozen=True)
 class RegionFit:
-    """A region at the best values of its weights, to first order about the plain model.
+    """A region at the best values of its weights.
 
     Parameters
     ----------
@@ -45,6 +45,7 @@ class RegionFit:
     weights, covariance : (K,) and (K, K), in the units of the region's shapes
     plain : the plain model that it was computed about
     step : (P,) of the entries of film and rig from there to the optimum with the function
+    width : of the prior of the weights, over `region.width`
     """
 
     region: Region
@@ -52,6 +53,7 @@ class RegionFit:
     covariance: Float
     plain: ExtendedFit
     step: Float
+    width: float
 
     def tell(self) -> tuple[Float, Float]:
         """(M,) the function at the region's values, as a relative change, and its standard deviation."""
@@ -60,19 +62,19 @@ class RegionFit:
 
     def predict(self) -> Float:
         """(N,) features of the session with the function, film and rig at its optimum."""
-        of, x = self.plain.of, self.plain.x
-        return np.asarray(of.predict(x + self.step) + self.compute_change_in(of, x))
+        of, x = self.plain.of, self.plain.x + self.step
+        return of.simulation.predict(of.model, x, of.effect(x) | self.region.weigh(self.weights))
 
     def compute_change_in(self, of: Extended, x: Float) -> Float:
-        """(N,) what it would change in the features of a session, to first order.
+        """(N,) what it would change in the features of a session.
 
         Parameters
         ----------
         of, x : the model over that session, and its entries (P,)
         """
-        base, own, theta = of.predict(x), of.effect(x), x[: of.model.size]
-        changes = [of.simulation.predict(of.model, theta, own | effect) - base for effect in self.region.effects]
-        return np.asarray(self.weights @ np.nan_to_num(np.array(changes)) / STEP)
+        own, theta = of.effect(x), x[: of.model.size]
+        changed = of.simulation.predict(of.model, theta, own | self.region.weigh(self.weights))
+        return np.asarray(np.nan_to_num(changed - of.predict(x)))
 
 
 @dataclass(frozen=True)

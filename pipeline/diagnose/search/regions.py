@@ -12,12 +12,13 @@ Belongs here: which regions there are, and their shapes. How probable they are i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
-from pipeline.diagnose.simulation.effects import Course, Effect, Film, Reading, View, Wave
+from pipeline.diagnose.simulation.effects import Course, Effect, Factor, Film, Reading, View, Wave
 from pipeline.diagnose.simulation.session import Session
 from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float
@@ -83,6 +84,15 @@ class Region:
     def id(self) -> str:
         """Name of the hypothesis in the tables."""
         return f"{self.stage}/{self.covariate}"
+
+    def weigh(self, weights: Float) -> Effect:
+        """The effect with weights (K,) of its shapes, of any size."""
+        return Effect(**{
+            f.name: (weigh(parts, weights),)
+            for f in fields(Effect)
+            if (weigh := _WEIGHING.get(f.name)) is not None
+            and (parts := [part for e in self.effects for part in getattr(e, f.name)])
+        })  # fmt: skip
 
 
 def list_regions(session: Session) -> Iterator[Region]:
@@ -347,3 +357,68 @@ def _bend_reading(power: int) -> Callable[[Reading], Float]:
         return np.asarray(reading.force + STEP * reading.largest_n * (reading.force / reading.largest_n) ** power)
 
     return bent
+
+
+def _add_up(changes: Sequence[Float | Complex | float], weights: Float) -> Float | Complex | float:
+    """Changes by effects of size `STEP`, each times its weight."""
+    return sum((w / STEP * change for w, change in zip(weights.tolist(), changes, strict=True)), 0.0)
+
+
+def _weigh_factors(parts: Sequence[Factor], weights: Float) -> Factor:
+    return lambda view: 1 + _add_up([part(view) - 1 for part in parts], weights)
+
+
+def _weigh_stiffness(parts: Sequence[Callable[[Film, View], Film]], weights: Float) -> Callable[[Film, View], Film]:
+    def stiffer(film: Film, view: View) -> Film:
+        return replace(film, k=film.k + _add_up([part(film, view).k - film.k for part in parts], weights))
+
+    return stiffer
+
+
+def _weigh_clamp(
+    parts: Sequence[Callable[[Complex, Rig, View, Complex], Complex]], weights: Float
+) -> Callable[[Complex, Rig, View, Complex], Complex]:
+    def change(own: Complex, rig: Rig, view: View, k: Complex) -> Complex:
+        return np.asarray(own + _add_up([part(own, rig, view, k) - own for part in parts], weights))
+
+    return change
+
+
+def _weigh_voltage(parts: Sequence[Callable[[Wave], Wave]], weights: Float) -> Callable[[Wave], Wave]:
+    def bend(wave: Wave) -> Wave:
+        more = _add_up([part(wave).film_kv - wave.film_kv for part in parts], weights)
+        return replace(wave, film_kv=np.asarray(wave.film_kv + more))
+
+    return bend
+
+
+def _weigh_drift(
+    parts: Sequence[Callable[[Float, Float, float], Float]], weights: Float
+) -> Callable[[Float, Float, float], Float]:
+    return lambda *at: np.asarray(_add_up([part(*at) for part in parts], weights))
+
+
+def _weigh_tension(parts: Sequence[Callable[[Course], Float]], weights: Float) -> Callable[[Course], Float]:
+    return lambda course: np.asarray(
+        course.tension + _add_up([part(course) - course.tension for part in parts], weights)
+    )
+
+
+def _weigh_reading(parts: Sequence[Callable[[Reading], Float]], weights: Float) -> Callable[[Reading], Float]:
+    return lambda reading: np.asarray(
+        reading.force + _add_up([part(reading) - reading.force for part in parts], weights)
+    )
+
+
+_WEIGHING: dict[str, Callable[[Any, Float], Any]] = {
+    "film": _weigh_stiffness,
+    "clamp": _weigh_clamp,
+    "force": _weigh_factors,
+    "actuation": _weigh_factors,
+    "monitor": _weigh_factors,
+    "film_voltage": _weigh_voltage,
+    "drift": _weigh_drift,
+    "tension": _weigh_tension,
+    "reading": _weigh_reading,
+}
+"""What an effect changes → how several of them, in proportion to their weights, become one."""
