@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -45,3 +46,13 @@ def test_the_end_of_a_sweep_is_read_however_its_amplitude_goes(exponent: float) 
 
 def test_a_sweep_that_ends_in_the_noise_has_no_highest_frequency() -> None:
     assert SEEN + FREQUENCY not in observe_channels(sweep(-1.5, 2e-3))
+
+
+@pytest.mark.parametrize("given", [np.zeros(4000), np.r_[np.zeros(2000), np.nan, np.ones(1999)], np.full(4000, np.nan)])
+def test_an_input_that_does_not_swing_has_none_either(given: np.ndarray) -> None:
+    recording = sweep(0.0, 0.0)
+    channel = recording.channels["displacement"]
+    still = replace(channel, time_ns=channel.time_ns[:4000], values=given)
+    force = replace(recording.channels["force"], time_ns=channel.time_ns[:4000], values=np.zeros(4000))
+    seen = observe_channels(replace(recording, channels={"displacement": still, "force": force}))
+    assert SEEN + FREQUENCY not in seen

@@ -152,6 +152,8 @@ def _find_swings(time_s: Float, values: Float) -> _Swings:
     extremes = np.concatenate([[0], turning, [x.size - 1]]).astype(np.int64) if x.size else np.zeros(0, dtype=np.int64)
     turns = _drop_small_turns(x[extremes], floor)
     places = extremes[turns]
+    if places.size < 2:
+        return _Swings(np.zeros(0), np.zeros(0), floor)
     middle = (x[places[1:]] + x[places[:-1]]) / 2
     near = np.convolve(
         np.pad(middle, _CROSSINGS // 2, mode="edge"), np.full(_CROSSINGS + 1, 1 / (_CROSSINGS + 1)), "valid"
