@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -44,7 +45,19 @@ def _frequency(values: Values, variant: str) -> Effect:
         # A power of jω falls with the frequency by that share per decade and has the phase that causality asks for.
         return view.power_of_jw(power, tau=0.5 / np.pi, lowest_hz=_LOWEST_HZ)
 
-    return Effect(actuation=(slopes,)) if power else Effect()
+    def relaxes(view: View) -> Complex:
+        # Re 1/(1 + jωτ) falls steepest at ωτ = 1: by ln 10 / 2 per decade.
+        turned = 2j * np.pi * view.frequency_hz * values["time_constant_s"]
+        return np.asarray(1 + 2 * values["per_decade"] / np.log(10) / (1 + turned))
+
+    if power == 0:
+        return Effect()
+    return Effect(actuation=(relaxes if variant == "relaxation" else slopes,))
+
+
+def _frequency_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    time = {"time_constant_s": values["time_constant_s"]} if variant == "relaxation" else {}
+    return {"per_decade": values["per_decade"], **time}
 
 
 def _degraded(values: Values, variant: str) -> Effect:
@@ -158,9 +171,14 @@ FREQUENCY_DEPENDENT_PERMITTIVITY = Mechanism(
     id="frequency_dependent_permittivity",
     stage="actuation",
     depends_on=("frequency",),
-    equation="ε (jf/1 Hz)^{−b/ln 10}: falls by b per decade of frequency",
-    source="Curie-von Schweidler law of dielectrics",
-    parameters=(Parameter("per_decade", "1", "fall per decade", 0.002, 0.06, signed=True, least=-0.5, most=0.5),),
+    equation="ε (jf/1 Hz)^{−b/ln 10}: falls by b per decade of frequency; or ε (1 + (2b/ln 10)/(1 + jωτ)): by b per decade at 1/τ",
+    source="Curie-von Schweidler law of dielectrics; Debye relaxation",
+    parameters=(
+        Parameter("per_decade", "1", "fall per decade", 0.002, 0.06, signed=True, least=-0.5, most=0.5),
+        Parameter("time_constant_s", "s", "τ of one relaxation", 3e-3, 30.0, SHAPE),
+    ),
+    variants=("power", "relaxation"),
+    report=_frequency_report,
     shows=ELECTRICAL,
     confusable={
         "drive_lag": "the measured voltage against the command",
