@@ -88,7 +88,7 @@ def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) ->
     """The fit that most recordings agree on, from the plain fit and from the films of single sweeps."""
     found = _reweigh(session, simulation, plain)
     if found[1] > _cost_of_noise(session) and plain.chi2 > RULES.fault.astray * session.size:
-        for start in _fit_sweeps(session, plain.model):
+        for start in _fit_sweeps(session):
             found = min(found, _reweigh(session, simulation, start), key=lambda pair: pair[1])
     chi2, size = sum_by_recording(session, found[0].misfit)
     order = np.argsort(chi2 / np.maximum(size, 1.0))
@@ -140,14 +140,19 @@ def _reweigh(session: Session, simulation: Simulation, start: PlainFit) -> tuple
     return PlainFit(model, x, solution, float(misfit @ misfit), misfit), cost
 
 
-def _fit_sweeps(session: Session, model: BaseModel) -> Sequence[PlainFit]:
-    """Plain fits of single sweeps, carried over to the whole session."""
+def _fit_sweeps(session: Session) -> Sequence[PlainFit]:
+    """Plain fits of single sweeps, carried over to the whole session.
+
+    With all arms that there may be: what is wrong with another recording decides nothing of their number here.
+    """
+    arms = RULES.plain.orders[-1]
+    model = session.base_model(arms)
     numbers = list(dict.fromkeys(p.recording for p in session.places if p.block.kind == CHIRP_RESPONSE))
     found = []
     for number in numbers[:_STARTS]:
         own = session.part([p.recording == number for p in session.places])
         try:
-            alone = fit_from_ladders(own, Simulation(own), own.base_model(model.arms))
+            alone = fit_from_ladders(own, Simulation(own), own.base_model(arms))
         except NotIdentifiableError:
             continue
         theta = model.theta(alone.model.physical(alone.theta).film)

@@ -99,7 +99,9 @@ def _refine(
     """
     session = assemble_session(recordings)
     simulation = Simulation(session)
-    plain = fit_from_ladders(session, simulation, near.model, near)
+    # With all arms that there may be: what the drift has done to the fit decides nothing of their number here.
+    model = session.base_model(RULES.plain.orders[-1])
+    plain = fit_from_ladders(session, simulation, model, near if near.model.names == model.names else None)
     about = simulation.about(plain.model.physical(plain.theta))
     unit = _DRIFT_UNIT if drifting else _DELAY_UNIT
 
