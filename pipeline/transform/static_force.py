@@ -1,10 +1,10 @@
 """Static force of an actuator under voltage, with the drift of its pre-stretch fitted before, during and after at once.
 
-    F(t) = F0 + b log(t + t0) − Σ A_c g(t − on_c, t − off_c)
+    F(t) = F0 + b log(t + t0) + w(t) − Σ A_c g(t − on_c, t − off_c)
     g = 1 − r e^{−(t − on)/τ}   while the voltage is on,      g = r e^{−(t − off)/τ}   after it
 
-A film that was just stretched goes on relaxing (log of time); under voltage most of the force comes at once and a part r slowly. The
-level before alone would book the drift as force: 5 % of it and more. Does not belong here: edges of the voltage, and means of
+A film that was just stretched goes on relaxing (log of time, and what a smooth course of any shape adds to that); under voltage most of
+the force comes at once and a part r slowly. The level before alone would book the drift as force: 5 % of it and more. Does not belong here: edges of the voltage, and means of
 repeats.
 """
 
@@ -16,18 +16,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from schemas.arrays import Float, Int
 from schemas.errors import NotIdentifiableError
 
-_WINDOWS = 60
+_WINDOWS = 30
 """Means into which each part of the record, before, during and after, is taken together: drift and creep are slow."""
 _FEWEST_WINDOWS = 4
 _LEAST_SLOW_S, _SLOW_STARTS, _DRIFT_STARTS = 0.05, 4, 3
 _WORTH = 6.0
-"""Fall of χ², in units of the variance that stays, for which the slow part is taken: the 99 % point of χ² with two degrees is 9.2,
-half-way between that and BIC's for a hundred windows."""
+"""Twice the log likelihood for which the slow part is taken: the 99 % point of χ² with two degrees is 9.2, half-way between that and
+BIC's for a hundred windows."""
+_WANDERS: Float = np.concatenate([[0.0], np.geomspace(1e-2, 1e10, 25)])
+"""Variance of an integrated Wiener process over a record's length, in units of the variance of a window's noise, that is tried."""
+_ROUNDS = 2
+"""Turns of a search given the course's variance and of that given the search."""
 _LARGEST_SLOW, _LONGEST_SLOW = 0.8, 0.5
 """Largest slow part, and its longest time over the shortest time of voltage: what is slower cannot be told from drift."""
 
@@ -81,8 +85,7 @@ def fit_static_force(time: Float, force: Float, cycles: Sequence[tuple[float, fl
     windows = _windows(time, force, cycles, settle_s)
     plain = _fit(windows, cycles, slow=False)
     slow = _fit(windows, cycles, slow=True)
-    scale = max(slow.cost / max(slow.freedom, 1), np.finfo(float).tiny)
-    best = slow if plain.cost - slow.cost > _WORTH * scale else plain
+    best = slow if 2 * (slow.likelihood - plain.likelihood) > _WORTH else plain
     return _result(best, windows, cycles)
 
 
@@ -99,12 +102,17 @@ class _Windows:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Optimum: searched (log t0[, log τ, r]), linear (F0, b, A…), sum of squares of weighted residuals, degrees of freedom."""
+    """Optimum: searched (log t0[, log τ, r]), linear (F0, b, A…), sum of squares of weighted residuals, degrees of freedom.
+
+    whitener : (m, m) that makes windows alike and independent; likelihood : restricted, in logarithm
+    """
 
     searched: Float
     linear: Float
     cost: float
     freedom: int
+    whitener: Float
+    likelihood: float
 
 
 def _windows(time: Float, force: Float, cycles: Sequence[tuple[float, float]], settle_s: float) -> _Windows:
@@ -127,14 +135,18 @@ def _windows(time: Float, force: Float, cycles: Sequence[tuple[float, float]], s
 
 
 def _fit(windows: _Windows, cycles: Sequence[tuple[float, float]], *, slow: bool) -> _Fitted:
-    """The best of several searches over what is not linear."""
-    weight = np.sqrt(windows.count / windows.count.mean())
+    """The best of several searches over what is not linear, then in turn with the variance of the smooth course."""
     shortest = min(off - on for on, off in cycles)
 
-    def solved(x: Float) -> tuple[Float, Float]:
-        design = _design(windows.time, x, windows.start_s, cycles) * weight[:, None]
-        linear = np.linalg.lstsq(design, windows.force * weight, rcond=None)[0]
-        return linear, design @ linear - windows.force * weight
+    def solved(x: Float, whitener: Float) -> tuple[Float, Float]:
+        design = whitener @ _design(windows.time, x, windows.start_s, cycles)
+        linear = np.linalg.lstsq(design, whitener @ windows.force, rcond=None)[0]
+        return linear, design @ linear - whitener @ windows.force
+
+    def search(start: Sequence[float] | Float, whitener: Float) -> OptimizeResult:
+        return least_squares(
+            lambda x: solved(x, whitener)[1], np.clip(start, low, high), bounds=(low, high), x_scale="jac"
+        )
 
     low, high = [math.log(1e-3 * windows.length_s)], [math.log(30 * windows.length_s)]
     starts = [[t] for t in np.linspace(low[0] + 2, high[0] - 1, _DRIFT_STARTS)]
@@ -145,14 +157,69 @@ def _fit(windows: _Windows, cycles: Sequence[tuple[float, float]], *, slow: bool
         )
         times = np.linspace(low[1], high[1], _SLOW_STARTS + 2)[1:-1]
         starts = [[t, tau, 0.1] for (t,) in starts for tau in times]
-    found = [
-        least_squares(lambda x: solved(x)[1], np.clip(start, low, high), bounds=(low, high), x_scale="jac")
-        for start in starts
-    ]
-    best = min(found, key=lambda one: one.cost)
-    linear, residual = solved(best.x)
-    freedom = residual.size - linear.size - best.x.size
-    return _Fitted(best.x, linear, float(residual @ residual), freedom)
+    course = _Course.of(windows)
+
+    def settle(x: Float) -> tuple[Float, float]:
+        """(m, m) whitener for the most likely variance of the course where the search has got to, and the likelihood."""
+        design = _design(windows.time, x, windows.start_s, cycles)
+        likelihood, wander = max((course.measure_likelihood(q, design, windows.force), q) for q in _WANDERS)
+        return course.whiten(wander), likelihood
+
+    # What a slow part may explain, a course that wanders may, too: searched under both.
+    found = []
+    for stiff in (course.whiten(0.0), settle(np.array(starts[0]) if not slow else np.array([*starts[0][:2], 0.0]))[0]):
+        x = min((search(start, stiff) for start in starts), key=lambda one: one.cost).x
+        for _ in range(_ROUNDS):
+            whitener = settle(x)[0]
+            x = search(x, whitener).x
+        found.append((settle(x)[1], x, whitener))
+    likelihood, x, whitener = max(found, key=lambda one: one[0])
+    linear, residual = solved(x, whitener)
+    return _Fitted(
+        searched=x,
+        linear=linear,
+        cost=float(residual @ residual),
+        freedom=residual.size - linear.size - x.size,
+        whitener=whitener,
+        likelihood=likelihood,
+    )
+
+
+@dataclass(frozen=True)
+class _Course:
+    """A smooth course of any shape beside the noise of windows: an integrated Wiener process (Wahba 1978).
+
+    vectors, values : of its covariance, whitened by the noise; weight : (m,) that make windows alike
+    """
+
+    vectors: Float
+    values: Float
+    weight: Float
+
+    @classmethod
+    def of(cls, windows: _Windows) -> _Course:
+        weight = np.sqrt(windows.count / windows.count.mean())
+        t = (windows.time - windows.start_s) / windows.length_s
+        first, last = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
+        covariance = first**2 * (3 * last - first) / 6 * np.outer(weight, weight)
+        values, vectors = np.linalg.eigh(covariance)
+        return cls(vectors, np.maximum(values, 0.0), weight)
+
+    def whiten(self, wander: float) -> Float:
+        """(m, m) that makes windows alike and independent where the course has that variance."""
+        return np.asarray((self.vectors / np.sqrt(1 + wander * self.values)).T * self.weight)
+
+    def measure_likelihood(self, wander: float, design: Float, force: Float) -> float:
+        """Logarithm of the restricted likelihood (Patterson and Thompson 1971), with the noise at its best."""
+        white = self.whiten(wander)
+        q, r = np.linalg.qr(white @ design)
+        y = white @ force
+        left = y - q @ (q.T @ y)
+        freedom = y.size - r.shape[0]
+        spread = float(np.sum(np.log(1 + wander * self.values)))
+        known = float(np.sum(np.log(np.maximum(np.abs(np.diag(r)), np.finfo(float).tiny))))
+        noise = max(float(left @ left) / freedom, np.finfo(float).tiny)
+        return -0.5 * (freedom * math.log(noise) + spread) - known
 
 
 def _design(time: Float, searched: Float, start_s: float, cycles: Sequence[tuple[float, float]]) -> Float:
@@ -173,10 +240,9 @@ def _result(fit: _Fitted, windows: _Windows, cycles: Sequence[tuple[float, float
     """Forces with their covariance over all parameters: what drift and slow part leave open belongs to it."""
     size, count = fit.searched.size, len(cycles)
     everything = np.concatenate([fit.searched, fit.linear])
-    weight = np.sqrt(windows.count / windows.count.mean())
 
     def modelled(x: Float) -> Float:
-        return np.asarray(_design(windows.time, x[:size], windows.start_s, cycles) @ x[size:] * weight)
+        return np.asarray(fit.whitener @ (_design(windows.time, x[:size], windows.start_s, cycles) @ x[size:]))
 
     steps = 1e-5 * np.maximum(np.abs(everything), 1e-3)
     columns = [
