@@ -141,7 +141,7 @@ def _fit(windows: _Windows, cycles: Sequence[tuple[float, float]], *, slow: bool
     def solved(x: Float, whitener: Float) -> tuple[Float, Float]:
         design = whitener @ _design(windows.time, x, windows.start_s, cycles)
         linear = np.linalg.lstsq(design, whitener @ windows.force, rcond=None)[0]
-        return linear, design @ linear - whitener @ windows.force
+        return np.asarray(linear), np.asarray(design @ linear - whitener @ windows.force)
 
     def search(start: Sequence[float] | Float, whitener: Float) -> OptimizeResult:
         return least_squares(
@@ -219,7 +219,7 @@ class _Course:
         spread = float(np.sum(np.log(1 + wander * self.values)))
         known = float(np.sum(np.log(np.maximum(np.abs(np.diag(r)), np.finfo(float).tiny))))
         noise = max(float(left @ left) / freedom, np.finfo(float).tiny)
-        return -0.5 * (freedom * math.log(noise) + spread) - known
+        return float(-0.5 * (freedom * math.log(noise) + spread) - known)
 
 
 def _design(time: Float, searched: Float, start_s: float, cycles: Sequence[tuple[float, float]]) -> Float:

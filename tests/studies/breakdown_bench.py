@@ -41,8 +41,8 @@ class _Batch:
     """(m,) instants about the ending, (m, B) voltage and current of the supply, and by name what was drawn, (B,) each."""
 
     time: Float
-    voltage: Float
-    current: Float
+    voltage: NDArray[np.float32]
+    current: NDArray[np.float32]
     drawn: dict[str, Float]
 
 
@@ -126,7 +126,7 @@ def _integrate(family: str, batch: int) -> _Batch:
         v = np.where(given == asked, held, (v + STEP_S / farad * given) / (1 + STEP_S / farad * g))
         if i % KEPT == 0:
             kept_v[i // KEPT], kept_i[i // KEPT] = v, given - v / bleed
-    time = np.arange(kept_v.shape[0]) * STEP_S * KEPT - BEFORE_S
+    time: Float = np.arange(float(kept_v.shape[0])) * STEP_S * KEPT - BEFORE_S
     drawn = {
         "kv": kv,
         "limit": limit,
@@ -150,7 +150,7 @@ def _record(batch: _Batch, number: int, rng: np.random.Generator, family: str) -
     time = np.arange(0.0, end + seconds, 1 / rate) + rng.uniform(0, 1 / rate)
     time = time[time < end + seconds]
 
-    def look(values: Float, before: float) -> Float:
+    def look(values: NDArray[np.float32], before: float) -> Float:
         """A quantity at the record's instants: rises with the voltage, is as usual, and ends as integrated."""
         found = np.interp(time - end, batch.time, values[:, number])
         early = time - end < batch.time[0]
