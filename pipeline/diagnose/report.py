@@ -39,7 +39,8 @@ from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
-from schemas.mechanisms import UNLISTED
+from schemas.mechanisms import UNLISTED, plain_name
+from schemas.numbers import percent
 
 NORMAL_95 = 1.96
 """Half width of a 95 % interval of the normal distribution, in standard deviations."""
@@ -342,11 +343,29 @@ def _describe_patterns(evidence: Evidence) -> list[str]:
     found += [
         f"Most probable without a name: {h.region.region.text}." for h in evidence.credible[:1] if h.region is not None
     ]
+    found += _describe_closest(evidence)
     by_variable = sorted(left.variable_p.items(), key=lambda item: item[1])
     depends = [name_variable(name) for name, p in by_variable if p < told]
     if depends:
         found.append(f"What stays depends on {', '.join(depends)}.")
     return found
+
+
+def _describe_closest(evidence: Evidence) -> list[str]:
+    """The listed cause that takes most of the misfit away, where that is most of it: its form may be another than the formula's."""
+    listed = () if evidence.posterior is None else evidence.posterior.listed
+    if not listed:
+        return []
+    best, of = listed[0], evidence.noise_fit.of
+    before, after = (fit.of.compute_data_residual(fit.x) for fit in (evidence.noise_fit, best.model))
+    beyond = float(before @ before) - of.session.size
+    share = 1 - max(float(after @ after) - of.session.size, 0.0) / max(beyond, 1.0)
+    if share < RULES.verdict.closest:
+        return []
+    names = " with ".join(plain_name(id) for id in best.causes)
+    return [
+        f"Of the listed causes {names} comes closest: it takes {percent(share, 4)} of the misfit away, in another form perhaps all."
+    ]
 
 
 def _describe_doubt(evidence: Evidence) -> list[str]:

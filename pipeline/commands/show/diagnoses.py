@@ -107,7 +107,7 @@ def _state_verdict(row: Row) -> str:
     if verdict == "ambiguous":
         return f"{text}; these recordings cannot tell which (ambiguous)."
     if verdict == "unknown":
-        return f"the simulation is wrong, {p_equals(row['p_value'])}, and no listed cause explains it (unknown)."
+        return f"the simulation is wrong, {p_equals(row['p_value'])}, and no listed cause explains all of it (unknown)."
     return f"the simulation is right within the noise, {p_equals(row['p_value'])} (none)."
 
 

@@ -79,7 +79,7 @@ def _heading(d: Record, standing: Standing) -> str:
     return {
         "named": f"Diagnosis: {what_is_wrong(standing)}",
         "ambiguous": "Diagnosis: more than one cause explains the misfit",
-        "unknown": "Diagnosis: the simulation is wrong, and no listed cause explains it",
+        "unknown": "Diagnosis: the simulation is wrong, and no listed cause explains all of it",
     }.get(d["verdict"], "Diagnosis: the simulation is right within the noise")
 
 

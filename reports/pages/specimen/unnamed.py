@@ -38,5 +38,5 @@ def blocks(draft: Draft, d: Record) -> list[Block]:
         for r in told
     )  # fmt: skip
     title = f"Without a name: what the stage “{first['stage']}” does over {covariate}"
-    note = "the most probable function of no listed cause, to first order about the plain model"
+    note = "the most probable function of no listed cause"
     return [Table(title, heads, rows, query.shown(), note)]
