@@ -73,8 +73,9 @@ class _Tried:
         found = {}
         for key, here in value.items():
             of = np.array([d[key] for d in drawn])
-            low, high = np.quantile(of, [0.05, 0.95])
-            found[key] = Estimate(here, float((high - low) / (2 * _NORMAL_90)), float(low), float(high))
+            low, high = (float(q) for q in np.quantile(of, [0.05, 0.95]))
+            # The best value may lie at the edge of a bent valley, away from most of it.
+            found[key] = Estimate(here, (high - low) / (2 * _NORMAL_90), min(low, here), max(high, here))
         return found
 
     def predict_unloading(self, unloading: Bool, plain: _Tried) -> TriedModel:
@@ -159,9 +160,12 @@ def _draw_open_parameters(fit: Fitted, rng: np.random.Generator) -> Float:
         return np.tile(fit.x, (_DRAWS, 1))
     n, size = fit.residual.size, fit.x.size
     variance = float(fit.residual @ fit.residual) / max(n - size, 1) * _measure_memory(fit.residual)
-    covariance = np.linalg.inv(fit.jacobian.T @ fit.jacobian / variance + np.eye(size) / _OPEN**2)
+    values, vectors = np.linalg.eigh(fit.jacobian.T @ fit.jacobian / variance)
+    # What the data do not hold may come out slightly negative beside what they hold 16 digits better.
+    root = vectors / np.sqrt(np.maximum(values, 0.0) + 1 / _OPEN**2)
+    upper = np.linalg.qr(root.T, mode="r")
     z = rng.standard_normal((_TRIALS, size))
-    x = np.clip(fit.x + _WIDER * z @ np.linalg.cholesky(covariance).T, *fit.model.limits)
+    x = np.clip(fit.x + _WIDER * z @ (np.sign(np.diag(upper))[:, None] * upper), *fit.model.limits)
     fits = np.array([fit.misfit(one) for one in x])
     log_weight = -0.5 * (fits / variance + np.sum((x - fit.x) ** 2, axis=1) / _OPEN**2 - np.sum(z**2, axis=1))
     weight = np.exp(log_weight - np.nanmax(log_weight))
