@@ -15,7 +15,7 @@ from pipeline.lab.checks import find_damage
 from pipeline.nightly.night import nightly
 from schemas.errors import LabError
 from tests.faults.lab_state import content, healthy, left_over
-from tests.helpers.small_lab import life
+from tests.helpers.small_lab import make_lab_of_one_life
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -26,13 +26,7 @@ HEADERS, BLOCK = 3 * 4096, 256 << 10
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A raw folder and the lab of a night over it."""
-    folder = tmp_path_factory.mktemp("damaged")
-    raw, lab = folder / "raw", Lab(folder / "lab")
-    raw.mkdir()
-    life(raw / "L-1.mcap", 1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
-        assert nightly([raw], lab, jobs=0).exit_status == 0
+    raw, lab = make_lab_of_one_life(tmp_path_factory.mktemp("damaged"))
     return raw, lab.folder
 
 

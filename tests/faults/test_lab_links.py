@@ -17,7 +17,7 @@ from pipeline.lab.retention import Rule, prune
 from pipeline.nightly.night import nightly
 from schemas.errors import LabError
 from tests.faults.lab_state import content, healthy, left_over, samples, select
-from tests.helpers.small_lab import life
+from tests.helpers.small_lab import life, make_lab_of_one_life
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
@@ -40,14 +40,7 @@ PLACES = (
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Lab]:
-    folder = tmp_path_factory.mktemp("links")
-    raw, lab = folder / "raw", Lab(folder / "lab")
-    raw.mkdir()
-    life(raw / "L-1.mcap", 1)
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
-        assert nightly([raw], lab, jobs=0).exit_status == 0
-    return raw, lab
+    return make_lab_of_one_life(tmp_path_factory.mktemp("links"))
 
 
 @pytest.fixture(autouse=True)

@@ -9,9 +9,12 @@ from typing import Any
 
 import duckdb
 import numpy as np
+import pytest
 
+import pipeline.nightly.night
 from ingest.mcap_writer import RecordingWriter
 from pipeline import Lab
+from pipeline.nightly.night import nightly
 from schemas.tables import TABLES
 
 START = datetime(2026, 3, 1, 8, 0, tzinfo=UTC)
@@ -35,6 +38,17 @@ def small_campaign(raw: Path, *, chirps: int = 2, lives: int = 4) -> Path:
     for number in range(lives):
         life(raw / f"L-{number}.mcap", number)
     return raw
+
+
+def make_lab_of_one_life(folder: Path) -> tuple[Path, Lab]:
+    """A raw folder with one recording, and the lab of a night over it that wrote no report."""
+    raw, lab = folder / "raw", Lab(folder / "lab")
+    raw.mkdir()
+    life(raw / "L-1.mcap", 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline.nightly.night, "_write_report", lambda *_: None)
+        assert nightly([raw], lab, jobs=0).exit_status == 0
+    return raw, lab
 
 
 def copy_night(raw: Path, lab: Path, folder: Path) -> tuple[Path, Lab]:

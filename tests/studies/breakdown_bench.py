@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.studies.breakdown_records import Drawn
+
 Float = NDArray[np.float64]
 COLLAPSES = ("abrupt_short", "limited_hunting", "discharge_into_arc", "repeated_clearing", "creeping_leakage")
 SURVIVALS = ("switched_off", "tripped", "sagged", "cleared_and_lived", "monitor_off")
@@ -24,16 +26,6 @@ BATCH = 250
 BEFORE_S, AFTER_S, STEP_S, KEPT = 8.0, 6.0, 4e-4, 3
 """What is integrated before and after an ending, in which steps, and each how many-th of them is kept."""
 RATES = (5.0, 10.0, 50.0, 100.0, 250.0, 1000.0)
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A record with the truth about it. `channels`: name → (unit, (n,) values) at `time_s` (n,) in s."""
-
-    time_s: Float
-    channels: dict[str, tuple[str, Float]]
-    metadata: dict[str, Any]
-    truth: dict[str, Any]
 
 
 @dataclass(frozen=True)

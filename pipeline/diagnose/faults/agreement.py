@@ -16,6 +16,7 @@ from pipeline.diagnose.features.kinds import CHIRP_RESPONSE, REST_HUM
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import (
     PlainFit,
+    carry_entries,
     compute_residuals,
     fit_from_ladders,
     fit_plain,
@@ -156,10 +157,7 @@ def _fit_sweeps(session: Session) -> Sequence[PlainFit]:
         except NotIdentifiableError:
             continue
         theta = model.theta(alone.model.physical(alone.theta).film)
-        for i, name in enumerate(alone.model.names):
-            place = model.index(name)
-            if place is not None:
-                theta[place] = alone.theta[i]
+        carry_entries(alone, model, theta)
         found.append(PlainFit(model, theta, alone.solution, np.inf, np.zeros(session.size)))
     return found
 

@@ -188,10 +188,9 @@ def find_shared(
     recordings: Sequence[RecordingFeatures], fitted: Fitted
 ) -> tuple[list[RecordingFeatures], Fitted, list[Fault]]:
     """What is wrong with all recordings that their plain fit shows beside the rig's file: a clock that drifts, sizes."""
-    _, _, plain = fitted
     found: list[Fault] = []
     put_right = list(recordings)
-    drifting = find_drift(put_right, fitted) if _is_off(plain) else None
+    drifting = find_drift(put_right, fitted) if _is_off(fitted[2]) else None
     if drifting is not None:
         put_right, fitted, fault = drifting
         found.append(fault)

@@ -96,10 +96,7 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
     if found.model.is_widened:
         model = model.widened
     start = _make_theta(session, model, found.model.physical(found.theta).film)
-    for i, name in enumerate(found.model.names):
-        place = model.index(name)
-        if place is not None:
-            start[place] = found.theta[i]
+    carry_entries(found, model, start)
     model = _choose_creep(session, simulation, model, start)
     starts = [start, *_place_idle_arms(session, model, start)]
     found = min((refit_plain(session, simulation, model, s) for s in starts), key=lambda f: f.chi2)
@@ -120,8 +117,7 @@ def _add_arms_that_suffice(session: Session, simulation: Simulation, found: Plai
     for arms in range(found.model.arms + 1, RULES.plain.orders[-1] + 1):
         if best.chi2 < enough:
             break
-        model = replace(session.base_model(arms), sensing_creep=found.model.sensing_creep)
-        model = model.widened if found.model.is_widened else model
+        model = _make_model_like(session, found.model, arms)
         times = np.geomspace(*_bound_arm_times(session, estimate_stiffness(session)[0]), _PLACES)
         best = min(
             (refit_plain(session, simulation, model, _add_arm(model, best, float(tau))) for tau in times),
@@ -141,13 +137,26 @@ def add_arm(
     """
     if model.arms >= RULES.plain.orders[-1]:
         return None
-    more = replace(session.base_model(model.arms + 1), sensing_creep=model.sensing_creep)
-    more = more.widened if model.is_widened else more
+    more = _make_model_like(session, model, model.arms + 1)
     film = model.physical(theta).film
     arms = sorted([*zip(film.tau, film.k, strict=True), (time_s, ratio * film.k0)], reverse=True)
     start = more.theta(RelaxationModel(film.k0, tuple(k for _, k in arms), tuple(t for t, _ in arms), 0.0))
     start[more.film.stop :] = theta[model.film.stop :]
     return refit_plain(session, simulation, more, start)
+
+
+def _make_model_like(session: Session, model: BaseModel, arms: int) -> BaseModel:
+    """A plain model that is as free as another, with so many arms."""
+    own = replace(session.base_model(arms), sensing_creep=model.sensing_creep)
+    return own.widened if model.is_widened else own
+
+
+def carry_entries(found: PlainFit, model: BaseModel, theta: Float) -> None:
+    """Writes what a fit says of a model's entries (P,) of the same names into them."""
+    for i, name in enumerate(found.model.names):
+        place = model.index(name)
+        if place is not None:
+            theta[place] = found.theta[i]
 
 
 def _place_idle_arms(session: Session, model: BaseModel, start: Float) -> list[Float]:

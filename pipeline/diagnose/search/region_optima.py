@@ -123,6 +123,13 @@ class _RegionSearch:
     def _of(self) -> Extended:
         return self.start.plain.of
 
+    @property
+    def _limits(self) -> tuple[Float, Float]:
+        """Least and largest u."""
+        free = np.ones(int(self.free.sum()))
+        low, high = self._of.limits
+        return np.concatenate([low, _FAR[0] * free]), np.concatenate([high, _FAR[1] * free])
+
     def split(self, u: Float) -> tuple[Float, Float]:
         """Entries of film and rig (P,), weights (K,)."""
         size, weights = self._of.model.size, np.zeros(self.scale.size)
@@ -151,10 +158,7 @@ class _RegionSearch:
             data = [np.concatenate([weight * self.compute_left(x), self.compute_beside(x)]) for x in several]
             return np.array(data)
 
-        low, high = (
-            np.concatenate([b, np.full(u.size - b.size, far)]) for b, far in zip(self._of.limits, _FAR, strict=True)
-        )
-        return minimise(residuals, u, low, high, most=most).x
+        return minimise(residuals, u, *self._limits, most=most).x
 
     def trace(self, u: Float) -> Float:
         """(G,) mean square of what the function changes."""
@@ -176,12 +180,9 @@ class _RegionSearch:
     def weigh(self, u: Float) -> tuple[float, Peak]:
         """Log evidence over all widths of the prior at an optimum, and the peak at that of the start."""
         size = self._of.model.size
-        low, high = (
-            np.concatenate([b, np.full(u.size - b.size, far)]) for b, far in zip(self._of.limits, _FAR, strict=True)
-        )
-        jacobian = central(lambda several: np.array([self.compute_left(x) for x in several]), u, low, high)
+        jacobian = central(lambda several: np.array([self.compute_left(x) for x in several]), u, *self._limits)
         left, trace, evidence, peaks = self.compute_left(u), self.trace(u), [], []
-        known = central(lambda several: np.array([self.compute_beside(x) for x in several]), u, low, high)
+        known = central(lambda several: np.array([self.compute_beside(x) for x in several]), u, *self._limits)
         for width in WIDTHS:
             share = width / self.start.width
             columns, beside = jacobian.copy(), self.compute_beside(u)
