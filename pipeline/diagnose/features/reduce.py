@@ -91,7 +91,8 @@ def reduce(recording: Recording) -> RecordingFeatures:
 
 def _values(recording: Recording) -> dict[str, float]:
     metadata = recording.metadata
-    values = {"strain_length_mm": strain_length_mm(recording)}
+    # A calibration has no film, and what its file says of one is left out or a dummy.
+    values = {} if metadata.loading == CALIBRATION else {"strain_length_mm": strain_length_mm(recording)}
     if metadata.rest_before_s is not None:
         values["rest_before_s"] = metadata.rest_before_s
     if recording.rig.load_cell_range_n is not None:

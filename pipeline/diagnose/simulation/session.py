@@ -281,7 +281,7 @@ def make_session(
         voltage_kv=max((r.values.get("largest_voltage_kv", 0.0) for r in ordered), default=0.0),
         exposure_kv2_s=sum(r.values.get("exposure_kv2_s", 0.0) for r in ordered),
         duration_s=float(start[-1] + ordered[-1].duration_s),
-        length_mm=ordered[0].values.get("strain_length_mm", 1.0),
+        length_mm=next((r.values["strain_length_mm"] for r in ordered if "strain_length_mm" in r.values), 1.0),
     )
     return Session(
         specimen_id=specimens[0],
