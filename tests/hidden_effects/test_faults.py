@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from datetime import timedelta
 from functools import lru_cache
 
 import pytest
@@ -10,6 +12,7 @@ from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.faults.find import Checked, check_recordings
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.simulation.session import make_session as join_features
 from schemas.recording import Recording
 from tests.helpers.everyday_faults import EDITS, mix_in
 from tests.helpers.truth_rig import KINDS, compact_session, make_session
@@ -159,6 +162,14 @@ def test_a_tap_tells_of_a_wrong_file_where_the_responses_are_too_few() -> None:
     assert set(fault.recordings) == {f.recording_id for f in (*few, tap)}
     proposed = {c.key: float(c.value_now) / float(c.value_proposed) for c in fault.corrections}
     assert proposed == pytest.approx({"rig.clamp_mass_kg": 10.0, "rig.load_cell_stiffness_n_per_mm": 0.1}, rel=1e-3)
+
+
+def test_a_tap_before_all_else_says_nothing_of_the_films_length() -> None:
+    """The film is not in the clamps yet: a length that no file states made all tensions a hundred times too small."""
+    tap = _tap(None)
+    first = replace(tap, started_at=min(f.started_at for f in sound()) - timedelta(hours=1))
+    assert "strain_length_mm" not in tap.values
+    assert join_features([first, *sound()]).scale.length_mm == join_features(sound()).scale.length_mm > 1
 
 
 def test_a_tap_on_something_else_is_told_where_the_tests_agree_with_the_file() -> None:
