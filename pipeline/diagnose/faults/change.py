@@ -21,12 +21,12 @@ from schemas.protocols import ELECTRICAL
 
 _FEWEST = 2
 """Recordings before and after a change at least: what one recording shows is a fault of its own."""
-_LEAST = 0.03
-"""Logarithm of a change below which it is not looked for."""
-_LARGEST = 2.0
-"""Logarithm of the largest change that is searched."""
 _FLOOR = 0.005
 """Scatter of the logarithm of a recording's scale that is always allowed for."""
+_LEAST = 2 * _FLOOR
+"""Logarithm of a change below which it is not looked for: twice the scatter that is always allowed for."""
+_LARGEST = 2.0
+"""Logarithm of the largest change that is searched."""
 
 
 def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: float) -> Fault | None:
@@ -53,7 +53,8 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
         ids.SPECIMEN_CHANGED,
         tuple(r.recording_id for r in session.recordings[first:]),
         float(1 / (1 + np.exp(-min(odds, 50.0)))),
-        f"from {session.recordings[first].recording_id} on the film pulls {significant(np.exp(change), 3)} times as strongly as before",
+        f"from {session.recordings[first].recording_id} on the film pulls {significant(np.exp(change), 3)} times as strongly "
+        "as before, or its force is read so much larger",
         left_per_value=left,
     )
 
