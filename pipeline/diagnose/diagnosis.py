@@ -24,6 +24,7 @@ from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, order_causes, settle_outliers
 from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
 from pipeline.diagnose.search.held_out import predict_by_function, predict_left_out
+from pipeline.diagnose.search.named_regions import name_regions
 from pipeline.diagnose.search.patterns import test_patterns
 from pipeline.diagnose.search.plain_fit import PlainFit, add_arm
 from pipeline.diagnose.search.posterior import (
@@ -140,6 +141,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
     unnamed = differentiate_regions(agreed.model)
     hypotheses = allow_form_errors(hypotheses, unnamed)
     regions = settle_regions(weigh_regions(agreed.model, unnamed), [noise, agreed, *hypotheses], plain)
+    hypotheses, regions = name_regions(hypotheses, regions, agreed.model)
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     if noise in posterior.find_set(RULES.verdict.credible):
         # Its noise is what the session makes most of: the level for noise that is known less well, where nothing is more probable.
