@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen
 from pipeline.diagnose.simulation.effects import NONE
+from pipeline.diagnose.simulation.effects import Film as EffectFilm
+from pipeline.diagnose.simulation.families import state_view
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.diagnose.simulation.sweeps import SweepFamily
@@ -137,3 +140,37 @@ def test_drag_is_that_of_the_speed_which_it_leaves() -> None:
     expected = omega * ratio * 2 / alone * speed**growth
     assert (dragged.dynamic - plain.dynamic).imag == pytest.approx(expected, rel=1e-5, abs=1e-12)
     assert expected.max() > 0.01
+
+
+def test_cycles_of_a_session_are_counted() -> None:
+    """As often as the displacement goes from one side to the other and back; by their strain, as far."""
+    truth = true_session(SESSION, (*SWEEPS, *CYCLES), ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    turned = []
+    for recording in truth.recordings:
+        x = recording.channels["displacement"].values
+        side = np.sign(x)[np.abs(x) > 0.3 * np.abs(x).max()]
+        turned.append(np.count_nonzero(np.diff(side)) / 2)
+    assert session.scale.cycles == pytest.approx(sum(turned), rel=0.2)
+    before = [session.states.cycles_before[session.states.recording == i][0] for i in range(len(turned))]
+    assert before == pytest.approx(np.concatenate([[0.0], np.cumsum(turned)[:-1]]), rel=0.2)
+    assert session.scale.path == pytest.approx(float(np.dot(turned, [0.003, 0.025, 0.01, 0.06])), rel=0.2)
+
+
+def test_softening_with_the_logarithm_of_the_cycles_ends_at_its_loss() -> None:
+    """Nothing is lost before the first cycle, all of it after the last one, and voltage alone wears nothing."""
+    truth = true_session(SESSION, (*SWEEPS, *CYCLES), ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    values = {"loss": 0.2, "cycles": 3.0, "strain_scale": 1.0, "rejoining": 0.0}
+    (worn,) = compose_chosen((Chosen("cyclic_softening", "logarithmic"),), (values,)).film
+    whole = 0.5 * session.scale.cycles + 0.5 * session.scale.path / session.scale.strain
+    view = state_view(session, np.array([0]), np.array([[1.0]]), "sweep")
+
+    def left(done: float, test: str) -> float:
+        state = replace(view, test=test, elapsed=np.zeros((1, 1)), cycles_before=2 * done, path_before=0.0)
+        return float(np.real(worn(EffectFilm(np.ones((1, 1), dtype=complex)), state).k[0, 0]))
+
+    assert left(0.0, "sweep") == pytest.approx(1.0)
+    assert left(whole, "sweep") == pytest.approx(0.8)
+    assert left(whole, "step") == pytest.approx(0.8)
+    assert 0.8 < left(whole / 10, "cyclic") < 0.95

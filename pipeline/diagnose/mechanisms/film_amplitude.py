@@ -63,7 +63,29 @@ def _soft_report(values: Values, variant: str, context: Context) -> Mapping[str,
     }
 
 
+_LOGARITHMIC = "logarithmic"
+_TESTS = ("sweep", "cyclic", "ramp")
+"""Tests that move the film."""
+
+
+def _wear(values: Values) -> Effect:
+    """Loss with the logarithm of all cycles so far, each counted by its strain or not."""
+    loss, first, by_strain = values["loss"], values["cycles"], values["strain_scale"] / (1 + values["strain_scale"])
+
+    def worn(film: Film, view: View) -> Film:
+        largest = max(view.scale.strain, 1e-12)
+        own = view.elapsed if view.test in _TESTS else np.zeros((1, 1))
+        path = view.path_before + own * view.strain
+        done = (1 - by_strain) * (view.cycles_before + own) + by_strain * path / largest
+        whole = (1 - by_strain) * view.scale.cycles + by_strain * view.scale.path / largest
+        return Film(film.k * (1 - loss * np.log1p(done / first) / np.log1p(max(whole, 1e-9) / first)), film.share)
+
+    return Effect(film=(worn,)) if loss else Effect()
+
+
 def _damage(values: Values, variant: str) -> Effect:
+    if variant == _LOGARITHMIC:
+        return _wear(values)
     loss, cycles, scale, rejoined = values["loss"], values["cycles"], values["strain_scale"], values["rejoining"]
 
     def target(strain: Float, largest: float) -> Float:
@@ -99,6 +121,8 @@ def _passed(course: Course, largest: Float) -> Float:
 
 
 def _damage_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
+    if variant == _LOGARITHMIC:
+        return {"loss": values["loss"], "cycles": values["cycles"], "form": variant}
     return {
         "loss": values["loss"],
         "cycles": values["cycles"],
@@ -184,8 +208,10 @@ CYCLIC_SOFTENING = Mechanism(
     id="cyclic_softening",
     stage="film",
     depends_on=("largest_strain", "cycle"),
-    equation="k (1 − D (1 − r (e/A)²)), D → d (1 − e^{−A_max/a}) as 1 − e^{−n/n0}, A_max the largest strain so far, A of all",
-    source="Mullins effect with a damage variable that vanishes towards the largest strain, Ogden and Roxburgh 1999",
+    equation="k (1 − D (1 − r (e/A)²)), D → d (1 − e^{−A_max/a}) as 1 − e^{−n/n0}, A_max the largest strain so far, A of all; "
+    "or D = d ln(1 + n/n0)/ln(1 + N/n0), n all cycles so far, N of the session",
+    source="Mullins effect with a damage variable that vanishes towards the largest strain, Ogden and Roxburgh 1999; "
+    "softening with the logarithm of the number of cycles, Mars and Fatemi 2004",
     parameters=(
         Parameter("loss", "1", "loss after the session's largest strain", 0.005, 0.25, most=0.95),
         Parameter("cycles", "1", "n0", 0.5, 30.0, SHAPE),
@@ -209,6 +235,7 @@ CYCLIC_SOFTENING = Mechanism(
         "thermal_softening": "that follows time, not strain: repeat the first sweep in the end",
     },
     effect=_damage,
+    variants=("", _LOGARITHMIC),
     report=_damage_report,
 )
 

@@ -17,13 +17,16 @@ from schemas.arrays import Complex, Float, Int
 
 @dataclass(frozen=True)
 class Scale:
-    """What the whole session has: largest strain amplitude, largest voltage kV, exposure kV² s, duration s, length mm."""
+    """What the whole session has: largest strain amplitude, largest voltage kV, exposure kV² s, duration s, length mm, mechanical
+    cycles, and their sum with the strain amplitude of each."""
 
     strain: float
     voltage_kv: float
     exposure_kv2_s: float
     duration_s: float
     length_mm: float
+    cycles: float = 0.0
+    path: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +45,7 @@ class View:
     temperature_k : measured temperature less that of the first recording with one, NaN where not recorded;
         `first_temperature_s`: session's time when that began, NaN where none has one
     rest_force_n : tension before the recording, NaN where not known
+    cycles_before, path_before : mechanical cycles of the recordings before this one, and their sum with the strain amplitude of each
     k0 : N/mm, main spring of the plain film, (B, 1, 1) of several at once
     test : `sweep`, `cyclic`, `ramp`, `step` (of voltage) or `multisine`
     few : whether the frequencies are few nodes, which carry a resonance about as wide as one that is known and no narrower one
@@ -63,6 +67,8 @@ class View:
     rest_force_n: Float
     scale: Scale
     test: str
+    cycles_before: float | Float = 0.0
+    path_before: float | Float = 0.0
     k0: float | Float = 1.0
     few: bool = False
 

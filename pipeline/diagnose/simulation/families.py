@@ -178,6 +178,8 @@ def state_view(session: Session, number: Int, frequency: Float, test: str, *, st
         rest_force_n=column(states.rest_force_n),
         scale=session.scale,
         test=test,
+        cycles_before=column(states.cycles_before),
+        path_before=column(states.path_before),
     )
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.diagnose.features.kinds import (
     AMPLIFIER,
+    CHIRP_RESPONSE,
     CYCLIC_CAPACITANCE,
     EXTRA_MASS,
     SPHS_CAPACITANCE,
@@ -38,6 +39,7 @@ from pipeline.physics.rig import RigPrior, rig_prior
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
+from schemas.protocols import MECHANICAL
 
 _TIMES_BEYOND = 30.0
 """How far beyond both ends of what tests show the time of an arm is searched."""
@@ -74,6 +76,8 @@ class States:
     temperature_k: Float
     first_temperature_s: Float
     rest_force_n: Float
+    cycles_before: Float
+    path_before: Float
 
     @property
     def size(self) -> int:
@@ -276,11 +280,14 @@ def make_session(
         )
     start = np.array([(r.started_at - ordered[0].started_at).total_seconds() for r in ordered])
     states, places = _states(ordered, number, start)
+    cycles = [_count_cycles(r) for r in ordered]
     total = Scale(
         strain=max((r.values.get("largest_strain", 0.0) for r in ordered), default=0.0),
         voltage_kv=max((r.values.get("largest_voltage_kv", 0.0) for r in ordered), default=0.0),
         exposure_kv2_s=sum(r.values.get("exposure_kv2_s", 0.0) for r in ordered),
         duration_s=float(start[-1] + ordered[-1].duration_s),
+        cycles=sum(cycles),
+        path=sum(n * r.values.get("largest_strain", 0.0) for n, r in zip(cycles, ordered, strict=True)),
         length_mm=next((r.values["strain_length_mm"] for r in ordered if "strain_length_mm" in r.values), 1.0),
     )
     return Session(
@@ -303,11 +310,28 @@ def _mechanics(rig: RigConstants) -> RigConstants:
     return replace(rig, load_cell_range_n=None, load_cell_range_n_sd=None, noise_sd={}, extra={})
 
 
+def _count_cycles(recording: RecordingFeatures) -> float:
+    """Mechanical cycles of a recording: of its sweeps by their frequency over time, of others as they are numbered."""
+    if recording.loading != MECHANICAL:
+        return 0.0
+    total = 0.0
+    for block in recording.blocks:
+        if block.kind == CHIRP_RESPONSE:
+            n = block.size // 2
+            order = np.argsort(block.time_s[:n])
+            total += float(np.trapezoid(block.support["profile_hz"][order], block.time_s[:n][order]))
+    if total:
+        return total
+    numbers = [float(np.nanmax(b.cycle)) for b in recording.blocks if np.isfinite(b.cycle).any()]
+    return max(numbers, default=1.0)
+
+
 def _states(ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Float) -> tuple[States, list[Place]]:
     """States of all blocks and the blocks' places. Blocks of one recording and one cycle share their state."""
     rows: list[dict[str, float]] = []
     places: list[Place] = []
     largest, exposed, at = 0.0, 0.0, 0
+    cycles, path = 0.0, 0.0
     first_temperature, since = next(
         ((r.values["temperature_degc"], start[i]) for i, r in enumerate(ordered) if "temperature_degc" in r.values),
         (np.nan, np.nan),
@@ -339,10 +363,14 @@ def _states(ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Fl
                         "temperature_k": r.values.get("temperature_degc", np.nan) - first_temperature,
                         "first_temperature_s": since,
                         "rest_force_n": r.values.get("rest_force_n", np.nan),
+                        "cycles_before": cycles,
+                        "path_before": path,
                     }
                 )
             places.append(Place(i, block, at, at + block.size, known[key]))
             at += block.size
+        passed = _count_cycles(r)
+        cycles, path = cycles + passed, path + passed * own
         largest = max(largest, own)
         exposed += r.values.get("exposure_kv2_s", 0.0)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
