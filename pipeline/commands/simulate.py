@@ -12,7 +12,7 @@ def run(arguments: Namespace) -> int:
     from pipeline.simulate.write import simulate_command
 
     study = ControllerStudy()
-    status = simulate_command(arguments.campaign, arguments.out, arguments.truth, study.add)
+    status = simulate_command(arguments.campaign, arguments.out, arguments.truth, study.add, blind=arguments.blind)
     if study.text:
         print(f"\n{study.text}")
     return status
@@ -21,11 +21,21 @@ def run(arguments: Namespace) -> int:
 COMMAND = Command(
     "simulate",
     "the virtual rig: raw recordings of a described campaign",
-    ("thesis --out raw", "controller --out raw", "campaign.toml --out raw --truth truth.json"),
+    (
+        "thesis --out raw",
+        "controller --out raw",
+        "campaign.toml --out raw --truth truth.json",
+        "thesis --out exam/raw --truth answers.json --blind",
+    ),
     (
         argument("campaign", metavar="CAMPAIGN", help="a campaign's TOML file, or the name of one that comes along"),
         argument("--out", type=parse_path, required=True, metavar="RAW", help="folder for the recordings"),
         argument("--truth", type=parse_path, metavar="JSON", help="file for what is true behind the recordings"),
+        argument(
+            "--blind",
+            action="store_true",
+            help="draw names, order and noise: nothing but the recordings tells what is hidden; with --truth",
+        ),
     ),
     run,
 )

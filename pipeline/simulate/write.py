@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import secrets
 import shutil
 import sys
 from collections.abc import Callable, Mapping
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ingest.mcap_writer import RecordingWriter
+from pipeline.simulate.blind import hide_names
 from pipeline.simulate.campaign import SimulatedRecording, simulate
 from pipeline.simulate.plan import Campaign, Mishap, Planned, load_campaign
 from schemas.arrays import Float
@@ -48,16 +50,25 @@ def simulate_command(
     out: Path,
     truth: Path | None = None,
     watch: Callable[[Recording], object] = lambda recording: None,
+    *,
+    blind: bool = False,
 ) -> int:
     """`dealab simulate`: writes a campaign (a TOML file or the name of a packaged one) to the folder `out`.
 
     Progress goes to stderr, the summary to stdout. `truth`: JSON file with what is true behind each recording; `watch`
-    is shown every recording. Returns the exit status. Raises `UsageError` for a campaign that does not parse, an `out` that holds anything but an earlier
-    simulation, and a `truth` inside of `out`.
+    is shown every recording; `blind`: with names, order and noise that are drawn. Returns the exit status. Raises `UsageError` for a
+    campaign that does not parse, an `out` that holds anything but an earlier simulation, a `truth` inside of `out`, and `blind` without a
+    `truth`, which nobody could find again.
     """
     from tqdm import tqdm
 
+    if blind and truth is None:
+        raise UsageError(
+            "--blind without --truth", expected="a file for what is true: names and noise are drawn anew each time"
+        )
     loaded = load_campaign(campaign)
+    if blind:
+        loaded = hide_names(loaded, secrets.randbelow(2**32))
     with tqdm(total=len(loaded.planned), desc="simulating", unit="recording", file=sys.stderr, disable=None) as bar:
 
         def after_each(simulated: SimulatedRecording) -> None:
