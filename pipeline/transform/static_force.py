@@ -1,39 +1,42 @@
 """Static force of an actuator under voltage, with the drift of its pre-stretch fitted before, during and after at once.
 
-    F(t) = F0 + b log(t + t0) + w(t) − Σ A_c g(t − on_c, t − off_c)
-    g = 1 − r e^{−(t − on)/τ}   while the voltage is on,      g = r e^{−(t − off)/τ}   after it
-
-A film that was just stretched goes on relaxing (log of time, and what a smooth course of any shape adds to that); under voltage most of
-the force comes at once and a part r slowly. The level before alone would book the drift as force: 5 % of it and more. Does not belong here: edges of the voltage, and means of
-repeats.
+A film that was just stretched goes on relaxing; under voltage most of the force comes at once and a part slowly. The level before
+alone would book the drift as force: 5 % of it and more. What the drift looks like, whether there is a slow part and how noise goes
+together is not known beforehand: every form that is plausible counts by how probable it makes the record. Does not belong here: one
+form (`static_force_form`), edges of the voltage, and means of repeats.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
 
-from schemas.arrays import Float, Int
+from pipeline.transform.static_force_form import (
+    FormFit,
+    Searched,
+    Whitener,
+    Windows,
+    course_covariance,
+    fit_form,
+    noise_covariance,
+)
+from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 
-_WINDOWS = 30
-"""Means into which each part of the record, before, during and after, is taken together: drift and creep are slow."""
-_FEWEST_WINDOWS = 4
-_LEAST_SLOW_S, _SLOW_STARTS, _DRIFT_STARTS = 0.05, 4, 3
-_WORTH = 6.0
-"""Twice the log likelihood for which the slow part is taken: the 99 % point of χ² with two degrees is 9.2, half-way between that and
-BIC's for a hundred windows."""
+_WINDOWS, _ALL_WINDOWS, _LEAST_WINDOWS = 30, 300, 6
+"""Means into which each part of the record, before, during and after, is taken together, and all parts; drift and creep are slow."""
+_FEWEST_SAMPLES = 4
 _WANDERS: Float = np.concatenate([[0.0], np.geomspace(1e-2, 1e10, 25)])
-"""Variance of an integrated Wiener process over a record's length, in units of the variance of a window's noise, that is tried."""
-_ROUNDS = 2
-"""Turns of a search given the course's variance and of that given the search."""
-_LARGEST_SLOW, _LONGEST_SLOW = 0.8, 0.5
-"""Largest slow part, and its longest time over the shortest time of voltage: what is slower cannot be told from drift."""
+"""Variance of the course's second derivative over a record's length, in units of the variance of a window's noise, that is tried."""
+_MEMORIES: Float = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0])
+"""Times for which noise remembers, in lengths of a window, that are tried."""
+_COARSE = (0, 6, 10, 14, 18, 22)
+"""Places of `_WANDERS` at which searches begin everywhere; all others begin where their neighbour ended."""
+_COUNTS = 6.0
+"""Log probability below the best form from which neighbours are no longer tried: less than 1/400."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class StaticForce:
     force_n : (C,) N, positive
         What each time of voltage comes to in the end.
     force_sd_n : (C,) N
-        Standard deviation, with what drift and slow part leave open.
+        Standard deviation, with what drift, slow part and noise leave open, and their forms.
     degrees_of_freedom : int
         Of these standard deviations.
     """
@@ -78,184 +81,83 @@ def fit_static_force(time: Float, force: Float, cycles: Sequence[tuple[float, fl
 
     Notes
     -----
-    Samples are taken together to means over windows, whose scatter about the model is the noise, so that correlation of neighbouring
-    samples does not make intervals too narrow. The drift and the slow part are searched from several starts (variable projection: A, F0
-    and b are linear given t0, τ and r); the slow part is kept where it is worth its parameters.
+    Samples are taken together to means over windows. Forms differ in whether a part of the force comes slowly, how much the drift
+    wanders off a logarithm of time, and how long noise remembers. The force is the mean over all forms by their probability, its
+    variance that within forms and that between them (nested Laplace approximations: Rue, Martino and Chopin 2009).
     """
-    windows = _windows(time, force, cycles, settle_s)
-    plain = _fit(windows, cycles, slow=False)
-    slow = _fit(windows, cycles, slow=True)
-    best = slow if 2 * (slow.likelihood - plain.likelihood) > _WORTH else plain
-    return _result(best, windows, cycles)
+    windows = _take_windows(time, force, cycles, settle_s)
+    forms = _Forms(windows)
+    found = [fit for slow in (False, True) for fit in forms.fit_around_best(Searched.of(windows, slow=slow))]
+    return _average(found, windows.time.size - len(cycles) - 3)
 
 
-@dataclass(frozen=True)
-class _Windows:
-    """Means of the force: (m,) s, N and number of samples; start of the record in s."""
-
-    time: Float
-    force: Float
-    count: Float
-    start_s: float
-    length_s: float
-
-
-@dataclass(frozen=True)
-class _Fitted:
-    """Optimum: searched (log t0[, log τ, r]), linear (F0, b, A…), sum of squares of weighted residuals, degrees of freedom.
-
-    whitener : (m, m) that makes windows alike and independent; likelihood : restricted, in logarithm
-    """
-
-    searched: Float
-    linear: Float
-    cost: float
-    freedom: int
-    whitener: Float
-    likelihood: float
-
-
-def _windows(time: Float, force: Float, cycles: Sequence[tuple[float, float]], settle_s: float) -> _Windows:
+def _take_windows(time: Float, force: Float, cycles: Sequence[tuple[float, float]], settle_s: float) -> Windows:
     edges = [float(time[0]) - settle_s, *(edge for cycle in cycles for edge in cycle), float(time[-1])]
-    means: list[tuple[float, float, int]] = []
+    interval = float(np.median(np.diff(time)))
+    windows = int(np.clip(_ALL_WINDOWS // (len(edges) - 1), _LEAST_WINDOWS, _WINDOWS))
+    means: list[tuple[float, float, float]] = []
     for number, (begin, end) in enumerate(itertools.pairwise(edges)):
         inside = np.flatnonzero((time >= begin + settle_s) & (time < end))
-        if inside.size < _FEWEST_WINDOWS:
+        if inside.size < _FEWEST_SAMPLES:
             if number == 0 or number % 2:
                 when = "before the voltage" if number == 0 else "while the voltage is on"
                 raise NotIdentifiableError(
                     f"{inside.size} samples of force {when}",
-                    expected=f"at least {_FEWEST_WINDOWS} after it has settled",
+                    expected=f"at least {_FEWEST_SAMPLES} after it has settled",
                 )
             continue
-        for part in np.array_split(inside, min(_WINDOWS, inside.size)):
-            means.append((float(time[part].mean()), float(force[part].mean()), part.size))
-    at, value, count = (np.array(column, dtype=float) for column in zip(*means, strict=True))
-    return _Windows(at, value, count, float(time[0]), float(time[-1] - time[0]))
+        for part in np.array_split(inside, min(windows, inside.size)):
+            means.append((float(time[part].mean()), float(force[part].mean()), interval * part.size))
+    at, value, length = (np.array(column, dtype=float) for column in zip(*means, strict=True))
+    return Windows(at, value, length, float(time[0]), float(time[-1] - time[0]), tuple(cycles))
 
 
-def _fit(windows: _Windows, cycles: Sequence[tuple[float, float]], *, slow: bool) -> _Fitted:
-    """The best of several searches over what is not linear, then in turn with the variance of the smooth course."""
-    shortest = min(off - on for on, off in cycles)
+@dataclass
+class _Forms:
+    """Forms of one record on a grid of `_WANDERS` and `_MEMORIES`; whiteners are kept, for all searches share them."""
 
-    def solved(x: Float, whitener: Float) -> tuple[Float, Float]:
-        design = whitener @ _design(windows.time, x, windows.start_s, cycles)
-        linear = np.linalg.lstsq(design, whitener @ windows.force, rcond=None)[0]
-        return np.asarray(linear), np.asarray(design @ linear - whitener @ windows.force)
+    windows: Windows
+    whiteners: dict[tuple[int, int], Whitener] = field(default_factory=dict)
 
-    def search(start: Sequence[float] | Float, whitener: Float) -> OptimizeResult:
-        return least_squares(
-            lambda x: solved(x, whitener)[1], np.clip(start, low, high), bounds=(low, high), x_scale="jac"
-        )
+    def __post_init__(self) -> None:
+        length = float(np.median(self.windows.length_s))
+        self.course = course_covariance(self.windows)
+        self.noise = [noise_covariance(self.windows, float(memory) * length) for memory in _MEMORIES]
 
-    low, high = [math.log(1e-3 * windows.length_s)], [math.log(30 * windows.length_s)]
-    starts = [[t] for t in np.linspace(low[0] + 2, high[0] - 1, _DRIFT_STARTS)]
-    if slow:
-        low, high = (
-            [*low, math.log(_LEAST_SLOW_S), -_LARGEST_SLOW],
-            [*high, math.log(max(_LONGEST_SLOW * shortest, 2 * _LEAST_SLOW_S)), _LARGEST_SLOW],
-        )
-        times = np.linspace(low[1], high[1], _SLOW_STARTS + 2)[1:-1]
-        starts = [[t, tau, 0.1] for (t,) in starts for tau in times]
-    course = _Course.of(windows)
+    def fit_around_best(self, searched: Searched) -> list[FormFit]:
+        """Fits of all places of the grid that count, from the best one outwards."""
+        coarse = {(place, 0): self._fit((place, 0), searched, searched.spread_starts()) for place in _COARSE}
+        best = max(coarse, key=lambda place: coarse[place].log_probability)
+        found, waiting = {best: coarse[best]}, [best]
+        while waiting:
+            here = waiting.pop(0)
+            if found[here].log_probability < max(fit.log_probability for fit in found.values()) - _COUNTS:
+                continue
+            for place in self._neighbours(here):
+                if place not in found:
+                    starts = [found[here].searched, *([coarse[place].searched] if place in coarse else [])]
+                    found[place] = self._fit(place, searched, starts)
+                    waiting.append(place)
+        return list(found.values())
 
-    def settle(x: Float) -> tuple[Float, float]:
-        """(m, m) whitener for the most likely variance of the course where the search has got to, and the likelihood."""
-        design = _design(windows.time, x, windows.start_s, cycles)
-        likelihood, wander = max((course.measure_likelihood(q, design, windows.force), q) for q in _WANDERS)
-        return course.whiten(wander), likelihood
+    def _fit(self, place: tuple[int, int], searched: Searched, starts: Iterable[Float]) -> FormFit:
+        if place not in self.whiteners:
+            wander, memory = place
+            self.whiteners[place] = Whitener.of(self.noise[memory] + _WANDERS[wander] * self.course)
+        fits = (fit_form(self.windows, self.whiteners[place], searched, start) for start in starts)
+        return max(fits, key=lambda fit: fit.log_probability)
 
-    # What a slow part may explain, a course that wanders may, too: searched under both.
-    found = []
-    for stiff in (course.whiten(0.0), settle(np.array(starts[0]) if not slow else np.array([*starts[0][:2], 0.0]))[0]):
-        x = min((search(start, stiff) for start in starts), key=lambda one: one.cost).x
-        for _ in range(_ROUNDS):
-            whitener = settle(x)[0]
-            x = search(x, whitener).x
-        found.append((settle(x)[1], x, whitener))
-    likelihood, x, whitener = max(found, key=lambda one: one[0])
-    linear, residual = solved(x, whitener)
-    return _Fitted(
-        searched=x,
-        linear=linear,
-        cost=float(residual @ residual),
-        freedom=residual.size - linear.size - x.size,
-        whitener=whitener,
-        likelihood=likelihood,
-    )
+    def _neighbours(self, place: tuple[int, int]) -> list[tuple[int, int]]:
+        wander, memory = place
+        beside = [(wander + 1, memory), (wander - 1, memory), (wander, memory + 1), (wander, memory - 1)]
+        return [(w, m) for w, m in beside if 0 <= w < _WANDERS.size and 0 <= m < _MEMORIES.size]
 
 
-@dataclass(frozen=True)
-class _Course:
-    """A smooth course of any shape beside the noise of windows: an integrated Wiener process (Wahba 1978).
-
-    vectors, values : of its covariance, whitened by the noise; weight : (m,) that make windows alike
-    """
-
-    vectors: Float
-    values: Float
-    weight: Float
-
-    @classmethod
-    def of(cls, windows: _Windows) -> _Course:
-        weight = np.sqrt(windows.count / windows.count.mean())
-        t = (windows.time - windows.start_s) / windows.length_s
-        first, last = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
-        covariance = first**2 * (3 * last - first) / 6 * np.outer(weight, weight)
-        values, vectors = np.linalg.eigh(covariance)
-        return cls(vectors, np.maximum(values, 0.0), weight)
-
-    def whiten(self, wander: float) -> Float:
-        """(m, m) that makes windows alike and independent where the course has that variance."""
-        return np.asarray((self.vectors / np.sqrt(1 + wander * self.values)).T * self.weight)
-
-    def measure_likelihood(self, wander: float, design: Float, force: Float) -> float:
-        """Logarithm of the restricted likelihood (Patterson and Thompson 1971), with the noise at its best."""
-        white = self.whiten(wander)
-        q, r = np.linalg.qr(white @ design)
-        y = white @ force
-        left = y - q @ (q.T @ y)
-        freedom = y.size - r.shape[0]
-        spread = float(np.sum(np.log(1 + wander * self.values)))
-        known = float(np.sum(np.log(np.maximum(np.abs(np.diag(r)), np.finfo(float).tiny))))
-        noise = max(float(left @ left) / freedom, np.finfo(float).tiny)
-        return float(-0.5 * (freedom * math.log(noise) + spread) - known)
-
-
-def _design(time: Float, searched: Float, start_s: float, cycles: Sequence[tuple[float, float]]) -> Float:
-    """(m, 2 + C) columns of F0, b and the forces at what is searched."""
-    drift = np.log((time - start_s) + math.exp(searched[0]))
-    columns = [np.ones_like(time), drift - drift.mean()]
-    tau, share = (math.exp(searched[1]), searched[2]) if searched.size > 1 else (1.0, 0.0)
-    for on, off in cycles:
-        risen = np.where(time >= on, 1 - share * np.exp(-np.maximum(time - on, 0.0) / tau), 0.0)
-        # The part that came slowly goes slowly: what it had reached is left when the voltage goes.
-        reached = share * -math.expm1(-(off - on) / tau)
-        fallen = np.where(time >= off, reached * np.exp(-np.maximum(time - off, 0.0) / tau), risen)
-        columns.append(-fallen)
-    return np.column_stack(columns)
-
-
-def _result(fit: _Fitted, windows: _Windows, cycles: Sequence[tuple[float, float]]) -> StaticForce:
-    """Forces with their covariance over all parameters: what drift and slow part leave open belongs to it."""
-    size, count = fit.searched.size, len(cycles)
-    everything = np.concatenate([fit.searched, fit.linear])
-
-    def modelled(x: Float) -> Float:
-        return np.asarray(fit.whitener @ (_design(windows.time, x[:size], windows.start_s, cycles) @ x[size:]))
-
-    steps = 1e-5 * np.maximum(np.abs(everything), 1e-3)
-    columns = [
-        (modelled(everything + s) - modelled(everything - s)) / (2 * h)
-        for s, h in zip(np.diag(steps), steps, strict=True)
-    ]
-    jacobian = np.column_stack(columns)
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(float).tiny)
-    covariance = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-10) / np.outer(scale, scale)
-    variance = fit.cost / max(fit.freedom, 1) * np.diag(covariance)
-    places: Int = np.arange(size + 2, size + 2 + count)
-    return StaticForce(
-        force_n=fit.linear[2:],
-        force_sd_n=np.sqrt(np.maximum(variance[places], 0.0)),
-        degrees_of_freedom=fit.freedom,
-    )
+def _average(found: Sequence[FormFit], freedom: int) -> StaticForce:
+    """Means over forms by their probability, with variances within and between them."""
+    log_probability = np.array([fit.log_probability for fit in found])
+    share = np.exp(log_probability - log_probability.max())
+    share /= share.sum()
+    force, variance = np.array([fit.force_n for fit in found]), np.array([fit.variance for fit in found])
+    mean = share @ force
+    return StaticForce(mean, np.sqrt(share @ (variance + (force - mean) ** 2)), freedom)

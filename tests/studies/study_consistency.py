@@ -1,20 +1,23 @@
 """Do verdict, p-value, blocks, causes, sizes and headline of a diagnosis say the same, over sessions, cycles and systems?
 
     python -m tests.studies.study_consistency [--seed N] [--systems N] [--cycles N] [--sessions N] [--minutes N]
+                                              [--jobs N]
 
-Systems of another kind (resonances side by side, bent, noisy, noise-free, short), lone large cycles, and sessions of three
-to five recordings of the truth rig with nothing, one or two effects, or one that no list has. Each is published as its tables, and
+Systems of another kind (resonances side by side, bent, noisy, noise-free, short), lone large cycles, and sessions of two
+to four recordings of the truth rig with nothing, one or two effects, or one that no list has. Each is published as its tables, and
 these are held against each other (`tests.helpers.contradictions`). `--minutes` ends the study early.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +93,9 @@ def try_cycle(rng: np.random.Generator) -> list[str]:
 
 
 def try_session(rng: np.random.Generator) -> list[str]:
-    """Contradictions of a session of three to five recordings."""
+    """Contradictions of a session of two to four recordings."""
     designs = compact_designs()
-    chosen = np.sort(rng.choice(len(designs), int(rng.integers(3, 6)), replace=False))
+    chosen = np.sort(rng.choice(len(designs), int(rng.integers(2, 5)), replace=False))
     seed = int(rng.integers(1_000_000_000))
     effects = []
     for id in rng.choice(sorted(KINDS), int(rng.choice([0, 1, 1, 2])), replace=False):
@@ -110,41 +113,61 @@ SORTS: dict[str, Callable[[np.random.Generator], list[str]]] = {
 }
 
 
-def run(seed: int, counts: dict[str, int], minutes: float) -> Iterator[str]:
+@dataclass(frozen=True)
+class Tried:
+    """One drawn diagnosis: its contradictions, None where it cannot be asked, and seconds of a core."""
+
+    sort: str
+    number: int
+    found: list[str] | None
+    cost_s: float
+
+
+def try_one(seed: int, sort: str, number: int) -> Tried:
+    """Draws, diagnoses and judges one."""
+    start = time.process_time()
+    try:
+        found = SORTS[sort](np.random.default_rng([seed, list(SORTS).index(sort), number]))
+    except NotIdentifiableError:
+        found = None
+    return Tried(sort, number, found, time.process_time() - start)
+
+
+def run(seed: int, counts: dict[str, int], minutes: float, jobs: int) -> Iterator[str]:
     """Lines of the result; an early end leaves a fair share of each sort."""
     begin = time.monotonic()
-    made, refused, cost = Counter[str](), Counter[str](), Counter[str]()
-    contradictions = []
-    asked = sorted(((k + 0.5) / of, sort, k) for sort, of in counts.items() for k in range(of))
-    for _, sort, number in asked:
-        if minutes and time.monotonic() - begin > 60 * minutes:
-            break
-        start = time.process_time()
-        try:
-            found = SORTS[sort](np.random.default_rng([seed, list(SORTS).index(sort), number]))
-            made[sort] += 1
-            contradictions += [f"{sort} {number}: {text}" for text in found]
-        except NotIdentifiableError:
-            refused[sort] += 1
-        cost[sort] += round(1e3 * (time.process_time() - start))
-        print(f"{sort} {number}: {'; '.join(contradictions[-3:])}", file=sys.stderr, flush=True)
+    asked = [place[1:] for place in sorted(((k + 0.5) / of, sort, k) for sort, of in counts.items() for k in range(of))]
+    tried: list[Tried] = []
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        while asked and not (minutes and time.monotonic() - begin > 60 * minutes):
+            # Few at a time, so that an early end does not wait for many.
+            some, asked = asked[: 4 * jobs], asked[4 * jobs :]
+            for one in pool.map(try_one, [seed] * len(some), *zip(*some, strict=True)):
+                tried.append(one)
+                print(f"{one.sort} {one.number}: {one.cost_s:.1f} s {one.found}", file=sys.stderr, flush=True)
     for sort in counts:
-        each = cost[sort] / 1e3 / max(made[sort] + refused[sort], 1)
-        yield f"- {sort}: {made[sort]} diagnosed, {refused[sort]} cannot be asked, {each:.1f} s of a core each"
-    yield f"- all: {made.total()} diagnosed, {len(contradictions)} contradictions"
+        own = [one for one in tried if one.sort == sort]
+        made = sum(one.found is not None for one in own)
+        each = sum(one.cost_s for one in own) / max(len(own), 1)
+        yield f"- {sort}: {made} diagnosed, {len(own) - made} cannot be asked, {each:.1f} s of a core each"
+    contradictions = [f"{one.sort} {one.number}: {text}" for one in tried for text in one.found or ()]
+    yield f"- all: {sum(one.found is not None for one in tried)} diagnosed, {len(contradictions)} contradictions"
     yield from (f"  - {text}" for text in contradictions)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seed", type=int, default=33)
-    parser.add_argument("--systems", type=int, default=100)
-    parser.add_argument("--cycles", type=int, default=60)
-    parser.add_argument("--sessions", type=int, default=60)
+    parser.add_argument("--systems", type=int, default=40)
+    parser.add_argument("--cycles", type=int, default=20)
+    parser.add_argument("--sessions", type=int, default=200)
     parser.add_argument("--minutes", type=float, default=0)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     a = parser.parse_args()
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = "1"
     status = 0
-    for line in run(a.seed, {"systems": a.systems, "cycles": a.cycles, "sessions": a.sessions}, a.minutes):
+    for line in run(a.seed, {"systems": a.systems, "cycles": a.cycles, "sessions": a.sessions}, a.minutes, a.jobs):
         print(line, flush=True)
         status |= line.startswith("  - ")
     return status

@@ -1,0 +1,240 @@
+"""One form of what a film's tension does under voltage: drift, slow part and noise, fitted to means over windows.
+
+    F(t) = F0 + b log(t + t0) + w(t) − Σ A_c g(t − on_c, t − off_c) + e(t)
+    g = 1 − r e^{−(t − on)/τ}   while the voltage is on,      g = r (1 − e^{−(off − on)/τ}) e^{−(t − off)/τ}   after it
+
+w is a smooth course of any shape (an integrated Wiener process), e noise whose neighbours may go together. Belongs here: the fit of
+one form. Does not belong here: which forms are tried and how they are averaged (`static_force`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from schemas.arrays import Float
+
+_DRIFT_S, _SLOW_S = (1e-3, 30.0), (0.05, 0.5)
+"""Plausible t0 in lengths of the record; shortest τ in s and longest in times of voltage: what is slower cannot be told from drift."""
+_SLOW_SD = 0.3
+"""Standard deviation of r before anything is measured: most of the force comes at once."""
+_WITHIN_SD = 3.0
+_CLIMBS, _TRIES, _ENOUGH = 25, 8, 1e-3
+"""Steps of a search, lengths that each is tried at, and twice the log probability that no longer counts."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Means of the force over windows.
+
+    Parameters
+    ----------
+    time : (m,) s
+    force : (m,) N
+    length_s : (m,) s
+        Length of each window.
+    start_s, record_s : float, s
+        Start and length of the whole record.
+    cycles : pairs of s
+        When the voltage came on and went off.
+    """
+
+    time: Float
+    force: Float
+    length_s: Float
+    start_s: float
+    record_s: float
+    cycles: Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What is not linear, log t0 (and log τ and r of a slow part), with means and standard deviations before the measurement."""
+
+    mean: Float
+    sd: Float
+
+    @classmethod
+    def of(cls, windows: Windows, *, slow: bool) -> Searched:
+        """Log t0 alone, or log τ and r, too, where a part of the force comes slowly."""
+        shortest = min(off - on for on, off in windows.cycles)
+        least = np.log([_DRIFT_S[0] * windows.record_s, _SLOW_S[0]])
+        most = np.log([_DRIFT_S[1] * windows.record_s, max(_SLOW_S[1] * shortest, 2 * _SLOW_S[0])])
+        mean, sd = np.append((least + most) / 2, 0.0), np.append((most - least) / 4, _SLOW_SD)
+        return cls(mean, sd) if slow else cls(mean[:1], sd[:1])
+
+    def spread_starts(self) -> list[Float]:
+        """Where searches begin."""
+        if self.mean.size == 1:
+            return [self.mean + self.sd * shift for shift in (-0.5, 1.0)]
+        return [self.mean + self.sd * np.array([0.0, shift, 0.3]) for shift in (-1.5, -0.5, 0.5, 1.5)]
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """(m, m) that makes windows alike and independent, and the logarithm of its determinant."""
+
+    matrix: Float
+    log_determinant: float
+
+    @classmethod
+    def of(cls, covariance: Float) -> Whitener:
+        """Of the covariance of windows."""
+        root = cholesky(covariance, lower=True)
+        matrix = solve_triangular(root, np.eye(root.shape[0]), lower=True)
+        return cls(matrix, -float(np.sum(np.log(np.diag(root)))))
+
+
+@dataclass(frozen=True)
+class FormFit:
+    """The optimum of one form.
+
+    Parameters
+    ----------
+    log_probability : float
+        Of the record given the form, up to a constant that all forms share.
+    searched : (k,)
+    force_n, variance : (C,) N and N²
+        Forces and their variances, with what all other parameters leave open.
+    """
+
+    log_probability: float
+    searched: Float
+    force_n: Float
+    variance: Float
+
+
+def noise_covariance(windows: Windows, memory_s: float) -> Float:
+    """(m, m) of means of noise whose correlation falls as exp(−t/memory), 1 on average; 0 for noise without memory."""
+    if memory_s <= 0:
+        return np.diag(1 / windows.length_s / np.mean(1 / windows.length_s))
+    x = windows.length_s / memory_s
+    between = np.abs(windows.time[:, None] - windows.time) / memory_s
+    np.fill_diagonal(between, x)
+    # The integral of exp(−|t − u|/memory) over two windows, in logarithms: of long windows both factors are out of range.
+    factor = x / 2 + np.log(-np.expm1(-x)) - np.log(x)
+    covariance = np.exp(factor[:, None] + factor - between)
+    np.fill_diagonal(covariance, 2 / x + 2 / x**2 * np.expm1(-x))
+    return np.asarray(covariance / np.mean(np.diag(covariance)))
+
+
+def course_covariance(windows: Windows) -> Float:
+    """(m, m) of an integrated Wiener process whose second derivative is 1 over a record of length 1 (Wahba 1978)."""
+    t = (windows.time - windows.start_s) / windows.record_s
+    first, last = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
+    return np.asarray(first**2 * (3 * last - first) / 6)
+
+
+def fit_form(windows: Windows, whitener: Whitener, searched: Searched, start: Float) -> FormFit:
+    """Most probable parameters of one form, and how probable the form makes the record.
+
+    Parameters
+    ----------
+    windows, whitener, searched
+        The record, its covariance up to the variance of the noise, and what is searched.
+    start : (k,)
+        Where the search begins.
+
+    Returns
+    -------
+    FormFit
+
+    Notes
+    -----
+    F0, b, A and the variance of the noise are integrated out exactly, b as the drift over the whole record (Patterson and Thompson
+    1971); what is searched by Laplace's method (Tierney and Kadane 1986). The search is Levenberg and Marquardt's.
+    """
+    at, damping = _Point.of(windows, whitener, searched, start), 1e-3
+    for _ in range(_CLIMBS):
+        jacobian, hessian, gradient = at.slopes()
+        before = at.loss
+        for _ in range(_TRIES):
+            step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), -gradient)
+            limits = searched.mean - _WITHIN_SD * searched.sd, searched.mean + _WITHIN_SD * searched.sd
+            tried = _Point.of(windows, whitener, searched, np.clip(at.x + step, *limits))
+            if tried.loss < at.loss:
+                at, damping = tried, max(damping / 5, 1e-9)
+                break
+            damping = 10 * max(damping, 1e-4)
+        if before - at.loss < _ENOUGH:
+            break
+    jacobian, hessian, _ = at.slopes()
+    known = np.sum(np.log(np.abs(np.diag(at.r)))) + 0.5 * np.linalg.slogdet(hessian)[1] + np.sum(np.log(searched.sd))
+    whole = np.column_stack([jacobian, at.design])
+    information = whole.T @ whole / at.noise
+    k = at.x.size
+    information[:k, :k] += np.diag(searched.sd**-2.0)
+    scale = 1 / np.sqrt(np.diag(information))
+    variance = scale**2 * np.diag(np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-12, hermitian=True))
+    return FormFit(
+        log_probability=float(whitener.log_determinant - 0.5 * at.loss - known),
+        searched=at.x,
+        force_n=at.linear[2:],
+        variance=variance[k + 2 :] * at.freedom / max(at.freedom - 2, 1),
+    )
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A place of a search: whitened design with its factors, linear parameters, residual, and minus twice the log probability."""
+
+    windows: Windows
+    whitener: Whitener
+    searched: Searched
+    x: Float
+    design: Float
+    q: Float
+    r: Float
+    linear: Float
+    residual: Float
+    freedom: int
+    loss: float
+
+    @classmethod
+    def of(cls, windows: Windows, whitener: Whitener, searched: Searched, x: Float) -> _Point:
+        design = whitener.matrix @ _design(windows, x)
+        y = whitener.matrix @ windows.force
+        q, r = np.linalg.qr(design)
+        seen = q.T @ y
+        residual, freedom = y - q @ seen, y.size - design.shape[1]
+        squares = max(float(residual @ residual), np.finfo(float).tiny)
+        loss = freedom * math.log(squares) + float(np.sum(((x - searched.mean) / searched.sd) ** 2))
+        linear = solve_triangular(r, seen)
+        return cls(windows, whitener, searched, x, design, q, r, linear, residual, freedom, loss)
+
+    @property
+    def noise(self) -> float:
+        """Variance of a window's noise."""
+        return max(float(self.residual @ self.residual), np.finfo(float).tiny) / self.freedom
+
+    def slopes(self) -> tuple[Float, Float, Float]:
+        """(m, k) derivatives of the model, and Gauss and Newton's second and first derivatives of half the loss."""
+        step = 1e-4 * self.searched.sd
+        columns = [
+            self.whitener.matrix
+            @ ((_design(self.windows, self.x + one) - _design(self.windows, self.x - one)) @ self.linear)
+            for one in np.diag(step)
+        ]
+        jacobian = np.column_stack(columns) / (2 * step)
+        beside = jacobian - self.q @ (self.q.T @ jacobian)
+        hessian = beside.T @ beside / self.noise + np.diag(self.searched.sd**-2.0)
+        gradient = -beside.T @ self.residual / self.noise + (self.x - self.searched.mean) / self.searched.sd**2
+        return jacobian, hessian, gradient
+
+
+def _design(windows: Windows, x: Float) -> Float:
+    """(m, 2 + C) columns of F0, b and the forces at what is searched; b is the drift over the whole record."""
+    time, late = windows.time, math.exp(x[0])
+    drift = np.log(time - windows.start_s + late)
+    columns = [np.ones_like(time), (drift - drift.mean()) / math.log1p(windows.record_s / late)]
+    tau, share = (math.exp(x[1]), x[2]) if x.size > 1 else (1.0, 0.0)
+    for on, off in windows.cycles:
+        risen = np.where(time >= on, 1 - share * np.exp(-np.maximum(time - on, 0.0) / tau), 0.0)
+        # The part that came slowly goes slowly: what it had reached is left when the voltage goes.
+        reached = share * -math.expm1(-(off - on) / tau)
+        columns.append(-np.where(time >= off, reached * np.exp(-np.maximum(time - off, 0.0) / tau), risen))
+    return np.column_stack(columns)
