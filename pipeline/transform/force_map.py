@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.transform.static_force import fit_static_force
 from pipeline.transform.step import measure_steps
+from pipeline.transform.step_edges import describe_unsteady, on_phases
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Channel, Recording
@@ -75,10 +76,9 @@ def measure_force_map(recording: Recording) -> ForceMapReadings:
             warnings.append(f"no channel force_{direction}")
             continue
         view = {"voltage": recording.channels["voltage"], "force": replace(channel, quantity="force")}
-        found = _readings(replace(recording, channels=view), direction)
+        found, said = _readings(replace(recording, channels=view), direction)
         readings += found
-        if not found:
-            warnings.append(f"force_{direction}: no usable reading")
+        warnings += [f"force_{direction}: {text}" for text in said]
     if not readings:
         raise NotIdentifiableError(
             "no usable reading in either direction",
@@ -103,26 +103,28 @@ def measure_force_map(recording: Recording) -> ForceMapReadings:
     )
 
 
-def _readings(recording: Recording, direction: int) -> list[ForceReading]:
-    """Readings of all steps in the voltage of a recording with one force."""
+def _readings(recording: Recording, direction: int) -> tuple[list[ForceReading], list[str]]:
+    """Readings of all steps in the voltage of a recording with one force, and what is to be said of them."""
     start = recording.start_ns
     voltage, force = (_finite(recording.channels[name], start) for name in ("voltage", "force"))
+    phases = on_phases(*voltage)
+    steps = measure_steps(recording).steps
     times = [
-        on
-        for step in measure_steps(recording).steps
-        if (on := _time_of_voltage(step.cycle, step.start_s, step.end_s, voltage)) is not None
+        on for step in steps if (on := _time_of_voltage(step.cycle, step.start_s, step.end_s, voltage)) is not None
     ]
     if not times:
-        return []
+        return [], ["no usable reading"]
+    unsteady = [(step.cycle, describe_unsteady(*voltage, phases[step.cycle - 1])) for step in steps]
+    said = [f"cycle {cycle}: {text}" for cycle, text in unsteady if text]
     settle_s = max(_SETTLED_S, *(one.settle_s for one in times))
     try:
         found = fit_static_force(*force, [(one.on_s, one.off_s) for one in times], settle_s)
-    except NotIdentifiableError:
-        return []
+    except NotIdentifiableError as error:
+        return [], [f"no usable reading: {error.problem}"]
     return [
         ForceReading(direction, one.cycle, float(value), float(sd), one.voltage_kv)
         for one, value, sd in zip(times, found.force_n, found.force_sd_n, strict=True)
-    ]
+    ], said
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.transform.step_edges import EDGE_S, Edges, on_phases, seconds_and_values, without_spikes
+from pipeline.transform.step_edges import (
+    EDGE_S,
+    Edges,
+    describe_unsteady,
+    on_phases,
+    seconds_and_values,
+    without_spikes,
+)
 from pipeline.transform.step_levels import (
     FEWEST_RESTS,
     Course,
@@ -149,6 +156,8 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         left = 0.0 if force_change is None or pulled is None else force_change.unrecovered * (pulled.step - last)
         moved = baseline_misfit(*tension, phase, rest_from, force_change, force_memory, left)
         step = _refuse_moved(step, moved)
+        if unsteady := describe_unsteady(*volts, phase):
+            step = replace(step, warnings=(*step.warnings, unsteady))
         if clean is not None:
             found = course(*clean, phase, capacitance_change, capacitance_memory)
             step = _with_capacitance(step, phase, found, spikes_by_phase[number - 1])

@@ -18,6 +18,14 @@ LEVEL_S = 0.5
 _OFF_SHARE = 0.05
 """Share of the largest voltage of the record below which the voltage counts as off."""
 
+_HELD = 0.05
+"""Share of its level to which a voltage that is on holds it: the ripple and droop of laboratory supplies, whose square moves a force
+by a tenth."""
+_FEWEST_HELD = 8
+"""Samples from which on that can be said."""
+_LONGEST_EDGE = 0.2
+"""Share of an on-phase from which on a rise or a fall is a part of it and no edge."""
+
 
 @dataclass(frozen=True)
 class Edges:
@@ -69,6 +77,21 @@ def on_phases(t: Float, v: Float) -> list[Edges]:
         end = float(t[bounds[i + 2] - 1]) if has_fall else off
         found.append(Edges(rising, max(reached, rising), min(leaves, off), off, end, i > 0, has_fall))
     return found
+
+
+def describe_unsteady(t: Float, v: Float, phase: Edges) -> str:
+    """In words between what voltages an on-phase goes to and fro, noise aside; empty where it holds its level."""
+    longest = _LONGEST_EDGE * (phase.off - phase.on)
+    begin = phase.reached if phase.reached - phase.on < longest else phase.on
+    end = phase.leaves if phase.off - phase.leaves < longest else phase.off
+    inside = v[(t >= begin) & (t <= end)]
+    if inside.size < _FEWEST_HELD:
+        return ""
+    low, high = (float(limit) for limit in np.quantile(inside, (0.05, 0.95)))
+    noise = 1.4826 * float(np.median(np.abs(np.diff(inside)))) / math.sqrt(2)
+    if high - low <= _HELD * max(abs(low), abs(high)) + 4 * noise:
+        return ""
+    return f"the voltage is not constant while it is on: {low:.3g} to {high:.3g} kV"
 
 
 def _crossing(t: Float, v: Float, low: int, high: int, level: float, *, rising: bool) -> float:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from pipeline.analyse.groups import force_map_tables
@@ -351,7 +353,7 @@ def test_drift_of_the_pre_stretch_is_no_force_and_intervals_cover() -> None:
         errors.append(error / force)
         covered.append(abs(error) < student.ppf(0.975, found.degrees_of_freedom) * found.force_sd_n[0])
     assert abs(np.mean(errors)) < 2e-3
-    assert np.mean(covered) > 0.85
+    assert np.mean(covered) >= 0.9
 
 
 @pytest.mark.slow
@@ -359,4 +361,17 @@ def test_intervals_of_the_force_hold_where_the_drift_is_no_logarithm() -> None:
     """The root of time and two exponentials, which a logarithm does not follow (`tests/studies/study_static_force.py`)."""
     tried = [try_once(law, np.random.default_rng([36, number])) for number, law in enumerate(DRIFTS[1::2] * 6)]
     assert abs(np.mean([error for error, _ in tried])) < 5e-3
-    assert np.mean([holds for _, holds in tried]) >= 0.75
+    assert np.mean([holds for _, holds in tried]) > 0.8
+
+
+def test_noise_that_remembers_makes_no_interval_too_narrow() -> None:
+    """Neighbouring samples go together over 0.2 s, as long as a window: their means are not independent."""
+    square = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        time = np.arange(0, 15, 0.02)
+        noise = lfilter([np.sqrt(1 - 0.9**2)], [1, -0.9], rng.normal(0, 1, time.size + 200))[200:]
+        tension = 1 - 0.3 * ((time >= 5) & (time < 10)) + 0.003 * noise
+        found = fit_static_force(time, tension, [(5.0, 10.0)], 0.05)
+        square.append(((found.force_n[0] - 0.3) / found.force_sd_n[0]) ** 2)
+    assert sum(square) < chi2.ppf(0.95, 12)  # 29 where windows were taken as independent

@@ -13,8 +13,10 @@ from scipy.signal import chirp, lfilter
 from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.breakdown_life import Lifetime
 from pipeline.transform.cyclic import cyclic_response
+from pipeline.transform.force_map import measure_force_map
 from pipeline.transform.response import FrequencyResponse
 from pipeline.transform.sphs import sphs_response
+from pipeline.transform.step import measure_steps
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
@@ -29,6 +31,52 @@ def _record(protocol: str, loading: str, time_s: Float, channels: dict[str, Floa
         recording_id="r", specimen_id="S", protocol=protocol, loading=loading, started_at=datetime(2026, 3, 1, tzinfo=UTC), **known
     )  # fmt: skip
     return Recording(about, RigConstants(), {name: Channel(name, stamps, v) for name, v in channels.items()})
+
+
+# ---- a voltage that holds its level while it is on ------------------------------------------------------------------
+
+STEP_S = np.arange(0, 60, 0.01)
+PHASE_S = np.mod(STEP_S, 10)
+ON = (PHASE_S > 3) & (PHASE_S < 8)
+UNSTEADY = {
+    "sag": np.where(PHASE_S > 5, 0.75, 1.0),
+    "stairs": np.where(PHASE_S < 5, 0.5, 1.0),
+    "droop": np.exp(-(PHASE_S - 3) / 20),
+    "alternating": np.sign(np.sin(2 * np.pi * 2 * STEP_S)),
+}
+
+
+def _switch(shape: Float, noise_kv: float = 0.001) -> Recording:
+    """Six times of 7 kV times a shape, with a force that follows its square at once."""
+    rng = np.random.default_rng(27)
+    voltage = 7 * ON * shape
+    force = 1 - 1e-3 * voltage**2 + 1e-4 * rng.standard_normal(STEP_S.size)
+    measured = voltage + noise_kv * rng.standard_normal(STEP_S.size)
+    return _record("step", "electrical", STEP_S, {"voltage": measured, "force": force, "force_1": force}, stretch_1=2.0)
+
+
+@pytest.mark.parametrize("shape", UNSTEADY.values(), ids=UNSTEADY)
+def test_a_voltage_that_is_not_constant_while_it_is_on_is_named(shape: Float) -> None:
+    """At a step and at a static force: what it comes to is no answer to one voltage."""
+    recording = _switch(shape)
+    steps = measure_steps(recording).steps
+    assert len(steps) == 6
+    assert all(any("not constant while it is on" in text for text in step.warnings) for step in steps)
+    said = [text for text in measure_force_map(recording).warnings if "not constant while it is on" in text]
+    assert len(said) == 6
+    assert said[0].startswith("force_1: cycle 1: ")
+
+
+def test_a_sinusoid_is_no_step() -> None:
+    with pytest.raises(NotIdentifiableError, match="the voltage makes no step"):
+        measure_steps(_switch(np.sin(2 * np.pi * 20 * STEP_S)))
+
+
+@pytest.mark.parametrize("noise_kv", [0.001, 0.2])
+def test_a_voltage_that_holds_is_not_accused(noise_kv: float) -> None:
+    recording = _switch(1 + 0.01 * np.sin(2 * np.pi * 0.7 * STEP_S), noise_kv)
+    assert not [text for step in measure_steps(recording).steps for text in step.warnings if "not constant" in text]
+    assert not [text for text in measure_force_map(recording).warnings if "not constant" in text]
 
 
 # ---- constant voltage for a life -------------------------------------------------------------------------------------
