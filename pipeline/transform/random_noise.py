@@ -6,9 +6,8 @@ slow line is one bin of many pieces and a fast one many bins.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from scipy.signal import fftconvolve
 
 from pipeline.transform import quality
 from pipeline.transform.channels import drive
@@ -21,7 +20,9 @@ from schemas.recording import Recording
 LINES = 100
 PIECES = 16
 """Pieces side by side; with those that overlap them by half there are 31."""
-_LEAST_PIECE = 64
+_LEAST_PIECE, _FEWEST_PIECES = 64, 8
+_SPILLED = 5.0
+"""Times what side lobes may bring that a line must show: white noise shows 16 times that, the lines of a tone alone no more than it."""
 _FIRST_BIN = 3
 """A Hann window spreads the level over the bins 0 to 2."""
 _HIGHEST = 0.8
@@ -60,24 +61,27 @@ def noise_response(recording: Recording) -> tuple[FrequencyResponse, tuple[str, 
     warnings = list(quality.refuse_overload(recording, source))
     names = source.input.quantity, source.output.quantity
     sampled = sample({names[0]: source.input, names[1]: source.output}, recording.start_ns)
-    sampled, found = _unbroken(sampled)
+    sampled, found = without_short_gaps(sampled, _HIGHEST * 0.5 / sampled.interval_s)
     warnings += [*sampled.notes, *found]
-    count = sampled.count // PIECES
+    present = int(np.count_nonzero(sampled.finite))
+    count = present // PIECES
     if count < _LEAST_PIECE:
         raise NotIdentifiableError(
-            f"{sampled.count} samples of noise are too few for {PIECES} pieces",
-            expected=f"at least {PIECES * _LEAST_PIECE} samples without a gap",
+            f"{present} samples of noise are too few for {PIECES} pieces",
+            expected=f"at least {PIECES * _LEAST_PIECE} samples of both channels",
         )
-    u, y = (_spectra(sampled.values[name], count) for name in names)
+    starts, found = _place_pieces(sampled, count)
+    warnings += found
+    u, y = (_spectra(sampled.values[name], starts, count) for name in names)
     edges = _edges(recording, count, sampled.interval_s)
-    suu, syy = (np.add.reduceat((np.abs(s) ** 2).sum(axis=0), edges[:-1])[: edges.size - 1] for s in (u, y))
-    suy = np.add.reduceat((u.conj() * y).sum(axis=0), edges[:-1])[: edges.size - 1]
+    suu, syy = (np.add.reduceat((np.abs(s) ** 2).sum(axis=0), edges)[:-1] for s in (u, y))
+    suy = np.add.reduceat((u.conj() * y).sum(axis=0), edges)[:-1]
     size = np.diff(edges)
     frequency = (edges[:-1] + (size - 1) / 2) / (count * sampled.interval_s)
     tiny = np.finfo(float).tiny
     value = source.sign * suy / np.maximum(suu, tiny) * sampled.alignment(frequency, names[1], names[0])
     coherence = np.abs(suy) ** 2 / np.maximum(suu * syy, tiny)
-    n = _independent(u.shape[0], size)
+    n = _independent(starts, count, size)
     variance = np.abs(value) ** 2 * (1 - coherence) / np.maximum(coherence * (n - 1), tiny)
     response = FrequencyResponse(
         frequency_hz=frequency,
@@ -97,31 +101,51 @@ def noise_response(recording: Recording) -> tuple[FrequencyResponse, tuple[str, 
             "output_unit": source.output_unit,
         },
     )
+    spilled = np.add.reduceat(_spill((np.abs(u) ** 2).sum(axis=0)), edges)[:-1]
+    response = response.mark(
+        suu < _SPILLED * spilled, "no excitation: the input shows no more than its windows spread from stronger lines"
+    )
     return quality.judged(response, sampled.band_hz), tuple(warnings)
 
 
-def _unbroken(sampled: Sampled) -> tuple[Sampled, list[str]]:
-    """The longest part without a gap that is not short; a warning where that is not all."""
-    if sampled.finite.all():
-        return sampled, []
-    sampled, found = without_short_gaps(sampled, _HIGHEST * 0.5 / sampled.interval_s)
-    parts = runs(sampled.finite)
-    if not parts:
-        raise NotIdentifiableError("no instant at which both channels have a value")
-    first, stop = max(parts, key=lambda part: part[1] - part[0])
-    lost = 1 - (stop - first) / sampled.count
-    if lost:
-        found = [*found, f"gaps: the longest unbroken part is used, {100 * lost:.0f} % of the record is not"]
-    return replace(sampled.part(first, stop), notes=sampled.notes), found
+def _place_pieces(sampled: Sampled, count: int) -> tuple[Int, list[str]]:
+    """(pieces,) first samples of pieces that overlap by half and hold no gap; a warning where that costs samples."""
+    used = np.zeros(sampled.count, dtype=bool)
+    starts = [
+        first + np.arange(0, stop - first - count + 1, count // 2)
+        for first, stop in runs(sampled.finite)
+        if stop - first >= count
+    ]
+    placed = np.concatenate(starts) if starts else np.empty(0, dtype=np.int64)
+    if placed.size < _FEWEST_PIECES:
+        raise NotIdentifiableError(
+            f"{placed.size} pieces of {count * sampled.interval_s:.3g} s fit between the gaps",
+            expected=f"at least {_FEWEST_PIECES}",
+        )
+    for first in placed:
+        used[first : first + count] = True
+    lost = 1 - float(np.mean(used))
+    gaps = not sampled.finite.all()
+    return placed, [f"gaps: pieces lie between them, {100 * lost:.2g} % of the record is not used"] if gaps else []
 
 
-def _spectra(values: Float, count: int) -> Complex:
-    """(pieces, bins) spectra of pieces of `count` samples that overlap by half, each without its straight line."""
-    starts = np.arange(0, values.size - count + 1, count // 2)
+def _spectra(values: Float, starts: Int, count: int) -> Complex:
+    """(pieces, bins) spectra of pieces of `count` samples, each without its straight line."""
     pieces = values[starts[:, None] + np.arange(count)]
     line = np.vander(np.linspace(-1, 1, count), 2)
     pieces = pieces - (pieces @ np.linalg.pinv(line).T) @ line.T
     return np.asarray(np.fft.rfft(pieces * np.hanning(count + 1)[:-1], axis=1))
+
+
+def _spill(power: Float) -> Float:
+    """(bins,) power that a Hann window spreads to each bin from all others but its neighbours, at most.
+
+    A tone lies up to half a bin beside the bin that shows it; side lobes: Harris 1978.
+    """
+    away = np.arange(2, power.size) - 0.5
+    lobes = np.zeros(power.size)
+    lobes[2:] = (np.pi * away * (away**2 - 1)) ** -2.0
+    return np.asarray(fftconvolve(power, np.concatenate([lobes[:0:-1], lobes]), mode="same"))
 
 
 def _edges(recording: Recording, count: int, interval_s: float) -> Int:
@@ -140,8 +164,9 @@ def _edges(recording: Recording, count: int, interval_s: float) -> Int:
     return np.unique(np.round(np.geomspace(first, last + 1, LINES + 1)).astype(np.int64))
 
 
-def _independent(pieces: int, size: Int) -> Float:
+def _independent(starts: Int, count: int, size: Int) -> Float:
     """(lines,) averages that are independent of each other, of overlapping pieces and neighbouring bins."""
-    over_time = pieces / (1 + 2 * _OVERLAP * (pieces - 1) / pieces)
+    overlaps = int(np.count_nonzero(np.diff(starts) < count))
+    over_time = starts.size / (1 + 2 * _OVERLAP * overlaps / starts.size)
     near = _NEXT_BIN * (size - 1) + _SECOND_BIN * np.maximum(size - 2, 0)
     return np.asarray(over_time * size / (1 + 2 * near / size))
