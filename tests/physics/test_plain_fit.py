@@ -24,6 +24,8 @@ SLOW_FILM = 1
 """Seed of a film whose only arm is slower than the sweeps."""
 FAR_CLAMP, FAR_CLAMP_TOO = 895_730_046, 895_730_069
 """Seeds of sessions whose clamps are put far from their files."""
+ARM_OF_OTHERS = 971_896_752
+"""Seed of three recordings whose steps of voltage show an arm that their sinusoid does not."""
 
 
 @pytest.mark.slow
@@ -113,3 +115,13 @@ def test_an_arm_slower_than_every_sweep_is_found(tau_s: float) -> None:
     assert len(fitted.k) == 1
     assert fitted.k0 == pytest.approx(film.k0, rel=0.05)
     assert fitted.tau[0] == pytest.approx(tau_s, rel=0.1)
+
+
+def test_entries_of_the_mechanical_tests_alone_are_those_of_the_model_or_none() -> None:
+    """A search that began at them stopped with an error where other tests had added an arm."""
+    drift = Effect("humidity", 0.014, {"period_s": 1031.5})
+    truth = true_session(ARM_OF_OTHERS, [compact_designs()[i] for i in (1, 3, 5)], (drift,))
+    session = make_session([reduce(r) for r in truth.recordings])
+    found = fit_plain(session, Simulation(session))
+    assert found.model.arms == 2
+    assert found.mechanical is None

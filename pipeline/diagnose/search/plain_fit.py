@@ -100,7 +100,9 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
     model = _choose_creep(session, simulation, model, start)
     starts = [start, *_place_idle_arms(session, model, start)]
     found = min((refit_plain(session, simulation, model, s) for s in starts), key=lambda f: f.chi2)
-    return replace(found if order else _add_arms_that_suffice(session, simulation, found), mechanical=start)
+    whole = found if order else _add_arms_that_suffice(session, simulation, found)
+    # The mechanical tests alone know nothing of arms that others show.
+    return replace(whole, mechanical=start if whole.model.arms == found.model.arms else None)
 
 
 def _add_arms_that_suffice(session: Session, simulation: Simulation, found: PlainFit) -> PlainFit:
