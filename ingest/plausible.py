@@ -54,10 +54,11 @@ def find_impossible(values: Float, quantity: Quantity) -> Bool:
         return (values < quantity.least) | (values > quantity.largest)
 
 
-_FEWEST_GAPS = 8
+_FEWEST_GAPS = 3
+_BY_CHANCE = 5e-7
+"""Probability of edges of gaps at so low ranks among all other kept samples where gaps fall by chance: once in two million channels."""
 _EXTREME = 0.06
-"""Mean rank of the edges of gaps among the kept samples. Of eight gaps that fall by chance it is so low once in two
-million channels, since the ranks are then uniform: (0.06 e)⁸."""
+"""Mean rank of the edges among all others that were kept above which they are not low, however many gaps there are."""
 _SPREAD = 0.5
 """Share of the record over which the gaps must lie: a plug that was loose for a while is no choice by value."""
 
@@ -68,6 +69,8 @@ def find_losses_by_value(values: Float) -> str:
     Each gap is looked at by the samples on both sides of it, which are about as large as what was lost. Where the edges
     of all gaps lie below nearly everything that was kept, the low ones were lost; in the same way the small ones of either
     sign. Lost large ones are what an instrument does beyond its range, and no choice.
+
+    Ranks of gaps that fall by chance are uniform: the mean of k of them is below m with a probability of (e m)^k at most.
     """
     lost = np.isnan(values)
     edges = np.flatnonzero(np.diff(lost.astype(np.int8)))
@@ -75,11 +78,16 @@ def find_losses_by_value(values: Float) -> str:
     ends = edges[lost[edges]] + 1
     if starts.size < _FEWEST_GAPS or starts[-1] - starts[0] < _SPREAD * values.size:
         return ""
-    kept, beside = values[~lost], values[[*starts, *ends]]
-    for what, size, of_edges in (("the lowest", kept, beside), ("the smallest", np.abs(kept), np.abs(beside))):
+    limit = min(_EXTREME, _BY_CHANCE ** (1 / starts.size) / np.e)
+    away = ~lost
+    away[[*starts, *ends]] = False
+    others, beside = values[away], values[[*starts, *ends]]
+    if not others.size:
+        return ""
+    for what, size, of_edges in (("the lowest", others, beside), ("the smallest", np.abs(others), np.abs(beside))):
         ordered = np.sort(size)
         ranks = np.searchsorted(ordered, of_edges, "left") + np.searchsorted(ordered, of_edges, "right")
-        if np.mean(ranks) / (2 * size.size) <= _EXTREME:
+        if np.mean(ranks) / (2 * size.size) <= limit:
             return what
     return ""
 
