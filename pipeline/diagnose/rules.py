@@ -166,9 +166,6 @@ class FitRules:
     )
     settled_chi2: float = _rule(0.1, "fall of χ² below which an optimum is confirmed", unit="χ²")
     settled_share: float = _rule(2e-4, "the same, as a share of χ²")
-    alternative_chi2: float = _rule(
-        0.5, "share of what the causes explain within which a rough fit of an alternative must be", COST
-    )
 
 
 @dataclass(frozen=True)

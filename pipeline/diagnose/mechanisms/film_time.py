@@ -155,7 +155,6 @@ THERMAL_SOFTENING = Mechanism(
     ),
     shows=MECHANICAL | ELECTRICAL,
     faint=("sphs", "step"),
-    warms=True,
     confusable={
         "cyclic_softening": "rest recovers it, strain does not matter: repeat the first sweep in the end, or record temperature",
         "gain_error": "a gain is constant in time",

@@ -95,7 +95,6 @@ class Mechanism:
     absorbed : whether film and rig of the plain model can take its place, so that a screen sees next to nothing of a strong one; it is
         searched from several severities then, with film and rig fitted to each first
     relaxes : whether it is a relaxation of the film, of which another arm of the plain model could take a part
-    warms : whether a warmer room shows it
     softening : parameters → share of the film's static stiffness that stays; a fit starts with a film stiffer by its inverse
     as_arm : stiffness over k0, time constant s → parameters at which it is an arm as the plain model's; None: it never is one
     as_filed : errors of the clamp mass and of the load-cell stiffness (true over filed, less 1) → parameters that say the same, so
@@ -117,7 +116,6 @@ class Mechanism:
     onset: bool = False
     absorbed: bool = False
     relaxes: bool = False
-    warms: bool = False
     softening: Callable[[Values], float] | None = field(default=None)
     as_arm: Callable[[float, float], Values] | None = field(default=None)
     as_filed: Callable[[float, float], Values] | None = field(default=None)

@@ -82,9 +82,8 @@ _LONG_REST_S, _LONG_HOLD_S = 7200.0, 7200.0
 _REST, _WARMER, _TEMPERATURE = "rest_before_s", "warmer_k", "temperature_degc"
 _TO_WARM_S, _ROOM_DEGC = 3600.0, 23.0
 """Time in which a film takes the temperature of a room, s; and that of a usual room, °C."""
-WARMER_K, LITTLE_WARMER_K = 10.0, 3.0
-"""How much warmer a room is made to tell causes apart, and to see one again: far from what is known, its form may be
-another."""
+WARMER_K = 10.0
+"""How much warmer a room is made to tell causes apart."""
 _EXTRA_KG = "extra_clamp_mass_kg"
 _USUAL_CLAMP_KG, _WEIGHTS_KG = 0.1, (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Mass of a clamp where no file gives one, and masses of a usual set of weights, kg."""

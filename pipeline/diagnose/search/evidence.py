@@ -45,11 +45,6 @@ class Evidence:
     patterns_after: Patterns | None = None
 
     @property
-    def is_discrepant(self) -> bool:
-        """Whether there is anything to explain."""
-        return self.posterior is not None
-
-    @property
     def best(self) -> Hypothesis | None:
         """The most probable hypothesis of listed causes; None where the plain model is more probable."""
         return None if self.posterior is None else find_best(self.posterior)
@@ -66,20 +61,10 @@ class Evidence:
         return () if self.posterior is None else self.posterior.find_set(RULES.verdict.credible)
 
     @property
-    def alternatives(self) -> tuple[ExtendedFit, ...]:
-        """Fits of the other listed causes among the credible hypotheses, the most probable first."""
-        return tuple(h.fit for h in self.credible if h.causes and h.fit is not None and h is not self.best)
-
-    @property
     def may_be_unlisted(self) -> bool:
         """Whether the credible hypotheses hold one without a name, or the best leaves too much to something else."""
         best = self.best
         return any(not h.causes for h in self.credible) or (best is not None and not best.is_adequate)
-
-    @property
-    def leaves_pattern(self) -> bool:
-        """Whether the causes leave a pattern."""
-        return self.patterns_after is not None and self.patterns_after.p_value < RULES.alarm.left_level
 
 
 def find_best(posterior: Posterior) -> Hypothesis | None:
