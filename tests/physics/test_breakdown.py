@@ -571,6 +571,7 @@ def test_what_decays_as_through_a_resistor_is_hardly_a_breakdown() -> None:
     assert posterior({"fall": "long discharge to zero"})["failed"] < 0.1 * posterior({})["failed"]
 
 
+@pytest.mark.slow
 @pytest.mark.study
 def test_study() -> None:
     """Rates on records of families of endings; the seeds are not those that the weights were fitted on."""

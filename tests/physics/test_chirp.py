@@ -281,6 +281,7 @@ def test_a_repeat_with_a_gap_is_left_out_and_single_lost_samples_are_not() -> No
     assert any("1 repeats with gaps" in w for w in warnings)
 
 
+@pytest.mark.slow
 def test_a_truncated_sweep_gives_the_band_it_reached(integrated) -> None:
     truth, x, force = integrated
     cut = int(6.0 * RATE)  # the sweep has reached 12.6 Hz here

@@ -108,6 +108,7 @@ def test_readings_of_a_record() -> None:
     assert (found.stretch_1, found.stretch_2, found.stated_permittivity) == (1.2, 3.0, 4.7)
 
 
+@pytest.mark.slow
 def test_relaxation_of_the_film_is_no_force() -> None:
     found = measure_force_map(recording(drift=0.004))  # 12 mN in each on-phase
     np.testing.assert_allclose([r.force_n for r in found.readings if r.direction == 1], 0.35, atol=2e-3)
@@ -334,6 +335,7 @@ def test_tables() -> None:
     assert force_map_tables((), (), ())["force_maps"].num_rows == 0
 
 
+@pytest.mark.slow
 def test_drift_of_the_pre_stretch_is_no_force_and_intervals_cover() -> None:
     """One time of voltage in a film that relaxes by up to a tenth of the force meanwhile, some of which comes slowly."""
     covered, errors = [], []

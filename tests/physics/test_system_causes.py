@@ -137,6 +137,7 @@ def test_a_saturated_reading_is_named() -> None:
     assert best.lower > 0.8
 
 
+@pytest.mark.slow
 def test_nonlinear_damping_is_that_of_the_fastest_motion() -> None:
     question, found = _question("load_cell_damping")
     simulated = next(s for s in question.simulations if s.mechanism == "load_cell_damping").outputs[0]

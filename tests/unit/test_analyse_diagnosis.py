@@ -44,6 +44,7 @@ def at(one: Measured, days: float, **more: Any) -> Measured:
     return replace(one, results=(SessionFeatures(pack(moved)),))
 
 
+@pytest.mark.slow
 def test_a_tap_of_the_rig_joins_as_a_recording_of_the_specimen_and_its_age_does_not_count(recorded: Any) -> None:
     own = [recorded["chirp"], recorded["cyclic"]]
     features, refused = session_of("S-9", own, [at(recorded["tap"], -400, specimen_id="clamp")])

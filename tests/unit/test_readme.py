@@ -222,6 +222,7 @@ def write_samples(lab: Path, recording: str) -> None:
     pq.write_table(pa.table({"time_ns": np.arange(9), "force": np.arange(9.0)}), lab / path)
 
 
+@pytest.mark.slow
 def test_the_notebook_examples_run(there: Path) -> None:
     mpl.use("Agg")
     write_samples(there / "lab", "P-05_chirp-1")
@@ -239,6 +240,7 @@ def test_the_notebook_examples_run(there: Path) -> None:
     assert [p.recording_id for p in load_campaign(there / "what-if.toml").planned] == ["what-if"]
 
 
+@pytest.mark.slow
 def test_the_database_opens_with_duckdb_and_pandas_alone(there: Path) -> None:
     found: dict[str, Any] = {}
     exec(next(block for block in blocks("python") if "import duckdb" in block), found)
@@ -246,6 +248,7 @@ def test_the_database_opens_with_duckdb_and_pandas_alone(there: Path) -> None:
     assert len(found["units"]) > 20
 
 
+@pytest.mark.slow
 def test_the_database_opens_in_duckdbs_own_command_line(there: Path) -> None:
     program = shutil.which("duckdb") or shutil.which("duckdb", path=str(Path(sys.executable).parent))
     if program is None:
