@@ -148,7 +148,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
         level = RULES.alarm.pattern_level if noise is posterior.hypotheses[0] else RULES.alarm.mechanism_level
         again = _test_again(changes, noise)
         if again >= level:
-            return replace(nothing, p_value=again)
+            return replace(nothing, p_value=again, louder=noise.weight)
     best = find_best(posterior)
     final = None if best is None else order_causes(refit_under(plain, best))
 

@@ -89,7 +89,7 @@ def report_session(
         held_out=held_out,
         extension=None if extended is None else _report_extension(evidence, extended, context, held_out),
         candidates=_list_candidates(evidence, final, context, held_out),
-        discrepancies=list_discrepancies(evidence.noise_fit),
+        discrepancies=list_discrepancies(evidence.noise_fit, evidence.louder),
         next_recording=proposal,
         smallest_detectable=report_smallest(smallest, context),
         invisible=list_invisible(session.kinds),

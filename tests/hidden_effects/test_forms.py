@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.search.discrepancies import list_discrepancies
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit, compose_chosen
 from pipeline.diagnose.simulation.effects import NONE
 from pipeline.diagnose.simulation.effects import Film as EffectFilm
@@ -174,3 +176,24 @@ def test_softening_with_the_logarithm_of_the_cycles_ends_at_its_loss() -> None:
     assert left(whole, "sweep") == pytest.approx(0.8)
     assert left(whole, "step") == pytest.approx(0.8)
     assert 0.8 < left(whole / 10, "cyclic") < 0.95
+
+
+def test_nothing_that_depends_on_the_strain_is_detectable_where_nothing_moves_the_film() -> None:
+    """No strain is large there: compared with none, that of an actuation was without bound, and so was what it would show."""
+    truth = true_session(SESSION, STEPS[:1] + MULTISINES[:1], ())
+    found = diagnose([reduce(r) for r in truth.recordings])
+    assert not {"amplitude_softening", "cyclic_softening", "strain_stiffening"} & set(found.smallest_detectable)
+    assert all(abs(v) > 1e-9 for severities in found.smallest_detectable.values() for v in severities.values())
+
+
+def test_places_are_tested_under_the_noise_that_the_session_has() -> None:
+    truth = true_session(SESSION, CYCLES, ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    film = truth.truth.specimen.film
+    model = session.base_model(len(film.k))
+    theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
+    of = Extended(session, Simulation(session), model, (), np.ones(session.size))
+    fit = of.fit(theta, most=3)
+    quiet, loud = list_discrepancies(fit), list_discrepancies(fit, np.full(session.size, 0.5))
+    assert sum(d.chi2 for d in loud) == pytest.approx(sum(d.chi2 for d in quiet) / 4)
+    assert min(d.p_value for d in loud) >= min(d.p_value for d in quiet)

@@ -35,7 +35,7 @@ _WORDS = {
 }
 
 
-def list_discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
+def list_discrepancies(fit: ExtendedFit, weight: Float | None = None) -> tuple[Discrepancy, ...]:
     """Every block of the session in its bands or spans of time, with χ² and a sentence; worst first.
 
     All are listed, also those within the noise: a page chooses by probability, in which the noise's own uncertainty
@@ -44,8 +44,9 @@ def list_discrepancies(fit: ExtendedFit) -> tuple[Discrepancy, ...]:
     Parameters
     ----------
     fit : the plain model at its optimum
+    weight : (N,) of the residuals, where the noise of some tests is louder than that of their rests
     """
-    return tuple(sorted(_test_everywhere(fit), key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
+    return tuple(sorted(_test_everywhere(fit, weight), key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
 
 
 def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
@@ -67,10 +68,11 @@ def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str,
     return (*(f"{d.recording_id}: {d.statement[0].lower()}{d.statement[1:]}" for d in worst), *more)
 
 
-def _test_everywhere(fit: ExtendedFit) -> list[Discrepancy]:
+def _test_everywhere(fit: ExtendedFit, weight: Float | None = None) -> list[Discrepancy]:
     """Every block in its bands or spans of time, in the order of the session."""
     session = fit.of.session
     simulated, residual = fit.of.predict(fit.x), fit.of.compute_data_residual(fit.x)
+    residual = residual if weight is None else weight * residual
     found = []
     for p in session.places:
         for where, rows in _split_block(p):

@@ -12,6 +12,7 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.patterns import Patterns
 from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior, RegionFit
 from pipeline.diagnose.search.screen import Signatures
+from schemas.arrays import Float
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,8 @@ class Evidence:
     final : the most probable hypothesis of listed causes under the weights of `plain`, the strongest cause first; None where
         there is none, or the plain model is more probable
     patterns_after : smooth patterns that the best causes leave, or the plain model where there are none
+    louder : (N,) weights of the residuals under the noise that the likelihood makes of the session, where nothing is found beyond that;
+        None where the noise is that of the rests
     """
 
     noise_fit: ExtendedFit
@@ -43,6 +46,7 @@ class Evidence:
     posterior: Posterior | None = None
     final: ExtendedFit | None = None
     patterns_after: Patterns | None = None
+    louder: Float | None = None
 
     @property
     def best(self) -> Hypothesis | None:
