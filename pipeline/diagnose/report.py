@@ -376,7 +376,7 @@ def _describe_doubt(evidence: Evidence) -> list[str]:
 
 def _list_unaskable(session: Session) -> tuple[str, ...]:
     """Questions that these recordings cannot answer, in words."""
-    found = []
+    found = list(session.unasked)
     if len(session.recordings) == 1:
         found.append(
             "There is one recording: nothing can be held out but parts of it, and no change from recording to recording shows."
@@ -388,7 +388,7 @@ def _list_unaskable(session: Session) -> tuple[str, ...]:
     protocols = set(session.protocols)
     if not protocols & {"sphs", "step"}:
         found.append("No electrical test: causes in drive and actuation leave no trace.")
-    elif not session.kinds & kinds.AMPLIFIER:
+    elif not session.kinds & kinds.AMPLIFIER and not session.unasked:
         found.append("The command was not recorded: the amplifier's gain, lag and offset cannot be questioned.")
     if protocols & {"sphs", "step"} and not protocols & {"chirp", "cyclic", "relaxation", "cycle"}:
         found.append("No mechanical test: the film's own dynamics rest on the electrical ones.")

@@ -9,6 +9,7 @@ from functools import lru_cache
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.faults.change import shows_in_more_than_one_test
 from pipeline.diagnose.faults.find import Checked, check_recordings
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
@@ -178,3 +179,24 @@ def test_a_tap_on_something_else_is_told_where_the_tests_agree_with_the_file() -
     (fault,) = checked.faults
     assert (fault.cause, fault.recordings) == ("foreign_rig", (tap.recording_id,))
     assert not fault.bars
+
+
+@pytest.mark.parametrize(
+    ("tests", "first", "is_seen"),
+    [
+        ("chirp chirp sphs sphs step step", 4, False),
+        ("chirp chirp sphs step cyclic sphs", 3, True),
+        ("chirp sphs step cyclic", 2, True),
+        ("chirp chirp cyclic cyclic", 2, False),
+    ],
+    ids=["steps alone after it", "sinusoids on both sides", "both loadings on both sides", "cycles alone after it"],
+)
+def test_a_change_has_to_show_in_more_than_one_kind_of_test(tests: str, first: int, is_seen: bool) -> None:
+    """What the steps that come last show alone may be a permittivity that falls with the frequency."""
+    loading = {"chirp": "mechanical", "cyclic": "mechanical", "sphs": "electrical", "step": "electrical"}
+    a = sound()[0]
+    recordings = tuple(
+        replace(a, protocol=p, loading=loading[p], recording_id=str(i)) for i, p in enumerate(tests.split())
+    )
+    session = replace(join_features(sound()), recordings=recordings)
+    assert shows_in_more_than_one_test(session, first) is is_seen

@@ -197,3 +197,17 @@ def test_places_are_tested_under_the_noise_that_the_session_has() -> None:
     quiet, loud = list_discrepancies(fit), list_discrepancies(fit, np.full(session.size, 0.5))
     assert sum(d.chi2 for d in loud) == pytest.approx(sum(d.chi2 for d in quiet) / 4)
     assert min(d.p_value for d in loud) >= min(d.p_value for d in quiet)
+
+
+def test_a_channel_whose_noise_no_rest_shows_is_left_out_in_words() -> None:
+    """Without a stretch at rest, the noise of voltage and command was taken for none, and the search ended with an error."""
+    truth = true_session(SESSION, CYCLES[:1] + MULTISINES, ())
+    features = [reduce(r) for r in truth.recordings]
+    assert any(block.kind == "sphs.voltage" for f in features for block in f.blocks)
+    blind = [replace(f, noise=tuple(n for n in f.noise if n.quantity not in ("voltage", "command"))) for f in features]
+    session = make_session(blind)
+    assert "sphs.voltage" not in session.kinds
+    assert np.isfinite(session.whiten(session.value)).all()
+    found = diagnose(blind)
+    assert found.verdict == "none"
+    assert any("noise of command and voltage" in sentence for sentence in found.could_not_ask)

@@ -17,7 +17,7 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
 from schemas.arrays import Bool, Float
 from schemas.numbers import significant
-from schemas.protocols import ELECTRICAL
+from schemas.protocols import CALIBRATION, ELECTRICAL
 
 _FEWEST = 2
 """Recordings before and after a change at least: what one recording shows is a fault of its own."""
@@ -38,7 +38,7 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     chi2 : of the session without a change
     """
     place = _find_step(session, simulation, fit)
-    if place is None:
+    if place is None or not shows_in_more_than_one_test(session, place[0]):
         return None
     first, start = place
     rows = session.recording_of >= first
@@ -57,6 +57,15 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
         "as before, or its force is read so much larger",
         left_per_value=left,
     )
+
+
+def shows_in_more_than_one_test(session: Session, first: int) -> bool:
+    """Whether tests of one kind lie on both sides of a change, or both loadings do: what one kind alone shows that comes last is as likely a
+    mechanism that the others do not show."""
+    tests = [(r.protocol, r.loading) for r in session.recordings if r.loading != CALIBRATION]
+    after = [(r.protocol, r.loading) for r in session.recordings[first:] if r.loading != CALIBRATION]
+    before = tests[: len(tests) - len(after)]
+    return bool(set(before) & set(after)) or len({x for _, x in before} & {x for _, x in after}) > 1
 
 
 def _find_step(session: Session, simulation: Simulation, fit: PlainFit) -> tuple[int, float] | None:

@@ -99,6 +99,7 @@ class Session:
     value : (N,) all features
     scale : what the whole session has
     laws : noise law by rig and quantity
+    unasked : what is left out because its noise is not known, a sentence each
     """
 
     specimen_id: str
@@ -112,6 +113,7 @@ class Session:
     scale: Scale
     laws: dict[tuple[int, str], NoiseLaw]
     loaded: tuple[tuple[int, float], ...]
+    unasked: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:
@@ -272,6 +274,8 @@ def make_session(
             rigs.append(r.rig)
             loaded.append(clamp)
         number.append(loaded.index(clamp))
+    laws = _laws(ordered, number) if laws is None else dict(laws)
+    ordered, unasked = _leave_out_unknown_noise(ordered, number, laws)
     if not any(r.blocks for r in ordered):
         raise NotIdentifiableError(
             "no recording has features that could be simulated",
@@ -300,8 +304,9 @@ def make_session(
         states=states,
         value=np.concatenate([p.block.value for p in places]),
         scale=total,
-        laws=_laws(ordered, number) if laws is None else dict(laws),
+        laws=laws,
         loaded=tuple(loaded),
+        unasked=unasked,
     )
 
 
@@ -376,6 +381,25 @@ def _states(ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Fl
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     columns["recording"], columns["rig"] = columns["recording"].astype(np.int64), columns["rig"].astype(np.int64)
     return States(**columns), places
+
+
+def _leave_out_unknown_noise(
+    ordered: Sequence[RecordingFeatures], rigs: Sequence[int], laws: Mapping[tuple[int, str], NoiseLaw]
+) -> tuple[list[RecordingFeatures], tuple[str, ...]]:
+    """The recordings without blocks of which no part of the noise is known, and what is left out: where no recording of a rig shows a channel
+    at rest, any misfit of it would be without bound."""
+    kept, unasked = [], []
+    for r, rig in zip(ordered, rigs, strict=True):
+        quantities = [{name.split("/")[0] for name in block.components} for block in r.blocks]
+        known = ["unit" in own or any((rig, q) in laws for q in own) for own in quantities]
+        kept.append(replace(r, blocks=tuple(b for b, is_known in zip(r.blocks, known, strict=True) if is_known)))
+        lacking = sorted({q for own, is_known in zip(quantities, known, strict=True) if not is_known for q in own})
+        if lacking:
+            unasked.append(
+                f"{r.recording_id}: no recording on its rig shows the noise of {' and '.join(lacking)} at rest; "
+                "what they say is left out."
+            )
+    return kept, tuple(unasked)
 
 
 def _laws(ordered: Sequence[RecordingFeatures], rigs: Sequence[int]) -> dict[tuple[int, str], NoiseLaw]:
