@@ -276,7 +276,7 @@ class LocalPool(Executor):
 def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
     """A function that gives executors on the cluster at `address` (its argument is ignored), and the cluster's size.
 
-    Raises `LabError` when the cluster cannot be reached, a worker has other software, or the extra is not installed.
+    Raises `LabError` when the cluster cannot be reached or has no worker, a worker has other software, or the extra is not installed.
     """
     try:
         from distributed import Client
@@ -289,10 +289,17 @@ def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
             f"the cluster does not answer: {error}", where=address, expected="the address of a dask scheduler"
         ) from None
     try:
+        # Those that are being started again have no software to speak of yet, and are not to be trusted unasked.
+        client.wait_for_workers(1, timeout=_CONNECT_S)
         refuse_other_software(describe_software(), client.run(describe_software, on_error="return"))
     except LabError:
         client.close()
         raise
+    except TimeoutError:
+        client.close()
+        raise LabError(
+            "the cluster has no worker", where=address, expected="at least one `dask worker` of that scheduler"
+        ) from None
     return lambda _jobs: _ClusterExecutor(client), max(1, sum(client.ncores().values()))
 
 

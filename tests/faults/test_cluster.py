@@ -120,6 +120,20 @@ def test_what_a_worker_has_is_held_against_the_nights() -> None:
     assert "dealab 0.1.0 (aa), numpy 2.4" in str(refused.value)
 
 
+def test_a_cluster_without_workers_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody could be asked for software, and the night would have begun with whoever came."""
+    from distributed import LocalCluster
+
+    monkeypatch.setattr("pipeline.nightly.workers._CONNECT_S", "1s")
+    raw, lab = small_campaign(tmp_path / "raw", chirps=0, lives=1), Lab(tmp_path / "lab")
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,  # type: ignore[no-untyped-call]
+        pytest.raises(LabError, match="has no worker"),
+    ):
+        nightly([raw], lab, jobs=1, cluster=cluster.scheduler_address)
+    assert not lab.database.exists()
+
+
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pipeline.nightly.workers._CONNECT_S", "1s")
     raw = small_campaign(tmp_path / "raw", chirps=0, lives=1)
