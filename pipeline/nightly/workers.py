@@ -276,7 +276,8 @@ class LocalPool(Executor):
 def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
     """A function that gives executors on the cluster at `address` (its argument is ignored), and the cluster's size.
 
-    Raises `LabError` when the cluster cannot be reached or has no worker, a worker has other software, or the extra is not installed.
+    Raises `LabError` when the cluster cannot be reached or has no worker, when a worker has other software, and when
+    the extra is not installed.
     """
     try:
         from distributed import Client
