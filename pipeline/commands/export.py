@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from pipeline.transform.prony import PronySeries
 
 _PROGRAMS = ("abaqus", "ansys", "comsol", "ls-dyna", "csv", "json")
-_MPA = {"Pa": 1e-6, "kPa": 1e-3, "MPa": 1.0, "GPa": 1e3}
 _YOUNG, _SHEAR = "young", "shear"
 
 
 def run(arguments: Namespace) -> int:
+    from ingest.atomic import written_whole
     from pipeline.transform.prony import write_deck
 
     series = read_series(Lab(arguments.lab), arguments.specimen, arguments.modulus)
@@ -26,7 +26,8 @@ def run(arguments: Namespace) -> int:
     if arguments.out is None:
         sys.stdout.write(deck)
         return DONE
-    arguments.out.write_text(deck, encoding="utf-8")
+    with written_whole(arguments.out) as file:
+        file.write_text(deck, encoding="utf-8")
     print(f"{arguments.specimen}: {len(series.times_s)} terms for {arguments.program} in {arguments.out}")
     return DONE
 
@@ -97,16 +98,15 @@ def _read_curve(
 ) -> PronySeries:
     """Terms of a master curve, in the unit of its file."""
     from pipeline.transform.prony import PronySeries, Wlf
+    from schemas.units import conversion
 
     unit = terms[0]["unit"]
-    if unit not in _MPA:
-        raise UsageError(f"the moduli of {specimen} are in {unit}", expected=", ".join(_MPA))
     if modulus is None:
         raise UsageError(
             f"the moduli of {specimen} are as its file has them, which may be Young's or shear moduli",
             expected=f"--modulus {_YOUNG} or --modulus {_SHEAR}",
         )
-    per = _MPA[unit] * (3 if modulus == _SHEAR else 1)
+    per = conversion(unit, "MPa", where=specimen).scale * (3 if modulus == _SHEAR else 1)
     terms.sort(key=lambda t: t["term"])
     first, arms = terms[0], terms[1:]
     if first["term"] != 0 or any(t["tau_s"] is None for t in arms):

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.arrays import Float
 from schemas.errors import RefusedError
 
 _BULK_OVER_SHEAR = 2000.0
@@ -73,12 +72,6 @@ class PronySeries:
         """Modulus of each term over the instantaneous one."""
         return tuple(e / self.instantaneous_mpa for e in self.moduli_mpa)
 
-    def relax(self, time_s: Float) -> Float:
-        """Relaxation modulus in MPa at times (m,) s after a step of the strain."""
-        t = np.asarray(time_s, dtype=float)
-        terms = [e * np.exp(-t / tau) for e, tau in zip(self.moduli_mpa, self.times_s, strict=True)]
-        return np.asarray(self.equilibrium_mpa + np.sum(terms, axis=0))
-
 
 def write_deck(series: PronySeries, program: str) -> str:
     """The material in the terms of a program.
@@ -136,7 +129,7 @@ def _ansys(series: PronySeries) -> list[str]:
 
 def _comsol(series: PronySeries) -> list[str]:
     lines = [*_comment("% ", series), f'G_inf {series.equilibrium_mpa / 3:.12g}[MPa] "Long-term shear modulus"']
-    for number, (e, tau) in enumerate(zip(series.moduli_mpa, series.times_s, strict=True), 1):
+    for number, e, tau in _number(series):
         lines.append(f'G_{number} {e / 3:.12g}[MPa] "Shear modulus of branch {number}"')
         lines.append(f'tau_{number} {tau:.12g}[s] "Relaxation time of branch {number}"')
     if series.shift is not None:

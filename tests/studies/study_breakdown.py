@@ -23,9 +23,9 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
 from pipeline.transform.breakdown import detect_breakdown
+from reports.pages.campaign.places import clopper_pearson
 from schemas.errors import DealabError, RefusedError
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import RecordingMetadata, RigConstants
@@ -127,9 +127,10 @@ class Score:
 
 def rate(number: int, of: int) -> str:
     """A share in per cent with its exact 95 % interval (Clopper and Pearson)."""
-    low = float(beta.ppf(0.025, number, of - number + 1)) if number else 0.0
-    high = float(beta.ppf(0.975, number + 1, of - number)) if number < of else 1.0
-    return f"{100 * number / of:.2f} % ({100 * low:.2f} to {100 * high:.2f}, {number} of {of})" if of else "none"
+    if of == 0:
+        return "none"
+    low, high = clopper_pearson(number, of)
+    return f"{100 * number / of:.2f} % ({100 * low:.2f} to {100 * high:.2f}, {number} of {of})"
 
 
 def study(generator: ModuleType | Any, families: Iterable[str], records: int, seed: int) -> dict[str, Score]:

@@ -25,8 +25,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import beta
 
+from reports.pages.campaign.places import clopper_pearson
 from schemas.errors import NotIdentifiableError
 from tests.helpers.judging import INSEPARABLE, Case, Judgement, judged
 from tests.helpers.kept_judgements import Kept, digest
@@ -80,8 +80,7 @@ def rate(hits: Sequence[bool]) -> str:
     n, k = len(hits), sum(hits)
     if n == 0:
         return "–"
-    low = beta.ppf(0.025, k, n - k + 1) if k else 0.0
-    high = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
+    low, high = clopper_pearson(k, n)
     return f"{100 * k / n:.1f} % ({k}/{n}; {100 * low:.1f} to {100 * high:.1f} %)"
 
 

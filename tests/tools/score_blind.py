@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from scipy.stats import beta
+from reports.pages.campaign.places import clopper_pearson
 
 _NAME = re.compile(r"[a-z_]+")
 
@@ -75,8 +75,7 @@ def print_score(counts: Mapping[str, tuple[int, int]]) -> str:
         if of == 0:
             lines.append(f"{what}: nothing to score")
             continue
-        low = beta.ppf(0.025, right, of - right + 1) if right else 0.0
-        high = beta.ppf(0.975, right + 1, of - right) if right < of else 1.0
+        low, high = clopper_pearson(right, of)
         lines.append(f"{what}: {right} of {of} = {right / of:.0%} ({low:.0%} to {high:.0%})")
     return "\n".join(lines)
 

@@ -20,15 +20,10 @@ from pipeline.diagnose.mechanisms.mechanism import (
     Parameter,
     Values,
 )
-from pipeline.diagnose.simulation.effects import BySize, Course, Effect, Film, Scale, View
+from pipeline.diagnose.simulation.effects import BySize, Course, Effect, Film, View
 from schemas.arrays import Float
 
 _BENT = SWEEPS | CYCLES | RAMPS | SPHS_FORCE | {kinds.STEP_FORCE}
-
-
-def _find_largest(scale: Scale) -> float:
-    """Largest strain of a session, to which strains are compared; without bound where nothing moved the film, so that none is large."""
-    return scale.strain if scale.strain > 0 else float("inf")
 
 
 def _amplitude(course: Course) -> Float:
@@ -48,7 +43,7 @@ def _soft(values: Values, variant: str) -> Effect:
         return np.asarray(drop * power * (1 + half) / (power + half))
 
     def softer(course: Course) -> Float:
-        largest = _find_largest(course.scale)
+        largest = course.scale.largest_strain
         amplitude = _amplitude(course) / largest
         if course.periodic and at_once > 0:
             strain = (course.strain - course.strain.mean(axis=-1, keepdims=True)) / largest
@@ -78,7 +73,7 @@ def _wear(values: Values) -> Effect:
     loss, first, by_strain = values["loss"], values["cycles"], values["strain_scale"] / (1 + values["strain_scale"])
 
     def worn(film: Film, view: View) -> Film:
-        largest = _find_largest(view.scale)
+        largest = view.scale.largest_strain
         own = view.elapsed if view.test in _TESTS else np.zeros((1, 1))
         path = view.path_before + own * view.strain
         done = (1 - by_strain) * (view.cycles_before + own) + by_strain * path / largest
@@ -97,14 +92,14 @@ def _damage(values: Values, variant: str) -> Effect:
         return np.asarray(loss * np.expm1(-strain / (scale * largest)) / np.expm1(-1 / scale))
 
     def damaged(film: Film, view: View) -> Film:
-        largest = _find_largest(view.scale)
+        largest = view.scale.largest_strain
         before, after = target(view.strain_before, largest), target(view.largest_strain, largest)
         return Film(film.k * (1 - after - (before - after) * np.exp(-view.elapsed / cycles)), film.share)
 
     def rejoins(course: Course) -> Float:
         # What a film has been through before is not known here: most of a session's tests come after its largest strain, and before
         # it there is little damage to come back from.
-        largest, size = _find_largest(course.scale), np.abs(course.strain)
+        largest, size = course.scale.largest_strain, np.abs(course.strain)
         so_far = size.max(axis=-1, keepdims=True) if course.periodic else np.maximum.accumulate(size, axis=-1)
         damage = target(so_far, largest) * -np.expm1(-_passed(course, so_far) / cycles)
         return np.asarray(course.tension * (1 + rejoined * damage * (size / largest) ** 2))
@@ -140,7 +135,7 @@ def _stiff(values: Values, variant: str) -> Effect:
     rise, uneven = values["stiffening"], values["asymmetry"]
 
     def stiffer(course: Course) -> Float:
-        relative = course.strain / _find_largest(course.scale)
+        relative = course.strain / course.scale.largest_strain
         # A strain measure under all springs (quasi-linear viscoelasticity): what it adds relaxes as strain does.
         added = course.strain * rise * (uneven * relative / 2 + (1 - uneven) * relative**2 / 3)
         return np.asarray(course.tension + course.carried(added))

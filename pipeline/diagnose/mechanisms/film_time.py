@@ -61,7 +61,7 @@ def _dissipated(film: Film, view: View) -> Float:
 
     Nothing flows away meanwhile: films cool in minutes. Sinusoids count, of which each cycle of amplitude e leaves π e² Im k.
     """
-    own = np.maximum(film.k.imag, 0.0) / view.k0 * (view.strain / max(view.scale.strain, 1e-12)) ** 2
+    own = np.maximum(film.k.imag, 0.0) / view.k0 * (view.strain / view.scale.largest_strain) ** 2
     if view.test == "cyclic":
         return np.asarray(own * view.elapsed)
     if view.test != "sweep":

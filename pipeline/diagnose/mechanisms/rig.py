@@ -45,7 +45,7 @@ def _damping(values: Values, variant: str) -> Effect:
         # Linear damping that takes as much work from a sinusoid; the motion that it brakes is found with it.
         omega = 2 * np.pi * view.frequency_hz
         critical = rig.critical_damping * rig.compliance
-        reference = max(view.scale.strain, 1e-12) * rig.clamp_omega
+        reference = view.scale.largest_strain * rig.clamp_omega
         # The film's strain moves the clamp by k/kL of the whole: x′ = x0 (k/kL)/(own + k/kL). The drag adds to its imaginary part.
         alone_with_film = rig.loaded(k, own)
         still, moving = alone_with_film.real**2, alone_with_film.imag

@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.likelihood import find_absorbed
-from pipeline.diagnose.search.posterior import Hypothesis, RegionFit
+from pipeline.diagnose.search.posterior import Hypothesis
 from schemas.arrays import Float
 
 
@@ -65,18 +65,10 @@ def _is_near(region: Hypothesis, cause: Hypothesis, absorbed: Float) -> bool:
     fit = region.region
     if fit is None:
         return False
-    session = cause.model.of.session
-    predicted = fit.predict()
-    changed = predicted - _predict_without(fit)
-    apart = session.whiten(np.nan_to_num(predicted - cause.model.of.predict(cause.model.x)))
-    effect = session.whiten(np.nan_to_num(changed))
+    session, plain = cause.model.of.session, fit.plain
+    apart = session.whiten(np.nan_to_num(fit.predict() - cause.model.of.predict(cause.model.x)))
+    effect = session.whiten(fit.compute_change_in(plain.of, plain.x + fit.step))
     return _measure_beyond(apart, absorbed) < max(RULES.form.bends) * _measure_beyond(effect, absorbed)
-
-
-def _predict_without(fit: RegionFit) -> Float:
-    """(N,) features without the function, film and rig as they are beside it."""
-    of = fit.plain.of
-    return of.simulation.predict(of.model, (fit.plain.x + fit.step)[: of.model.size])
 
 
 def _measure_beyond(change: Float, absorbed: Float) -> float:

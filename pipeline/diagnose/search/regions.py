@@ -281,11 +281,11 @@ def _turn(weight: Weight, by: complex) -> Weight:
 
 
 def _of_strain(shape: Shape) -> Weight:
-    return lambda view: shape(np.clip(view.strain / max(view.scale.strain, 1e-12), 0, 1.5))
+    return lambda view: shape(np.clip(view.strain / view.scale.largest_strain, 0, 1.5))
 
 
 def _of_strain_before(shape: Shape) -> Weight:
-    return lambda view: shape(np.clip(view.strain_before / max(view.scale.strain, 1e-12), 0, 1.5))
+    return lambda view: shape(np.clip(view.strain_before / view.scale.largest_strain, 0, 1.5))
 
 
 def _of_record_time(after_s: float) -> Weight:

@@ -84,7 +84,7 @@ class CapacitanceFamily(Family):
             state = self.state_of[id(p)]
             film = self._at_fundamental[p.first] @ strained[min(state, len(strained) - 1)]
             peak = 2 * amplitude * abs(film)
-            strain = peak / self.session.scale.length_mm / max(self.session.scale.strain, 1e-12)
+            strain = peak / self.session.scale.length_mm / self.session.scale.largest_strain
             # Of the capacitance that the film has at that strain, a share is lost.
             grown = rest + pf_per_mm * peak * _SINUSOID
             lost = float(open_wide[state, 0]) * min(strain, 1.0) ** cracks.power * grown * opened / amplitude

@@ -28,6 +28,11 @@ class Scale:
     cycles: float = 0.0
     path: float = 0.0
 
+    @property
+    def largest_strain(self) -> float:
+        """What strains are compared to; without bound where nothing moves the film, so that none is large."""
+        return self.strain if self.strain > 0 else float("inf")
+
 
 @dataclass(frozen=True, eq=False)
 class View:

@@ -22,7 +22,7 @@ from pipeline.diagnose.simulation.effects import NONE, Effect, Factor, Film, Vie
 from pipeline.diagnose.simulation.node_weights import NodeWeights
 from pipeline.diagnose.simulation.nodes import POINTS, carried, fewer_nodes, interpolation
 from pipeline.diagnose.simulation.parameters import Physical, Several
-from pipeline.diagnose.simulation.session import Place, Session
+from pipeline.diagnose.simulation.session import Place, Session, follow_sweep
 from pipeline.physics.film import RelaxationModel, stiffnesses
 from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float, Int
@@ -98,16 +98,11 @@ class Family:
         for p in self.places:
             if p.block.kind != CHIRP_RESPONSE:
                 continue
-            n = p.block.size // 2
-            f, mm, time = p.block.support["profile_hz"], p.block.support["profile_mm"], p.block.time_s[:n]
-            order = np.argsort(time)
-            steps = np.diff(time[order]) * (f[order][1:] + f[order][:-1]) / 2
-            passed = before.get(p.recording, 0.0) + np.concatenate([[0.0], np.cumsum(steps)])
-            before[p.recording] = float(passed[-1])
+            f, mm = p.block.support["profile_hz"], p.block.support["profile_mm"]
+            elapsed = before.get(p.recording, 0.0) + follow_sweep(p.block)
+            before[p.recording] = float(elapsed.max())
             rising = np.argsort(f)
             x = np.log(np.maximum(self.frequency, 1e-9))
-            elapsed = np.empty(n)
-            elapsed[order] = passed
             found[self.state_of[id(p)]] = (
                 np.interp(x, np.log(f[rising]), mm[rising]) / self.session.scale.length_mm,
                 np.interp(x, np.log(f[rising]), elapsed[rising]),

@@ -283,8 +283,8 @@ def make_session(
             expected="a chirp, an sphs, steps, cycles or relaxation",
         )
     start = np.array([(r.started_at - ordered[0].started_at).total_seconds() for r in ordered])
-    states, places = _states(ordered, number, start)
     cycles = [_count_cycles(r) for r in ordered]
+    states, places = _states(ordered, number, start, cycles)
     total = Scale(
         strain=max((r.values.get("largest_strain", 0.0) for r in ordered), default=0.0),
         voltage_kv=max((r.values.get("largest_voltage_kv", 0.0) for r in ordered), default=0.0),
@@ -315,6 +315,17 @@ def _mechanics(rig: RigConstants) -> RigConstants:
     return replace(rig, load_cell_range_n=None, load_cell_range_n_sd=None, noise_sd={}, extra={})
 
 
+def follow_sweep(block: FeatureBlock) -> Float:
+    """(n,) mechanical cycles since the start of a sweep at each line of its response: the integral of its frequency over time."""
+    n = block.size // 2
+    f, time = block.support["profile_hz"], block.time_s[:n]
+    order = np.argsort(time)
+    passed = np.empty(n)
+    steps = np.diff(time[order]) * (f[order][1:] + f[order][:-1]) / 2
+    passed[order] = np.concatenate([[0.0], np.cumsum(steps)])
+    return passed
+
+
 def _count_cycles(recording: RecordingFeatures) -> float:
     """Mechanical cycles of a recording: of its sweeps by their frequency over time, of others as they are numbered."""
     if recording.loading != MECHANICAL:
@@ -322,21 +333,21 @@ def _count_cycles(recording: RecordingFeatures) -> float:
     total = 0.0
     for block in recording.blocks:
         if block.kind == CHIRP_RESPONSE:
-            n = block.size // 2
-            order = np.argsort(block.time_s[:n])
-            total += float(np.trapezoid(block.support["profile_hz"][order], block.time_s[:n][order]))
+            total += float(follow_sweep(block).max())
     if total:
         return total
     numbers = [float(np.nanmax(b.cycle)) for b in recording.blocks if np.isfinite(b.cycle).any()]
     return max(numbers, default=1.0)
 
 
-def _states(ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Float) -> tuple[States, list[Place]]:
+def _states(
+    ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Float, cycles: Sequence[float]
+) -> tuple[States, list[Place]]:
     """States of all blocks and the blocks' places. Blocks of one recording and one cycle share their state."""
     rows: list[dict[str, float]] = []
     places: list[Place] = []
     largest, exposed, at = 0.0, 0.0, 0
-    cycles, path = 0.0, 0.0
+    passed, path = 0.0, 0.0
     first_temperature, since = next(
         ((r.values["temperature_degc"], start[i]) for i, r in enumerate(ordered) if "temperature_degc" in r.values),
         (np.nan, np.nan),
@@ -368,14 +379,13 @@ def _states(ordered: Sequence[RecordingFeatures], rigs: Sequence[int], start: Fl
                         "temperature_k": r.values.get("temperature_degc", np.nan) - first_temperature,
                         "first_temperature_s": since,
                         "rest_force_n": r.values.get("rest_force_n", np.nan),
-                        "cycles_before": cycles,
+                        "cycles_before": passed,
                         "path_before": path,
                     }
                 )
             places.append(Place(i, block, at, at + block.size, known[key]))
             at += block.size
-        passed = _count_cycles(r)
-        cycles, path = cycles + passed, path + passed * own
+        passed, path = passed + cycles[i], path + cycles[i] * own
         largest = max(largest, own)
         exposed += r.values.get("exposure_kv2_s", 0.0)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
