@@ -7,6 +7,8 @@
     lab.responses("PA-1")                       frequency responses of a specimen or a recording
     lab.table("step_responses", specimen_id=…)  any table, the rows that match
     lab.fit("PA-1").plot()                      the fitted model: evaluate, plot, simulate
+    lab.figures("PA-1")                         the figures there are, and what each shows
+    lab.figure("PA-1", "response")              one of them, as a matplotlib Figure
 
 Frames carry the units of their columns in `frame.attrs["units"]`. Does not belong here: computing anything anew.
 """
@@ -20,8 +22,10 @@ from schemas.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
     from pipeline.lab.fitted import FittedModel
+    from reports.gallery import Exhibit
 
 _RESPONSE_UNITS = {
     "stiffness_n_per_mm": "N/mm",
@@ -150,6 +154,36 @@ class Lab(pipeline.lab.lab.Lab):
             effects=json.loads(severity[0]["severity"] or "{}") if extended and severity else {},
             measured=self.table("frequency_responses", specimen_id=specimen_id),
         )
+
+    def figures(self, thing: str) -> pd.DataFrame:
+        """The figures of a specimen, a recording, a campaign or `lab`: `name`, `about`, `finding`, a row each."""
+        import pandas as pd
+
+        rows = [(e.name, e.about, e.finding) for e in self._find_exhibits(thing)]
+        return pd.DataFrame(rows, columns=["name", "about", "finding"])
+
+    def figure(self, thing: str, kind: str, *, width: str | None = None) -> Figure:
+        """A figure of the pages, drawn by matplotlib for print: `lab.figure("PA-1", "response").savefig("pa1.pdf")`.
+
+        `width` is `single` (85 mm) or `double` (175 mm), by default what suits the kind. `get_label()` of the figure is
+        its finding. Raises `UsageError` where there is no such figure; `figures` lists them.
+        """
+        from reports.figures.printed.kinds import draw_picture
+        from reports.figures.printed.style import WIDTHS_MM
+        from reports.gallery import choose_exhibit
+
+        if width is not None and width not in WIDTHS_MM:
+            raise UsageError(f'"{width}" is no width', expected=" or ".join(WIDTHS_MM))
+        return draw_picture(choose_exhibit(self._find_exhibits(thing), thing, kind).picture, width)
+
+    def _find_exhibits(self, thing: str) -> list[Exhibit]:
+        from reports.gallery import find_exhibits
+        from reports.results import Results
+        from reports.site import Site
+
+        self.require_database()
+        with Results(self.folder) as results:
+            return find_exhibits(Site(results), thing)
 
     def _rows(self, query: str) -> list[dict[str, Any]]:
         """Rows with NULL as None, which a frame would make NaN."""

@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import BETTER, INK, MODEL, SECOND, WRONG
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
 from reports.figures.svg import TICKS, Drawing
 from schemas.arrays import Complex, Float
@@ -61,16 +62,19 @@ class Compared:
         return float(np.sqrt(np.mean(self.residual(simulated) ** 2)))
 
 
+@pictured("diagnosis")
 def comparison(data: Compared, *, alt: str) -> Markup:
     """Measured dots ± 2 SD with the plain (blue) and the extended model (green); below, what each leaves."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(data.x, margin=0.02) if data.x_log else linear(data.x, margin=0.04)
     ticks = [place for place, _ in data.groups] if data.groups else None
-    shown = {"measured": _shown(data.measured), "plain": _shown(data.plain)}
+    shown = {"measured": shown_values(data.measured), "plain": shown_values(data.plain)}
     if data.extended is not None:
-        shown["extended"] = _shown(data.extended)
-    upper = Panel(drawing, 52, 24, 352, 176, x, _scale(list(shown.values()), positive=np.iscomplexobj(data.measured)))
-    lower = Panel(drawing, 52, 232, 352, 66, x, symmetric(_reach(data)))
+        shown["extended"] = shown_values(data.extended)
+    upper = Panel(
+        drawing, 52, 24, 352, 176, x, magnitude_scale(list(shown.values()), positive=np.iscomplexobj(data.measured))
+    )
+    lower = Panel(drawing, 52, 232, 352, 66, x, symmetric(comparison_reach(data)))
     upper.axes(data.title, x_labels=False, y_most=5, x_ticks=ticks)
     upper.bars(data.x, shown["measured"] - 2 * data.sd, shown["measured"] + 2 * data.sd, INK)
     upper.held(data.x, shown["measured"], INK, 4.2)
@@ -109,21 +113,21 @@ def _residuals(panel: Panel, data: Compared) -> None:
     drawing = panel.drawing
     panel.held(data.residual_x, data.residual(data.plain), WRONG, 3.8, open_=True)
     drawing.text(panel.left, panel.top - 9, "Residual, SD")
-    words = f"○ plain: {_times(data.rms(data.plain))}"
+    words = f"○ plain: {write_times(data.rms(data.plain))}"
     x = panel.right
     if data.extended is not None:
         panel.held(data.residual_x, data.residual(data.extended), BETTER, 3.4)
-        text = f"● extended: {_times(data.rms(data.extended))}"
+        text = f"● extended: {write_times(data.rms(data.extended))}"
         drawing.text(x, panel.top - 9, text, colour=BETTER, anchor="end", bold=True)
         x -= _BOLD_WIDTH * len(text) + _APART
     drawing.text(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
 
 
-def _shown(values: Complex | Float) -> Float:
+def shown_values(values: Complex | Float) -> Float:
     return np.abs(values) if np.iscomplexobj(values) else np.asarray(values, dtype=float)
 
 
-def _scale(values: Sequence[Float], *, positive: bool) -> Scale:
+def magnitude_scale(values: Sequence[Float], *, positive: bool) -> Scale:
     together = np.concatenate(values)
     together = together[np.isfinite(together)]
     if positive and together.size and together.min() > 0 and together.max() > _FLAT * together.min():
@@ -131,14 +135,14 @@ def _scale(values: Sequence[Float], *, positive: bool) -> Scale:
     return linear(together, margin=0.08)
 
 
-def _reach(data: Compared) -> float:
+def comparison_reach(data: Compared) -> float:
     """High enough for most of both residuals, and for the ±2 band."""
     parts = [data.residual(data.plain)] + ([data.residual(data.extended)] if data.extended is not None else [])
     largest = max(float(np.quantile(np.abs(p), 0.97)) for p in parts)
     return max(4.0, min(1.15 * largest, max(_REACH, 1.15 * float(np.quantile(np.abs(parts[0]), 0.9)))))
 
 
-def _times(rms: float) -> str:
+def write_times(rms: float) -> str:
     """So many times the noise, short enough to stand beside the title."""
     if rms >= 1e5:
         return significant(rms, 2)

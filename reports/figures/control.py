@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import BAND, INK, RAW, SECOND, WRONG
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, Scale, linear
 from reports.figures.svg import Drawing
 from reports.names import short
@@ -31,6 +32,7 @@ class Chart:
     alarm: Bool
 
 
+@pictured("control")
 def chart(item: Chart, title: str, x_title: str, *, alt: str) -> Markup:
     """Points ± 1 SD within the limits that the other points set; those with an alarm are named."""
     drawing = Drawing(WIDE, 218)

@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import INK, LOWER, LOWEST, MODEL, SECOND
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, linear, symmetric
 from reports.figures.svg import Drawing
 from schemas.arrays import Float
@@ -39,6 +40,7 @@ def styled(curves: Sequence[CycleCurve]) -> list[tuple[CycleCurve, str, float, s
     return [(c, *_STYLES[i]) for i, c in enumerate(order)][::-1]
 
 
+@pictured("cycle")
 def loop(curves: Sequence[CycleCurve], *, alt: str) -> Markup:
     """Stress against stretch: measured points, and the models through them."""
     drawing = Drawing(WIDE, 330)
@@ -56,6 +58,7 @@ def loop(curves: Sequence[CycleCurve], *, alt: str) -> Markup:
     return drawing.image(alt)
 
 
+@pictured("cycle-residual")
 def rest(curves: Sequence[CycleCurve], held_out_from: float, *, alt: str) -> Markup:
     """Measured minus modelled stress over time; the part that is left out to judge the orders is shaded."""
     drawing = Drawing(WIDE, 330)

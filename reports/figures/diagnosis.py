@@ -8,12 +8,14 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import BAND, BETTER, INK, RULE, SECOND, WRONG, misfit
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, Scale
 from reports.figures.svg import Drawing
 from reports.names import short
 from schemas.arrays import Float
 
 
+@pictured("residual-map")
 def residual_map(rms: Float, rows: Sequence[str], columns: Sequence[str], title: str, *, alt: str) -> Markup:
     """Recording × quantity: root mean square residual in SD, the number in every cell; a dot where nothing was measured."""
     left, cell = 112.0, 22.0
@@ -48,6 +50,7 @@ def _cell(value: float) -> str:
     return f"{value:.1f}" if value < 99.5 else f"{value:.0f}"
 
 
+@pictured("held-out")
 def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[float | None], *, alt: str) -> Markup:
     """Error on data that the fit has not seen, plain and extended model, in SD of the noise."""
     height = 26.0

@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import BETTER, LOWER, LOWEST, MODEL, RAW, SECOND, group
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, linear, logarithmic, note, symmetric
 from reports.figures.responses import Lines, beyond
 from reports.figures.svg import Drawing
@@ -24,6 +25,7 @@ class Drive:
     predicted: Complex | None
 
 
+@pictured("force-under-voltage")
 def response(drives: Sequence[Drive], grid: Float, predicted: Complex | None, *, alt: str) -> Markup:
     """|H| of each recording with the prediction from the mechanical fit, residual below."""
     drawing = Drawing(WIDE, 344)
@@ -60,6 +62,7 @@ def response(drives: Sequence[Drive], grid: Float, predicted: Complex | None, *,
     return drawing.image(alt)
 
 
+@pictured("blocked-force")
 def blocked_force(drives: Sequence[Drive], fitted: float | None, fitted_sd: float | None, *, alt: str) -> Markup:
     """The actuation force itself, freed of film and rig: flat where nothing but V² acts."""
     drawing = Drawing(WIDE, 344)

@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import INK, MODEL, WRONG
+from reports.figures.picture import pictured
 from reports.figures.plot import Panel, Scale, linear
 from reports.figures.svg import Drawing
 from reports.words import plain
@@ -49,6 +50,7 @@ class Envelope:
         return np.append(pause > max(3 * usual, 1e-9), False)
 
 
+@pictured("timeline")
 def channels(envelopes: Sequence[Envelope], marks: Sequence[tuple[float, str]], *, alt: str) -> Markup:
     """All channels over the same time, with instants named (time in s, words)."""
     height, gap = (104.0, 44.0) if len(envelopes) <= 4 else (74.0, 38.0)

@@ -9,11 +9,13 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import INK, LOWER, MODEL, RULE, SECOND, WRONG
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, linear, logarithmic
 from reports.figures.svg import Drawing
 from schemas.arrays import Complex, Float
 
 
+@pictured("relaxation")
 def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str, unit: str = "N/mm") -> Markup:
     """Force over displacement (n,) against the time since the step (n,) s, the model (n,) and what is off it below.
 

@@ -9,6 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import INK, LOWER, LOWEST, MODEL, RAW, RULE, SECOND, WRONG
+from reports.figures.picture import pictured
 from reports.figures.plot import NARROW, WIDE, Panel, Scale, linear, logarithmic, nice, note, pointer, symmetric
 from reports.figures.svg import Drawing
 from schemas.arrays import Bool, Complex, Float
@@ -97,6 +98,7 @@ class Curve:
         return {1: "1st", 2: "2nd", 3: "3rd"}.get(self.order, f"{self.order}th")
 
 
+@pictured("response")
 def response(
     lines: Lines, recorded: Lines | None, curves: Sequence[Curve], *, phase: bool, alt: str, alarm: bool = False
 ) -> Markup:
@@ -111,9 +113,11 @@ def response(
     def shown(value: Complex) -> Float:
         return np.degrees(np.angle(value)) if phase else np.abs(value)
 
-    y = _value_scale([shown(lines.value)] + ([shown(recorded.value)] if recorded else []), curves, shown, phase=phase)
+    y = scale_of_values(
+        [shown(lines.value)] + ([shown(recorded.value)] if recorded else []), curves, shown, phase=phase
+    )
     upper = Panel(drawing, 46, 24, 332, 176, x, y)
-    lower = Panel(drawing, 46, 226, 332, 72, x, symmetric(_reach(curves, phase=phase))) if curves else None
+    lower = Panel(drawing, 46, 226, 332, 72, x, symmetric(residual_reach(curves, phase=phase))) if curves else None
     _greyed(lines, upper, *((lower,) if lower else ()), at_top=phase)
     title = "Phase of k, degrees" if phase else "Dynamic stiffness |k|, N/mm"
     upper.axes(title, *(() if lower else ("Frequency, Hz",)), x_labels=not lower, y_most=5)
@@ -137,7 +141,7 @@ def response(
     return drawing.image(alt)
 
 
-def _value_scale(
+def scale_of_values(
     measured: Sequence[Float], curves: Sequence[Curve], shown: Callable[[Complex], Float], *, phase: bool
 ) -> Scale:
     if phase:
@@ -254,7 +258,7 @@ def _residuals(panel: Panel, curves: Sequence[Curve], *, phase: bool, alarm: boo
         panel.drawing.text(panel.right + 6, float(panel.py([0])[0]) + 4, "±2 SD", size=11.3, colour=SECOND)
 
 
-def _reach(curves: Sequence[Curve], *, phase: bool) -> float:
+def residual_reach(curves: Sequence[Curve], *, phase: bool) -> float:
     """Half height of the residual panel: fixed in SD, else what the chosen model leaves."""
     chosen = next((c for c in curves if c.selected), None)
     if chosen is None or chosen.residual.in_sd:
@@ -291,7 +295,7 @@ def multiple(item: Multiple, x: Scale, y: Scale, *, alt: str) -> Markup:
     drawing = Drawing(NARROW, 187)
     upper = Panel(drawing, 30, 6, 190, 94, x, y)
     in_sd = item.curve is None or item.curve.residual.in_sd
-    reach = 9.0 if in_sd or item.curve is None else _reach([item.curve], phase=False)
+    reach = 9.0 if in_sd or item.curve is None else residual_reach([item.curve], phase=False)
     lower = Panel(drawing, 30, 117, 190, 46, x, symmetric(reach))
     upper.axes(x_labels=False, x_most=5, y_most=3, size=10.5)
     if in_sd:
@@ -360,6 +364,7 @@ def amplification(lines: Lines, *, alt: str) -> Markup:
     return drawing.image(alt)
 
 
+@pictured("spectrum")
 def spectrum(stages: Mapping[str, Lines], unit: str, *, alt: str) -> Markup:
     """The response of one recording at each stage: magnitude above, phase below."""
     drawing = Drawing(WIDE, 344)

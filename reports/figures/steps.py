@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from reports.figures.palette import BAND, INK, MODEL, RAW, SECOND, WRONG, group
+from reports.figures.palette import BAND, INK, MODEL, RAW, RULE, SECOND, WRONG, group
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, note, symmetric, tick_text
 from reports.figures.svg import Drawing
 from schemas.arrays import Bool, Float
 
 
+@pictured("voltage-squared")
 def against_square(voltage: Float, step: Float, wrinkled: Bool, slope: float | None, title: str, *, alt: str) -> Markup:
     """The size of steps against V² with the line through zero; residual from that line below, in its own unit.
 
@@ -67,6 +69,7 @@ class Trace:
     wrinkled: bool = False
 
 
+@pictured("step-response")
 def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Markup:
     """The course of steps, one line per voltage, with the time of voltage shaded."""
     drawing = Drawing(WIDE, 262)
@@ -82,12 +85,19 @@ def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Mark
         inside = np.flatnonzero((trace.time > 0.8 * on_s) & (trace.time < on_s))
         if inside.size:
             name = f"{trace.name} wrinkled" if trace.wrinkled else trace.name
-            entries.append((float(np.median(trace.change[inside])), name, WRONG if trace.wrinkled else SECOND, False))
+            level = float(np.median(trace.change[inside]))
+            drawing.line(
+                [(float(panel.px([on_s])[0]), float(panel.py([level])[0])), (panel.right, float(panel.py([level])[0]))],
+                RULE,
+                0.7,
+            )
+            entries.append((level, name, WRONG if trace.wrinkled else SECOND, False))
     panel.names(entries)
     panel.axes(title, "Time after switching on, s")
     return drawing.image(alt)
 
 
+@pictured("sensing")
 def sensing(strain: Float, force: Float, slope: float | None, intercept: float, kept: Bool, *, alt: str) -> Markup:
     """Force step (mN) against capacitive strain (%), with the fitted line; steps left out of it open."""
     drawing = Drawing(WIDE, 290)
@@ -141,6 +151,7 @@ class ForceSeries:
     fitted: Float | None
 
 
+@pictured("force-map")
 def forces(series: Sequence[ForceSeries], x_title: str, *, alt: str) -> Markup:
     """Static actuation force by pre-stretch per direction, with eq 3.7 and the residual from it below."""
     drawing = Drawing(WIDE, 344)

@@ -12,6 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.figures.palette import BAND, INK, RULE, SECOND, Group
+from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, Scale, logarithmic, note, symmetric, tick_text
 from reports.figures.svg import Drawing
 from reports.names import short
@@ -75,21 +76,14 @@ class GroupCurve:
         return int(self.at_risk[later[0]]) if later.size else 0
 
 
+@pictured("survival")
 def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> Markup:
     """Step curves with 95 % bands, open marks where specimens were still alive, numbers at risk under the ticks."""
     name_height = 17.0
     drawing = Drawing(WIDE, 286 + name_height * (len(groups) + 1))
-    times = np.concatenate([g.time for g in groups])
-    positive = times[times > 0]
-    spread = positive.max() / positive.min() if positive.size else 1.0
-    log = bool(spread > 300)
-    end = float(positive.max()) if positive.size else 1.0
-    x = logarithmic(positive, margin=0.03) if log else Scale(0.0, end * 1.0001)
+    x, ticks = survival_time_scale(groups)
     panel = Panel(drawing, 162, 26, 286, 206, x, Scale(0.0, 110.0))
     start = x.low
-    ticks = x.ticks(7)[0]
-    if not log and end - ticks[-1] > 0.35 * (ticks[1] - ticks[0]):
-        ticks.append(end)
     for g in groups:
         time, survival = np.append(start, np.maximum(g.time, start)), np.append(1.0, g.survival)
         lower, upper = np.append(1.0, g.lower), np.append(1.0, g.upper)
@@ -101,6 +95,19 @@ def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> 
     _names(panel, groups)
     _at_risk(panel, groups, ticks, name_height)
     return drawing.image(alt)
+
+
+def survival_time_scale(groups: Sequence[GroupCurve]) -> tuple[Scale, list[float]]:
+    """The time axis of survival curves, logarithmic where lives differ by far, and its ticks; numbers at risk stand under them."""
+    times = np.concatenate([g.time for g in groups])
+    positive = times[times > 0]
+    spread = positive.max() / positive.min() if positive.size else 1.0
+    end = float(positive.max()) if positive.size else 1.0
+    x = logarithmic(positive, margin=0.03) if spread > 300 else Scale(0.0, end * 1.0001)
+    ticks = x.ticks(7)[0]
+    if not x.log and end - ticks[-1] > 0.35 * (ticks[1] - ticks[0]):
+        ticks.append(end)
+    return x, ticks
 
 
 def _names(panel: Panel, groups: Sequence[GroupCurve]) -> None:
@@ -185,11 +192,12 @@ def _at_risk(panel: Panel, groups: Sequence[GroupCurve], ticks: Sequence[float],
             panel.drawing.text(p, y, str(g.still_at_risk(t)), size=11.3, anchor="middle")
 
 
+@pictured("lifetimes")
 def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt: str) -> Markup:
     """Share failed on the scale of a law, with the band of its fit: points on the line where the law holds."""
-    w, name = _LAWS[law]
+    w, name = LAWS[law]
     drawing = Drawing(WIDE, 286 + 17.0 * (len(groups) + 1))
-    points = [(g, *_plotted(g)) for g in groups]
+    points = [(g, *plotted_shares(g)) for g in groups]
     times = [t for _, t, _ in points]
     panel = Panel(
         drawing, 46, 26, 380, drawing.height - 26 - 54, logarithmic(*times, margin=0.08), Scale(w(0.015), w(0.985))
@@ -241,14 +249,14 @@ def _w(share: float) -> float:
     return math.log(-math.log1p(-share))
 
 
-_LAWS: Mapping[str, tuple[Callable[[float], float], str]] = {
+LAWS: Mapping[str, tuple[Callable[[float], float], str]] = {
     WEIBULL: (_w, "Weibull"),
     LOG_NORMAL: (NormalDist().inv_cdf, "log-normal"),
 }
 """The scale of each law, on which it is a straight line against ln t, and its name."""
 
 
-def _plotted(g: GroupCurve) -> tuple[Float, Float]:
+def plotted_shares(g: GroupCurve) -> tuple[Float, Float]:
     """Failure times and the share failed there: middle of the curve's jump, so that neither end is at 0 or 1."""
     before = np.append(1.0, g.survival[:-1])
     hit = (g.failures > 0) & (g.time > 0)

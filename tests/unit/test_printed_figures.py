@@ -1,0 +1,200 @@
+"""Figures that leave the page: the page's own data, by matplotlib, the same bytes twice, readable by eye, ear and press."""
+
+from __future__ import annotations
+
+import csv
+import io
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib import pyplot
+from matplotlib.figure import Figure
+from PIL import Image
+
+from pipeline import Lab
+from pipeline.cli import main
+from reports.figures import cycle, relaxation
+from reports.figures.cycle import CycleCurve
+from reports.figures.plot import Scale
+from reports.figures.printed.axes import draw_held
+from reports.figures.printed.kinds import KINDS, draw_picture
+from reports.figures.printed.style import WIDTHS_MM, open_axes, write_figure
+from reports.gallery import PRINTED, Exhibit, find_exhibits
+from reports.results import Results
+from reports.site import Site
+from schemas.errors import UsageError
+from tests.helpers import synthetic_lab
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return synthetic_lab.whole_story().write(tmp_path_factory.mktemp("printed") / "lab")
+
+
+@pytest.fixture(scope="module")
+def exhibits(folder: Path) -> dict[str, Exhibit]:
+    """One figure of each kind that the synthetic lab shows, by kind."""
+    found: dict[str, Exhibit] = {}
+    with Results(folder) as results:
+        site = Site(results)
+        recording = results.rows("SELECT min(recording_id) AS id FROM previews")[0]["id"]
+        for thing in ("P-07", "F-01", "RP-DEA lifetime", recording, "lab"):
+            for exhibit in find_exhibits(site, thing):
+                found.setdefault(exhibit.picture.kind, exhibit)
+    return found
+
+
+@pytest.fixture
+def untouched() -> Iterator[None]:
+    before, figures = dict(matplotlib.rcParams), pyplot.get_fignums()
+    yield
+    assert dict(matplotlib.rcParams) == before
+    assert pyplot.get_fignums() == figures
+
+
+def texts(figure: Figure) -> str:
+    return "\n".join(t.get_text() for t in figure.findobj(matplotlib.text.Text))
+
+
+def test_kinds_that_are_listed_are_those_that_can_be_drawn() -> None:
+    assert tuple(KINDS) == PRINTED
+
+
+def test_the_synthetic_lab_shows_nearly_all_kinds(exhibits: dict[str, Exhibit]) -> None:
+    assert set(PRINTED) - set(exhibits) <= {"cycle", "cycle-residual", "relaxation"}
+
+
+def test_every_kind_is_drawn_in_both_widths(exhibits: dict[str, Exhibit], untouched: None) -> None:
+    for place, exhibit in enumerate(exhibits.values()):
+        for width, size in list(WIDTHS_MM.items())[place % 2 :]:  # every second one in both
+            figure = draw_picture(exhibit.picture, width)
+            assert figure.get_figwidth() == pytest.approx(size / 25.4)
+            assert figure.get_label() == exhibit.picture.finding
+            assert all(ax.lines or ax.collections or ax.patches or ax.texts for ax in figure.axes)
+
+
+def test_kinds_without_a_page_in_the_synthetic_lab_are_drawn(untouched: None) -> None:
+    time = np.linspace(0.0, 20.0, 80)
+    stretch = 1 + np.where(time < 10, time, 20 - time) / 5
+    measured = 50 * (stretch - stretch**-2.0)
+    curves = [CycleCurve(n, n == 2, time, stretch, measured, measured + n) for n in (1, 2)]
+    loop = draw_picture(cycle.loop(curves, alt="a cycle"))
+    assert "second order ✓" in texts(loop)
+    assert np.allclose(loop.axes[1].lines[-1].get_ydata(), -2.0)  # measured less modelled of the chosen order
+    rest = draw_picture(cycle.rest(curves, 14.0, alt="what is left"))
+    assert "left out to judge" in texts(rest)
+    t = np.geomspace(0.05, 5, 30)
+    relaxed = draw_picture(relaxation.relaxation(t, 1.02 * t**-0.1, t**-0.1, alt="relaxation"))
+    assert np.allclose(relaxed.axes[1].lines[-1].get_ydata(), 2.0)  # 2 % above the model everywhere
+
+
+def test_points_of_the_response_are_those_of_the_database(folder: Path, exhibits: dict[str, Exhibit]) -> None:
+    figure = draw_picture(exhibits["response"].picture)
+    with Results(folder) as results:
+        rows = results.rows(
+            "SELECT frequency_hz, magnitude, phase_deg FROM frequency_responses WHERE specimen_id = 'P-07' AND usable"
+            " AND loading = 'mechanical' AND stage = 'averaged' ORDER BY frequency_hz"
+        )
+    for axes, column in ((figure.axes[0], "magnitude"), (figure.axes[1], "phase_deg")):
+        drawn = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "o"]
+        wanted = np.array([(r["frequency_hz"], r[column]) for r in rows])
+        assert any(d.shape == wanted.shape and np.allclose(d[np.argsort(d[:, 0])], wanted, rtol=1e-6) for d in drawn)
+
+
+def test_a_pdf_has_its_fonts_in_it_and_no_date(exhibits: dict[str, Exhibit], tmp_path: Path, untouched: None) -> None:
+    for kind in ("response", "survival", "force-map"):
+        exhibit = exhibits[kind]
+        files = [tmp_path / f"{kind}-{i}.pdf" for i in range(2)]
+        for file in files:
+            write_figure(draw_picture(exhibit.picture), file, "pdf", title=kind, finding=exhibit.finding)
+        first, second = (file.read_bytes() for file in files)
+        assert first == second
+        assert b"/FontFile2" in first
+        assert b"/Type3" not in first
+        assert b"Date" not in first
+
+
+def test_text_of_an_svg_stays_text_and_says_the_finding(exhibits: dict[str, Exhibit]) -> None:
+    for exhibit in (exhibits["response"], exhibits["survival"]):
+        written = []
+        for _ in range(2):
+            file = io.BytesIO()
+            write_figure(draw_picture(exhibit.picture), file, "svg", title="P-07: response", finding=exhibit.finding)
+            written.append(file.getvalue())
+        assert written[0] == written[1]
+        tree = ElementTree.fromstring(written[0].decode())
+        shown = " ".join("".join(t.itertext()) for t in tree.iter(f"{SVG}text"))
+        assert "Surviving, %" in shown or "Dynamic stiffness |k|, N/mm" in shown
+        assert exhibit.finding in "".join(tree.itertext())
+
+
+def test_a_png_says_its_finding(exhibits: dict[str, Exhibit], tmp_path: Path) -> None:
+    exhibit = exhibits["force-map"]
+    write_figure(draw_picture(exhibit.picture), tmp_path / "a.png", "png", title="F-01", finding=exhibit.finding)
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.info["Description"] == exhibit.finding
+        assert image.size[0] == pytest.approx(85 / 25.4 * 300, abs=2)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=30))
+def test_no_point_is_cut_off_in_silence(values: list[float]) -> None:
+    figure, axes = open_axes("single", 40)
+    draw_held(axes[0, 0], np.arange(len(values)), np.array(values), Scale(-5.0, 5.0), "black")
+    assert sum(len(line.get_xdata()) for line in axes[0, 0].lines) == len(values)
+    assert figure.axes[0] is axes[0, 0]
+
+
+def test_the_command_lists_writes_and_adds_data(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab = ["--lab", str(folder)]
+    assert main(["figure", "P-07", *lab]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert listed[0].startswith("response ")
+    out = tmp_path / "fig.pdf"
+    assert main(["figure", "P-07", "sensing", "--out", str(out), "--width", "double", "--data", *lab]) == 0
+    assert out.read_bytes().startswith(b"%PDF")
+    rows = list(csv.DictReader((tmp_path / "fig.csv").open()))
+    assert set(rows[0]) == {"capacitive_strain_percent", "force_step_mn", "used"}
+    assert "fig.csv: its data" in capsys.readouterr().out
+    assert main(["figure", "RP-DEA lifetime", "all", "--out", str(tmp_path / "all"), *lab]) == 0
+    assert {"survival.pdf", "lifetimes.pdf"} <= {p.name for p in (tmp_path / "all").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nobody", "response", "--out", "a.pdf"], 'nothing is called "nobody"'),
+        (["P-07", "histogram", "--out", "a.pdf"], "expected one of response"),
+        (["P-07", "response", "--out", "a.docx"], "ends in .pdf, .svg, .png"),
+        (["P-07", "response"], "--out is missing"),
+        (["P-07", "--out", "a.pdf"], "no figure is named"),
+        (["P-07", "all", "--out", "a.pdf"], "expected a folder"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["figure", *words, "--lab", str(folder)]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_notebook_gets_a_figure(folder: Path, untouched: None) -> None:
+    lab = Lab(folder)
+    figure = lab.figure("P-07", "response", width="single")
+    assert isinstance(figure, Figure)
+    assert "3rd order ✓" in texts(figure)
+    assert "response" in set(lab.figures("P-07")["name"])
+    with pytest.raises(UsageError, match="no width"):
+        lab.figure("P-07", "response", width="huge")
