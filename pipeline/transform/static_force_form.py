@@ -99,7 +99,7 @@ class FormFit:
         Of the record given the form, up to a constant that all forms share.
     searched : (k,)
     force_n, variance : (C,) N and N²
-        Forces and their variances, with what all other parameters leave open.
+        Forces and their variances, with what all other parameters leave open; that these are estimated is in the degrees of freedom.
     """
 
     log_probability: float
@@ -174,7 +174,7 @@ def fit_form(windows: Windows, whitener: Whitener, searched: Searched, start: Fl
         log_probability=float(whitener.log_determinant - 0.5 * at.loss - known),
         searched=at.x,
         force_n=at.linear[2:],
-        variance=variance[k + 2 :] * at.freedom / max(at.freedom - 2, 1),
+        variance=variance[k + 2 :],
     )
 
 

@@ -119,19 +119,20 @@ def _following(target: Float, interval_s: float, rise_s: float, fall_s: float) -
     cells = target[:, : count * size].reshape(states, count, size)
     up, down = (-np.expm1(-size * interval_s / t) for t in (rise_s, fall_s))
 
-    def change(held: Float, within: Float) -> Float:
-        away = within - held[:, None]
-        above = np.maximum(away, 0.0)
-        return np.asarray(up * above.mean(axis=1) + down * (away - above).mean(axis=1))
+    def change(held: Float, within: Float, mean: Float) -> Float:
+        # Upwards what lies above the level, downwards the rest: two numbers of a cell, not its samples twice.
+        above = np.add.reduce(np.maximum(within - held[:, None], 0.0), axis=1) / within.shape[1]
+        return np.asarray(down * (mean - held) + (up - down) * above)
 
-    held = target.mean(axis=1)
+    whole = held = target.mean(axis=1)
     # The level about which a period balances, then the periods that settle on it.
     for _ in range(_BALANCE):
-        held = held + change(held, target) / max(up, down)
+        held = held + change(held, target, whole) / max(up, down)
     trail = np.empty((states, count))
+    parts = [(np.ascontiguousarray(cells[:, i]), cells[:, i].mean(axis=1)) for i in range(count)]
     for _ in range(_PERIODS):
-        for i in range(count):
-            held = held + change(held, cells[:, i])
+        for i, (within, mean) in enumerate(parts):
+            held = held + change(held, within, mean)
             trail[:, i] = held
     middle = (np.arange(count) + 0.5) * size
     at = np.concatenate([[middle[-1] - samples], middle, [middle[0] + samples]])

@@ -32,6 +32,8 @@ _PLACES, _MORE_PLACES = 9, 29
 """Variances of groups that drift, and of those that are wrong by something else, that are summed over."""
 _STEPS = 6
 """Linear steps to the optimum under the mixture at most."""
+_SETTLED = 1e-4
+"""Rise of the log likelihood, twice as foreseen, below which a step is not taken any more."""
 _LONGEST = 0.7
 """Longest step of one entry of film and rig: what is computed to first order holds about so far."""
 
@@ -179,20 +181,23 @@ def find_peak(
     stay : whether the point itself is the optimum
     """
     step = np.zeros(of.jacobian.shape[1])
-    best = -np.inf, step, np.ones(groups.size.size), np.zeros(groups.size.size)
+    best: tuple[float, Float, Float, Float, Float] | None = None
     for _ in range(1 if stay else _STEPS):
         residual, beside = of.residual + of.jacobian @ step, of.beside + of.beside_jacobian @ step
         scores, weight, odd = score_groups(groups, residual, trace, noise_alone=noise_alone)
         value = float(scores.sum() - 0.5 * beside @ beside)
-        if value > best[0]:
-            best = value, step, weight, odd
-        covariance = _invert(of, weight[groups.number])
-        slope = of.jacobian.T @ (weight[groups.number] * residual) + of.beside_jacobian.T @ beside
+        spread = weight[groups.number]
+        covariance = _invert(of, spread)
+        if best is None or value > best[0]:
+            best = value, step, spread, odd, covariance
+        slope = of.jacobian.T @ (spread * residual) + of.beside_jacobian.T @ beside
         change = -covariance @ slope
+        if -slope @ change < _SETTLED:
+            break
         step = step + change * min(1.0, _LONGEST / max(float(np.abs(change[:moving]).max(initial=0.0)), 1e-12))
-    value, step, weight, odd = best
-    spread = weight[groups.number]
-    return Peak(value, _invert(of, spread), step, np.sqrt(spread), odd)
+    assert best is not None
+    value, step, spread, odd, covariance = best
+    return Peak(value, covariance, step, np.sqrt(spread), odd)
 
 
 def _invert(of: Linearised, weight: Float) -> Float:
