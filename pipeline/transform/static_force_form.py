@@ -16,15 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from schemas.arrays import Float
+from pipeline.physics.least_squares import Options, minimise_each, with_prior
+from schemas.arrays import Float, Int
 
 _DRIFT_S, _SLOW_S = (1e-3, 30.0), (0.05, 0.5)
 """Plausible t0 in lengths of the record; shortest τ in s and longest in times of voltage: what is slower cannot be told from drift."""
 _SLOW_SD = 0.3
 """Standard deviation of r before anything is measured: most of the force comes at once."""
 _WITHIN_SD = 3.0
-_CLIMBS, _TRIES, _ENOUGH = 25, 8, 1e-3
-"""Steps of a search, lengths that each is tried at, and twice the log probability that no longer counts."""
+_SEARCH = Options(fall=1e-3)
+_ROUNDS, _ENOUGH = 3, 0.05
+"""Searches for a noise at most, and twice the log probability that is not worth another."""
 
 
 @dataclass(frozen=True)
@@ -146,24 +148,29 @@ def fit_form(windows: Windows, whitener: Whitener, searched: Searched, start: Fl
     Notes
     -----
     F0, b, A and the variance of the noise are integrated out exactly, b as the drift over the whole record (Patterson and Thompson
-    1971); what is searched by Laplace's method (Tierney and Kadane 1986). The search is Levenberg and Marquardt's.
+    1971); what is searched by Laplace's method (Tierney and Kadane 1986). The search is one of
+    least squares (`least_squares`) for a noise that follows from where the last one ended: at its end both are most probable.
     """
-    at, damping = _Point.of(windows, whitener, searched, start), 1e-3
-    for _ in range(_CLIMBS):
-        jacobian, hessian, gradient = at.slopes()
-        before = at.loss
-        for _ in range(_TRIES):
-            step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), -gradient)
-            limits = searched.mean - _WITHIN_SD * searched.sd, searched.mean + _WITHIN_SD * searched.sd
-            tried = _Point.of(windows, whitener, searched, np.clip(at.x + step, *limits))
-            if tried.loss < at.loss:
-                at, damping = tried, max(damping / 5, 1e-9)
-                break
-            damping = 10 * max(damping, 1e-4)
+    at = _Point.of(windows, whitener, searched, start)
+    wide = np.full(start.size, _WITHIN_SD)
+    for _ in range(_ROUNDS):
+        noise, before = at.noise, at.loss
+
+        def lose(points: Float, _: Int, noise: float = noise) -> tuple[Float, Float]:
+            (scaled,) = points
+            here = _Point.of(windows, whitener, searched, searched.mean + searched.sd * scaled)
+            columns = -here.project(here.differentiate()) * searched.sd / math.sqrt(noise)
+            return here.residual[None] / math.sqrt(noise), columns[None]
+
+        likely = with_prior(lose, np.zeros(start.size), np.eye(start.size))
+        (found,) = minimise_each(likely, [(at.x - searched.mean) / searched.sd], -wide, wide, _SEARCH)
+        at = _Point.of(windows, whitener, searched, searched.mean + searched.sd * found.x)
         if before - at.loss < _ENOUGH:
             break
-    jacobian, hessian, _ = at.slopes()
-    known = np.sum(np.log(np.abs(np.diag(at.r)))) + 0.5 * np.linalg.slogdet(hessian)[1] + np.sum(np.log(searched.sd))
+    jacobian = at.differentiate()
+    beside = at.project(jacobian)
+    hessian = beside.T @ beside / at.noise + np.diag(searched.sd**-2.0)
+    volume = np.sum(np.log(np.abs(np.diag(at.r)))) + 0.5 * np.linalg.slogdet(hessian)[1] + np.sum(np.log(searched.sd))
     whole = np.column_stack([jacobian, at.design])
     information = whole.T @ whole / at.noise
     k = at.x.size
@@ -171,7 +178,7 @@ def fit_form(windows: Windows, whitener: Whitener, searched: Searched, start: Fl
     scale = 1 / np.sqrt(np.diag(information))
     variance = scale**2 * np.diag(np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-12, hermitian=True))
     return FormFit(
-        log_probability=float(whitener.log_determinant - 0.5 * at.loss - known),
+        log_probability=float(whitener.log_determinant - 0.5 * at.loss - volume),
         searched=at.x,
         force_n=at.linear[2:],
         variance=variance[k + 2 :],
@@ -196,7 +203,7 @@ class _Point:
 
     @classmethod
     def of(cls, windows: Windows, whitener: Whitener, searched: Searched, x: Float) -> _Point:
-        design = whitener.matrix @ _design(windows, x)
+        design = whitener.matrix @ build_design(windows, x)
         y = whitener.matrix @ windows.force
         q, r = np.linalg.qr(design)
         seen = q.T @ y
@@ -211,22 +218,16 @@ class _Point:
         """Variance of a window's noise."""
         return max(float(self.residual @ self.residual), np.finfo(float).tiny) / self.freedom
 
-    def slopes(self) -> tuple[Float, Float, Float]:
-        """(m, k) derivatives of the model, and Gauss and Newton's second and first derivatives of half the loss."""
-        step = 1e-4 * self.searched.sd
-        columns = [
-            self.whitener.matrix
-            @ ((_design(self.windows, self.x + one) - _design(self.windows, self.x - one)) @ self.linear)
-            for one in np.diag(step)
-        ]
-        jacobian = np.column_stack(columns) / (2 * step)
-        beside = jacobian - self.q @ (self.q.T @ jacobian)
-        hessian = beside.T @ beside / self.noise + np.diag(self.searched.sd**-2.0)
-        gradient = -beside.T @ self.residual / self.noise + (self.x - self.searched.mean) / self.searched.sd**2
-        return jacobian, hessian, gradient
+    def differentiate(self) -> Float:
+        """(m, k) derivatives of the model by what is searched."""
+        return np.asarray(self.whitener.matrix @ differentiate_design(self.windows, self.x, self.linear))
+
+    def project(self, columns: Float) -> Float:
+        """(m, k) what the linear parameters leave of columns."""
+        return columns - self.q @ (self.q.T @ columns)
 
 
-def _design(windows: Windows, x: Float) -> Float:
+def build_design(windows: Windows, x: Float) -> Float:
     """(m, 2 + C) columns of F0, b and the forces at what is searched; b is the drift over the whole record."""
     time, late = windows.time, math.exp(x[0])
     drift = np.log(time - windows.start_s + late)
@@ -237,4 +238,25 @@ def _design(windows: Windows, x: Float) -> Float:
         # The part that came slowly goes slowly: what it had reached is left when the voltage goes.
         reached = share * -math.expm1(-(off - on) / tau)
         columns.append(-np.where(time >= off, reached * np.exp(-np.maximum(time - off, 0.0) / tau), risen))
+    return np.column_stack(columns)
+
+
+def differentiate_design(windows: Windows, x: Float, linear: Float) -> Float:
+    """(m, k) derivatives of `build_design(windows, x) @ linear` by x."""
+    since, late = windows.time - windows.start_s, math.exp(x[0])
+    drift, change = np.log(since + late), late / (since + late)
+    whole, shrinks = math.log1p(windows.record_s / late), windows.record_s / (late + windows.record_s)
+    course = change - change.mean() + (drift - drift.mean()) * shrinks / whole
+    columns = [linear[1] / whole * course]
+    if x.size > 1:
+        tau, share, by_tau, by_share = math.exp(x[1]), x[2], np.zeros_like(since), np.zeros_like(since)
+        for force, (on, off) in zip(linear[2:], windows.cycles, strict=True):
+            up, down = (np.maximum(windows.time - edge, 0.0) / tau for edge in (on, off))
+            rest = math.exp(-(off - on) / tau)
+            after, on_now = windows.time >= off, windows.time >= on
+            grown = np.where(after, np.exp(-down) * (1 - rest), np.where(on_now, -np.exp(-up), 0.0))
+            later = np.where(after, np.exp(-down) * ((1 - rest) * down - rest * (off - on) / tau), -np.exp(-up) * up)
+            by_share -= force * grown
+            by_tau -= force * share * np.where(on_now, later, 0.0)
+        columns += [by_tau, by_share]
     return np.column_stack(columns)
