@@ -1,4 +1,4 @@
-r"""Nonlinear least squares within bounds: the one search behind relaxation fits, diagnoses and oscillator fits.
+r"""Nonlinear least squares within bounds: the one search behind relaxation fits, static forces, diagnoses and oscillators.
 
 *Problem.* Find x (P,) that makes
 
