@@ -19,6 +19,7 @@ from pipeline.diagnose.report import report_session
 from pipeline.diagnose.results import AMBIGUOUS, UNKNOWN, Diagnosis, NextRecording
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.consensus import find_consensus, search_from_consensus
+from pipeline.diagnose.search.discrepancies import compute_least_p
 from pipeline.diagnose.search.evidence import Evidence, find_best
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, order_causes, settle_outliers
@@ -111,7 +112,8 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
         nothing.noise_fit, nothing.signatures, nothing.p_value, nothing.patterns_before,
     )  # fmt: skip
     by_mechanism, by_pattern = p_value < RULES.alarm.mechanism_level, patterns.p_value < RULES.alarm.pattern_level
-    if not (by_mechanism or by_pattern):
+    by_place = compute_least_p(noise_fit) < RULES.alarm.pattern_level
+    if not (by_mechanism or by_pattern or by_place):
         return nothing
 
     # 3. Tempering: no mechanism has exactly reality's form, so every block may be wrong by a share of its misfit.
@@ -125,9 +127,9 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
     fall = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
     left = test_patterns(plain) if by_pattern else None
     pattern_stays = left is not None and left.p_value < RULES.alarm.left_level
-    if not pattern_stays and fall < RULES.alarm.confirmed * nothing.threshold:
+    if not (pattern_stays or by_place) and fall < RULES.alarm.confirmed * nothing.threshold:
         # The screen was led on by what the model absorbs of a strong effect, or a pattern is within the form of the
-        # model.
+        # model. No place is far beyond the noise: where one is, the likelihood has to say what of it the noise may be.
         return replace(nothing, p_value=signatures.compute_p(fall)) if singles else nothing
 
     # 5. All hypotheses under one likelihood: single causes, further ones beside the best, regions without a name.

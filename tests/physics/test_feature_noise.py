@@ -188,6 +188,18 @@ def test_residuals_of_slow_noise_have_variance_one_on_average() -> None:
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.25)
 
 
+def test_what_rests_leave_open_of_slow_noise_is_its_doubt() -> None:
+    """Short rests say little of it and know that; long ones know it well. Nothing is a discrepancy that noise may well be."""
+    rng = np.random.default_rng(seed=8)
+    laws = [noise_law(samples_of(list(pink(120, 0.01, rng, 2)), 0.01), 2) for _ in range(40)]
+    off = [(1 - law.pink) / (law.pink * law.pink_doubt) for law in laws]
+    assert np.mean(np.abs(off) < 2) > 0.85
+    long = noise_law(samples_of(list(pink(12_000, 0.01, rng, 2)), 0.01), 2)
+    assert long.pink_doubt < 0.5 * min(law.pink_doubt for law in laws)
+    white = noise_law(samples_of([rng.normal(size=200)], 0.01), 1)
+    assert white.red_doubt > 1, "no rest shows it"
+
+
 def test_plateaus_of_steps_show_noise_that_is_slower_than_the_rest() -> None:
     """Of what is still there: not of the force, for the clamp rings."""
     designs = ({"protocol": "step", "loading": "electrical", "drive_kv": 5.0},)

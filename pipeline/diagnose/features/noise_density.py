@@ -38,15 +38,22 @@ class NoiseLaw:
     """Coefficients of a channel: `white` (recordings,) variance of a sample, `pink` and `red` per Hz at 1 Hz.
 
     Coloured ones are such that residuals have variance 1 on average over what the stretches leave open about them: an
-    estimate that is too small raises 1/s more than one that is too large lowers it.
+    estimate that is too small raises 1/s more than one that is too large lowers it. `pink_doubt` and `red_doubt` are their relative
+    standard deviations.
     """
 
     white: Float
     pink: float
     red: float
+    pink_doubt: float = 0.0
+    red_doubt: float = 0.0
 
     def coefficient(self, recording: int, exponent: int) -> float:
         return (float(self.white[recording]), self.pink, self.red)[exponent]
+
+    def doubt(self, exponent: int) -> float:
+        """Relative standard deviation of a coefficient."""
+        return (0.0, self.pink_doubt, self.red_doubt)[exponent]
 
 
 def noise_sample(
@@ -119,7 +126,7 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
     groups = sorted({s.setting for _, s in samples})
     pool = _Pool.of(samples, groups)
     group = np.concatenate([np.full(s.power.size, groups.index(s.setting)) for _, s in samples])
-    found, pink, red = pool.fit(group)
+    found, (pink, red), doubt = pool.fit(group)
     expected = pool.density(np.append(found, np.log([pink, red])), group)
     # Recordings that miss the common law where white noise rules get a white part of their own.
     ruled = pool.weight * np.exp(found)[group] * pool.rate / expected
@@ -134,14 +141,14 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
             separate[own] = separate.max() + 1
     if separate.max() > group.max():
         separate = np.unique(separate, return_inverse=True)[1]
-        found, pink, red = pool.fit(separate)
+        found, (pink, red), doubt = pool.fit(separate)
     density = np.exp(found)
     white = np.full(recordings, np.nan)
     for r in np.unique(pool.recording):
         first = int(np.flatnonzero(pool.recording == r)[0])
         white[r] = density[separate[first]] * pool.rate[first]
     white[np.isnan(white)] = np.nanmedian(white)
-    return NoiseLaw(white * pool.unit, pink * pool.unit, red * pool.unit)
+    return NoiseLaw(white * pool.unit, pink * pool.unit, red * pool.unit, *doubt)
 
 
 @dataclass(frozen=True)
@@ -189,8 +196,8 @@ class _Pool:
         information = parts.T @ (self.weight[:, None] * parts) + np.eye(x.size) * _LEAST_POWER
         return np.asarray(np.diag(np.linalg.inv(information))[-2:])
 
-    def fit(self, group: Int) -> tuple[Float, float, float]:
-        """Logarithms of the white densities, and the expected pink and red ones.
+    def fit(self, group: Int) -> tuple[Float, tuple[float, float], tuple[float, float]]:
+        """Logarithms of the white densities, the expected pink and red ones, and relative standard deviations of these two.
 
         Whittle's likelihood, with every logarithm of the red density as likely beforehand: rests are too short to say how
         much red noise there is, and what they leave open is expected of longer records.
@@ -200,7 +207,7 @@ class _Pool:
         start = np.concatenate([np.log(0.7 * level), [middle + np.log(0.1)]])
         bounds = [(np.log(v) - 8, np.log(v) + 3) for v in level] + [(middle - _RANGE[0], middle + _RANGE[1])]
         reds = np.arange(middle - _RANGE[0], middle + _RANGE[1] + 0.5, _RED_STEP)
-        costs, ends, pinks = [], [], []
+        costs, ends, pinks, spreads = [], [], [], []
         for red in reds:
             found = minimize(
                 lambda x, red=red: self._cost_without_red(x, red, group),
@@ -214,10 +221,12 @@ class _Pool:
             costs.append(float(found.fun))
             doubt = min(self.doubt(np.append(found.x, red), group)[0], _MOST_DOUBT)
             pinks.append(float(np.exp(found.x[-1] + doubt / 2)))
+            spreads.append(float(np.expm1(doubt)))
         share = np.exp(-(np.array(costs) - min(costs)))
         share /= share.sum()
-        best = ends[int(np.argmin(costs))]
-        return best[:-1], float(share @ np.array(pinks)), float(share @ np.exp(reds))
+        pink, red = (_average(share, np.array(level)) for level in (pinks, np.exp(reds)))
+        within = float(share @ (np.array(spreads) * np.array(pinks) ** 2)) / pink[0] ** 2
+        return ends[int(np.argmin(costs))][:-1], (pink[0], red[0]), (float(np.hypot(pink[1], np.sqrt(within))), red[1])
 
     def _cost_without_red(self, x: Float, red: float, group: Int) -> tuple[float, Float]:
         total, gradient = self._cost(np.append(x, red), group)
@@ -248,6 +257,12 @@ class _Pool:
             total += float(off @ off) / (2 * _ALIKE**2)
             gradient[groups] += off / _ALIKE**2
         return total, gradient
+
+
+def _average(share: Float, values: Float) -> tuple[float, float]:
+    """Mean and relative standard deviation of values with their probabilities."""
+    mean = float(share @ values)
+    return mean, float(np.sqrt(share @ (values / mean - 1) ** 2))
 
 
 def _same_step(settings: Sequence[tuple[float, float]]) -> Iterator[tuple[Int, Float]]:

@@ -49,6 +49,17 @@ def list_discrepancies(fit: ExtendedFit, weight: Float | None = None) -> tuple[D
     return tuple(sorted(_test_everywhere(fit, weight), key=lambda d: (d.p_value, -d.chi2 / d.degrees_of_freedom)))
 
 
+def compute_least_p(fit: ExtendedFit) -> float:
+    """Probability that the noise alone makes one of all places differ as much as the worst one does (Bonferroni).
+
+    Parameters
+    ----------
+    fit : the plain model at its optimum
+    """
+    found = _test_everywhere(fit)
+    return min(1.0, len(found) * min((d.p_value for d in found), default=1.0))
+
+
 def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
     """The worst places where causes mend next to nothing of what is far beyond the noise, in words.
 
@@ -74,11 +85,14 @@ def _test_everywhere(fit: ExtendedFit, weight: Float | None = None) -> list[Disc
     simulated, residual = fit.of.predict(fit.x), fit.of.compute_data_residual(fit.x)
     residual = residual if weight is None else weight * residual
     found = []
-    for p in session.places:
+    for number, p in enumerate(session.places):
+        doubt = session.doubt_noise(number)
         for where, rows in _split_block(p):
             r = residual[p.first + rows]
             chi2 = float(r @ r)
-            probability = compute_block_p(chi2, rows.size, RULES.detectable.noise_spread)
+            # Slow noise of which no rest shows anything may well be louder than it is expected to be.
+            spread = float(np.sqrt(RULES.detectable.noise_spread**2 + np.mean(doubt[rows] ** 2)))
+            probability = compute_block_p(chi2, rows.size, spread)
             statement = _write_statement(session, p, rows, simulated[p.first + rows], where, probability)
             found.append(
                 Discrepancy(

@@ -159,6 +159,20 @@ class Session:
         full = np.diag(total) if np.ndim(total) == 1 else np.asarray(total)
         return np.asarray(full + _LEAST_VARIANCE * np.mean(np.diag(full)) * np.eye(full.shape[0]))
 
+    def doubt_noise(self, number: int) -> Float:
+        """(n,) relative standard deviation of the noise variance of block `number`: what the rests leave open of coloured noise."""
+        place = self.places[number]
+        doubted, total = np.zeros(place.block.size), np.zeros(place.block.size)
+        for name, basis in zip(place.block.components, place.block.basis, strict=True):
+            quantity, exponent = name.split("/")
+            law = self.laws.get((int(self.rig[place.recording]), quantity))
+            own = self._coefficient(place.recording, quantity, int(exponent)) * (
+                basis if basis.ndim == 1 else np.diag(basis)
+            )
+            total += own
+            doubted += 0.0 if law is None else (own * law.doubt(int(exponent))) ** 2
+        return np.asarray(np.sqrt(doubted) / np.maximum(total, np.finfo(float).tiny))
+
     def _coefficient(self, recording: int, quantity: str, exponent: int) -> float:
         if quantity == "unit":
             return 1.0
