@@ -146,10 +146,9 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
     hypotheses, regions = name_regions(hypotheses, regions, agreed.model)
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     if noise in posterior.find_set(RULES.verdict.credible):
-        # Its noise is what the session makes most of: the level for noise that is known less well, where nothing is more probable.
-        level = RULES.alarm.pattern_level if noise is posterior.hypotheses[0] else RULES.alarm.mechanism_level
-        again = _test_again(changes, noise)
-        if again >= level:
+        # Where nothing is more probable than its noise, that is as loud as the session makes it, and known no better.
+        again = _test_again(changes, noise, in_doubt=noise is posterior.hypotheses[0])
+        if again >= RULES.alarm.mechanism_level:
             return replace(nothing, p_value=again, louder=noise.weight)
     best = find_best(posterior)
     final = None if best is None else order_causes(refit_under(plain, best))
@@ -177,11 +176,15 @@ def _screen(of: Extended, start: Float) -> tuple[Secants, Evidence]:
     return changes, Evidence(noise_fit, signatures, p_value, threshold, test_patterns(noise_fit), plain=noise_fit)
 
 
-def _test_again(changes: Secants, noise: Hypothesis) -> float:
+def _test_again(changes: Secants, noise: Hypothesis, *, in_doubt: bool) -> float:
     """Probability of what the search finds by chance under the weights that the likelihood gives the plain model."""
     signatures = compute_signatures(changes, noise.model)
     scores = find_best_scores(signatures)
-    return signatures.compute_p(scores[0].statistic) if scores else 1.0
+    if not scores:
+        return 1.0
+    found = scores[0].statistic
+    spread = RULES.detectable.noise_spread
+    return signatures.compute_p_in_doubt(found, spread) if in_doubt else signatures.compute_p(found)
 
 
 def _fit_under_noise(of: Extended, start: Float) -> ExtendedFit:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import gammaincinv, ndtr
 
 from pipeline.diagnose.mechanisms import MECHANISMS, Mechanism, Parameter
 from pipeline.diagnose.rules import RULES
@@ -23,6 +23,8 @@ from schemas.arrays import Bool, Float
 
 _DRAWS = 20_000
 """Draws of the null distribution."""
+_VARIANCES = 64
+"""Variances of the noise over which a probability is averaged, as likely each."""
 _SEED = 20_260
 """Of these draws."""
 _RANK = 1e-7
@@ -65,6 +67,11 @@ class Signatures:
             scores = self._factor @ rng.normal(size=(self._factor.shape[1], part.size))
             best[part] = np.maximum(scores.max(axis=0), 0.0)
         return np.sort(best**2)
+
+    def compute_p_in_doubt(self, statistic: float, spread: float) -> float:
+        """The same where the variance of the noise is itself known to a relative standard deviation `spread`: the mean over it, as of a Γ."""
+        variance = gammaincinv(spread**-2, (np.arange(_VARIANCES) + 0.5) / _VARIANCES) * spread**2
+        return float(np.mean([self.compute_p(statistic / v) for v in variance]))
 
     def compute_p(self, statistic: float) -> float:
         """Probability that the best of all points reaches Λ by chance; beyond the draws the tail falls as that of a χ².
