@@ -33,6 +33,8 @@ _DYNAMIC = ("chirp", "sphs", "noise", "cyclic", "cycle", "step", "tap")
 _FORCES = ("force", "force_1", "force_2")
 _REPEATED_INSTANTS = 0.01
 """Share of samples that may stand at an instant told twice with two values; beyond it the clock is too coarse."""
+_LEAST_STRETCH, _LARGEST_STRETCH = 0.3, 8.0
+"""Pre-stretches beyond which a percentage or a length was given: what across goes with 8 along is 0.35."""
 _CLOCK_DIFFERENCE_S = 3600.0
 
 
@@ -84,6 +86,7 @@ def canonical(
     recording = Recording(metadata, rig, channels, source, assumptions=raw.assumptions)
     notes += sampling_notes(channels)
     _note_clock(recording, notes)
+    _note_sizes(recording, notes)
     return replace(recording, problems=tuple(dict.fromkeys(problems)), notes=tuple(dict.fromkeys(notes)))
 
 
@@ -310,6 +313,23 @@ def _check_range(channel: Channel, limit: float, required: bool, problems: list[
             remedy="Check the unit of the channel and the rig's load_cell_range_n",
         )
     problems.append(f"{text}; expected below {limit:g} N")
+
+
+def _note_sizes(recording: Recording, notes: list[str]) -> None:
+    """A film is thin and its pre-stretch one that elastomers bear: else a unit or another size was written down."""
+    about = recording.metadata
+    sides = {name: getattr(about, name) for name in ("film_length_mm", "film_width_mm")}
+    thickness = about.layer_thickness_mm
+    thinner = [name for name, side in sides.items() if side is not None and thickness is not None and side < thickness]
+    if thinner and thickness is not None:
+        notes.append(
+            f"film_thickness_mm is {about.film_thickness_mm:g}, more than {' and '.join(thinner)} ({sides[thinner[0]]:g}): were they "
+            "written in µm, or exchanged?"
+        )
+    for name in ("stretch_1", "stretch_2"):
+        value = getattr(about, name)
+        if value is not None and not _LEAST_STRETCH <= value <= _LARGEST_STRETCH:
+            notes.append(f"{name} is {value:g}: a pre-stretch is length over undeformed length, 1.2 for 20 %")
 
 
 def _note_clock(recording: Recording, notes: list[str]) -> None:

@@ -30,6 +30,8 @@ _NEVER_STILL = 0.1
 """Least over largest amplitude of cycles that are those of a sinusoid, and no noise or another frequency."""
 _SINUSOID = 0.05
 """Largest harmonic of an input, over its fundamental, that is still called a sinusoid."""
+_ONE_LINE, _FEWEST_SAMPLES = 0.9, 16
+"""Share of the power at one line of a spectrum, of so many samples at least, from which the input is a sinusoid of that frequency."""
 _MOST_CYCLES = 100
 """Cycles that are evaluated one by one, evenly spread where there are more."""
 
@@ -74,6 +76,7 @@ def cyclic_response(
     low, high = _amplitude_range(t_x, x, frequency, begin, whole)
     changing = f"the amplitude goes from {low:.3g} to {high:.3g} {source.input_unit} from cycle to cycle"
     if abs(u) < 5 * np.sqrt(given.variance[0]) or abs(u) == 0:
+        _refuse_another_frequency(t_x, x, frequency, first, last, where)
         if low > _NEVER_STILL * high:
             raise NotIdentifiableError(
                 changing, where=where, expected="one amplitude", remedy="Cut the recording into one for each amplitude"
@@ -120,6 +123,32 @@ def _amplitude_range(time: Float, x: Float, frequency: float, begin: float, whol
     found = [one for first, last in spans if (one := harmonics(time, x, frequency, first, last)) is not None]
     sizes = [float(abs(one.amplitude[0])) for one in found]
     return (min(sizes), max(sizes)) if sizes else (0.0, 0.0)
+
+
+def _refuse_another_frequency(time: Float, x: Float, frequency: float, first: float, last: float, where: str) -> None:
+    """Raises `NotIdentifiableError` with the frequency at which the input does move, where that is another than the stated one."""
+    steps = np.linspace(first, last, int(np.count_nonzero((time >= first) & (time <= last))))
+    if steps.size < _FEWEST_SAMPLES:
+        return
+    moving = np.interp(steps, time, x)
+    power = np.abs(np.fft.rfft((moving - moving.mean()) * np.hanning(steps.size))) ** 2
+    best = min(max(int(power.argmax()), 1), power.size - 2)
+    beside = power[max(0, best - 2) : best + 3].sum()
+    # The maximum of a Hann window's main lobe, whose logarithm is about a parabola.
+    low, middle, high = np.log(np.maximum(power[best - 1 : best + 2], np.finfo(float).tiny))
+    found = (
+        (best + 0.5 * (low - high) / min(low - 2 * middle + high, -1e-9))
+        * (steps.size - 1)
+        / steps.size
+        / (last - first)
+    )
+    if beside > _ONE_LINE * power.sum() and abs(found - frequency) > 2 / (last - first):
+        raise NotIdentifiableError(
+            f"the input moves at {found:.3g} Hz and not at {frequency:.4g} Hz",
+            where=where,
+            expected="a sinusoid of the frequency that is stated",
+            remedy="Correct frequency_hz, or the time unit",
+        )
 
 
 def _name_harmonics(given: Harmonics) -> list[str]:

@@ -26,6 +26,9 @@ _NORMAL_MEDIAN = 0.6745
 """Median of the size of a standard normal number."""
 _CLEARLY, _MOVED = 6.0, 0.02
 """Standard deviations of its noise, and share of its whole travel, from which an input has clearly moved."""
+_STILL, _HELD_WITHIN, _LOOKED_AT = 0.02, 0.2, 1000
+"""Share of the whole travel within which an input stands still, share of a rise for which it does so where that holds a step of
+its own, and samples of the rise that are looked at."""
 _AT_REST = 2.0
 """Standard deviation over its noise beyond which a beginning is a slow movement and no rest."""
 _BEGINNING = 0.2
@@ -114,11 +117,14 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     rest = force[t_f < step.start_s]
     time, values = t_f[held] - step.start_s, force[held]
     starts = _window_starts(time, step.end_s - step.start_s)
+    again = step.until_s < t_f[-1]
     if starts.size < _FEWEST_WINDOWS:
         raise NotIdentifiableError(
-            f"the step is held for {step.until_s - step.end_s:.3g} s: {starts.size} windows in log time",
+            f"the step is held for {step.until_s - step.end_s:.3g} s after a ramp of {step.end_s - step.start_s:.3g} s: "
+            f"{starts.size} windows in log time" + (", then the film is moved again" if again else ""),
             where=where,
-            expected=f"at least {_FEWEST_WINDOWS} windows ({_PER_DECADE} per decade)",
+            expected=f"at least {_FEWEST_WINDOWS} windows ({_PER_DECADE} per decade, from the end of the ramp on)",
+            remedy="Cut the recording into one for each step" if again else "",
         )
     counts = np.diff(np.append(starts, time.size))
     means = np.add.reduceat(values, starts) / counts
@@ -167,6 +173,11 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
         warnings.append(
             "the step begins with the record: the force at the beginning of its ramp is taken for the level from which it relaxes"
         )
+    if again:
+        warnings.append(
+            f"the film is moved again {step.until_s - step.start_s:.3g} s after the step: what comes then is not used; a recording of its own "
+            "would be"
+        )
     if ringing.any():
         until = float(window[np.flatnonzero(ringing)[-1], 1])
         warnings.append(f"{int(ringing.sum())} windows up to {until:.3g} s after the step ring and are not usable")
@@ -202,7 +213,7 @@ def _rest_level(rest: Float, variance: float, time: Float, force: Float, step: _
 
 
 def _find_step(time: Float, x: Float, where: str) -> _Step:
-    """Ramp and hold in the input: a line through its 10 and 90 % crossings, held until it leaves the level."""
+    """First ramp and hold in the input: a line through its 10 and 90 % crossings, held until it leaves the level."""
     edge, noise = _begin(x)
     before = float(np.median(x[:edge]))
     away = np.abs(x - before)
@@ -214,6 +225,11 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
     after = float(np.median(x[away > reach / 2]))
     progress = (x - before) / (after - before)
     t10, t90 = _crossing(time, progress, 0.1), _crossing(time, progress, 0.9)
+    first = _find_hold_within(time, x, t10, t90, max(_CLEARLY * noise, _STILL * reach))
+    if first is not None:
+        after = first
+        progress = (x - before) / (after - before)
+        t10, t90 = _crossing(time, progress, 0.1), _crossing(time, progress, 0.9)
     duration = (t90 - t10) / 0.8
     start = max(t10 - 0.1 * duration, float(time[0]))
     end = t10 + 0.9 * duration
@@ -221,15 +237,30 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
     left = (time > end + duration) & (np.abs(progress - 1) > tolerance)
     # One sample may be a spike: three in a row have left the level.
     run = left[:-2] & left[1:-1] & left[2:]
-    until = float(time[int(run.argmax())]) if run.any() else float(time[-1]) + 1e-9
+    until = float(time[max(int(run.argmax()) - 1, 0)]) if run.any() else float(time[-1]) + 1e-9
     rest = x[time < start]
-    held = x[(time > end) & (time < until)]
+    held = x[(time > end) & (time <= until)]
     if held.size < _FEWEST_WINDOWS:
         raise NotIdentifiableError(
             f"{held.size} samples while the step is held", where=where, expected=f"at least {_FEWEST_WINDOWS}"
         )
     begin = float(rest.mean()) if rest.size >= _FEWEST_REST else before
     return _Step(start, end, until, begin, float(held.mean()), noise)
+
+
+def _find_hold_within(time: Float, x: Float, first_s: float, last_s: float, tolerance: float) -> float | None:
+    """Level at which the input stands still between two times, for the first time; None where it goes on all the way.
+
+    What is held before the largest level is reached is the end of a first step, and not a part of its ramp.
+    """
+    inside = np.flatnonzero((time > first_s) & (time < last_s))
+    if inside.size < _FEWEST_WINDOWS / _HELD_WITHIN:
+        return None
+    some = inside[:: max(1, inside.size // _LOOKED_AT)]
+    length = int(np.ceil(_HELD_WITHIN * some.size))
+    windows = np.lib.stride_tricks.sliding_window_view(x[some], length)
+    still = np.flatnonzero(np.ptp(windows, axis=1) < tolerance)
+    return float(np.median(windows[still[0]])) if still.size else None
 
 
 def _begin(x: Float) -> tuple[int, float]:

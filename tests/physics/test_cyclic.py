@@ -172,3 +172,10 @@ def test_what_cannot_carry_a_response_is_refused(change, reason) -> None:
     with pytest.raises(NotIdentifiableError, match=reason) as caught:
         respond(recording({"displacement": x, "force": force}, 500.0, protocol="cyclic", frequency_hz=1.0))
     assert caught.value.where == "run-1"
+
+
+@pytest.mark.parametrize("stated", [0.4, 1.3, 2.5])
+def test_an_input_of_another_frequency_is_named_with_it(stated: float) -> None:
+    _, x, force = cycles(1.0, 20, 500.0)
+    with pytest.raises(NotIdentifiableError, match=r"moves at (1|0\.99\d|1\.0\d) Hz and not at"):
+        respond(recording({"displacement": x, "force": force}, 500.0, protocol="cyclic", frequency_hz=stated))

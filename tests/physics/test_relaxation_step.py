@@ -123,3 +123,23 @@ def test_a_machine_that_records_when_it_moves_gives_its_curve(ramp: float, rest_
     for at, value, sd in zip(curve.time_s[late], curve.stiffness[late], np.sqrt(curve.variance[late]), strict=True):
         assert abs(value - np.interp(at, time, true)) < 5 * np.hypot(sd, np.sqrt(curve.rest_variance)) + 2e-3 * value
     assert any("begins with the record" in w for w in warnings) == (rest_s < 8 / RATE)
+
+
+@pytest.mark.parametrize("second_s", [30.0, 60.0, 90.0])
+def test_of_several_steps_the_first_is_taken(second_s: float) -> None:
+    """However long the second one is held: the first hold ends where the film is moved again, and that is said."""
+    rng = np.random.default_rng(seed=3)
+    time = np.arange(0.0, 120.0, 0.02)
+    x = 2 * np.clip((time - 4.0) / 0.4, 0, 1) + 3 * np.clip((time - second_s) / 0.4, 0, 1)
+    force = relaxed(time, 4.0, 0.4, 2.0) + relaxed(time, second_s, 0.4, 3.0)
+    x, force = x + rng.normal(0, 5e-4, x.size), force + rng.normal(0, 1e-3, x.size)
+    curve, warnings = relaxation_curve(recording({"displacement": x, "force": force}, 50.0, protocol="step"))
+    assert curve.step == pytest.approx(2.0, abs=1e-3)
+    assert curve.window_s[-1, 1] < second_s - 4.0 + 0.02, "one sample"
+    assert curve.usable.all()
+    exact = relaxed(time, 4.0, 0.4, 2.0) / 2.0
+    since = time - 4.0
+    means = [exact[(since >= a - 1e-9) & (since <= b + 1e-9)].mean() for a, b in curve.window_s]
+    settled = curve.time_s > 1.0  # before that the ramp's instant counts, which is known to a fraction of a sample
+    assert np.abs(curve.stiffness - means)[settled].max() < 5e-3
+    assert any("moved again" in warning for warning in warnings)

@@ -348,3 +348,18 @@ def test_samples_that_are_lost_by_chance_or_by_overload_are_kept_as_damage() -> 
     values = np.where(np.arange(2000) % 400 < 200, 0.0, 5.0)
     values[20:180:10] = np.nan  # a plug that was loose while nothing happened
     assert check(channel("displacement", "mm", _swinging()), channel("force", "N", values)).status == "damaged"
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ({"film_length_mm": 50.0, "film_width_mm": 50.0, "film_thickness_mm": 500.0}, "written in µm"),
+        ({"film_length_mm": 0.5, "film_thickness_mm": 50.0}, "exchanged"),
+        ({"stretch_1": 20.0}, "stretch_1 is 20"),
+        ({"film_length_mm": 50.0, "film_thickness_mm": 0.5, "stretch_1": 1.2, "stretch_2": 0.91}, ""),
+        ({"film_width_mm": 1.0, "film_thickness_mm": 10.0, "layers": 100}, ""),
+    ],
+)
+def test_sizes_that_no_film_has_are_questioned(sizes: dict[str, float], said: str) -> None:
+    notes = " ".join(check(*GOOD, **sizes).notes)
+    assert (said in notes) if said else "film_" not in notes and "stretch" not in notes
