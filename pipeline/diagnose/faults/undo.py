@@ -54,6 +54,8 @@ _OF_OUTPUT = frozenset(
 )
 """Kinds of functionals of the force."""
 CAPACITANCE = frozenset({CYCLIC_CAPACITANCE, SPHS_CAPACITANCE, STEP_CAPACITANCE})
+_TIMES_KNOWN = 0.02
+"""Share to which the time of a feature is known by which a drift is followed: a window sees each frequency at another time."""
 _VOLTAGE = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
 
 
@@ -139,7 +141,22 @@ def follow_block(block: FeatureBlock, nodes: Float, delay_s: float, drift: float
             f"{name}_columns": weights.indices.astype(float),
             f"{name}_rows": weights.indptr.astype(float),
         }
-    return replace(block, support=support)
+    doubt = _TIMES_KNOWN * 2 * np.pi * np.nan_to_num(block.frequency_hz) * late * _measure_size(block)
+    added = doubt**2 if block.basis.ndim == 2 else np.diag(doubt**2)
+    return replace(
+        block,
+        support=support,
+        components=(*block.components, "unit/0"),
+        basis=np.concatenate([block.basis, added[None]]),
+    )
+
+
+def _measure_size(block: FeatureBlock) -> Float:
+    """(n,) size of each value, of both parts of a complex one together."""
+    if not block.is_complex:
+        return np.abs(block.value)
+    half = block.size // 2
+    return np.tile(np.hypot(block.value[:half], block.value[half:]), 2)
 
 
 def advance_block(block: FeatureBlock, delay_s: float, drift: float) -> FeatureBlock:
