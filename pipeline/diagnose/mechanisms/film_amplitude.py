@@ -150,7 +150,7 @@ def _slack(values: Values, variant: str) -> Effect:
 
     def buckles(course: Course) -> Float:
         floor = -course.largest_fall_n / (1 + overload)
-        if course.tension.min() >= floor:
+        if floor >= 0 or course.tension.min() >= floor:  # where no tension falls, none reaches an onset
             return course.tension
         width = softness * course.largest_fall_n / (1 + overload)
         below = np.minimum((course.tension - floor) / width, 0.0)

@@ -70,6 +70,8 @@ def _saturation(values: Values, variant: str) -> Effect:
 
     def clip(reading: Reading) -> Float:
         limit = reading.largest_n / (1 + overload)
+        if limit <= 0:  # where nothing is read, nothing is clipped
+            return reading.force
         width = softness * limit
         beyond = np.maximum(np.abs(reading.force) - limit, 0.0)
         bent = np.sign(reading.force) * (limit + width * np.tanh(beyond / width))
