@@ -19,7 +19,7 @@ _OWN_LOCATIONS = "location per group"
 
 
 def life_model_tables(campaigns: Sequence[CampaignLives]) -> dict[str, pa.Table]:
-    """Tables `life_regressions`, `life_coefficients`, `life_group_fits`, `life_lines`, `life_residuals`, `mode_effects`."""
+    """The tables of regressions, coefficients, groups, lines, residuals, modes, proportionality and endurance limits."""
     made = {
         "life_regressions": _regressions,
         "life_coefficients": _coefficients,
@@ -27,6 +27,8 @@ def life_model_tables(campaigns: Sequence[CampaignLives]) -> dict[str, pa.Table]
         "life_lines": _lines,
         "life_residuals": _residuals,
         "mode_effects": _modes,
+        "proportionality_tests": _proportionality,
+        "endurance_limits": _limits,
     }
     return {name: TABLES[name].rows([row for one in campaigns for row in rows(one)]) for name, rows in made.items()}
 
@@ -179,6 +181,37 @@ def _residuals(one: CampaignLives) -> list[dict[str, Any]]:
         for row, conditions, hazard, deviance, observed in zip(
             one.rows, one.conditions, fit.cox_snell, fit.deviance, one.observed_hazards, strict=True
         )
+    ]
+
+
+def _proportionality(one: CampaignLives) -> list[dict[str, Any]]:
+    return [
+        {
+            "campaign": one.campaign,
+            "covariate": test.covariate,
+            "trend": test.trend,
+            "statistic": test.statistic,
+            "degrees_of_freedom": test.degrees_of_freedom,
+            "p_value": test.p_value,
+        }
+        for test in one.proportionality
+    ]
+
+
+def _limits(one: CampaignLives) -> list[dict[str, Any]]:
+    found = one.limit
+    if found is None:
+        return []
+    return [
+        {
+            "campaign": one.campaign,
+            "stress": found.stress,
+            "family": found.family,
+            **_bounded("stress_limit", found.limit),
+            "exponent": found.exponent,
+            "statistic": found.statistic,
+            "p_value": found.p_value,
+        }
     ]
 
 

@@ -384,6 +384,45 @@ TABLES: tuple[Table, ...] = (
         pages=("campaign",),
     ),
     Table(
+        "proportionality_tests",
+        "whether effects on the hazard stay the same over the life, as Cox's model assumes",
+        (
+            CAMPAIGN,
+            text("covariate", "the covariate, with all its levels; all covariates: of all of them together"),
+            real(
+                "trend",
+                "ln hazard per unit",
+                "change of its coefficient over the life; NULL where it has several levels",
+            ),
+            real("statistic", "", "score statistic of a change with the share that has failed"),
+            whole("degrees_of_freedom", "of the statistic"),
+            real("p_value", "", "that the effect does not change"),
+        ),
+        key=("campaign", "covariate"),
+        made_by=(MadeBy("group", group="survival"),),
+        pages=("campaign",),
+    ),
+    Table(
+        "endurance_limits",
+        "the voltage below which nothing ever fails, in place of a power law that has no end",
+        (
+            CAMPAIGN,
+            text("stress", "the stress that the limit is of"),
+            text("family", "as in life_regressions, the best one without a shape"),
+            *with_bounds(
+                "stress_limit",
+                "see stress",
+                "the limit, 0 where a power law fits as well; upper at the lowest stress with a failure: not known how near",
+            ),
+            real("exponent", "", "of (stress - limit)"),
+            real("statistic", "", "likelihood ratio of no limit"),
+            real("p_value", "", "that there is no limit"),
+        ),
+        key=("campaign", "stress"),
+        made_by=(MadeBy("group", group="survival"),),
+        pages=("campaign",),
+    ),
+    Table(
         "life_plans",
         "what to test next for a narrower interval of life at use, a row per plan and test; the command plan lifetimes does it for other conditions",
         (

@@ -81,7 +81,8 @@ def fit_cox(lives: Lives, design: Design, ties: str = EFRON) -> CoxRegression:
     entered = np.full(failed.size, -np.inf) if lives.entered is None else lives.entered
     scale = np.where(design.x.std(axis=0) > 0, design.x.std(axis=0), 1.0)
     x = (design.x - design.x.mean(axis=0)) / scale
-    parts = _exact(lives.lower, failed, entered, x) if ties == EXACT else _efron(lives.lower, failed, entered, x)
+    sums = (lives.lower, failed, entered, x)
+    parts = _exact(*sums) if ties == EXACT else RiskSums(*sums).parts
     return solve_partial_likelihood(parts, design.names, scale, ties, failed)
 
 
@@ -139,48 +140,59 @@ def solve_partial_likelihood(
     )
 
 
-def _efron(time: Float, failed: Bool, entered: Float, x: Float) -> Callable[[Float], _Parts]:
-    """Sums over those at risk by differences of cumulative sums: of who has not ended, less who has not begun."""
-    times, place = np.unique(time[failed], return_inverse=True)
-    ending, beginning = np.argsort(time), np.argsort(entered)
-    # At risk at t: entered < t ≤ end.
-    gone = np.searchsorted(time[ending], times, side="left")
-    waiting = np.searchsorted(entered[beginning], times, side="left")
-    deaths = np.bincount(place, minlength=times.size)
-    rows = np.repeat(np.arange(times.size), deaths)
-    share = np.concatenate([np.arange(d) / d for d in deaths])
-    p = x.shape[1]
-    i, j = np.triu_indices(p)
-    products = x[:, i] * x[:, j]
-    failed_sum = x[failed].sum(axis=0)
-    late = bool(np.isfinite(entered).any())
+class RiskSums:
+    """Efron's sums over those at risk by differences of cumulative sums: of who has not ended, less who has not begun.
 
-    def sums(values: Float) -> Float:
+    At risk at t: entered < t ≤ end. `times` (d,) is when each of the d failures came, in order.
+    """
+
+    def __init__(self, time: Float, failed: Bool, entered: Float, x: Float) -> None:
+        self.x, self.failed, self.entered = x, failed, entered
+        times, self.place = np.unique(time[failed], return_inverse=True)
+        self.ending, self.beginning = np.argsort(time), np.argsort(entered)
+        self.gone = np.searchsorted(time[self.ending], times, side="left")
+        self.waiting = np.searchsorted(entered[self.beginning], times, side="left")
+        deaths = np.bincount(self.place, minlength=times.size)
+        self.rows = np.repeat(np.arange(times.size), deaths)
+        self.times = times[self.rows]
+        self.share = np.concatenate([np.arange(d) / d for d in deaths])
+        self.pairs = np.triu_indices(x.shape[1])
+        self.products = x[:, self.pairs[0]] * x[:, self.pairs[1]]
+
+    def _sum(self, values: Float) -> Float:
         """(times, columns) sums over those at risk."""
-        after = np.concatenate((np.cumsum(values[ending][::-1], axis=0)[::-1], np.zeros((1, values.shape[1]))))
-        found = after[gone]
-        if late:
-            begun = np.concatenate((np.cumsum(values[beginning][::-1], axis=0)[::-1], np.zeros((1, values.shape[1]))))
-            found = found - begun[waiting]
+        nobody = np.zeros((1, values.shape[1]))
+        found = np.concatenate((np.cumsum(values[self.ending][::-1], axis=0)[::-1], nobody))[self.gone]
+        if np.isfinite(self.entered).any():
+            begun = np.concatenate((np.cumsum(values[self.beginning][::-1], axis=0)[::-1], nobody))
+            found = found - begun[self.waiting]
         return np.asarray(found)
 
-    def parts(beta: Float) -> _Parts:
-        eta = x @ beta
-        risk = np.exp(eta)
-        columns = risk[:, None] * np.column_stack((np.ones(risk.size), x, products))
-        everyone = sums(columns)
+    def moments(self, beta: Float) -> tuple[Float, Float, Float]:
+        """At each failure: the sum (d,) of the risks, the mean (d, p) of the columns and their covariance (d, p (p + 1)/2)."""
+        p = self.x.shape[1]
+        risk = np.exp(self.x @ beta)
+        columns = risk[:, None] * np.column_stack((np.ones(risk.size), self.x, self.products))
+        everyone = self._sum(columns)
         own = np.zeros_like(everyone)
-        np.add.at(own, place, columns[failed])
-        left = everyone[rows] - share[:, None] * own[rows]
-        total, first, second = left[:, 0], left[:, 1 : 1 + p], left[:, 1 + p :]
-        mean = first / total[:, None]
-        value = float(eta[failed].sum() - np.log(total).sum())
-        information = np.zeros((p, p))
-        information[i, j] = (second / total[:, None] - mean[:, i] * mean[:, j]).sum(axis=0)
-        information[j, i] = information[i, j]
-        return value, failed_sum - mean.sum(axis=0), information
+        np.add.at(own, self.place, columns[self.failed])
+        left = everyone[self.rows] - self.share[:, None] * own[self.rows]
+        total, mean = left[:, 0], left[:, 1 : 1 + p] / left[:, :1]
+        return total, mean, left[:, 1 + p :] / total[:, None] - mean[:, self.pairs[0]] * mean[:, self.pairs[1]]
 
-    return parts
+    def square(self, packed: Float) -> Float:
+        """(p, p) from (p (p + 1)/2,)."""
+        p = self.x.shape[1]
+        found = np.zeros((p, p))
+        found[self.pairs] = packed
+        found.T[self.pairs] = packed
+        return found
+
+    def parts(self, beta: Float) -> _Parts:
+        total, mean, covariance = self.moments(beta)
+        value = float((self.x[self.failed] @ beta).sum() - np.log(total).sum())
+        gradient = self.x[self.failed].sum(axis=0) - mean.sum(axis=0)
+        return value, gradient, self.square(covariance.sum(axis=0))
 
 
 def _exact(time: Float, failed: Bool, entered: Float, x: Float) -> Callable[[Float], _Parts]:

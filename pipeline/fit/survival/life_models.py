@@ -24,9 +24,11 @@ from pipeline.fit.survival.covariates import (
     make_design,
 )
 from pipeline.fit.survival.cox_regression import CoxRegression, fit_cox
+from pipeline.fit.survival.endurance_limit import EnduranceLimit, find_endurance_limit
 from pipeline.fit.survival.kaplan_meier import Estimate
-from pipeline.fit.survival.life_regression import FAMILIES, LifeRegression, fit_life_regression
+from pipeline.fit.survival.life_regression import FAMILIES, GENERALISED_GAMMA, LifeRegression, fit_life_regression
 from pipeline.fit.survival.lifetime_distributions import Lives
+from pipeline.fit.survival.proportional_hazards import ProportionalityTest, check_proportional_hazards
 from schemas.arrays import Float
 from schemas.errors import DealabError, NotIdentifiableError
 from schemas.lifetimes import LifetimeRow
@@ -94,6 +96,7 @@ class CampaignLives:
     """Everything the regressions tell about a campaign.
 
     `rows` are the lives that were used, in the order of the residuals; `refused` says what could not be had, and why.
+    `proportionality` tests what Cox's model assumes, `limit` is the voltage below which nothing may ever fail.
     """
 
     campaign: str | None
@@ -105,6 +108,8 @@ class CampaignLives:
     modes: tuple[CauseRegression, ...]
     refused: tuple[str, ...]
     contrasts: tuple[Contrast, ...] = ()
+    proportionality: tuple[ProportionalityTest, ...] = ()
+    limit: EnduranceLimit | None = None
 
     @property
     def observed_hazards(self) -> Float:
@@ -170,21 +175,25 @@ class _Campaign:
         models = self._models(lives, covariates)
         if not models:
             return self._without()
+        limit = self._limit(lives, covariates, models)
         best = min(range(len(models)), key=lambda i: models[i].regression.aic)
         models = [LifeModel(m.stress_law, m.regression, i == best) for i, m in enumerate(models)]
         if models[best].stress_law == EXPONENTIAL_LAW:
             covariates = _with_law(covariates, EXPONENTIAL_LAW)
         points, group_points = _stress_lines(models[best].regression, covariates, self._groups())
+        cox, proportionality = self._cox(lives, covariates)
         return CampaignLives(
             self.name,
             tuple(self.rows),
             tuple(models),
-            self._cox(lives, covariates),
+            cox,
             points,
             group_points,
             self._modes(lives, covariates),
             tuple(self.refused),
             tuple(contrast for one in covariates for contrast in _contrasts(one)),
+            proportionality,
+            limit,
         )
 
     def _without(self, *reasons: str) -> CampaignLives:
@@ -244,11 +253,30 @@ class _Campaign:
             self.refused.append(f"{family}: the lives do not tell its parameters apart")
         return None
 
-    def _cox(self, lives: Lives, covariates: Sequence[Covariate]) -> CoxRegression | None:
+    def _cox(
+        self, lives: Lives, covariates: Sequence[Covariate]
+    ) -> tuple[CoxRegression | None, tuple[ProportionalityTest, ...]]:
         try:
-            return fit_cox(lives, make_design(covariates, np.isfinite(lives.upper)))
+            design = make_design(covariates, np.isfinite(lives.upper))
+            fit = fit_cox(lives, design)
         except DealabError as error:
             self.refused.append(f"Cox's model: {error.problem}")
+            return None, ()
+        return fit, check_proportional_hazards(lives, design, fit)
+
+    def _limit(
+        self, lives: Lives, covariates: Sequence[Covariate], models: Sequence[LifeModel]
+    ) -> EnduranceLimit | None:
+        """The voltage below which nothing fails, by the family without a shape that describes the lives best."""
+        able = [
+            m.regression for m in models if m.stress_law == INVERSE_POWER and m.regression.family != GENERALISED_GAMMA
+        ]
+        if not able:
+            return None
+        try:
+            return find_endurance_limit(lives, covariates, min(able, key=lambda fit: fit.aic).family)
+        except DealabError as error:
+            self.refused.append(f"endurance limit: {error.problem}")
         return None
 
     def _modes(self, lives: Lives, covariates: Sequence[Covariate]) -> tuple[CauseRegression, ...]:

@@ -232,6 +232,18 @@ def fit_life_regression(
     )
 
 
+def log_likelihood_of(lives: Lives, x: Float, family: str) -> tuple[float, Float]:
+    """Largest log-likelihood of lives, in s, with columns `x` (n, p) beside the intercept, and its (1 + p,) coefficients.
+
+    Raises
+    ------
+    NotIdentifiableError
+        The likelihood has no maximum.
+    """
+    best = _Model(lives, x, family).maximum()
+    return best.log_likelihood - lives.log_jacobian, best.coefficients
+
+
 @dataclass(frozen=True)
 class _Best:
     """The maximum of a model: coefficients (1 + p,) of the plain design, σ, the shape q (NaN but for the generalised gamma)."""

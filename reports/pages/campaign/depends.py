@@ -60,6 +60,13 @@ ORDER BY conditions, cox_snell, specimen_id""",
 FROM mode_effects
 WHERE campaign = $campaign
 ORDER BY failure_mode, coefficient, model""",
+    "proportionality": """SELECT covariate, trend, statistic, degrees_of_freedom, p_value
+FROM proportionality_tests
+WHERE campaign = $campaign AND p_value IS NOT NULL
+ORDER BY covariate = 'all covariates', covariate""",
+    "limits": """SELECT stress, family, stress_limit, stress_limit_lower, stress_limit_upper, exponent, p_value
+FROM endurance_limits
+WHERE campaign = $campaign""",
 }
 _COVARIATES = {
     "voltage_kv": ("voltage", "Voltage, kV"),
@@ -292,8 +299,36 @@ def _coefficient_table(found: _Found, below: str) -> Table:
         scatter += f"{capital(_in_words(visible(best['tests'])))}. " if best["tests"] else ""
     meaning = "".join(_MEANINGS[name] for name in dict.fromkeys(_meaning(r, best) for r in found.effects) if name)
     caption = f"Regression of the lives: {_family(best)}" if best is not None else "Regression of the lives"
+    below = meaning + scatter + _limit_in_words(found) + _proportionality_in_words(found) + below
     query = found.queries["effects"].shown()
-    return Table(caption, heads, tuple(rows), query, "95 % intervals in brackets", meaning + scatter + below, "wide")
+    return Table(caption, heads, tuple(rows), query, "95 % intervals in brackets", below, "wide")
+
+
+def _limit_in_words(found: _Found) -> str:
+    """Whether there is a voltage below which nothing fails."""
+    said = ""
+    for r in found.rows["limits"]:
+        if r["p_value"] < 0.05:
+            shown = bounds(r["stress_limit"], r["stress_limit_lower"], r["stress_limit_upper"])
+            said += f"Below {shown} kV nothing would ever fail (endurance limit; no limit: {p_equals(r['p_value'])}). "
+        else:
+            said += (
+                f"No endurance limit is shown ({p_equals(r['p_value'])}); if there is one, it is below"
+                f" {significant(r['stress_limit_upper'])} kV. "
+            )
+    return said
+
+
+def _proportionality_in_words(found: _Found) -> str:
+    """Whether Cox's ratios of hazards stay the same over the life."""
+    tests = found.rows["proportionality"]
+    if not tests:
+        return ""
+    changing = [r for r in tests if r["p_value"] < 0.05]
+    if not changing:
+        return f"Hazards are proportional as far as is seen ({p_equals(tests[-1]['p_value'])}). "
+    shown = joined([f"{_covariate(r['covariate'])} ({p_equals(r['p_value'])})" for r in changing])
+    return f"Hazards are not proportional over the life, by {shown}: Cox’s ratios are averages over it. "
 
 
 def _meaning(coefficient: Record, best: Record | None) -> str:
