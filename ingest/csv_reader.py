@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ingest.columns import Numbers, OwnTime, named_column, plain_name
+from ingest.compressed import find_suffix, read_plain_content
 from ingest.csv_dialect import UNREADABLE, WHITESPACE, Dialect, as_utf8, wrong_encoding
 from ingest.csv_rows import checked_end, cut_reason, parsed_rows
 from ingest.mapping import ColumnName, FileMapping, column_label
@@ -102,10 +103,12 @@ def read_csv(path: Path, mapping: FileMapping) -> CsvFile:
 
     Raises `RefusedError` when the dialect cannot be that of the file or a mapped column is missing.
     """
-    dialect = Dialect.parse(mapping.options, suffix=path.suffix.lower(), where=mapping.source)
+    dialect = Dialect.parse(mapping.options, suffix=find_suffix(path).lower(), where=mapping.source)
     wanted = mapping.columns_of_file()
     keep_blank = mapping.counts_rows_as_time
-    return parse_csv(path.read_bytes(), dialect, where=path.name, wanted=wanted, keep_blank=keep_blank)
+    plain = read_plain_content(path)
+    file = parse_csv(plain.content, dialect, where=path.name, wanted=wanted, keep_blank=keep_blank)
+    return replace(file, problems=plain.problems + file.problems)
 
 
 def parse_csv(

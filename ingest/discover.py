@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ingest.compressed import ZIP, is_compressed
 from ingest.formats import UNREAD
 from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
 from ingest.mapping_keys import IGNORE
@@ -164,6 +165,8 @@ def lacks_end(path: Path, found: str | None) -> bool:
             tail = file.read()
     except OSError:
         return False
+    if is_compressed(path):
+        return path.suffix.lower() != ZIP or not zipfile.is_zipfile(path)
     if found == "mcap":
         return tail != _MCAP_MAGIC
     if found == "csv":

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ingest.assemble import assemble
+from ingest.compressed import find_stem, find_suffix
 from ingest.draft_columns import find_lifetime_columns, find_meanings, find_relaxation_columns, find_response_columns
 from ingest.draft_files import Opened, make_format_keys, map_each_column, open_file, read_numbers
 from ingest.draft_text import toml_text
@@ -139,10 +140,10 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
             _take(opened.facts, about, remarks, sizes)
         if "specimen_id" not in about:
             about["specimen_id"] = "{stem}"
-            questions.append(Question("recording.specimen_id", "name of the specimen", opened.path.stem))
+            questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
     elif "configuration" not in chosen:
         about["configuration"] = "{stem}"
-        questions.append(Question("recording.configuration", "how the films are built", opened.path.stem))
+        questions.append(Question("recording.configuration", "how the films are built", find_stem(opened.path)))
     content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}
     if each is not None:
         content["select"] = [each]
@@ -196,7 +197,7 @@ def _recording(opened: Opened) -> Draft:
     _take(opened.facts, about, remarks, facts)
     if "specimen_id" not in about:
         about["specimen_id"] = "{stem}"
-        questions.append(Question("recording.specimen_id", "name of the specimen", opened.path.stem))
+        questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
     _ask_start(opened, content, about, remarks, questions, has_dates)
     content["recording"] = about
     mapped = [c for c in opened.columns if c.meaning is not None and not (counts and c is time_of)]
@@ -265,7 +266,7 @@ def _shape(opened: Opened, content: Mapping[str, Any]) -> tuple[Shape, str]:
     reason = ""
     traces: dict[str, Trace] = {}
     try:
-        mapping = FileMapping.parse(probe, stem="draft", suffix=opened.path.suffix, source="draft")
+        mapping = FileMapping.parse(probe, stem="draft", suffix=find_suffix(opened.path), source="draft")
         raw = assemble(open_columns(opened.path, opened.format, mapping), mapping, where=opened.path.name)
         for channel in raw.channels:
             unit = QUANTITIES[channel.quantity].unit

@@ -13,8 +13,9 @@ from typing import Any
 
 from ingest.arrays import ArrayFile
 from ingest.columns import ColumnFile
+from ingest.compressed import TEXTS, find_held_suffix, is_compressed, read_plain_content
 from ingest.harvest import Fact, by_key, harvest_hdf5, harvest_rows
-from ingest.mapping import FileMapping, format_of
+from ingest.mapping import FileMapping, format_of, format_of_suffix
 from ingest.mapping_keys import RECORDING
 from ingest.meanings import TIME, GuessedColumn, guess_columns
 from ingest.read import open_columns
@@ -49,7 +50,8 @@ class Opened:
     def _cells_of_array(self, column: GuessedColumn) -> list[Any]:
         mapping = FileMapping(RECORDING, self.format, dict(self.options), None, {}, {}, {})
         try:
-            return list(open_columns(self.path, self.format, mapping).cells(column.column, column.index)[:_FIRST_CELLS])
+            cells = open_columns(self.path, self.format, mapping).cells(column.column, column.index)
+            return ["" if cell is None else cell for cell in cells[:_FIRST_CELLS]]
         except DealabError:
             return []
 
@@ -57,7 +59,7 @@ class Opened:
 def open_file(path: Path, said: Mapping[str, str]) -> Opened:
     found = _true_format(path)
     if found == "csv":
-        guess = guess_text(path.read_bytes(), said)
+        guess = guess_text(read_plain_content(path).content, said)
         d = guess.dialect
         options = {
             "delimiter": d.delimiter,
@@ -79,6 +81,9 @@ def open_file(path: Path, said: Mapping[str, str]) -> Opened:
 def _true_format(path: Path) -> str | None:
     """The format by the file's ending, but for workbooks named as text and texts named as workbooks."""
     found = format_of(path)
+    if is_compressed(path):
+        held = format_of_suffix(find_held_suffix(path))
+        return found or (held if held in TEXTS else None)
     with path.open("rb") as file:
         start = file.read(4096)
     is_workbook = start.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0"))
@@ -126,8 +131,8 @@ def _open_arrays(path: Path, found: str, said: Mapping[str, str]) -> Opened:
     mapping = FileMapping(RECORDING, found, {}, None, {}, {}, {})
     file = open_columns(path, found, mapping)
     names = file.names()
-    separator = "." if found == "matlab" else "/"
-    short = [n.rsplit(separator, 1)[-1] for n in names]
+    separator = {"matlab": ".", "arrow": None}.get(found, "/")
+    short = [n if separator is None else n.rsplit(separator, 1)[-1] for n in names]
     guessed = guess_columns(
         [s if short.count(s) == 1 else n for s, n in zip(short, names, strict=True)],
         [file.unit(n) or "" for n in names],

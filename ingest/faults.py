@@ -9,6 +9,7 @@ from typing import Any
 
 from ingest.assemble import assemble
 from ingest.canonical import canonical
+from ingest.compressed import find_stem, find_suffix
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping import list_faults as list_mapping_faults
 from ingest.mapping_keys import EACH, IGNORE, RECORDING
@@ -32,12 +33,12 @@ def find_faults(
     source : name of the mapping, for messages
     root, rigs : where rig files are looked for, as in `ingest.rigs.find_rig`
     """
-    stem = path.stem.encode("utf-8", "replace").decode()
-    faults = list(list_static_faults(content, stem=stem, suffix=path.suffix, source=source))
+    stem, suffix = find_stem(path), find_suffix(path)
+    faults = list(list_static_faults(content, stem=stem, suffix=suffix, source=source))
     kind = content.get("kind", RECORDING)
     if faults or kind == IGNORE:
         return _each_once(faults)
-    mapping = FileMapping.parse(content, stem=stem, suffix=path.suffix, source=source)
+    mapping = FileMapping.parse(content, stem=stem, suffix=suffix, source=source)
     try:
         parts = [part_of(mapping, label) for label in list_parts(path, mapping)] if mapping.parts_file else [mapping]
     except DealabError as fault:

@@ -18,8 +18,10 @@ GROUP = "dealab.readers"
 
 
 UNREAD: Mapping[str, str] = {
-    **dict.fromkeys((".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar", ".tgz"), "unpack it"),
-    **dict.fromkeys((".parquet", ".feather", ".arrow", ".npy", ".npz", ".nc"), "export it as HDF5 or CSV"),
+    **dict.fromkeys((".zst", ".7z", ".tar", ".tgz"), "unpack it"),
+    **dict.fromkeys((".gz", ".bz2", ".xz"), "unpack it: of compressed files only texts are read, such as .csv.gz"),
+    ".zip": "unpack it; `dealab add FILE` maps one that holds a single text",
+    ".nc": "export it as HDF5 or CSV",
     **dict.fromkeys((".lvm", ".prn", ".tab"), 'text: a mapping with format = "csv" reads it'),
     **dict.fromkeys((".tdm", ".tdx"), "export it as TDMS"),
     **dict.fromkeys(

@@ -19,6 +19,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from ingest.compressed import TEXTS, find_stem, find_suffix, is_compressed
 from ingest.formats import list_formats, list_options
 from ingest.mapping_keys import (
     CHANNEL_METADATA,
@@ -253,7 +254,7 @@ def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping
         content = load_toml(path.with_name(own))
         if "match" in content:
             raise refused(own, "match is not used in the mapping of a single file", "only keys that have an effect")
-        return FileMapping.parse(content, stem=_stem(path), suffix=path.suffix, source=own)
+        return FileMapping.parse(content, stem=find_stem(path), suffix=find_suffix(path), source=own)
     if not there(FOLDER_FILE):
         return None
     shared = path.with_name(FOLDER_FILE)
@@ -261,14 +262,12 @@ def find_mapping(path: Path, names: Container[str] | None = None) -> FileMapping
     for number, entry in enumerate(_folder_entries(shared, info.st_mtime_ns, info.st_size), start=1):
         if fnmatch.fnmatchcase(path.name, entry["match"]):
             return FileMapping.parse(
-                entry, stem=_stem(path), suffix=path.suffix, source=f"{shared.name}, [[files]] number {number}"
+                entry,
+                stem=find_stem(path),
+                suffix=find_suffix(path),
+                source=f"{shared.name}, [[files]] number {number}",
             )
     return None
-
-
-def _stem(path: Path) -> str:
-    """The file's name without its ending; bytes that are no UTF-8 become question marks."""
-    return path.stem.encode("utf-8", "replace").decode()
 
 
 def own_mapping(path: Path) -> Path:
@@ -286,7 +285,8 @@ def format_of(path: Path, mapping: FileMapping | None = None) -> str | None:
     """The format of a data file: what its mapping says, else what its ending says; None when neither does."""
     if mapping is not None and mapping.format is not None:
         return mapping.format
-    return format_of_suffix(path.suffix)
+    found = format_of_suffix(find_suffix(path))
+    return None if is_compressed(path) and found not in TEXTS else found
 
 
 def format_of_suffix(suffix: str) -> str | None:

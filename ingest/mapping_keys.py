@@ -42,6 +42,8 @@ FORMATS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "hdf5": (".h5", ".hdf5", ".hdf"),
         "tdms": (".tdms",),
         "uff": (".uff", ".unv"),
+        "arrow": (".parquet", ".pq", ".feather", ".arrow"),
+        "numpy": (".npy", ".npz"),
     }
 )
 """File endings by format."""
@@ -87,6 +89,11 @@ OPTIONS: Mapping[str, Mapping[str, Key]] = {
     },
     "tdms": {"group": Key((str,), "group whose channels are meant")},
     "uff": {},
+    "arrow": {},
+    "numpy": {
+        "root": Key((str,), "prefix of every path"),
+        "transpose": Key((bool,), "true: the samples run along the rows of matrices"),
+    },
     "mcap": {},
 }
 """Keys of each format's own table."""

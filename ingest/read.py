@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 from ingest.assemble import assemble
 from ingest.columns import ColumnFile
+from ingest.compressed import TEXTS, find_stem, is_compressed
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION
 from ingest.readers import find_reader
@@ -63,7 +64,14 @@ def read_raw(path: Path, mapping: FileMapping | None) -> Content:
 
 
 def open_columns(path: Path, found: str, mapping: FileMapping) -> ColumnFile:
-    """The columns of a file of a foreign format."""
+    """The columns of a file of a foreign format. Raises `RefusedError`, also for a compressed file of one that is no text."""
+    if is_compressed(path) and found not in TEXTS:
+        raise RefusedError(
+            f"a compressed file of the format {found} is not read",
+            where=path.name,
+            expected="the file itself: of compressed files only texts are read, " + ", ".join(TEXTS),
+            remedy="Unpack it",
+        )
     return find_reader(found)(path, mapping)
 
 
@@ -77,7 +85,7 @@ def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:
         )
     file = open_columns(path, found, mapping)
     if mapping.kind == LIFETIMES:
-        return lifetime_table(file, mapping, stem=path.stem.encode("utf-8", "replace").decode(), where=path.name)
+        return lifetime_table(file, mapping, stem=find_stem(path), where=path.name)
     if mapping.kind == FREQUENCY_RESPONSE:
         return response_table(file, mapping, where=path.name)
     if mapping.kind == RELAXATION:

@@ -70,6 +70,18 @@ def _tdms() -> Read:
     return read_tdms
 
 
+def _arrow() -> Read:
+    from ingest.arrow_reader import read_arrow
+
+    return read_arrow
+
+
+def _numpy() -> Read:
+    from ingest.numpy_reader import read_numpy
+
+    return read_numpy
+
+
 def _uff() -> Read:
     from ingest.uff_reader import read_uff
 
@@ -83,6 +95,8 @@ _OURS: Mapping[str, Callable[[], Read]] = {
     "hdf5": _hdf5,
     "tdms": _tdms,
     "uff": _uff,
+    "arrow": _arrow,
+    "numpy": _numpy,
 }
 """By format: imports its reader. Imports stand in functions, as text, so that the night knows what results depend on."""
 

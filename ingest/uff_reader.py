@@ -17,10 +17,11 @@ import numpy as np
 
 from ingest.array_numbers import numbers_from_array
 from ingest.columns import Numbers, OwnTime, named_column
+from ingest.compressed import plain_file
 from ingest.extras import advise_install
 from ingest.mapping import ColumnName, FileMapping
 from schemas.arrays import Float
-from schemas.errors import MissingExtraError, RefusedError
+from schemas.errors import DealabError, MissingExtraError, RefusedError
 from schemas.units import conversion
 
 _FUNCTION = 58
@@ -117,9 +118,12 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            file = pyuff.UFF(str(path))
-            kinds = [int(kind) for kind in file.get_set_types()]
-            sets = tuple(file.read_sets(i) for i, kind in enumerate(kinds) if kind == _FUNCTION)
+            with plain_file(path) as (plain, lost):
+                file = pyuff.UFF(str(plain))
+                kinds = [int(kind) for kind in file.get_set_types()]
+                sets = tuple(file.read_sets(i) for i, kind in enumerate(kinds) if kind == _FUNCTION)
+    except DealabError:
+        raise
     except Exception as error:  # pyuff raises bare Exception and whatever its parser meets in a damaged file
         raise RefusedError(
             f"the file cannot be read as UFF: {str(error)[:200] or type(error).__name__}",
@@ -139,7 +143,7 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
     return UffFile(
         path.name,
         tuple(found for found, _ in read),
-        tuple(problem for _, problem in read if problem),
+        lost + tuple(problem for _, problem in read if problem),
         (f"data sets of type {shown} are left out",) if others else (),
     )
 

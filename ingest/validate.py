@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ingest.compressed import find_stem, find_suffix
 from ingest.faults import find_faults, list_static_faults
 from ingest.inspect import FITS, inspect
 from ingest.mapping import FOLDER_FILE, list_entries
@@ -72,13 +73,13 @@ def _check_mapping(path: Path, rigs: Path | None) -> Iterator[DealabError]:
     if path.name == FOLDER_FILE:
         for number, entry in enumerate(list_entries(content, path.name), start=1):
             source = f"{path.name}, [[files]] number {number}"
-            yield from list_static_faults(entry, stem="stem", suffix=Path(entry["match"]).suffix, source=source)
+            yield from list_static_faults(entry, stem="stem", suffix=find_suffix(Path(entry["match"])), source=source)
         return
     data = path.with_suffix("")
     if data.is_file():
         yield from find_faults(data, content, source=path.name, rigs=rigs)
     else:
-        yield from list_static_faults(content, stem=data.stem, suffix=data.suffix, source=path.name)
+        yield from list_static_faults(content, stem=find_stem(data), suffix=find_suffix(data), source=path.name)
 
 
 def _check_rig(path: Path, _rigs: Path | None) -> Iterator[DealabError]:

@@ -122,6 +122,7 @@ def _recognised(draft: Draft) -> str:
 def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
     """Checks the mapping with its file and writes it; where anything is wrong, says all of it and writes nothing."""
     from ingest.atomic import written_whole
+    from ingest.compressed import find_stem, find_suffix
     from ingest.faults import find_faults
     from ingest.mapping import FileMapping
     from pipeline.commands.show.preview import describe_preview
@@ -134,8 +135,7 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
             print(f"  wrong      {make_safe(str(fault))}", file=sys.stderr)
         print(f"dealab: nothing is written: {len(faults)} things to put right (answers with --yes)", file=sys.stderr)
         return FAILED
-    stem = path.stem.encode("utf-8", "replace").decode()
-    mapping = FileMapping.parse(draft.content, stem=stem, suffix=path.suffix, source=beside.name)
+    mapping = FileMapping.parse(draft.content, stem=find_stem(path), suffix=find_suffix(path), source=beside.name)
     lines = [make_safe(line) for line in describe_preview(path, mapping)]
     with written_whole(beside) as place:
         place.write_text(draft.as_toml(), encoding="utf-8")

@@ -229,6 +229,68 @@ def _data_set_58(name: str, unit: str, values: Any) -> str:
     )
 
 
+def arrow() -> list[Seed]:
+    """A Parquet file of DuckDB; Feather with and without compression; a stream."""
+    import duckdb
+    import pyarrow as pa
+    import pyarrow.feather as feather
+
+    table = pa.table({"t": TIME, "F": FORCE, "x": TRAVEL, "note": ["ok", None] * 12})
+
+    def parquet(path: Path) -> None:
+        with duckdb.connect() as base:
+            base.register("run", table)
+            base.execute(f"COPY run TO '{path}' (FORMAT parquet, COMPRESSION snappy)")
+
+    def stream(path: Path) -> None:
+        with pa.OSFile(str(path), "wb") as file, pa.ipc.new_stream(file, table.schema) as writer:
+            writer.write_table(table, max_chunksize=10)
+
+    seeds = [Seed("arrow", "parquet", ".parquet", _made(parquet, ".parquet"), _mapped(".parquet"))]
+    for how in ("lz4", "uncompressed"):
+        content = _made(lambda path, how=how: feather.write_feather(table, path, compression=how), ".feather")
+        seeds.append(Seed("arrow", f"feather, {how}", ".feather", content, _mapped(".feather")))
+    return [*seeds, Seed("arrow", "stream", ".arrow", _made(stream, ".arrow"), _mapped(".arrow"))]
+
+
+def numpy() -> list[Seed]:
+    """A matrix alone; arrays in a compressed archive."""
+    clock = {"column": "arr_0", "index": 0, "unit": "s"}
+    columns = {
+        "force": {"column": "arr_0", "index": 1, "unit": "N"},
+        "displacement": {"column": "arr_0", "index": 2, "unit": "mm"},
+    }
+    matrix = _made(lambda path: np.save(path, np.column_stack((TIME, FORCE, TRAVEL))), ".npy")
+    archive = _made(lambda path: np.savez_compressed(path, t=TIME, F=FORCE, x=TRAVEL), ".npz")
+    return [
+        Seed("numpy", "matrix", ".npy", matrix, _mapped(".npy", columns=columns, time=clock)),
+        Seed("numpy", "archive", ".npz", archive, _mapped(".npz")),
+    ]
+
+
+def compressed() -> list[Seed]:
+    """The plain text of `csv`, as each program compresses it."""
+    import bz2
+    import gzip
+    import lzma
+    import zipfile
+
+    plain, *_ = csv()
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("run.csv", plain.content)
+    contents = {
+        ".csv.gz": gzip.compress(plain.content),
+        ".csv.bz2": bz2.compress(plain.content),
+        ".csv.xz": lzma.compress(plain.content),
+        ".csv.zip": stream.getvalue(),
+    }
+    return [
+        Seed("compressed", suffix[5:], suffix, content, plain.mapping, sealed=WHOLE)
+        for suffix, content in contents.items()
+    ]
+
+
 READERS: Mapping[str, Callable[[], list[Seed]]] = {
     "mcap": native_mcap,
     "mcap messages": message_mcap,
@@ -238,5 +300,8 @@ READERS: Mapping[str, Callable[[], list[Seed]]] = {
     "hdf5": hdf5,
     "tdms": tdms,
     "uff": uff,
+    "arrow": arrow,
+    "numpy": numpy,
+    "compressed": compressed,
 }
 """The seeds of each reader."""

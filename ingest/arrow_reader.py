@@ -1,0 +1,277 @@
+"""Parquet, Feather and Arrow files through pyarrow, in a process of their own. A column is named; `a.b` is a field of one of structures.
+
+The metadata `unit` of a field is its unit. Dates are times, of UTC where their type has a zone; durations are seconds. Does
+not belong here: which rows and columns are meant (`ingest.select`, `ingest.mapping`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ingest.apart import Apart
+from ingest.array_numbers import numbers_from_cells
+from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column
+from ingest.mapping import ColumnName, FileMapping, column_label
+from schemas.arrays import Float
+from schemas.errors import RefusedError
+
+_PARQUET, _FEATHER_1 = b"PAR1", b"FEA1"
+_LARGEST = 1 << 31
+"""Most bytes that a column, or a batch of rows, may take once it is inflated."""
+_UNITS = (b"unit", b"units", b"Unit", b"Units")
+_DAMAGED = (pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
+"""What pyarrow raises for damaged files."""
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """A column that a file lists: where it stands in the schema, and its unit; `refusal` says why it is no column of numbers."""
+
+    name: str
+    path: tuple[int, ...]
+    unit: str | None
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
+class ArrowFile:
+    """A table of columns with types; a `ColumnFile`. Each column is read when it is asked for."""
+
+    path: Path
+    listed: tuple[_Listed, ...]
+    parsed: Apart = field(repr=False)
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def where(self) -> str:
+        return self.path.name
+
+    @cached_property
+    def _read_before(self) -> dict[int, Any]:
+        return {}
+
+    def names(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.listed)
+
+    def numbers(self, column: ColumnName, index: int | None = None) -> Numbers:
+        values = self._column(column, index)
+        if pa.types.is_temporal(values.type):
+            raise RefusedError(
+                f"{column_label(column)} holds {values.type}: times, not numbers",
+                where=self.where,
+                expected="real numbers",
+                remedy='They are the times of samples: [time] with format = "iso"',
+            )
+        empty = np.asarray(values.is_null(), dtype=bool)
+        if pa.types.is_string(values.type):
+            found = numbers_from_cells(values.to_pylist(), column, self.where)
+            if found.texts and not np.isfinite(found.values).any():
+                raise RefusedError(
+                    f'{column_label(column)} holds text, not numbers, such as "{found.example}"',
+                    where=self.where,
+                    expected="real numbers",
+                )
+            return found
+        return Numbers(np.array(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)), empty)
+
+    def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
+        values = self._column(column, index)
+        if pa.types.is_timestamp(values.type):
+            zone = values.type.tz is not None
+            found = values.cast(pa.timestamp("us", values.type.tz), safe=False).to_pylist()
+            return [t if t is None or not zone else t.astimezone(UTC) for t in found]
+        cells: list[Any] = values.to_pylist()
+        return cells
+
+    def unit(self, column: ColumnName) -> str | None:
+        return self.listed[named_column(self.names(), column, self.where)].unit
+
+    def own_time(self, column: ColumnName) -> OwnTime | None:
+        return None
+
+    def own_frequency(self, column: ColumnName) -> Float | None:
+        return None
+
+    def _column(self, column: ColumnName, index: int | None) -> Any:
+        if index is not None:
+            raise RefusedError(f"index is {index}", where=self.where, expected="no index: tables have no matrices")
+        at = named_column(self.names(), column, self.where)
+        one = self.listed[at]
+        if one.refusal:
+            raise RefusedError(
+                f"{column_label(column)} is {one.refusal}",
+                where=self.where,
+                expected="numbers, texts or dates",
+                remedy="Write it as columns of numbers",
+            )
+        if at not in self._read_before:
+            self._read_before[at] = self.parsed(_read_column, self.path, one)
+        return self._read_before[at]
+
+
+def read_arrow(path: Path, mapping: FileMapping) -> ArrowFile:
+    """The columns of a Parquet, Feather or Arrow file. Raises `RefusedError` for a damaged or oversized one."""
+    parsed = Apart(path)
+    rows, listed = parsed(_list_columns, path)
+    if not listed:
+        raise RefusedError("the file has no columns", where=path.name, expected="columns")
+    if rows is not None and not 0 < rows <= CELL_LIMIT:
+        raise RefusedError(
+            "there are no rows of data" if rows == 0 else f"the file has {rows} rows",
+            where=path.name,
+            expected=f"1 to {CELL_LIMIT} rows",
+        )
+    names = [one.name for one in listed]
+    twice = "one of several columns of that name"
+    return ArrowFile(path, tuple(replace(o, refusal=twice) if names.count(o.name) > 1 else o for o in listed), parsed)
+
+
+def _list_columns(path: Path) -> tuple[int | None, tuple[_Listed, ...]]:
+    """The number of rows, None where only reading tells it, and the columns; runs in the child."""
+    try:
+        with pa.OSFile(str(path)) as file:
+            start = file.read(4)
+            file.seek(0)
+            if start == _PARQUET:
+                import pyarrow.parquet as pq
+
+                found = pq.ParquetFile(file)
+                return found.metadata.num_rows, tuple(_list_fields(found.schema_arrow))
+            return None, tuple(_list_fields(_open_batches(file, start, path).schema))
+    except _DAMAGED as error:
+        raise _unreadable(path, error) from None
+
+
+def _list_fields(fields: Any, path: tuple[int, ...] = (), prefix: str = "") -> Iterator[_Listed]:
+    for i, one in enumerate(fields):
+        name = prefix + one.name
+        if pa.types.is_struct(one.type):
+            inside = [one.type.field(k) for k in range(one.type.num_fields)]
+            yield from _list_fields(inside, (*path, i), name + ".")
+            continue
+        held = one.metadata or {}
+        unit = next((held[key].decode("utf-8", "replace") for key in _UNITS if held.get(key)), None)
+        if pa.types.is_duration(one.type):
+            unit = "s"
+        yield _Listed(name, (*path, i), unit, "" if _is_readable(one.type) else f"a column of {str(one.type)[:60]}")
+
+
+def _is_readable(kind: Any) -> bool:
+    if pa.types.is_dictionary(kind):
+        return _is_readable(kind.value_type)
+    tests = (
+        pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean, pa.types.is_decimal, pa.types.is_string,
+        pa.types.is_large_string, pa.types.is_timestamp, pa.types.is_date, pa.types.is_time, pa.types.is_duration,
+    )  # fmt: skip
+    return any(test(kind) for test in tests)
+
+
+def _open_batches(file: Any, start: bytes, path: Path) -> Any:
+    """The batches of an Arrow file: with a directory at its end, or one after the other as a program sent them."""
+    if start == _FEATHER_1:
+        raise RefusedError(
+            "the file is Feather of version 1, which is no longer written",
+            where=path.name,
+            expected="Parquet, or Feather of version 2",
+            remedy="Read it with the program that wrote it, and write it anew",
+        )
+    return pa.ipc.open_file(file) if start == b"ARRO" else pa.ipc.open_stream(file)
+
+
+def _read_column(path: Path, one: _Listed) -> Any:
+    """(n,) values of a column as one array of a plain type; runs in the child."""
+    try:
+        with pa.OSFile(str(path)) as file:
+            start = file.read(4)
+            file.seek(0)
+            chunks = _read_parquet(file, one, path) if start == _PARQUET else _read_batches(file, start, one, path)
+        values = pa.chunked_array(chunks).combine_chunks()
+        values.validate(full=True)
+        return _as_plain(values)
+    except _DAMAGED as error:
+        raise _unreadable(path, error) from None
+
+
+def _read_parquet(file: Any, one: _Listed, path: Path) -> list[Any]:
+    import pyarrow.parquet as pq
+
+    found = pq.ParquetFile(file, pre_buffer=False)
+    about = found.metadata
+    leaves = [i for i in range(about.num_columns) if found.schema.column(i).path == one.name]
+    size = sum(
+        about.row_group(g).column(i).total_uncompressed_size for g in range(about.num_row_groups) for i in leaves
+    )
+    _check_size(size, path)
+    table = found.read(columns=[one.name], use_threads=False, use_pandas_metadata=False)
+    column = table.column(0)
+    for k in _path_in(table.schema.field(0), one.name):
+        column = pc.struct_field(column, k)
+    return list(column.chunks) or [pa.array([], column.type)]
+
+
+def _path_in(top: Any, name: str) -> Iterator[int]:
+    """Places of the fields of structures down to a column, of which only those of that name were read."""
+    kind = top.type
+    while pa.types.is_struct(kind):
+        yield 0
+        kind = kind.field(0).type
+
+
+def _read_batches(file: Any, start: bytes, one: _Listed, path: Path) -> list[Any]:
+    source = _open_batches(file, start, path)
+    batches = (source.get_batch(i) for i in range(source.num_record_batches)) if start == b"ARRO" else iter(source)
+    chunks, rows = [], 0
+    for batch in batches:
+        _check_size(batch.nbytes, path)
+        batch.validate(full=True)
+        rows += batch.num_rows
+        if rows > CELL_LIMIT:
+            raise RefusedError("the file has too many rows", where=path.name, expected=f"at most {CELL_LIMIT}")
+        values = batch.column(one.path[0])
+        for k in one.path[1:]:
+            values = pc.struct_field(values, k)
+        chunks.append(values)
+    if not rows:
+        raise RefusedError("there are no rows of data", where=path.name, expected="rows")
+    return chunks
+
+
+def _check_size(size: int, path: Path) -> None:
+    if size > _LARGEST:
+        raise RefusedError(
+            f"a column inflates to {size >> 20} MiB",
+            where=path.name,
+            expected=f"at most {_LARGEST >> 20} MiB",
+            remedy="Split the file",
+        )
+
+
+def _as_plain(values: Any) -> Any:
+    """Values without dictionary, texts of one kind, durations in seconds."""
+    if pa.types.is_dictionary(values.type):
+        values = values.dictionary_decode()
+    if pa.types.is_large_string(values.type):
+        values = values.cast(pa.string())
+    if pa.types.is_duration(values.type):
+        steps = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[values.type.unit]
+        values = pc.multiply(values.cast(pa.int64()).cast(pa.float64(), safe=False), steps)
+    return values
+
+
+def _unreadable(path: Path, error: Exception) -> RefusedError:
+    return RefusedError(
+        f"the file cannot be read as Parquet or Arrow: {str(error).splitlines()[0][:200] if str(error) else type(error).__name__}",
+        where=path.name,
+        expected="a whole Parquet, Feather or Arrow file",
+        remedy="Copy the file again, or write it anew",
+    )
