@@ -20,7 +20,13 @@ import numpy as np
 
 from ingest.assemble import assemble
 from ingest.compressed import find_stem, find_suffix
-from ingest.draft_columns import find_lifetime_columns, find_meanings, find_relaxation_columns, find_response_columns
+from ingest.draft_columns import (
+    find_lifetime_columns,
+    find_meanings,
+    find_own_response,
+    find_relaxation_columns,
+    find_response_columns,
+)
 from ingest.draft_files import Opened, make_format_keys, map_each_column, open_file, read_numbers
 from ingest.draft_text import toml_text
 from ingest.draft_times import make_time_keys
@@ -32,6 +38,7 @@ from ingest.notations import read_cell
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
+from ingest.trios_reader import STEP
 from schemas.errors import DealabError
 from schemas.protocols import PROTOCOLS
 from schemas.quantities import QUANTITIES
@@ -40,6 +47,8 @@ from schemas.units import conversion
 _WORDS = ("failed", "censored", "configuration", "specimen_id", "count")
 _FEWEST_DEGREES = 2.0
 """Range of temperatures below which a table holds one sweep."""
+_FEWEST_FREQUENCIES = 3
+"""Different frequencies of a step that goes over them."""
 _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
 _EVEN = 1e-3
@@ -97,7 +106,7 @@ def make_draft(path: Path, said: Mapping[str, str] = MappingProxyType({})) -> Dr
     """
     opened = open_file(path, said)
     for kind, chosen in (
-        (FREQUENCY_RESPONSE, find_response_columns(opened.columns)),
+        (FREQUENCY_RESPONSE, find_own_response(opened) or find_response_columns(opened.columns)),
         (LIFETIMES, find_lifetime_columns(opened)),
         (RELAXATION, find_relaxation_columns(opened.columns)),
     ):
@@ -119,6 +128,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         "loss": "MPa",
         "relaxation": "MPa",
         "magnitude": "N/mm",
+        "response": "N/mm",
     }
     for name, column in chosen.items():
         entry: dict[str, Any] = make_place(column)
@@ -145,8 +155,11 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         about["configuration"] = "{stem}"
         questions.append(Question("recording.configuration", "how the films are built", find_stem(opened.path)))
     content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}
+    sweeps = _sweeps(opened, chosen) if kind == FREQUENCY_RESPONSE else None
+    selections = [s for s in (sweeps, each) if s is not None]
+    if selections:
+        content["select"] = selections
     if each is not None:
-        content["select"] = [each]
         about["recording_id"] = "{stem}-{each}"
         remarks["recording.specimen_id"] = "all temperatures of one specimen make a master curve"
     unmapped = tuple(c for c in opened.columns if c not in chosen.values())
@@ -355,6 +368,20 @@ def _several(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, A
     if tolerance is None or 2 * tolerance >= float(wide.min()):
         return None
     return {"column": warm.column, "each": True, "tolerance": tolerance}
+
+
+def _sweeps(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:
+    """The selection of the steps of an export that go over frequencies, where others, of amplitudes, stand beside them."""
+    step = next((c for c in opened.columns if c.column == STEP), None)
+    if step is None:
+        return None
+    found: dict[str, set[Any]] = {}
+    for name, cell in zip(opened.cells(step), opened.cells(chosen["frequency"]), strict=True):
+        found.setdefault(str(name), set()).add(cell)
+    sweeps = [name for name, cells in found.items() if len(cells) >= _FEWEST_FREQUENCIES]
+    if not sweeps or len(sweeps) == len(found):
+        return None
+    return {"column": STEP, "equals": sweeps[0] if len(sweeps) == 1 else sweeps}
 
 
 def _take(facts: Mapping[str, Fact], about: dict[str, Any], remarks: dict[str, str], keys: Sequence[str]) -> None:

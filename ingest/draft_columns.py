@@ -11,10 +11,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ingest.draft_files import Opened
-from ingest.mapping_keys import TAN_DELTA
+from ingest.mapping import FileMapping
+from ingest.mapping_keys import RECORDING, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn
 from ingest.notations import read_cell
 from ingest.questions import label_column
+from ingest.read import open_columns
+from schemas.errors import DealabError
 
 _STORAGE = r"stor|speicher|^[eg]['1]|[eg]'$|^k'|^[ab]t?_?g'|re\b"
 _LOSS = r"loss|verlust|^[eg](''|\"|2)|^k''|im\b"
@@ -23,6 +26,7 @@ _TAN_DELTA = r"\btan|loss factor|verlustfaktor"
 _PHASE = r"phase|phi|φ|delta|δ|winkel"
 _FREQUENCY = r"freq|omega|ω|^f$"
 _RELAXED = r"relax|^[eg]\s?\(t\)|modul"
+_COMPLIANCE = r"complian|nachgiebigkeit"
 _FAILED = r"cens|fail|event|status|state|death|broke|^breakdown$|^bd$|runout|durchschlag"
 _LIFE = r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit"
 _CONFIGURATION = r"config|group|electrode|design|layout|bauart|gruppe|^type$"
@@ -57,8 +61,24 @@ def find_response_columns(columns: Sequence[GuessedColumn]) -> dict[str, Guessed
     return {"frequency": frequency, **pair} | ({} if warm is None else {"temperature": warm})
 
 
+def find_own_response(opened: Opened) -> dict[str, GuessedColumn]:
+    """The first column to which the file itself gives frequencies (UFF); empty where there is none."""
+    if opened.format != "uff":
+        return {}
+    file = open_columns(opened.path, opened.format, FileMapping(RECORDING, opened.format, {}, None, {}, {}, {}))
+    for number, column in enumerate(opened.columns):
+        try:
+            file.own_frequency(number)
+        except DealabError:
+            continue
+        return {"response": column}
+    return {}
+
+
 def find_relaxation_columns(columns: Sequence[GuessedColumn]) -> dict[str, GuessedColumn]:
     """The columns of a table of a relaxing modulus over time; empty where it is none."""
+    if any(re.search(_COMPLIANCE, label_column(c)) for c in columns):
+        return {}  # of a creep test, whose stress over strain is another function of time
     time = next((c for c in columns if c.meaning == TIME), None)
     modulus = _first([c for c in columns if c.unit in _MODULI and c.meaning is None], _RELAXED)
     if time is None or modulus is None:

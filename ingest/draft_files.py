@@ -11,20 +11,25 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from ingest import lvm_reader, trios_reader
 from ingest.arrays import ArrayFile
 from ingest.columns import ColumnFile
 from ingest.compressed import TEXTS, find_held_suffix, is_compressed, read_plain_content
-from ingest.harvest import Fact, by_key, harvest_hdf5, harvest_rows
+from ingest.encodings import guess_encoding
+from ingest.harvest import Fact, by_key, harvest_hdf5, harvest_lines, harvest_rows
 from ingest.mapping import FileMapping, format_of, format_of_suffix
 from ingest.mapping_keys import RECORDING
-from ingest.meanings import TIME, GuessedColumn, guess_columns
+from ingest.meanings import TIME, GuessedColumn, guess_columns, is_any_unit
 from ingest.read import open_columns
 from ingest.sniff import are_units, guess_text, is_number
 from schemas.errors import DealabError, RefusedError
 
 _DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
 _MOST_MATRIX_COLUMNS = 12
-_FIRST_CELLS = 200
+_FIRST_CELLS = 2000
+_TABBED = ("lvm", "trios")
+_BEGINNING = 1 << 17
+"""Bytes in which a text shows what wrote it: heads of TRIOS take some 20 kB."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,8 @@ def open_file(path: Path, said: Mapping[str, str]) -> Opened:
         return Opened(path, found, options, columns, guess.rows, by_key(guess.facts))
     if found == "excel":
         return _open_excel(path, said)
+    if found in _TABBED:
+        return _open_tabbed(path, found, said)
     if found == "mcap":
         raise RefusedError("no channel can be guessed", where=path.name, expected="topics mapped by hand in a TOML")
     return _open_arrays(path, found or "", said)
@@ -83,15 +90,44 @@ def _true_format(path: Path) -> str | None:
     found = format_of(path)
     if is_compressed(path):
         held = format_of_suffix(find_held_suffix(path))
-        return found or (held if held in TEXTS else None)
+        held = found or (held if held in TEXTS else None)
+        return (_tell_text(read_plain_content(path).content[:_BEGINNING]) or held) if held == "csv" else held
     with path.open("rb") as file:
-        start = file.read(4096)
+        start = file.read(_BEGINNING)
+    if found == "csv" and (told := _tell_text(start)) is not None:
+        return told
+    start = start[:4096]
     is_workbook = start.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0"))
     if found == "csv" and is_workbook:
         return "excel"
     if found == "excel" and not is_workbook and start and b"\x00" not in start:
         return "csv"
     return found
+
+
+def _tell_text(start: bytes) -> str | None:
+    """The format of a text by its first lines, where it is one with a reader of its own."""
+    text = start.decode(guess_encoding(start), "replace").removeprefix("\ufeff")
+    if text.startswith(lvm_reader.BEGINS):
+        return "lvm"
+    return "trios" if any(line.strip() in trios_reader.MARKS for line in text.splitlines()) else None
+
+
+def _open_tabbed(path: Path, found: str, said: Mapping[str, str]) -> Opened:
+    """A text with heads of its own: the columns by their names and units, and what the heads say."""
+    content = read_plain_content(path).content
+    encoding = guess_encoding(content)
+    options = {} if encoding == "utf-8" else {"encoding": encoding}
+    file = open_columns(path, found, FileMapping(RECORDING, found, options, None, {}, {}, {}))
+    names = file.names()
+    units = [file.unit(i) or "" for i in range(len(names))]
+    columns = guess_columns(names, [u if is_any_unit(u) else "" for u in units], len(names), said)
+    if found == "lvm":
+        columns = tuple(c for c in columns if c.column not in (lvm_reader.X_VALUE, lvm_reader.COMMENT))
+        facts = harvest_lines(lvm_reader.find_facts(path, encoding))
+        return Opened(path, found, options, columns, (), by_key(facts), (), has_own_time=True)
+    facts = harvest_lines(trios_reader.find_facts(content.decode(encoding, "replace")))
+    return Opened(path, found, options, columns, (), by_key(facts))
 
 
 def _open_excel(path: Path, said: Mapping[str, str]) -> Opened:
@@ -140,13 +176,13 @@ def _open_arrays(path: Path, found: str, said: Mapping[str, str]) -> Opened:
         said,
     )
     columns: list[GuessedColumn] = []
-    for name, guess in zip(names, guessed, strict=False):
+    for number, (name, guess) in enumerate(zip(names, guessed, strict=False)):
         shape = file.shape(name) if isinstance(file, ArrayFile) else ()
         matrix = len(shape) == 2 and 1 < min(shape) <= _MOST_MATRIX_COLUMNS
         if matrix and guess.meaning is None:
             columns += [GuessedColumn(name, guess.unit, None, index=i) for i in range(min(shape))]
         else:
-            columns.append(replace(guess, column=name))
+            columns.append(replace(guess, column=name if name and names.count(name) == 1 else number))
     about = ["the arrays of the file; a column of a matrix is index = 0, 1, …"] if isinstance(file, ArrayFile) else []
     about += [f'"{name}": {" × ".join(map(str, file.shape(name)))}' for name in names if isinstance(file, ArrayFile)]
     is_hdf5 = found == "hdf5" or (found == "matlab" and path.read_bytes()[:4] == b"\x89HDF")

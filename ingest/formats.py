@@ -22,7 +22,7 @@ UNREAD: Mapping[str, str] = {
     **dict.fromkeys((".gz", ".bz2", ".xz"), "unpack it: of compressed files only texts are read, such as .csv.gz"),
     ".zip": "unpack it; `dealab add FILE` maps one that holds a single text",
     ".nc": "export it as HDF5 or CSV",
-    **dict.fromkeys((".lvm", ".prn", ".tab"), 'text: a mapping with format = "csv" reads it'),
+    **dict.fromkeys((".prn", ".tab"), 'text: a mapping with format = "csv" reads it'),
     **dict.fromkeys((".tdm", ".tdx"), "export it as TDMS"),
     **dict.fromkeys(
         (".mf4", ".mdf", ".dxd", ".wfm", ".isf", ".trc", ".sie", ".bin", ".raw"), "export it as CSV, MAT or HDF5"

@@ -451,7 +451,8 @@ def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | N
     entry = checked(content["time"], "time", TIME, source)
     if "column" in entry and "sample_rate_hz" in entry:
         raise refused(source, "time has column and sample_rate_hz", "one of the two")
-    if kind == RECORDING and "column" not in entry and "sample_rate_hz" not in entry and entry.get("origin") is None:
+    by_itself = entry.get("origin") is not None or "zone" in entry  # of a file that has times without any column
+    if kind == RECORDING and "column" not in entry and "sample_rate_hz" not in entry and not by_itself:
         raise refused(source, "time has neither column nor sample_rate_hz", "one of the two")
     rate = entry.get("sample_rate_hz")
     if rate is not None and not 0 < rate < 1e9:

@@ -42,6 +42,8 @@ FORMATS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "hdf5": (".h5", ".hdf5", ".hdf"),
         "tdms": (".tdms",),
         "uff": (".uff", ".unv"),
+        "lvm": (".lvm",),
+        "trios": (),
         "arrow": (".parquet", ".pq", ".feather", ".arrow"),
         "numpy": (".npy", ".npz"),
     }
@@ -89,6 +91,8 @@ OPTIONS: Mapping[str, Mapping[str, Key]] = {
     },
     "tdms": {"group": Key((str,), "group whose channels are meant")},
     "uff": {},
+    "lvm": {"encoding": Key((str,), "character encoding, such as utf-8 (the default) or cp1252")},
+    "trios": {"encoding": Key((str,), "character encoding, such as utf-8 (the default) or utf-16")},
     "arrow": {},
     "numpy": {
         "root": Key((str,), "prefix of every path"),

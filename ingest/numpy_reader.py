@@ -10,6 +10,7 @@ import ast
 import functools
 import math
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -135,7 +136,9 @@ def _read_head(file: IO[bytes]) -> _Head:
     if start[6] > 3 or length > _LARGEST_HEAD:
         raise ValueError(f"a head of version {start[6]} with {length} bytes")
     text = file.read(length).decode("utf-8" if start[6] > 2 else "latin-1")
-    said = ast.literal_eval(text.strip())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what Python has to say about the text of a damaged head
+        said = ast.literal_eval(text.strip())
     shape, kind = said["shape"], npy.descr_to_dtype(said["descr"])
     if not isinstance(shape, tuple) or not all(isinstance(n, int) and n >= 0 for n in shape):
         raise ValueError(f"the shape {str(shape)[:60]}")

@@ -82,6 +82,18 @@ def _numpy() -> Read:
     return read_numpy
 
 
+def _lvm() -> Read:
+    from ingest.lvm_reader import read_lvm
+
+    return read_lvm
+
+
+def _trios() -> Read:
+    from ingest.trios_reader import read_trios
+
+    return read_trios
+
+
 def _uff() -> Read:
     from ingest.uff_reader import read_uff
 
@@ -95,6 +107,8 @@ _OURS: Mapping[str, Callable[[], Read]] = {
     "hdf5": _hdf5,
     "tdms": _tdms,
     "uff": _uff,
+    "lvm": _lvm,
+    "trios": _trios,
     "arrow": _arrow,
     "numpy": _numpy,
 }

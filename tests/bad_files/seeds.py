@@ -229,6 +229,39 @@ def _data_set_58(name: str, unit: str, values: Any) -> str:
     )
 
 
+def lvm() -> list[Seed]:
+    """A LabVIEW measurement without a column of times, and one with it in German."""
+    end = "***End_of_Header***"
+    head = f"LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t{{}}\nX_Columns\t{{}}\n{end}\n\n"
+    part = f"Channels\t2\nSamples\t24\t24\nY_Unit_Label\tN\tmm\nX0\t0\t0\nDelta_X\t0.01\t0.01\n{end}\nX_Value\tF\tx\n"
+    rows = list(zip(TIME, FORCE, TRAVEL, strict=True))
+    plain = head.format(".", "No") + part + "".join(f"\t{f:.5f}\t{x:.5f}\n" for _, f, x in rows)
+    german = (
+        head.format(",", "One") + part + "".join(f"{t:.2f}\t{f:.5f}\t{x:.5f}\n" for t, f, x in rows).replace(".", ",")
+    )
+    return [
+        Seed("lvm", "without times", ".lvm", plain.encode(), _mapped(".lvm", time=None)),
+        Seed("lvm", "decimal comma", ".lvm", german.encode(), _mapped(".lvm", time={"column": "X_Value", "unit": "s"})),
+    ]
+
+
+def trios() -> list[Seed]:
+    """Exports of two steps in both layouts."""
+    rows = [f"{t:.2f}\t{f:.5f}\t{x:.5f}" for t, f, x in zip(TIME, FORCE, TRAVEL, strict=True)]
+    plain = "Operator\tMira\n" + "".join(
+        f"[step]\nPart {i}\nt\tF\tx\ns\tN\tmm\n" + "\n".join(part) + "\n\n"
+        for i, part in enumerate((rows[:9], rows[9:]))
+    )
+    labelled = (
+        "[Header]\n[Step]\nStep name\tHold\nNumber of points\t24\nVariables\tt\tF\tx\nUnits\ts\tN\tmm\n"
+        + "".join(f"Data point\t{row}\n" for row in rows)
+    )
+    mapping = _mapped(".txt", format="trios")
+    return [
+        Seed("trios", name, ".txt", text.encode(), mapping) for name, text in (("plain", plain), ("labelled", labelled))
+    ]
+
+
 def arrow() -> list[Seed]:
     """A Parquet file of DuckDB; Feather with and without compression; a stream."""
     import duckdb
@@ -280,7 +313,7 @@ def compressed() -> list[Seed]:
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("run.csv", plain.content)
     contents = {
-        ".csv.gz": gzip.compress(plain.content),
+        ".csv.gz": gzip.compress(plain.content) + bytes(400),  # a last block that was filled up
         ".csv.bz2": bz2.compress(plain.content),
         ".csv.xz": lzma.compress(plain.content),
         ".csv.zip": stream.getvalue(),
@@ -300,6 +333,8 @@ READERS: Mapping[str, Callable[[], list[Seed]]] = {
     "hdf5": hdf5,
     "tdms": tdms,
     "uff": uff,
+    "lvm": lvm,
+    "trios": trios,
     "arrow": arrow,
     "numpy": numpy,
     "compressed": compressed,

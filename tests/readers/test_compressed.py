@@ -86,7 +86,7 @@ def test_a_universal_file_may_be_compressed(tmp_path: Path) -> None:
         pyuff.UFF(str(plain)).write_sets(
             {"type": 58, "func_type": 1, "rsp_node": 1, "rsp_dir": 1, "ref_dir": 1, "ref_node": 1, "binary": 0,
              "data": np.sin(np.arange(50)), "x": np.arange(50) / 100, "id1": name, "abscissa_axis_units_lab": "s",
-             "ordinate_axis_units_lab": unit, "orddenom_axis_units_lab": "NONE"},
+             "ordinate_axis_units_lab": unit, "orddenom_axis_units_lab": "NONE", "orddenom_spec_data_type": 0},
             "add",
         )  # fmt: skip
     path = tmp_path / "run.uff.gz"

@@ -31,6 +31,8 @@ _NAMED_BY = {
     "matlab": "variable, `structure.field`, or `ch(2).data` of a structure array; `index` is the column of a matrix",
     "hdf5": "path of a dataset, `group/dataset`, or `dataset/field` of a table; `index` is the column of a matrix",
     "tdms": "`group/channel`, or the channel where `[tdms]` has the group",
+    "lvm": "name of the channel; `X_Value` is its column of times where it has one",
+    "trios": 'name of the variable; `step` is the name of the step (no ending of its own: `format = "trios"`)',
     "arrow": "name of the column (Parquet, Feather, Arrow), `a.b` for a field of structures",
     "numpy": "name of the array, `arr_0` where it is the only one, or `array/field`; `index` is the column of a matrix",
     "uff": "number of the data set (type 58) from 0, or its first description line",
