@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,6 +15,7 @@ from ingest.mapping_keys import COLUMN, TABLE_COLUMN, TABLE_COLUMNS, TIME
 from ingest.meanings import NOTHING
 from ingest.meanings import TIME as TIMES
 from ingest.questions import Question
+from schemas.alike import ask_meant
 from schemas.errors import UsageError
 from schemas.metadata import RecordingMetadata, known_keys
 from schemas.quantities import QUANTITIES
@@ -50,7 +50,7 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
     columns = {str(c) for c in _columns_of(draft)}
     said = {key: value for key, value in answers.items() if key in columns}
     wrong = [
-        f'{key}={value}: no quantity{_meant(value, list(QUANTITIES))}'
+        f'{key}={value}: no quantity{ask_meant(value, list(QUANTITIES))}'
         for key, value in said.items()
         if value not in (*QUANTITIES, NOTHING, TIMES)
     ]  # fmt: skip
@@ -67,7 +67,7 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
         full = _full_key(key, draft)
         if full is None:
             known = [*known_keys(RecordingMetadata), *columns, *(q.key for q in draft.questions), "zone"]
-            wrong.append(f'"{key}" is no key{_meant(key, known)}')
+            wrong.append(f'"{key}" is no key{ask_meant(key, known)}')
         else:
             placed[full] = value if full.rsplit(".", 1)[-1] in _TEXTS else read_value(value)
     if wrong:
@@ -138,8 +138,3 @@ def _full_key(key: str, draft: Draft) -> str | None:
         return key if last in formats[table] else None
     name = table.removeprefix("columns.")
     return f"columns.{name}.{last}" if name in names and last in {**COLUMN, **TABLE_COLUMN} else None
-
-
-def _meant(given: str, known: list[str]) -> str:
-    alike = difflib.get_close_matches(given, known, n=1, cutoff=0.7)
-    return f": did you mean {alike[0]}?" if alike else ""

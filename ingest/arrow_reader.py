@@ -1,7 +1,7 @@
-"""Parquet, Feather and Arrow files through pyarrow, in a process of their own. A column is named; `a.b` is a field of one of structures.
+"""Parquet, Feather and Arrow files through pyarrow, in a process of their own.
 
-The metadata `unit` of a field is its unit. Dates are times, of UTC where their type has a zone; durations are seconds. Does
-not belong here: which rows and columns are meant (`ingest.select`, `ingest.mapping`).
+A column is named; `a.b` is a field of a column of structures. The metadata `unit` of a field is its unit. Dates are times,
+of UTC where their type has a zone; durations are seconds. Does not belong here: which rows and columns are meant (`ingest.select`, `ingest.mapping`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _DAMAGED = (pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexEr
 
 @dataclass(frozen=True)
 class _Listed:
-    """A column that a file lists: where it stands in the schema, and its unit; `refusal` says why it is no column of numbers."""
+    """A column that a file lists: its place in the schema, its unit, and why it is no column of numbers (`refusal`)."""
 
     name: str
     path: tuple[int, ...]
@@ -269,8 +269,9 @@ def _as_plain(values: Any) -> Any:
 
 
 def _unreadable(path: Path, error: Exception) -> RefusedError:
+    said = next(iter(str(error).splitlines()), type(error).__name__)
     return RefusedError(
-        f"the file cannot be read as Parquet or Arrow: {str(error).splitlines()[0][:200] if str(error) else type(error).__name__}",
+        f"the file cannot be read as Parquet or Arrow: {said[:200]}",
         where=path.name,
         expected="a whole Parquet, Feather or Arrow file",
         remedy="Copy the file again, or write it anew",

@@ -1,4 +1,4 @@
-"""Texts that are stored compressed, `run7.csv.gz` or a zip archive of one file: their names without it, and what they hold.
+"""Texts that are stored compressed, `run7.csv.gz` or a zip archive of one file: their names without it, their content.
 
 A file that ends too early is read as far as it goes. One whose checksum does not agree is refused: nobody can say which
 of its values are whole. Does not belong here: workbooks and NumPy archives, which are zipped by themselves.
@@ -26,7 +26,7 @@ TEXTS = ("csv", "lvm", "trios", "uff")
 ZIP = ".zip"
 _SMALLEST_LIMIT, _LARGEST_LIMIT, _MOST_TIMES = 1 << 26, 1 << 30, 200
 """Bytes that any file may inflate to, bytes that none may, and how many times its size one in between may. Measured
-texts inflate 3 to 30 times, a column of a single value 200 times; a file made to fill the memory 1000 times and more."""
+texts inflate 3 to 30 times, a column of a single value 200 times; a file made to fill the memory 1000 times."""
 _MOST_OF_XZ = 1 << 28
 """Bytes that xz may take to inflate anything: its strongest setting takes 65 MiB."""
 _PIECE, _MADE = 1 << 16, 1 << 20
@@ -93,7 +93,7 @@ def read_plain_content(path: Path) -> Plain:
 
 @contextlib.contextmanager
 def plain_file(path: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
-    """The file itself, or for as long as it is needed an inflated copy, for parsers that want a path; and its problems."""
+    """The file, or an inflated copy for as long as it is needed, for parsers that want a path; and its problems."""
     if not is_compressed(path):
         yield path, ()
         return
@@ -129,7 +129,7 @@ def _inflate(content: bytes, suffix: str, path: Path) -> Plain:
 
 
 def _inflate_stream(inflater: Any, content: bytes, at: int, inflated: bytearray, limit: int, path: Path) -> int | None:
-    """Adds what the stream at a place inflates to; gives the place behind it, None where it does not come to its end."""
+    """Adds what the stream at a place inflates to; the place behind it, None where it does not come to its end."""
     view = memoryview(content)
     for start in range(at, len(content), _PIECE):
         piece: Any = view[start : start + _PIECE]

@@ -24,6 +24,7 @@ from ingest.mapping_keys import IGNORE
 from ingest.parts import list_parts, part_of
 from ingest.plain_files import open_plain
 from ingest.remote import Mirror, RemoteFile
+from schemas.alike import ask_meant
 from schemas.errors import DealabError, PendingError, RefusedError, UsageError
 from schemas.visible import shown
 
@@ -75,12 +76,9 @@ def discover(
     twice counts once: `first_time` says whether a place is new to it, where so many are met that memory must not hold
     them. The files of `mirrors` are taken as they are listed. Raises `UsageError` for a given path that does not exist.
     """
+    check_given(paths := tuple(paths))
     walk = _Walk([s.resolve() for s in skip], note, first_time or _Met())
     for given in paths:
-        if not os.path.lexists(given):
-            raise UsageError(
-                "there is no such file or folder", where=str(given), expected="recordings or folders of them"
-            )
         yield from walk.take(given)
     for mirror in mirrors:
         for told in mirror.notes:
@@ -88,6 +86,19 @@ def discover(
         for path, file in mirror.files:
             if not any(part.startswith((".", "~$")) for part in file.name.split("/")):
                 yield from walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
+
+
+def check_given(paths: Iterable[str | os.PathLike[str]]) -> None:
+    """Raises `UsageError` for the first path that does not exist, with one beside it that may be meant."""
+    for given in paths:
+        if not os.path.lexists(given):
+            place = Path(given)
+            beside = sorted(p.name for p in place.parent.iterdir()) if place.parent.is_dir() else []
+            raise UsageError(
+                f"there is no such file or folder{ask_meant(place.name, beside)}",
+                where=str(given),
+                expected="recordings or folders of them",
+            )
 
 
 def with_mapping(source: SourceFile) -> SourceFile:

@@ -1,6 +1,6 @@
-"""LabVIEW measurement files (`.lvm`), after the specification of NI: text with a head for the file and for each segment.
+"""LabVIEW measurement files (`.lvm`), after NI's specification: text with a head for the file and for each segment.
 
-A column is the name of a channel. Its time is what the head of its segment says (`X0`, `Delta_X`), or the column `X_Value`;
+A column is the name of a channel. Its time is what the head of its segment says (`X0`, `Delta_X`), or `X_Value`;
 segments of the same channels follow each other by the clock times of their heads. Does not belong here: rows of text
 (`ingest.csv_reader`).
 """
@@ -63,7 +63,7 @@ class LvmFile(CsvFile):
 
 
 def read_lvm(path: Path, mapping: FileMapping) -> LvmFile:
-    """The channels of a file. Raises `RefusedError` for one that is no LabVIEW measurement, or whose segments differ."""
+    """The channels of a file. Raises `RefusedError` for other files, and where segments differ."""
     plain = read_plain_content(path)
     where = path.name
     text, notes = as_utf8(plain.content, Dialect(encoding=mapping.options.get("encoding", "utf-8")), where)
@@ -74,7 +74,8 @@ def read_lvm(path: Path, mapping: FileMapping) -> LvmFile:
     for number, segment in enumerate(segments):
         if segment.names != first.names:
             raise RefusedError(
-                f"segment {number} has the columns {', '.join(segment.names)[:200]}, the first {', '.join(first.names)[:200]}",
+                f"segment {number} has the columns {', '.join(segment.names)[:200]},"
+                f" the first {', '.join(first.names)[:200]}",
                 where=where,
                 expected="segments of the same channels",
                 remedy="Export each to a file of its own",

@@ -5,12 +5,12 @@ The mapping is built from them in `ingest.mapping`; `ingest/README.md` shows the
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
+from schemas.alike import ask_meant
 from schemas.errors import RefusedError
 
 Types: TypeAlias = tuple[type, ...]
@@ -250,16 +250,16 @@ def checked(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> dict
 def choice(value: Any, key: str, allowed: tuple[str, ...], source: str) -> str:
     """A value that is one of those allowed."""
     if value not in allowed:
-        raise refused(source, f'{key} is "{str(value)[:80]}"', "one of " + ", ".join(allowed))
+        raise refused(
+            source, f'{key} is "{str(value)[:80]}"{ask_meant(str(value), allowed)}', "one of " + ", ".join(allowed)
+        )
     return str(value)
 
 
 def unknown(source: str, key: str, known: Iterable[str]) -> RefusedError:
     """The error for a key that does not exist, with the one that may be meant."""
     names = sorted(known)
-    alike = difflib.get_close_matches(key, names, n=1, cutoff=0.75)
-    meant = f": did you mean {alike[0]}?" if alike else ""
-    return refused(source, f'key "{key[:80]}" is unknown{meant}', "one of " + ", ".join(names))
+    return refused(source, f'key "{key[:80]}" is unknown{ask_meant(key, names)}', "one of " + ", ".join(names))
 
 
 def refused(source: str, problem: str, expected: str) -> RefusedError:

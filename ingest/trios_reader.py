@@ -1,4 +1,4 @@
-"""Text that TRIOS exports (rheometers and DMA machines of TA Instruments), in both of its layouts: one table for each step.
+"""Text that TRIOS exports (rheometers and DMA machines of TA Instruments) in both layouts: a table for each step.
 
 A column is the name of a variable. Steps are read one behind the other, and the column `step` says of each row which it
 belongs to; a step without one of the mapped columns is left out, and a note says so. Does not belong here: rows of text
@@ -38,7 +38,7 @@ class _Step:
 
 
 def read_trios(path: Path, mapping: FileMapping) -> CsvFile:
-    """The steps that a mapping needs. Raises `RefusedError` for text without steps, or steps that contradict each other."""
+    """The steps that a mapping needs. Raises `RefusedError` for text without steps, or with steps that differ."""
     plain = read_plain_content(path)
     where = path.name
     encoding = mapping.options.get("encoding", "utf-8")

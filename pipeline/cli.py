@@ -35,6 +35,7 @@ from pipeline.commands import (
 )
 from pipeline.commands.command import FAILED, Command
 from pipeline.import_path import leave_working_folder
+from schemas.alike import ask_meant
 from schemas.errors import DealabError, UsageError
 
 _USAGE, _INTERRUPTED, _PIPE_CLOSED = 2, 130, 141
@@ -73,7 +74,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         _make_streams_usable()
     given = sys.argv[1:] if argv is None else list(argv)
     wanted = next((word for word in given if not word.startswith("-")), None)
-    arguments = _make_parser(wanted).parse_args(given)
+    parser = _make_parser(wanted)
+    if wanted is not None and wanted not in COMMANDS:
+        parser.error(f'there is no command "{wanted[:80]}"{ask_meant(wanted, COMMANDS)} `dealab --help` lists all')
+    arguments = parser.parse_args(given)
     try:
         ended = COMMANDS[arguments.command].run(arguments)
         sys.stdout.flush()

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Self, cast
 
+from schemas.alike import find_alike
 from schemas.errors import RefusedError
 from schemas.protocols import LOADINGS, PROTOCOL_NAMES, Protocol, protocol
 from schemas.quantities import QUANTITIES
@@ -116,7 +117,8 @@ def _choice(*allowed: str) -> Callable[[Any], str]:
     def check(value: Any) -> str:
         text = _text(value).strip()
         if text not in allowed:
-            raise ValueError("one of " + ", ".join(allowed))
+            alike = find_alike(text, allowed)
+            raise ValueError("one of " + ", ".join(allowed) + (f" (did you mean {alike}?)" if alike else ""))
         return text
 
     return check

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from schemas.alike import ask_meant
 from schemas.errors import RefusedError
 
 
@@ -79,7 +80,9 @@ def protocol(name: str, loading: str, *, where: str = "") -> Protocol:
     """The protocol of that name and loading; `RefusedError` names what would have been right."""
     if name not in PROTOCOL_NAMES:
         raise RefusedError(
-            f'protocol "{name[:80]}" is unknown', where=where, expected="one of " + ", ".join(PROTOCOL_NAMES)
+            f'protocol "{name[:80]}" is unknown{ask_meant(name, PROTOCOL_NAMES)}',
+            where=where,
+            expected="one of " + ", ".join(PROTOCOL_NAMES),
         )
     try:
         return PROTOCOLS[name, loading]

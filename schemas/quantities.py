@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from schemas.alike import ask_meant
 from schemas.errors import RefusedError
 from schemas.units import ANY
 
@@ -49,7 +50,7 @@ def quantity(name: str, *, where: str = "") -> Quantity:
         return QUANTITIES[name]
     except KeyError:
         raise RefusedError(
-            f'quantity "{name[:80]}" is unknown',
+            f'quantity "{name[:80]}" is unknown{ask_meant(name, QUANTITIES)}',
             where=where,
             expected="one of " + ", ".join(QUANTITIES),
             remedy="Rename the channel or map it in the TOML beside the file",

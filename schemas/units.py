@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from schemas.alike import ask_meant
 from schemas.arrays import Float
 from schemas.errors import RefusedError
 
@@ -74,6 +75,14 @@ _COMMON: dict[str, dict[str, float]] = {
     "MPa": {"MPa": 1.0, "Pa": 1e-6, "kPa": 1e-3, "GPa": 1e3},
     "N/mm": {"N/mm": 1.0, "N/m": 1e-3, "kN/m": 1.0},
 }
+_WORDS = {
+    canonical: tuple(f"{prefix}{word}" for prefix in ("", "micro", "milli", "centi", "kilo", "mega"))
+    for canonical, word in {
+        "V": "volt", "kV": "volt", "N": "newton", "mm": "meter", "pF": "farad", "µA": "ampere", "kPa": "pascal",
+        "MPa": "pascal", "bar": "bar", "s": "second", "Hz": "hertz", "rad": "radian",
+    }.items()
+}  # fmt: skip
+"""Units written out, for people who mistype them."""
 _SPELLINGS = {
     "μ": "µ",
     "℃": "degC",
@@ -178,7 +187,8 @@ def _parsed_conversion(text: str, canonical: str, where: str) -> Conversion:
         source = registry.Unit(text)
         target = registry.Unit({"1": "dimensionless", "degC": "degC"}.get(canonical, canonical))
     except Exception as error:  # pint raises a dozen kinds, tokenizer errors included, for text that is no unit
-        raise refused(f'unit "{text}" is unknown', expected=f"a unit that converts to {canonical}") from error
+        meant = ask_meant(text, (*_COMMON.get(canonical, {}), *_WORDS.get(canonical, ())))
+        raise refused(f'unit "{text}" is unknown{meant}', expected=f"a unit that converts to {canonical}") from error
     try:
         zero, one = (float(registry.Quantity(v, source).to(target).magnitude) for v in (0.0, 1.0))
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError, ArithmeticError) as error:

@@ -6,6 +6,7 @@ from argparse import Namespace
 
 from pipeline.commands.command import DONE, LAB, Command, argument
 from pipeline.lab.lab import Lab
+from schemas.alike import ask_meant
 from schemas.errors import UsageError
 
 _ARGUMENTS = (
@@ -22,10 +23,11 @@ def run(arguments: Namespace) -> int:
     lab = Lab(arguments.lab)
     check_annotation(arguments.recording, arguments.why)
     with Reader(lab.require_database()) as reader:
-        known = reader.rows("recordings", ("recording_id",), "recording_id", [arguments.recording])
-    if not known:
+        known = {row["recording_id"] for row in reader.rows("recordings", ("recording_id",))}
+    if arguments.recording not in known:
+        meant = ask_meant(arguments.recording, sorted(filter(None, known)))
         raise UsageError(
-            f'there is no recording "{arguments.recording}" in this lab',
+            f'there is no recording "{arguments.recording}" in this lab{meant}',
             remedy=lab.spell_command('sql "SELECT recording_id FROM recordings"') + " lists them",
         )
     annotate(lab, arguments.recording, arguments.command, arguments.why)

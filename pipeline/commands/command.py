@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pipeline.lab.lab import DEFAULT_LAB
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 DONE, FAILED, ATTENTION = 0, 1, 3
 """Exit statuses: all done; could not do it; done, but some recordings were refused, are damaged or failed."""
+
+_LONGEST_NAME = 40
+"""Letters of a name beside a bar."""
 
 Argument: TypeAlias = Callable[[argparse.ArgumentParser], object]
 """Adds an argument to a parser."""
@@ -81,13 +84,19 @@ def count_processors() -> int:
 
 
 def track(items: Iterable[Any], count: int, what: str) -> Iterable[Any]:
-    """The items, with progress on stderr where somebody is watching."""
-    if count == 0 or not sys.stderr.isatty():
-        return items
+    """The tasks and their outcomes, with progress on stderr where somebody watches: how many, and the last."""
+    return items if count == 0 or not sys.stderr.isatty() else _watch(items, count, what)
+
+
+def _watch(items: Iterable[Any], count: int, what: str) -> Iterator[Any]:
     from tqdm import tqdm
 
-    watched: Iterable[Any] = tqdm(items, total=count, desc=what, file=sys.stderr, leave=False)
-    return watched
+    from schemas.visible import shown
+
+    with tqdm(items, total=count, desc=what, file=sys.stderr, leave=False, dynamic_ncols=True) as bar:
+        for task, outcome in bar:
+            bar.set_postfix_str(shown(task.name)[:_LONGEST_NAME])
+            yield task, outcome
 
 
 LAB = argument("--lab", type=parse_path, default=DEFAULT_LAB, metavar="LAB", help="the lab (default ./lab)")

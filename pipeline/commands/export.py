@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.commands.command import DONE, LAB, Command, argument, parse_path
 from pipeline.lab.lab import Lab
+from schemas.alike import ask_meant
 from schemas.errors import UsageError
 
 if TYPE_CHECKING:
@@ -52,10 +53,12 @@ def read_series(lab: Lab, specimen: str, modulus: str | None) -> PronySeries:
             laws = reader.rows("shift_laws", None, "specimen_id", [specimen], "selected AND law = 'WLF'")
             return _read_curve(specimen, terms, laws, modulus)
     with Query(lab) as query:
-        fits = [r for r in query.run("SELECT * FROM best_models").to_pylist() if r["specimen_id"] == specimen]
+        models = query.run("SELECT * FROM best_models").to_pylist()
+    fits = [row for row in models if row["specimen_id"] == specimen]
     if not fits:
+        meant = ask_meant(specimen, [row["specimen_id"] for row in models])
         raise UsageError(
-            f'there is no model of "{specimen[:80]}" in this lab',
+            f'there is no model of "{specimen[:80]}" in this lab{meant}',
             remedy=lab.spell_command('sql "SELECT specimen_id FROM best_models"') + " lists those with a model",
         )
     if modulus is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from argparse import Namespace
 
@@ -11,7 +12,7 @@ from schemas.errors import UsageError
 
 
 def run(arguments: Namespace) -> int:
-    from pipeline.commands.show.rows import FORMATS
+    from pipeline.commands.show.rows import FORMATS, as_table
     from pipeline.lab.query import Limits, Query
     from schemas.views import EXAMPLES
 
@@ -25,15 +26,26 @@ def run(arguments: Namespace) -> int:
         raise UsageError(
             "Parquet is no text for a terminal", remedy="Send it to a file: … --format parquet > rows.parquet"
         )
+    if arguments.expanded and arguments.format != "table":
+        raise UsageError(f"--expanded with --format {arguments.format}", expected="one of the two")
     query = sys.stdin.read() if arguments.query == "-" else arguments.query
     limits = Limits(arguments.timeout_s, arguments.rows, arguments.memory_mb)
     with Query(Lab(arguments.lab), limits) as database:
-        content = FORMATS[arguments.format](database.run(query))
+        rows = database.run(query)
+    if arguments.format == "table":
+        content: str | bytes = as_table(rows, width=_find_width(), expanded=arguments.expanded)
+    else:
+        content = FORMATS[arguments.format](rows)
     if isinstance(content, bytes):
         sys.stdout.buffer.write(content)
     else:
         print(content)
     return DONE
+
+
+def _find_width() -> int | None:
+    """Columns of the terminal; None where nobody watches, so that what reads a pipe is never shortened by a window."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 COMMAND = Command(
@@ -52,6 +64,9 @@ COMMAND = Command(
             choices=("table", "csv", "json", "parquet"),
             default="table",
             help="how rows are written (default: table)",
+        ),
+        argument(
+            "--expanded", action="store_true", help="each value in a line of its own; so are rows that fit into no line"
         ),
         argument("--timeout-s", type=parse_limit, default=600, help="longest time; 0 for no limit (default: 600)"),
         argument(

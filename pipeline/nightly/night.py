@@ -17,6 +17,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
 
+from ingest.discover import check_given
+from ingest.remote import is_url
 from pipeline.lab.annotations import find_broken_lines, list_excluded, read_annotations
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import hold_lab
@@ -138,6 +140,7 @@ def nightly(
     """
     if rigs is not None and not os.path.isdir(rigs):
         raise UsageError("there is no such folder", where=str(rigs), expected="a folder of rig files")
+    check_given(path for path in raw if not is_url(path))  # before a lab is made for a slip of the pen
     lab.create()
     with hold_lab(lab), _end_when_told():
         clock = time.monotonic()

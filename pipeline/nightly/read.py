@@ -91,6 +91,10 @@ class RecordingTask:
     def item_id(self) -> str:
         return make_item_id(RECORDING, self.sha256)
 
+    @property
+    def name(self) -> str:
+        return f"{self.source.path.name} {self.source.part}".rstrip()
+
     def perform(self) -> Outcome:
         """Reads and analyses the file and keeps what comes of it.
 

@@ -49,6 +49,11 @@ _CONNECT_S = "20s"
 class Task(Protocol):
     """An item to be made in a worker."""
 
+    @property
+    def name(self) -> str:
+        """What people call it, for progress."""
+        ...
+
     def perform(self) -> Outcome:
         """Makes the item and keeps its results in the journal."""
         ...

@@ -8,12 +8,12 @@ and what was expected. What the keys mean belongs to the classes.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import field
 from typing import Any, TypeVar
 
+from schemas.alike import find_alike
 from schemas.errors import UsageError
 
 T = TypeVar("T")
@@ -144,11 +144,11 @@ def known_only(table: Mapping[str, Any], known: Mapping[str, Any] | tuple[str, .
     """Raises `UsageError` for the first key that is not among the known ones, with the nearest that is."""
     for key in table:
         if key not in known:
-            near = difflib.get_close_matches(key, list(known), n=1)
+            near = find_alike(key, known)
             raise UsageError(
                 f'"{key}" is not a key here',
                 where=where,
-                expected=f'"{near[0]}"?' if near else "one of " + ", ".join(known),
+                expected=f'"{near}"?' if near else "one of " + ", ".join(known),
             )
 
 

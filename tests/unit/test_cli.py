@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -231,3 +232,20 @@ def test_a_night_over_formats_that_are_not_read_names_one(tmp_path: Path, capsys
     (tmp_path / "raw" / "run.mf4").write_bytes(b"x")
     assert main(["nightly", str(tmp_path / "raw"), "--lab", str(tmp_path / "lab")]) == 1
     assert "run.mf4: a format that is not read: passed over; export it as CSV, MAT or HDF5" in capsys.readouterr().err
+
+
+class Terminal(io.StringIO):
+    """A stream that says that somebody is watching."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_names_what_came_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    life(raw / "first-life.mcap", 1)
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    assert main(["nightly", str(raw), "--lab", str(tmp_path / "lab"), "--jobs", "0"]) in (0, 3)
+    assert "first-life.mcap" in terminal.getvalue()

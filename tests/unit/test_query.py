@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import time
+import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,8 +14,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pipeline import Lab
+from pipeline.cli import main
 from pipeline.commands.show.rows import FORMATS, as_csv, as_json, as_table
 from pipeline.lab.query import Limits, Query
 from pipeline.lab.snapshot import Changes, publish
@@ -219,6 +223,60 @@ def test_formats(lab: Lab) -> None:
     assert isinstance(content, bytes)
     assert pq.read_table(pa.BufferReader(content)).num_rows == 1
     assert as_table(rows).splitlines()[-1] == "(1 row)"
+
+
+def make_rows(**columns: list[object]) -> pa.Table:
+    return pa.table(columns)
+
+
+def test_rows_fit_into_the_terminal() -> None:
+    rows = make_rows(specimen_id=["P-07", "P-08"], k0=[1.25, 0.5], notes=["a long story " * 5, "试样七号" * 9])
+    whole = as_table(rows).splitlines()
+    assert max(map(len, whole)) > 60
+    narrow = as_table(rows, width=40).splitlines()
+    assert [line.split()[:2] for line in narrow[2:4]] == [["P-07", "1.25"], ["P-08", "0.5"]], (
+        "numbers and names are whole"
+    )
+    assert narrow[2].endswith("…")
+    assert len(narrow[2]) == 40
+    assert len(narrow[3]) < measure(narrow[3]) <= 40, "its letters take two columns each"
+    assert as_table(rows, width=500) == as_table(rows)
+
+
+def test_rows_that_fit_into_no_line_are_expanded() -> None:
+    rows = make_rows(**{f"a_rather_long_name_{i}": [i, 10 * i] for i in range(6)}, notes=["x" * 200, None])
+    assert as_table(rows, width=60) == as_table(rows, width=60, expanded=True)
+    lines = as_table(rows, width=60).splitlines()
+    assert lines[0].startswith("── row 1 ─")
+    assert lines[1] == "a_rather_long_name_0  0"
+    assert lines[7] == "notes" + " " * 17 + "x" * 200, "in full"
+    assert lines[-1] == "(2 rows)"
+    assert len(lines) == 1 + 2 * 8
+
+
+@given(
+    st.lists(st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1, max_size=30), min_size=1, max_size=6, unique=True),
+    st.lists(st.text(max_size=100), min_size=1, max_size=4),
+    st.integers(10, 120),
+)  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_no_line_of_a_table_is_wider_than_the_terminal(names: list[str], texts: list[str], width: int) -> None:
+    rows = make_rows(**{name: list(texts) for name in names})
+    lines = as_table(rows, width=width).splitlines()
+    if len(names) > 1 and not lines[0].startswith("── row 1"):
+        assert all(measure(line) <= width for line in lines[:-1])
+
+
+def measure(line: str) -> int:
+    """Columns of a terminal, by the standard's table alone."""
+    return sum(0 if unicodedata.combining(c) else 1 + (unicodedata.east_asian_width(c) in "WF") for c in line)
+
+
+def test_expanded_goes_with_tables_alone(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sql", "SELECT 1 AS one", "--expanded", "--lab", str(lab.folder)]) == 0
+    assert capsys.readouterr().out.splitlines()[1] == "one  1"
+    assert main(["sql", "SELECT 1", "--expanded", "--format", "csv", "--lab", str(lab.folder)]) == 2
+    assert "--expanded with --format csv" in capsys.readouterr().err
 
 
 def test_text_of_others_cannot_control_the_terminal(lab: Lab) -> None:

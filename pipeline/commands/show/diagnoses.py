@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.lab.lab import Lab
 from pipeline.lab.reader import Reader
+from schemas.alike import ask_meant
 from schemas.corrections import write_corrections
 from schemas.errors import UsageError
 from schemas.mechanisms import UNLISTED, amount, candidate, cause, main, nested, parameter_words, plain_name, severity
@@ -43,7 +44,7 @@ def describe_diagnoses(lab: Lab, specimens: Sequence[str], *, as_json: bool) -> 
         for name in specimens:
             if name not in known:
                 raise UsageError(
-                    f'there is no specimen "{name[:80]}" in this lab',
+                    f'there is no specimen "{name[:80]}" in this lab{ask_meant(name, sorted(filter(None, known)))}',
                     remedy=lab.spell_command('sql "FROM specimens"') + " lists them",
                 )
         names = [row["specimen_id"] for row in found if not specimens or row["specimen_id"] in specimens]

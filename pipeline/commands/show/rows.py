@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from datetime import date, datetime, timedelta
 from decimal import Decimal
@@ -18,22 +19,80 @@ if TYPE_CHECKING:
 
 _WIDEST = 80
 """Longest text of a cell; a cell that is alone in its row is shown in full."""
+_NARROWEST = 12
+"""Letters to which a text may be shortened so that a row fits into a line."""
+_BETWEEN = "  "
 
 
-def as_table(rows: pa.Table) -> str:
-    """Columns aligned for reading; NULL is left empty."""
+def as_table(rows: pa.Table, *, width: int | None = None, expanded: bool = False) -> str:
+    """Columns aligned for reading; NULL is left empty.
+
+    Parameters
+    ----------
+    rows : what a query gave
+    width : of the terminal: texts are shortened until a row fits into a line
+    expanded : each value in a line of its own, in full, as also where no shortening makes a row fit
+    """
     names = rows.column_names
     if _is_plan(names):
         return "\n".join(str(text) for text in rows.column("explain_value").to_pylist())
-    cells = [[_write_cell(value) for value in row.values()] for row in rows.to_pylist()]
-    limit = _WIDEST if len(names) > 1 else None
-    cells = [[_shorten(cell, limit) for cell in row] for row in cells]
-    widths = [max([len(name), *(len(row[i]) for row in cells)]) for i, name in enumerate(names)]
+    whole = [[_write_cell(value) for value in row.values()] for row in rows.to_pylist()]
     right = [_is_number(field) for field in rows.schema]
-    lines = [_join_cells(names, widths, right), "  ".join("─" * width for width in widths)]
-    lines += [_join_cells(row, widths, right) for row in cells]
-    lines.append(f"({len(cells)} row{'' if len(cells) == 1 else 's'})")
-    return "\n".join(lines)
+    limit = _WIDEST if len(names) > 1 else None
+    cells = [[_shorten(cell, limit) for cell in row] for row in whole]
+    widths = [max([_measure(name), *(_measure(row[i]) for row in cells)]) for i, name in enumerate(names)]
+    fitting = widths if width is None or len(names) == 1 else _fit_widths(widths, names, right, width)
+    if expanded or fitting is None:
+        return _write_expanded(names, whole, width)
+    cells = [[_shorten(cell, room) for cell, room in zip(row, fitting, strict=True)] for row in cells]
+    cells = cells if len(names) > 1 else whole
+    lines = [_join_cells(names, fitting, right), _BETWEEN.join("─" * room for room in fitting)]
+    lines += [_join_cells(row, fitting, right) for row in cells]
+    return "\n".join([*lines, _count_rows(len(cells))])
+
+
+def _fit_widths(widths: Sequence[int], names: Sequence[str], right: Sequence[bool], width: int) -> list[int] | None:
+    """Widths with which a row fits into a line, None for none: texts give way, numbers and names do not."""
+    fitting = list(widths)
+    least = [w if r else min(w, max(_NARROWEST, _measure(n))) for w, n, r in zip(widths, names, right, strict=True)]
+    room = width - len(_BETWEEN) * (len(widths) - 1)
+    while sum(fitting) > room:
+        free = [i for i, (now, floor) in enumerate(zip(fitting, least, strict=True)) if now > floor]
+        if not free:
+            return None
+        fitting[max(free, key=lambda i: fitting[i])] -= 1
+    return fitting
+
+
+def _write_expanded(names: Sequence[str], cells: Sequence[Sequence[str]], width: int | None) -> str:
+    """A line for each value, a block for each row."""
+    longest = max((_measure(name) for name in names), default=0)
+    lines = []
+    for number, row in enumerate(cells, start=1):
+        title = f"── row {number} "
+        lines.append(title + "─" * max(2, min(width or _WIDEST, _WIDEST) - len(title)))
+        lines += [
+            f"{_pad(name, longest, False)}{_BETWEEN}{cell}".rstrip() for name, cell in zip(names, row, strict=True)
+        ]
+    return "\n".join([*lines, _count_rows(len(cells))])
+
+
+def _count_rows(count: int) -> str:
+    return f"({count} row{'' if count == 1 else 's'})"
+
+
+def _measure(text: str) -> int:
+    """Columns of a terminal that a text takes: Chinese, Japanese and Korean letters take two, combining marks none."""
+    return len(text) if text.isascii() else sum(_measure_letter(letter) for letter in text)
+
+
+def _measure_letter(letter: str) -> int:
+    return 0 if unicodedata.combining(letter) else 2 if unicodedata.east_asian_width(letter) in "WF" else 1
+
+
+def _pad(text: str, width: int, right: bool) -> str:
+    blanks = " " * max(0, width - _measure(text))
+    return blanks + text if right else text + blanks
 
 
 def as_csv(rows: pa.Table) -> str:
@@ -72,7 +131,7 @@ FORMATS: Mapping[str, Callable[[pa.Table], str | bytes]] = {
 
 def _join_cells(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
     parts = zip(cells, widths, right, strict=True)
-    return "  ".join(c.rjust(w) if r else c.ljust(w) for c, w, r in parts).rstrip()
+    return _BETWEEN.join(_pad(c, w, r) for c, w, r in parts).rstrip()
 
 
 def _write_cell(value: Any) -> str:
@@ -86,7 +145,11 @@ def _write_cell(value: Any) -> str:
 
 
 def _shorten(text: str, limit: int | None) -> str:
-    return text if limit is None or len(text) <= limit else text[: limit - 1] + "…"
+    if limit is None or _measure(text) <= limit:
+        return text
+    while text and _measure(text) > limit - 1:
+        text = text[: min(len(text) - 1, limit - 1)]
+    return text + "…"
 
 
 def _write_plainly(value: Any) -> str:
