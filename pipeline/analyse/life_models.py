@@ -9,17 +9,19 @@ import numpy as np
 
 from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.life_models import NO_FAMILY, CampaignLives, LifeModel
+from pipeline.fit.survival.life_regression import FAMILIES
 from schemas.numbers import p_equals, significant
 from schemas.tables import TABLES
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+_BATCHES_AT_RANDOM = "batches at random"
 _OWN_LOCATIONS = "location per group"
 
 
 def life_model_tables(campaigns: Sequence[CampaignLives]) -> dict[str, pa.Table]:
-    """The tables of regressions, coefficients, groups, lines, residuals, modes, proportionality and endurance limits."""
+    """The tables of regressions, coefficients, groups, lines, residuals, modes, proportionality, limits and batches."""
     made = {
         "life_regressions": _regressions,
         "life_coefficients": _coefficients,
@@ -29,6 +31,8 @@ def life_model_tables(campaigns: Sequence[CampaignLives]) -> dict[str, pa.Table]
         "mode_effects": _modes,
         "proportionality_tests": _proportionality,
         "endurance_limits": _limits,
+        "batch_scatter": _batch_scatter,
+        "batch_effects": _batch_effects,
     }
     return {name: TABLES[name].rows([row for one in campaigns for row in rows(one)]) for name, rows in made.items()}
 
@@ -59,10 +63,10 @@ def _regression(one: CampaignLives, model: LifeModel, warnings: str | None) -> d
     fit = model.regression
     own = next((test.p_value for test in fit.tests if test.against == _OWN_LOCATIONS), None)
     tests = (
-        f"{'against ' if test.against == _OWN_LOCATIONS else 'without ' if i < len(fit.coefficients) - 1 else ''}"
+        f"{'against ' if test.against == _OWN_LOCATIONS else '' if test.against in FAMILIES else 'without '}"
         f"{test.against}: likelihood ratio {significant(test.statistic)}, {test.degrees_of_freedom} d.f., "
         f"{p_equals(test.p_value)}"
-        for i, test in enumerate(fit.tests)
+        for test in fit.tests
     )
     return {
         "campaign": one.campaign,
@@ -98,19 +102,30 @@ def _coefficients(one: CampaignLives) -> list[dict[str, Any]]:
         for found in model.regression.coefficients
     ]
     chosen = one.chosen
+    for effect in one.batches.coefficients if one.batches else ():
+        rows.append(
+            {
+                "campaign": one.campaign,
+                "family": _BATCHES_AT_RANDOM,
+                "stress_law": (one.models[0].stress_law if one.models else "") or None,
+                "coefficient": effect.name,
+                **_bounded("value", effect.value),
+                "standard_error": effect.standard_error,
+            }
+        )
     if one.cox is None or chosen is None:
         return rows
-    for effect in one.cox.effects:
+    for hazard in one.cox.effects:
         rows.append(
             {
                 "campaign": one.campaign,
                 "family": "cox",
                 "stress_law": chosen.stress_law or None,
-                "coefficient": effect.name,
-                **_bounded("value", effect.value),
-                "standard_error": effect.standard_error,
-                "p_value": effect.p_value,
-                **_factor(one, effect.name, effect.value),
+                "coefficient": hazard.name,
+                **_bounded("value", hazard.value),
+                "standard_error": hazard.standard_error,
+                "p_value": hazard.p_value,
+                **_factor(one, hazard.name, hazard.value),
             }
         )
     return rows
@@ -212,6 +227,37 @@ def _limits(one: CampaignLives) -> list[dict[str, Any]]:
             "statistic": found.statistic,
             "p_value": found.p_value,
         }
+    ]
+
+
+def _batch_scatter(one: CampaignLives) -> list[dict[str, Any]]:
+    found = one.batches
+    if found is None:
+        return []
+    return [
+        {
+            "campaign": one.campaign,
+            "family": found.family,
+            "batches": len(found.batches),
+            **_bounded("tau", found.tau),
+            "sigma": found.sigma,
+            "log_likelihood": found.log_likelihood,
+            "statistic": found.statistic,
+            "p_value": found.p_value,
+        }
+    ]
+
+
+def _batch_effects(one: CampaignLives) -> list[dict[str, Any]]:
+    return [
+        {
+            "campaign": one.campaign,
+            "batch": batch.name,
+            "specimens": batch.specimens,
+            "failures": batch.failures,
+            **_bounded("factor", batch.factor),
+        }
+        for batch in (one.batches.batches if one.batches else ())
     ]
 
 

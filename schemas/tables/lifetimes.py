@@ -291,7 +291,11 @@ TABLES: tuple[Table, ...] = (
         "coefficients of the life regressions, and those of Cox's model as the check",
         (
             CAMPAIGN,
-            text("family", "as in life_regressions; cox: of ln hazard, where a positive value shortens life"),
+            text(
+                "family",
+                "as in life_regressions; cox: of ln hazard, where a positive value shortens life; batches at random: beside"
+                " the scatter of batch_scatter, in its family",
+            ),
             text("stress_law", "as in life_regressions"),
             text("coefficient", "intercept, or the covariate (of a category with the level that it is about)"),
             *with_bounds(
@@ -419,6 +423,37 @@ TABLES: tuple[Table, ...] = (
             real("p_value", "", "that there is no limit"),
         ),
         key=("campaign", "stress"),
+        made_by=(MadeBy("group", group="survival"),),
+        pages=("campaign",),
+    ),
+    Table(
+        "batch_scatter",
+        "batches as a random effect on ln life, beside all other covariates of the campaign",
+        (
+            CAMPAIGN,
+            text("family", "as in life_regressions, the best one without a shape"),
+            whole("batches", "batches"),
+            *with_bounds("tau", "", "standard deviation of ln t between batches; 0 where none is seen"),
+            real("sigma", "", "scatter of ln t within a batch"),
+            real("log_likelihood", "", "of the times in s, batches integrated out"),
+            real("statistic", "", "likelihood ratio of no scatter between batches"),
+            real("p_value", "", "that there is none"),
+        ),
+        key=("campaign", "family"),
+        made_by=(MadeBy("group", group="survival"),),
+        pages=("campaign",),
+    ),
+    Table(
+        "batch_effects",
+        "how many times as long each batch lives as the mean one, by batch_scatter",
+        (
+            CAMPAIGN,
+            text("batch", "the batch"),
+            whole("specimens", "specimens"),
+            whole("failures", "failures"),
+            *with_bounds("factor", "", "life over that of the mean batch, drawn towards 1 the more the less is known"),
+        ),
+        key=("campaign", "batch"),
         made_by=(MadeBy("group", group="survival"),),
         pages=("campaign",),
     ),

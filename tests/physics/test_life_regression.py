@@ -360,6 +360,27 @@ def test_batches_are_a_covariate_and_too_many_are_left_out_with_the_reason() -> 
     assert "batch is not in the regression: " in text
 
 
+def test_many_small_batches_are_a_random_effect() -> None:
+    drawn = np.random.default_rng(8).normal(size=10)
+    rows = [
+        replace(row, batch=f"B{b}", lifetime_s=row.lifetime_s * float(np.exp(1.2 * drawn[b])))
+        for i, row in enumerate(lives_of_a_campaign())
+        for b in [(i + 5 * (i // 10)) % 10]  # each batch has both electrodes
+    ]
+    tables = analyse_survival(rows).joined()
+    (scatter,) = tables["batch_scatter"].to_pylist()
+    assert scatter["batches"] == 10
+    assert 0 < scatter["tau_lower"] < 1.2 < scatter["tau_upper"]
+    assert scatter["p_value"] < 0.05
+    factors = {row["batch"]: row["factor"] for row in tables["batch_effects"].to_pylist()}
+    assert np.corrcoef(np.log([factors[f"B{i}"] for i in range(10)]), drawn)[0, 1] > 0.8
+    # A category of many levels is one covariate among the tests, and a family is none.
+    tests = [row["tests"] for row in tables["life_regressions"].to_pylist() if row["tests"]]
+    assert not any("without exponential" in text or "without weibull" in text for text in tests)
+    random = [row for row in tables["life_coefficients"].to_pylist() if row["family"] == "batches at random"]
+    assert {row["coefficient"] for row in random} == {"intercept", "voltage_kv", "electrode: silver"}
+
+
 def life(name: str, lifetime_s: float, **more: Any) -> LifetimeRow:
     return LifetimeRow(
         **{"specimen_id": name, "lifetime_s": lifetime_s, "failed": True, "campaign": "C", "voltage_kv": 5.0} | more

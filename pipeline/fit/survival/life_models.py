@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pipeline.fit.survival.batch_scatter import BatchScatter, fit_batch_scatter
 from pipeline.fit.survival.cause_regression import CauseRegression, fit_cause_regression
 from pipeline.fit.survival.covariates import (
     ARRHENIUS,
@@ -27,7 +28,7 @@ from pipeline.fit.survival.cox_regression import CoxRegression, fit_cox
 from pipeline.fit.survival.endurance_limit import EnduranceLimit, find_endurance_limit
 from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.life_regression import FAMILIES, GENERALISED_GAMMA, LifeRegression, fit_life_regression
-from pipeline.fit.survival.lifetime_distributions import Lives
+from pipeline.fit.survival.lifetime_distributions import WEIBULL, Lives
 from pipeline.fit.survival.proportional_hazards import ProportionalityTest, check_proportional_hazards
 from schemas.arrays import Float
 from schemas.errors import DealabError, NotIdentifiableError
@@ -43,6 +44,8 @@ _STRESSES = (
 )
 """Humidity by a power law is Peck's, in ln of the relative humidity."""
 _CATEGORIES = ("configuration", "electrode", "batch")
+"""A batch is also looked at as a random effect, which many batches of few specimens can carry."""
+_BATCH = "batch"
 _PER_COLUMN = 2
 """Distinct failures that a column of the design needs: with fewer, profiles of all coefficients are open."""
 _POINTS = 11
@@ -96,7 +99,8 @@ class CampaignLives:
     """Everything the regressions tell about a campaign.
 
     `rows` are the lives that were used, in the order of the residuals; `refused` says what could not be had, and why.
-    `proportionality` tests what Cox's model assumes, `limit` is the voltage below which nothing may ever fail.
+    `proportionality` tests what Cox's model assumes, `limit` is the voltage below which nothing may ever fail,
+    `batches` the scatter between batches beside all other covariates.
     """
 
     campaign: str | None
@@ -110,6 +114,7 @@ class CampaignLives:
     contrasts: tuple[Contrast, ...] = ()
     proportionality: tuple[ProportionalityTest, ...] = ()
     limit: EnduranceLimit | None = None
+    batches: BatchScatter | None = None
 
     @property
     def observed_hazards(self) -> Float:
@@ -170,11 +175,10 @@ class _Campaign:
             return self._without("nobody failed: no regression")
         lives = _limits(self.rows)
         covariates = self._informative(varied, np.isfinite(lives.upper), lives.distinct_failures)
-        if not covariates:
-            return self._without()
-        models = self._models(lives, covariates)
+        models = self._models(lives, covariates) if covariates else []
+        batches = self._batches(lives, covariates, models) if _BATCH in varied else None
         if not models:
-            return self._without()
+            return self._without(batches=batches)
         limit = self._limit(lives, covariates, models)
         best = min(range(len(models)), key=lambda i: models[i].regression.aic)
         models = [LifeModel(m.stress_law, m.regression, i == best) for i, m in enumerate(models)]
@@ -194,11 +198,12 @@ class _Campaign:
             tuple(contrast for one in covariates for contrast in _contrasts(one)),
             proportionality,
             limit,
+            batches,
         )
 
-    def _without(self, *reasons: str) -> CampaignLives:
+    def _without(self, *reasons: str, batches: BatchScatter | None = None) -> CampaignLives:
         self.refused += reasons
-        return CampaignLives(self.name, tuple(self.rows), (), None, (), (), (), tuple(self.refused))
+        return CampaignLives(self.name, tuple(self.rows), (), None, (), (), (), tuple(self.refused), batches=batches)
 
     def _values(self, name: str) -> int:
         return len({getattr(row, name) for row in self.rows} - {None})
@@ -267,16 +272,28 @@ class _Campaign:
     def _limit(
         self, lives: Lives, covariates: Sequence[Covariate], models: Sequence[LifeModel]
     ) -> EnduranceLimit | None:
-        """The voltage below which nothing fails, by the family without a shape that describes the lives best."""
-        able = [
-            m.regression for m in models if m.stress_law == INVERSE_POWER and m.regression.family != GENERALISED_GAMMA
-        ]
-        if not able:
+        """The voltage below which nothing fails."""
+        family = _best_without_shape(models)
+        if family is None or models[0].stress_law != INVERSE_POWER:
             return None
         try:
-            return find_endurance_limit(lives, covariates, min(able, key=lambda fit: fit.aic).family)
+            return find_endurance_limit(lives, covariates, family)
         except DealabError as error:
             self.refused.append(f"endurance limit: {error.problem}")
+        return None
+
+    def _batches(
+        self, lives: Lives, covariates: Sequence[Covariate], models: Sequence[LifeModel]
+    ) -> BatchScatter | None:
+        """The scatter between batches; without any other regression that of Weibull lives."""
+        others = [one for one in covariates if one.name != _BATCH]
+        names = [str(row.batch) for row in self.rows]
+        try:
+            return fit_batch_scatter(lives, others, names, _best_without_shape(models) or WEIBULL)
+        except DealabError as error:
+            self.refused.append(f"scatter between batches: {error.problem}")
+        except np.linalg.LinAlgError:
+            self.refused.append("scatter between batches: the lives do not tell its parameters apart")
         return None
 
     def _modes(self, lives: Lives, covariates: Sequence[Covariate]) -> tuple[CauseRegression, ...]:
@@ -289,6 +306,12 @@ class _Campaign:
             except DealabError as error:
                 self.refused.append(f"effects on the mode {mode}: {error.problem}")
         return tuple(found)
+
+
+def _best_without_shape(models: Sequence[LifeModel]) -> str | None:
+    """The family that describes the lives best among those without a shape."""
+    able = [model.regression for model in models if model.regression.family != GENERALISED_GAMMA]
+    return min(able, key=lambda fit: fit.aic).family if able else None
 
 
 def _limits(rows: Sequence[LifetimeRow]) -> Lives:

@@ -35,7 +35,7 @@ from schemas.errors import NotIdentifiableError
 
 LOG_LOGISTIC, GENERALISED_GAMMA = "log-logistic", "generalised gamma"
 FAMILIES = (EXPONENTIAL, WEIBULL, LOG_NORMAL, LOG_LOGISTIC, GENERALISED_GAMMA)
-_ERRORS = {
+ERRORS = {
     EXPONENTIAL: SMALLEST_EXTREME_VALUE,
     WEIBULL: SMALLEST_EXTREME_VALUE,
     LOG_NORMAL: NORMAL,
@@ -132,7 +132,7 @@ class LifeRegression:
 
     @property
     def error(self) -> ErrorDistribution:
-        return log_gamma(self.shape.value) if self.shape else _ERRORS[self.family]
+        return log_gamma(self.shape.value) if self.shape else ERRORS[self.family]
 
     def life_at(self, x: Float, failed_share: float = 0.5) -> Estimate:
         """Time in s by which a share has failed at conditions `x` (p,) of the design, with 95 % limits by the delta method.
@@ -268,7 +268,7 @@ class _Model:
 
     def maximum(self) -> _Best:
         if self.family != GENERALISED_GAMMA:
-            return self._best(_ERRORS[self.family], float("nan"))
+            return self._best(ERRORS[self.family], float("nan"))
         sample = self._sample()
         shape, start = sample.search_shape()
         if sample is not self:
@@ -382,7 +382,7 @@ class _Fitted:
 
     def __init__(self, model: _Model, design: Design, best: _Best) -> None:
         self.model, self.names, self.best = model, design, best
-        self.error = _ERRORS.get(model.family) or log_gamma(best.shape)
+        self.error = ERRORS.get(model.family) or log_gamma(best.shape)
         self.covariance = self._covariance()
 
     def _covariance(self) -> Float:

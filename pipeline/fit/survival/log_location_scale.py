@@ -293,7 +293,9 @@ def differentiate(
         ends.append(high)
         if inside.any():
             cross = np.zeros_like(value)
-            value[inside], slopes, curves, cross[inside] = _interval(distribution, low.z[inside], high.z[inside])
+            value[inside], slopes, curves, cross[inside] = differentiate_interval(
+                distribution, low.z[inside], high.z[inside]
+            )
             low.slope[inside], high.slope[inside] = slopes
             low.curvature[inside], high.curvature[inside] = curves
     if lives.entered is not None and np.isfinite(lives.entered).any():
@@ -349,7 +351,7 @@ def _products(weight: Float, y: Float, other: Float, design: Float) -> Float:
     return found
 
 
-def _interval(
+def differentiate_interval(
     distribution: ErrorDistribution, low: Float, high: Float
 ) -> tuple[Float, tuple[Float, Float], tuple[Float, Float], Float]:
     """ln[S(low) − S(high)] with slopes, curvatures and the cross derivative, stable in both tails."""

@@ -67,6 +67,12 @@ ORDER BY covariate = 'all covariates', covariate""",
     "limits": """SELECT stress, family, stress_limit, stress_limit_lower, stress_limit_upper, exponent, p_value
 FROM endurance_limits
 WHERE campaign = $campaign""",
+    "batches": """SELECT e.batch, e.specimens, e.failures, e.factor, e.factor_lower, e.factor_upper, s.batches, s.tau, s.tau_lower,
+       s.tau_upper, s.sigma, s.p_value
+FROM batch_effects e
+JOIN batch_scatter s ON s.campaign = e.campaign
+WHERE e.campaign = $campaign
+ORDER BY e.factor, e.batch""",
 }
 _COVARIATES = {
     "voltage_kv": ("voltage", "Voltage, kV"),
@@ -110,10 +116,13 @@ def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
     refused = visible("; ".join(r["warnings"] for r in found.rows["regressions"] if r["warnings"]))
     if found.chosen is None:
         told = Text(f"No regression of the lives on what was varied: {refused or 'no reason was kept'}.")
-        return Section("depends", "What the lives depend on", "What lives depend on", (told,))
+        only: list[Block | Fold] = [told, *([_batch_table(found)] if found.rows["batches"] else [])]
+        return Section("depends", "What the lives depend on", "What lives depend on", tuple(only))
     blocks: list[Block | Fold] = [_evidence(draft, found, unit), _checks(draft, found)]
     blocks.append(_coefficient_table(found, f"Not in the regression: {refused}." if refused else ""))
     blocks.append(_group_table(found, unit))
+    if found.rows["batches"]:
+        blocks.append(_batch_table(found))
     if found.rows["modes"]:
         blocks.append(_mode_table(found))
     families = found.rows["regressions"]
@@ -354,6 +363,30 @@ def _group_table(found: _Found, unit: tuple[float, str]) -> Table:
         Head("p of its own location", "n"),
     )  # fmt: skip
     return Table("Each group against the regression", heads, rows, found.queries["groups"].shown(), kind="wide")
+
+
+def _batch_table(found: _Found) -> Table:
+    rows = tuple(
+        Row(
+            (
+                short(r["batch"], 40), f"{r['failures']} of {r['specimens']}",
+                bounds(r["factor"], r["factor_lower"], r["factor_upper"]),
+            )
+        )
+        for r in found.rows["batches"]
+    )  # fmt: skip
+    one = found.rows["batches"][0]
+    upper = math.exp(one["tau_upper"]) if one["tau_upper"] < 700 else None
+    factor = bounds(math.exp(one["tau"]), math.exp(one["tau_lower"]), upper)
+    shown = f"Lives scatter between the {digits(one['batches'], 'batch', 'batches')} by a factor of {factor}"
+    if one["p_value"] < 0.05:
+        below = f"{shown} (one standard deviation; none: {p_equals(one['p_value'])}), within a batch by "
+    else:
+        below = f"No scatter between batches is shown ({p_equals(one['p_value'])}): {shown.lower()}, within a batch by "
+    below += f"{significant(math.exp(one['sigma']))} (of ln t: {significant(one['sigma'])})."
+    heads = (Head("Batch"), Head("Failed", "n"), Head("Life times", "n"))
+    query = found.queries["batches"].shown()
+    return Table("Batches as a random effect", heads, rows, query, "95 % intervals in brackets", below, "wide")
 
 
 def _mode_table(found: _Found) -> Table:
