@@ -125,6 +125,8 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
         seen = f"{name} goes to {high:.4g} within {reached:.3g} s and is held (record of {drive.duration_s:.4g} s)"
         return Shape("step", "mechanical", SURE, seen)
     crossings = len(drive.crossings_s)
+    if drive.turns.size <= 1 and answer in traces and (broken := _find_break(traces[name], traces[answer])) is not None:
+        return Shape("pull", "mechanical", SURE, f"{name} rises to {broken:.4g}, where the {answer} is lost")
     if crossings < _FEWEST_CROSSINGS and drive.turns.size <= 1:
         return _one_cycle(name, answer, drive, traces)
     if drive.turns.size >= 3 and _is_even(drive):
@@ -136,6 +138,16 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
     if crossings >= _FEWEST_CROSSINGS:
         return Shape("chirp", "mechanical", UNSURE, "a broad band of frequencies that is no sweep")
     return Shape("cycle", "mechanical", LIKELY, f"{drive.turns.size} turning points")
+
+
+def _find_break(drive: Trace, answer: Trace) -> float | None:
+    """Where a film breaks that is pulled: the answer falls below half of its largest while the drive goes on; None: not."""
+    top = int(np.argmax(answer.values))
+    fallen = np.flatnonzero(answer.values[top:] < 0.5 * answer.values[top])
+    if not fallen.size or answer.values[top] <= 0:
+        return None
+    then, there = (float(np.interp(answer.time_s[i], drive.time_s, drive.values)) for i in (top, top + int(fallen[0])))
+    return then if there >= then and then - drive.values[0] > 0.5 * np.ptp(drive.values) else None
 
 
 def _one_cycle(name: str, answer: str, drive: _Drive, traces: Mapping[str, Trace]) -> Shape:

@@ -91,7 +91,7 @@ def _about_film(about: RecordingMetadata, channels: Collection[str]) -> Iterator
     missing = [name for name in _SIZES if getattr(about, name) is None]
     given = len(missing) < len(_SIZES)
     in_stress = {"stretch", "stress"} & set(channels)
-    if (about.protocol == "cycle" or in_stress) and missing and about.loading == MECHANICAL:
+    if (about.protocol in ("cycle", "pull") or in_stress) and missing and about.loading == MECHANICAL:
         if in_stress or not given:
             yield _cube(f"{', '.join(missing)} not given")
         else:
@@ -132,7 +132,7 @@ def _about_pull(about: RecordingMetadata, channels: Collection[str]) -> Iterator
             "a recording cannot tell which way its channels count",
             "the sign of every stiffness",
         )
-    if about.protocol == "cycle" and "displacement" in channels and about.film_length_mm is not None:
+    if about.protocol in ("cycle", "pull") and "displacement" in channels and about.film_length_mm is not None:
         yield Assumption(
             "rest length",
             f"displacement 0 is stretch {compact(about.pre_stretch, 4)}",

@@ -14,6 +14,7 @@ from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
 from pipeline.analyse.cycle import cycle_fits, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
+from pipeline.analyse.pull import NOT_ASKED, analyse_pull, pull_tables
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.signs import find_negative, sign_table
@@ -90,6 +91,8 @@ def analyse_recording(recording: Recording) -> Analysis:
         _force_map(analysis, recording)
     elif about.protocol == "cycle":
         _cycle(analysis, recording)
+    elif about.protocol == "pull":
+        _pull(analysis, recording)
     elif about.protocol == "coverage":
         _coat(analysis, recording)
     else:
@@ -232,6 +235,14 @@ def _cycle(analysis: Analysis, recording: Recording) -> None:
     if found is not None:
         analysis.carry(found.fits[0])
         analysis.add(cycle_tables(found))
+
+
+def _pull(analysis: Analysis, recording: Recording) -> None:
+    about = recording.metadata
+    found = analysis.attempt("pull", analyse_pull, recording)
+    if found is not None:
+        analysis.note((*found.pull.warnings, NOT_ASKED))
+        analysis.add(pull_tables(about.recording_id, about.specimen_id, found))
 
 
 def _responses(analysis: Analysis, recording: Recording) -> None:

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-from schemas.tables.table import RECORDING_ID, SPECIMEN_ID, MadeBy, Table, real, text, truth, whole, with_sd
+from schemas.tables.table import (
+    RECORDING_ID,
+    SPECIMEN_ID,
+    MadeBy,
+    Table,
+    real,
+    text,
+    truth,
+    whole,
+    with_bounds,
+    with_sd,
+)
 
 ARMS = 8
 """Most arms of a stored relaxation model."""
@@ -157,6 +168,60 @@ TABLES: tuple[Table, ...] = (
             real("modelled_kpa", "kPa", "modelled nominal stress"),
         ),
         key=("recording_id", "law_given", "model_order", "time_s"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "pull_tests",
+        "what a film tells that is pulled until it breaks; nominal stresses, in terms of ISO 37",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            truth("broke", "the film broke; else strength, stretch at break and work are lower bounds"),
+            *with_bounds("modulus_kpa", "kPa", "slope of the stress over the stretch at the start"),
+            *with_sd("strength_kpa", "kPa", "largest stress"),
+            real("stretch_at_break", "", "last stretch before the break; the largest where there was none"),
+            real("stretch_at_break_upper", "", "first stretch after the break; NULL where there was none"),
+            real("stress_at_100_kpa", "kPa", "stress at 100 % elongation; NULL where it was not reached"),
+            real("stress_at_300_kpa", "kPa", "stress at 300 % elongation; NULL where it was not reached"),
+            real("work_kpa", "kPa", "work to the break per undeformed volume, kJ/m³"),
+            real("rate_per_s", "1/s", "rate of the stretch over the middle of its range"),
+            text("warnings", "what limits the numbers"),
+        ),
+        key=("recording_id",),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "pull_laws",
+        "hyperelastic laws through a pull up to its break, a row per recording and law",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            text("law", "neo-Hookean; Ogden, one term; non-affine (crosslinks and entanglements)"),
+            text(
+                "parameters", "JSON: moduli in kPa and the shape parameter, each with _sd (null: not told by the data)"
+            ),
+            real("young_kpa", "kPa", "slope of the law at stretch 1"),
+            real("rmse_kpa", "kPa", "root mean square error of the nominal stress"),
+            real("held_out_rmse_kpa", "kPa", "the same on parts of the curve that the fit has not seen"),
+            truth("selected", "the law that the curve asks for, by the error on the parts left out"),
+        ),
+        key=("recording_id", "law"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "pull_curves",
+        "measured and modelled nominal stress of a pull, thinned for the pages",
+        (
+            RECORDING_ID,
+            text("curve", "measured, or the name of the law"),
+            whole("sample", "number of the sample, from 0; of laws, of those that were fitted"),
+            real("stretch", "", "length over undeformed length"),
+            real("stress_kpa", "kPa", "nominal stress"),
+        ),
+        key=("recording_id", "curve", "sample"),
         made_by=(MadeBy("recording"),),
         pages=("specimen",),
     ),

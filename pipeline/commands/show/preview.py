@@ -31,10 +31,11 @@ _GIVES = {
     ("force_map", "electrical"): "static force in two directions at this pre-stretch",
     ("coverage", "electrical"): "capacitance over coats of electrode",
     ("cycle", "mechanical"): "hysteresis and the stiffness of a large cycle",
+    ("pull", "mechanical"): "stiffness, strength and stretch at break, and a hyperelastic law",
     ("tap", "calibration"): "frequency and damping of the clamp, used for recordings of this rig",
     ("weight", "calibration"): "gain and offset of the load cell, used for recordings of this rig",
 }
-_NEEDS_MODULUS = ("chirp", "cyclic", "step", "cycle")
+_NEEDS_MODULUS = ("chirp", "cyclic", "step", "cycle", "pull")
 _SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
 
 

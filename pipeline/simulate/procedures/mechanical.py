@@ -1,4 +1,4 @@
-"""Tests that move the driven end: sweeps, cycles, relaxation, one large cycle."""
+"""Tests that move the driven end: sweeps, cycles, relaxation, one large cycle, a pull to failure."""
 
 from __future__ import annotations
 
@@ -186,3 +186,31 @@ class Triangle(Mechanical):
 
     def displacement(self, time_s: Float, specimen: Specimen | None) -> Float:
         return excitation.triangle(time_s - self.rest_s, peak=self.peak_mm, rate=self.rate_mm_per_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pull(Mechanical):
+    """A pull at constant rate until the film breaks at `break_mm`; the machine stops a little later."""
+
+    protocol: ClassVar[str] = "pull"
+    break_mm: float = number(above=0)
+    rate_mm_per_s: float = number(above=0)
+    rest_s: float = number(1.0, at_least=0)
+    further: float = number(0.02, above=0)
+
+    @property
+    def duration_s(self) -> float:
+        return self.rest_s + (1 + self.further) * self.break_mm / self.rate_mm_per_s
+
+    def finest_interval_s(self, bench: Bench) -> float:
+        return self.break_mm / self.rate_mm_per_s / INTERVALS_PER_CYCLE
+
+    def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
+        return {"rate_mm_per_s": self.rate_mm_per_s}
+
+    def displacement(self, time_s: Float, specimen: Specimen | None) -> Float:
+        return np.asarray(self.rate_mm_per_s * np.maximum(time_s - self.rest_s, 0.0))
+
+    def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
+        signals = super().run(bench, specimen, clock, rng)
+        return signals.with_values(force=np.where(signals["displacement"] < self.break_mm, signals["force"], 0.0))

@@ -25,6 +25,7 @@ from reports.pages.specimen import (
     loops,
     models,
     permittivity,
+    pulls,
     relaxing,
     stepping,
     strains,
@@ -149,6 +150,8 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         candidates.append(relaxing.of_specimen(draft, recordings, chosen))
         if chosen:
             candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
+    if recorded("pull_tests"):
+        candidates.append(pulls.of_specimen(draft))
     if has("order_ladders"):
         candidates.append(ladder.section(draft))
     if has("predictions"):
