@@ -9,17 +9,24 @@ import numpy as np
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.inputs import Measured
+from pipeline.fit.actuator.known import allow_for_form, drive_specimen
+from pipeline.fit.actuator.specification import (
+    FREQUENCY_HZ,
+    ForceStroke,
+    Requirement,
+    draw_force_stroke,
+    specify,
+    specify_force,
+)
 from pipeline.fit.force.permittivity import (
     SPHS,
     Permittivity,
-    active_length,
-    active_share,
     from_blocked_force,
     from_force,
     from_steps,
     relaxed_stiffness,
 )
-from pipeline.fit.force.specification import Drive, specify
+from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.predict import AMPLITUDE
 from pipeline.fit.relaxation.results import RelaxationFit, SpecimenFits
 from pipeline.fit.relaxation.under_voltage import CurveUnderVoltage, OrderUnderVoltage, compare_orders
@@ -122,15 +129,33 @@ def analyse_specification(
         return
     about = max(abouts, key=lambda m: m.drive_kv or 0.0)
     best = min(values, key=lambda v: (v.method != SPHS, v.voltage_kv is not None, -(v.voltage_kv or 0.0)))
-    a = best.force_per_voltage_squared_n_per_kv2
-    relative = (best.relative_permittivity_upper - best.relative_permittivity_lower) / (
-        2 * 1.96 * best.relative_permittivity
-    )
-    drive = Drive(a, a * relative, about.drive_kv or 0.0)
-    fit, highest = (None, 0.0) if mechanical is None else (mechanical.selected, mechanical.frequency_high_hz or 0.0)
-    sheet = analysis.attempt("specification", specify, drive, fit, active_length(about), active_share(about), highest)
-    rows = TABLES["specifications"].from_objects(sheet or (), specimen_id=specimen_id, voltage_kv=about.drive_kv)
-    analysis.add({"specifications": rows})
+    relative = best.sd / best.force_per_voltage_squared_n_per_kv2
+    volts = about.drive_kv or 0.0
+    if mechanical is None:
+        sheet = specify_force(best.force_per_voltage_squared_n_per_kv2 * volts**2, relative, volts)
+        _add_sheet(analysis, specimen_id, volts, sheet, [])
+        return
+    lowest = mechanical.frequency_low_hz
+    following = next((one.model for one in mechanical.fits if one.order == mechanical.selected_order + 1), None)
+    chosen = mechanical.selected
+    fit = allow_for_form(chosen, following, "; ".join(chosen.warnings), lowest)
+    driven = drive_specimen(about, fit, best.force_per_voltage_squared_n_per_kv2, relative, volts, lowest)
+    geometry = Geometry.of(about)
+    length = None if geometry is None else geometry.length_mm
+    found = analysis.attempt("specification", specify, driven, mechanical.frequency_high_hz, length)
+    lines = [analysis.attempt("force over stroke", draw_force_stroke, driven, hz) for hz in (lowest, FREQUENCY_HZ)]
+    _add_sheet(analysis, specimen_id, volts, found or [], [point for line in lines for point in line or ()])
+
+
+def _add_sheet(
+    analysis: Analysis,
+    specimen_id: str,
+    voltage_kv: float,
+    sheet: Sequence[Requirement],
+    line: Sequence[ForceStroke],
+) -> None:
+    for name, rows in (("specifications", sheet), ("force_strokes", line)):
+        analysis.add({name: TABLES[name].from_objects(rows, specimen_id=specimen_id, voltage_kv=voltage_kv)})
 
 
 def _static(

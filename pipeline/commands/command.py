@@ -78,6 +78,32 @@ def parse_limit(text: str) -> int:
     return int(text)
 
 
+def parse_number(text: str) -> float:
+    """A finite number from the command line."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < float("inf"):
+        raise argparse.ArgumentTypeError(f'"{text[:40]}" is not a number')
+    return value
+
+
+def parse_count(text: str) -> int:
+    """A whole number from 1 from the command line."""
+    if not text.isdecimal() or not 0 < int(text) <= 1_000_000:
+        raise argparse.ArgumentTypeError(f'"{text[:40]}" is not a whole number from 1 to a million')
+    return int(text)
+
+
+def parse_positive(text: str) -> float:
+    """A finite number above 0 from the command line."""
+    value = parse_number(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f'"{text[:40]}" is not above 0')
+    return value
+
+
 def count_processors() -> int:
     """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,9 +4,9 @@ apart.
 
 from __future__ import annotations
 
-from argparse import ArgumentTypeError, Namespace
+from argparse import Namespace
 
-from pipeline.commands.command import DONE, LAB, Argument, Command, argument
+from pipeline.commands.command import DONE, LAB, Argument, Command, argument, parse_count, parse_number
 from pipeline.lab.lab import Lab
 from schemas.errors import UsageError
 
@@ -23,24 +23,6 @@ def run(arguments: Namespace) -> int:
         )
     print(plan_lifetimes(asked, lab, as_json=arguments.format == "json"))
     return DONE
-
-
-def parse_number(text: str) -> float:
-    """A finite number from the command line."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < float("inf"):
-        raise ArgumentTypeError(f'"{text[:40]}" is not a number')
-    return value
-
-
-def parse_count(text: str) -> int:
-    """A whole number from 1 from the command line."""
-    if not text.isdecimal() or not 0 < int(text) <= 1_000_000:
-        raise ArgumentTypeError(f'"{text[:40]}" is not a whole number from 1 to a million')
-    return int(text)
 
 
 def _number(name: str, what: str, default: float | None = None) -> Argument:

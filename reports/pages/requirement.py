@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from reports.blocks import Head, Piece, Row, Section, Table
+import numpy as np
+
+from reports.blocks import Figure, Head, Piece, Row, Section, Table, bold, flow
+from reports.figures.actuator import Line, force_stroke
+from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.numbers import ABSENT, NBSP, capital, compact, counted, significant, with_unit
 
-_SQL = """SELECT quantity, value, value_lower, value_upper, unit, voltage_kv, required, meets, multiple, multiplied, note
+_SQL = """SELECT quantity, value, value_lower, value_upper, value_lower_90, value_upper_90, unit, voltage_kv, required, meets,
+       multiple, multiplied, note
 FROM specifications
 WHERE specimen_id = $specimen
-ORDER BY list_position(['force', 'stroke', 'stroke at rest', 'bandwidth', 'efficiency'], quantity)"""
+ORDER BY list_position(['force', 'stroke', 'slow stroke', 'bandwidth', 'efficiency', 'capacitance', 'current', 'field',
+    'pull-in margin'], quantity)"""
+_LINE_SQL = """SELECT frequency_hz, stroke_mm, force_n, force_n_lower, force_n_upper, force_n_lower_90, force_n_upper_90
+FROM force_strokes
+WHERE specimen_id = $specimen
+ORDER BY frequency_hz, stroke_mm"""
 _CAMPAIGN_SQL = """SELECT *
 FROM specifications
 WHERE specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $campaign)
@@ -23,6 +33,7 @@ _ASKED = (
     " side and add their forces, strips lie behind each other and add their strokes. A film gives force and stroke at once only in"
     " part: the numbers count half of each, where it gives most work, from the lower limit."
 )
+_OTHER = " The command design answers for other sizes and other requirements."
 
 
 def of_specimen(draft: Draft) -> Section | None:
@@ -36,6 +47,7 @@ def of_specimen(draft: Draft) -> Section | None:
             (
                 f"{capital(r['quantity'])}, {r['unit'] or '%'}",
                 _value(r),
+                _limits(r, "_90"),
                 ABSENT if r["required"] is None else compact(r["required"]),
                 _meets(r),
                 ABSENT if r["multiple"] is None else f"{r['multiple']} {r['multiplied']}",
@@ -45,17 +57,44 @@ def of_specimen(draft: Draft) -> Section | None:
         for r in found
     )
     heads = (
-        Head("Quantity"), Head("Value (95 %)", "n"), Head("Asked for", "n"), Head("Meets it"), Head("Would do"), Head("How it is meant", "text"),
+        Head("Quantity"), Head("Value (95 %)", "n"), Head("90 %", "n"), Head("Asked for", "n"), Head("Meets it"), Head("Would do"), Head("How it is meant", "text"),
     )  # fmt: skip
-    table = Table("Specification sheet", heads, rows, query.shown(), below=_ASKED, kind="wide")
-    return Section("requirement", _heading(found), "Requirement", (table,))
+    table = Table("Specification sheet", heads, rows, query.shown(), below=_ASKED + _OTHER, kind="wide")
+    figure = _figure(draft)
+    return Section("requirement", _heading(found), "Requirement", (table,) if figure is None else (figure, table))
+
+
+def _figure(draft: Draft) -> Figure | None:
+    """Force over stroke, a line for each frequency; None where no stiffness is known."""
+    points = draft.results.rows(Query(_LINE_SQL, {"specimen": draft.item}))
+    if not points:
+        return None
+    columns = {name: np.array([p[name] for p in points], dtype=float) for name in points[0]}
+    lines = []
+    for hz in np.unique(columns["frequency_hz"]):
+        own = {name: values[columns["frequency_hz"] == hz] for name, values in columns.items()}
+        name = with_unit(compact(float(hz), 3), "Hz")
+        lines.append(Line(name, own["stroke_mm"], own["force_n"], own["force_n_lower"], own["force_n_upper"]))
+    last = lines[-1]
+    found = f"{with_unit(significant(float(last.force[0])), 'N')} blocked, {with_unit(significant(float(last.stroke[-1])), 'mm')} free at {last.name}"
+    caption = flow(
+        bold("Force left at a stroke"),
+        f": {found}; with the 95 % band of the fit and the permittivity; marks: most work. The load moves with the film’s own phase; sizes are taken as exact.",
+    )
+    return Figure(
+        force_stroke(lines, alt=f"{short(draft.item, 40)}: {found}."), caption, draft.data("force-stroke", columns)
+    )
 
 
 def _value(row: Record) -> str:
     """Value with its limits to three digits: a requirement is not known better. Limits that round to the value are left out."""
+    value, limits = significant((1.0 if row["unit"] else 100.0) * row["value"]), _limits(row)
+    return value if limits == f"{value}–{value}" else f"{value} ({limits})"
+
+
+def _limits(row: Record, level: str = "") -> str:
     scale = 1.0 if row["unit"] else 100.0
-    value, low, high = (significant(scale * row[f"value{end}"]) for end in ("", "_lower", "_upper"))
-    return value if low == high else f"{value} ({low}–{high})"
+    return "–".join(significant(scale * row[f"value_{end}{level}"]) for end in ("lower", "upper"))
 
 
 def _meets(row: Record) -> str:

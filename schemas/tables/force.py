@@ -39,8 +39,13 @@ TABLES: tuple[Table, ...] = (
         "a specimen as an actuator against what suppressing the tremor of a hand asks for (thesis, section 1.3): 0.4 N, 1 mm, 10 Hz",
         (
             SPECIMEN_ID,
-            text("quantity", "force, stroke at rest, stroke, bandwidth or efficiency"),
+            text(
+                "quantity",
+                "force, slow stroke, stroke, bandwidth, efficiency, capacitance, current, field, pull-in margin",
+            ),
             *with_bounds("value", "see unit", "of the specimen at voltage_kv"),
+            real("value_lower_90", "see unit", "lower 90 % limit of value"),
+            real("value_upper_90", "see unit", "upper 90 % limit of value"),
             text("unit", "of value"),
             real("voltage_kv", "kV", "largest voltage it was driven with"),
             real("required", "see unit", "what is asked for; NULL: nothing"),
@@ -56,6 +61,23 @@ TABLES: tuple[Table, ...] = (
         key=("specimen_id", "quantity"),
         made_by=(MadeBy("specimen"),),
         pages=("specimen", "campaign"),
+    ),
+    Table(
+        "force_strokes",
+        "force that a specimen has left at a stroke, from blocked force to free stroke, at the lowest frequency recorded and at 10 Hz; the"
+        " load moves with the film's own phase",
+        (
+            SPECIMEN_ID,
+            real("frequency_hz", "Hz", "of the motion"),
+            real("stroke_mm", "mm", "motion of the end"),
+            *with_bounds("force_n", "N", "force left at that stroke"),
+            real("force_n_lower_90", "N", "lower 90 % limit of force_n"),
+            real("force_n_upper_90", "N", "upper 90 % limit of force_n"),
+            real("voltage_kv", "kV", "largest voltage it was driven with"),
+        ),
+        key=("specimen_id", "frequency_hz", "stroke_mm"),
+        made_by=(MadeBy("specimen"),),
+        pages=("specimen",),
     ),
     Table(
         "force_maps",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from pipeline.commands.show.rows import as_finite_json, in_plain
 from pipeline.fit.life_plan.assumptions import LifeAssumptions, assume_life
 from pipeline.fit.life_plan.designs import EVEN_GRID, NEXT_TEST, LifePlan, Planner, Rig, plan_all
 from pipeline.fit.life_plan.known_lives import KnownLives, group_rows, know_lives
@@ -19,8 +19,7 @@ from pipeline.lab.lab import Lab
 from pipeline.lab.reader import Reader
 from schemas.errors import UsageError
 from schemas.lifetimes import LifetimeRow
-from schemas.numbers import ABSENT, NBSP, THIN, bounds, digits, percent, significant
-from schemas.visible import make_safe
+from schemas.numbers import ABSENT, bounds, digits, percent, significant
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def plan_lifetimes(asked: Asked, lab: Lab | None, *, as_json: bool) -> str:
     assumed = _assume(asked) if known is None else known.assumed
     if asked.ratio is not None:
         sized = _size(asked, assumed, known)
-        return _as_json(asdict(sized)) if as_json else _in_plain("\n".join(_describe_sizes(sized)))
+        return as_finite_json(asdict(sized)) if as_json else in_plain("\n".join(_describe_sizes(sized)))
     rig = _rig(asked, known)
     planner = Planner(assumed, rig, None if known is None else known.known)
     budget = _budget(asked, planner, known)
@@ -82,8 +81,10 @@ def plan_lifetimes(asked: Asked, lab: Lab | None, *, as_json: bool) -> str:
     if known is not None:
         plans = (planner.next_test(worth_h=known.hours / known.specimens), *plans)
     if as_json:
-        return _as_json({"rig": asdict(rig), "budget_h": budget, "plans": [_plan_as_dict(plan) for plan in plans]})
-    return _in_plain("\n".join(_describe_plans(assumed, rig, budget, plans, known)))
+        return as_finite_json(
+            {"rig": asdict(rig), "budget_h": budget, "plans": [_plan_as_dict(plan) for plan in plans]}
+        )
+    return in_plain("\n".join(_describe_plans(assumed, rig, budget, plans, known)))
 
 
 def _read_lives(lab: Lab) -> list[LifetimeRow]:
@@ -171,21 +172,6 @@ def _size(asked: Asked, assumed: LifeAssumptions, known: KnownLives | None) -> C
 
 def _plan_as_dict(plan: LifePlan) -> dict[str, Any]:
     return {**asdict(plan), "specimens": plan.specimens, "failures": plan.failures, "hours": plan.hours}
-
-
-def _as_json(value: Any) -> str:
-    def finite(one: Any) -> Any:
-        if isinstance(one, dict):
-            return {key: finite(member) for key, member in one.items()}
-        if isinstance(one, list | tuple):
-            return [finite(member) for member in one]
-        return None if isinstance(one, float) and not np.isfinite(one) else one
-
-    return json.dumps(finite(value), ensure_ascii=False, indent=1)
-
-
-def _in_plain(text: str) -> str:
-    return make_safe(text.replace(NBSP, " ").replace(THIN, " "))
 
 
 def _describe_plans(

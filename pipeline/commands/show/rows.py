@@ -12,7 +12,8 @@ from datetime import date, datetime, timedelta
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
-from schemas.visible import shown
+from schemas.numbers import NBSP, THIN
+from schemas.visible import make_safe, shown
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -108,6 +109,24 @@ def as_csv(rows: pa.Table) -> str:
 def as_json(rows: pa.Table) -> str:
     """A list of objects; NULL, NaN and infinity are null, times are ISO 8601."""
     return json.dumps([_make_plain(row) for row in rows.to_pylist()], ensure_ascii=False, indent=1)
+
+
+def as_finite_json(value: Any) -> str:
+    """JSON of nested objects and lists; NaN and infinity are null."""
+
+    def finite(one: Any) -> Any:
+        if isinstance(one, dict):
+            return {key: finite(member) for key, member in one.items()}
+        if isinstance(one, list | tuple):
+            return [finite(member) for member in one]
+        return None if isinstance(one, float) and not math.isfinite(one) else one
+
+    return json.dumps(finite(value), ensure_ascii=False, indent=1)
+
+
+def in_plain(text: str) -> str:
+    """Text for a terminal: plain spaces, and nothing that controls it."""
+    return make_safe(text.replace(NBSP, " ").replace(THIN, " "))
 
 
 def as_parquet(rows: pa.Table) -> bytes:

@@ -37,6 +37,12 @@ class Permittivity:
     stated_permittivity: float | None
     values: int
 
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the force over V², N/kV², by its limits."""
+        width = self.relative_permittivity_upper - self.relative_permittivity_lower
+        return self.force_per_voltage_squared_n_per_kv2 / self.relative_permittivity * width / (2 * _NORMAL)
+
 
 def unit_force(about: RecordingMetadata) -> float | None:
     """Force at the ends over V² for a relative permittivity of 1, N/kV²; None where a size is not given."""

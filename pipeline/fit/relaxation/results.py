@@ -18,6 +18,8 @@ from schemas.arrays import Complex, Float
 
 MECHANICAL, ELECTRICAL, JOINT = "mechanical", "electrical", "joint"
 FORWARD, CORRECTED, TIME_DOMAIN = "forward", "corrected", "time_domain"
+LUMPED = "an arm slower than the data reach was taken into k0"
+"""The warning of a fit whose main spring holds a slow arm as well."""
 NOISE, UNIFORM, RELATIVE = "noise", "uniform", "relative"
 """Weights of the lines of a fit: by their noise, all alike in N/mm, all alike as a share of their magnitude."""
 
@@ -70,6 +72,24 @@ class Spread:
     gain_sd: float = 0.0
     relative_sd: float = 0.0
     gains: Mapping[str, float] = field(default_factory=dict)
+
+
+def find_slopes(theta: Float, shape: Shape, names: tuple[str, ...], c_inf: float, frequency_hz: ArrayLike) -> Complex:
+    """∂k/∂θ (m, p) N/mm at (m,) Hz by the parameters called `names`, p in all; 0 for those of the rig.
+
+    Parameters
+    ----------
+    theta : parameters, those of the material first
+    shape : which of them are the material's
+    names : of all parameters; a last "1/k…" is the spring of a pure dashpot, held at 0
+    c_inf : N s/mm, that dashpot
+    """
+    omega = 2 * np.pi * np.atleast_1d(np.asarray(frequency_hz, dtype=float))
+    slopes = np.zeros((omega.size, len(names)), dtype=complex)
+    slopes[:, : shape.size] = stiffness_and_slopes(theta, shape, omega)[1]
+    if names[-1].startswith("1/k"):
+        slopes[:, -1] = (omega * c_inf) ** 2
+    return slopes
 
 
 @dataclass(frozen=True)
@@ -136,12 +156,7 @@ class RelaxationFit:
 
     def slopes(self, frequency_hz: ArrayLike) -> Complex:
         """∂k/∂θ (m, p) at (m,) Hz, columns in the order of `names`; 0 for nuisance parameters."""
-        omega = 2 * np.pi * np.atleast_1d(np.asarray(frequency_hz, dtype=float))
-        slopes = np.zeros((omega.size, len(self.names)), dtype=complex)
-        slopes[:, : self.shape.size] = stiffness_and_slopes(self.theta, self.shape, omega)[1]
-        if self.names[-1].startswith("1/k"):
-            slopes[:, -1] = (omega * self.model.c_inf) ** 2
-        return slopes
+        return find_slopes(self.theta, self.shape, self.names, self.model.c_inf, frequency_hz)
 
     def band(self, frequency_hz: ArrayLike) -> Float:
         """√E|Δk|² of the fitted curve in N/mm at (m,) Hz, both components together: √(g C gᴴ)."""

@@ -17,6 +17,7 @@ from pipeline.fit.relaxation.linear import Linearisation
 from pipeline.fit.relaxation.observations import Observations
 from pipeline.fit.relaxation.order import expansion_at
 from pipeline.fit.relaxation.reference import Reference
+from pipeline.fit.relaxation.results import LUMPED
 from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import MERGE, Candidate, LinearProblem, bounds
 from pipeline.physics.film import Shape
@@ -166,8 +167,7 @@ def _smaller(solution: Solution, log_tau_bounds: tuple[float, float]) -> tuple[F
         i = int(tau.argmax())
         rest = np.arange(k.size) != i
         if np.log(tau[i]) >= log_tau_bounds[1] - 1e-3:
-            note = "an arm slower than the data reach was taken into k0"
-            return _built(k0 + float(k[i]), k[rest], tau[rest], c, note, np.inf)
+            return _built(k0 + float(k[i]), k[rest], tau[rest], c, LUMPED, np.inf)
     if shape.arms > 1:
         order = np.argsort(tau)
         gaps = np.diff(np.log(tau[order]))

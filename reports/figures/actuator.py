@@ -1,0 +1,40 @@
+"""What force has an actuator left when it moves? The line from blocked force to free stroke."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from reports.figures.palette import group
+from reports.figures.plot import WIDE, Panel, linear
+from reports.figures.svg import Drawing
+from schemas.arrays import Float
+
+
+@dataclass(frozen=True)
+class Line:
+    """Force (n,) N with its 95 % limits over stroke (n,) mm at one frequency, which is its name."""
+
+    name: str
+    stroke: Float
+    force: Float
+    lower: Float
+    upper: Float
+
+
+def force_stroke(lines: Sequence[Line], *, alt: str) -> Markup:
+    """Force over stroke with its band, a line for each frequency; dots where it gives most work."""
+    drawing = Drawing(WIDE, 280)
+    x = linear(*(one.stroke for one in lines), zero=True, margin=0.03)
+    panel = Panel(drawing, 46, 24, 352, 206, x, linear(*(one.upper for one in lines), zero=True, margin=0.08))
+    for i, one in enumerate(lines):
+        drawn = group(i)
+        panel.band(one.stroke, one.lower, one.upper, drawn.colour)
+        panel.curve(one.stroke, one.force, drawn.colour)
+        middle = [one.stroke[-1] / 2], [one.force[0] / 2]
+        panel.dots(*middle, drawn.colour, 5.0, marker=drawn.marker)
+        panel.label(middle[0][0], middle[1][0], f"{drawn.sign} {one.name}", drawn.colour, dx=9, dy=-5)
+    panel.axes("Force left, N", "Stroke, mm")
+    return drawing.image(alt)
