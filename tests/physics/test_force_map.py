@@ -366,6 +366,7 @@ def test_intervals_of_the_force_hold_where_the_drift_is_no_logarithm() -> None:
     assert np.mean([holds for _, holds in tried]) > 0.8
 
 
+@pytest.mark.slow
 def test_noise_that_remembers_makes_no_interval_too_narrow() -> None:
     """Neighbouring samples go together over 0.2 s, as long as a window: their means are not independent."""
     square = []

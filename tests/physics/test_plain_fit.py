@@ -72,6 +72,7 @@ def test_taps_with_a_known_mass_and_without_tell_the_mass_of_the_clamp() -> None
     assert both[1] < 0.3 * bare[1]
 
 
+@pytest.mark.slow
 def test_a_recording_with_a_mass_on_the_clamp_has_the_response_of_the_heavier_one() -> None:
     truth = true_session(FAR_CLAMP, compact_designs()[:4], ())
     chirp = next(d for d in compact_designs() if d["protocol"] == "chirp")

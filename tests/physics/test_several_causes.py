@@ -25,11 +25,13 @@ def combine(seed: int, *effects: Effect) -> Posterior:
     return Posterior.of([weigh_fit(noise_fit), *hypotheses, *add_causes(hypotheses, changes)])
 
 
+@pytest.mark.slow
 def test_one_effect_is_one_cause() -> None:
     found = combine(331, Effect("field_dependent_permittivity", 0.05))
     assert found.hypotheses[0].causes == ("field_dependent_permittivity",)
 
 
+@pytest.mark.slow
 def test_two_effects_are_two_causes() -> None:
     found = combine(331, Effect("field_dependent_permittivity", 0.05), Effect("baseline_drift", 0.05))
     assert set(found.hypotheses[0].causes) == {"field_dependent_permittivity", "baseline_drift"}

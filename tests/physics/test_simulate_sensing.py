@@ -67,6 +67,7 @@ def test_coats_approach_the_covered_region() -> None:
     assert last == pytest.approx(28.6, rel=0.02)
 
 
+@pytest.mark.slow
 def test_rods_add_to_the_force_and_a_divided_electrode_takes_from_it() -> None:
     def force(name: str) -> float:
         return float(
