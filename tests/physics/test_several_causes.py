@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism
 from pipeline.diagnose.search.posterior import Posterior, settle_hypotheses, weigh_fit

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ Float = NDArray[np.float64]
 
 EMPTY: Float = np.zeros(0)
 _REFERENCE_LAG_S = 2e-3
+
+
+_LEAST = 1e-6
+"""Least amplitude and extension, mm, that effects are scaled to."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,8 @@ class _Draft:
 def resolve(effects: tuple[Effect, ...], specimen: Specimen, loads: Loads, rng: np.random.Generator) -> Hidden:
     """Scale effects to a session; those of severity 0 leave no trace. `rng` places the tears."""
     rig = specimen.rig
+    # In a session without any test of a kind what scales with its loads is there at once, and shows nothing.
+    loads = replace(loads, amplitude=max(loads.amplitude, _LEAST), extension=max(loads.extension, _LEAST))
     draft = _Draft(specimen, loads, rng, Law(rig.mass, rig.stiffness, rig.damping, preload(specimen, loads)))
     present = {effect.id: effect for effect in effects if effect.severity != 0}
     said = {
