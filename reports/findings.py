@@ -138,8 +138,13 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
             )
     elif d["verdict"] == "ambiguous":
         options = [m for m in dict.fromkeys([d["mechanism"], *(d["also_possible"] or [])]) if m]
+        beside = [code(m) for m in (d["mechanisms"] or [])[1:]] if len(options) == 1 else []
         text = listed([plain_name(m) if m == UNLISTED else code(m) for m in options], " or ")
-        sentences.append(flow(tag("ambiguous"), " · ", text, ": too close to tell apart with these recordings."))
+        if beside:
+            doubt = flow(": whether ", listed(beside), " acts beside it these recordings cannot tell.")
+        else:
+            doubt = flow(": too close to tell apart with these recordings.")
+        sentences.append(flow(tag("ambiguous"), " · ", text, doubt))
     elif d["verdict"] == "unknown":
         sentences.append(
             flow(tag("unknown"), f". The discrepancy is real ({p_equals(d['p_value'])}); no listed cause leaves noise.")

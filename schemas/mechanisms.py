@@ -321,10 +321,13 @@ def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
 def cause(diagnosis: Mapping[str, Any]) -> str:
     """What is wrong, from a row of `diagnoses`: `the load cell is stiffer than its file says, by 6.3 ± 0.3 %`.
 
-    Causes that cannot be told apart are said without their sizes, with "or" between them; several that act together with "and".
+    Causes that cannot be told apart are said without their sizes, with "or" between them; several that act together with "and". Where
+    the first is beyond doubt and only what acts beside it is not, that has a "perhaps".
     """
     found = nested(diagnosis["severity"])
     named = [m for m in (diagnosis["mechanisms"] or [diagnosis["mechanism"]]) if m]
+    if diagnosis["verdict"] == "ambiguous" and not diagnosis["also_possible"] and len(named) > 1:
+        return f"{finding(named[0], found.get(named[0], {}))}, and perhaps {' and '.join(finding(m, {}) for m in named[1:])}"
     if diagnosis["verdict"] == "ambiguous":
         options = [m for m in (diagnosis["mechanism"], *(diagnosis["also_possible"] or ())) if m]
         others = [finding(m, found.get(m, {})) for m in named if m not in options]

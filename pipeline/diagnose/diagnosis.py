@@ -149,7 +149,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
         # Where nothing is more probable than its noise, that is as loud as the session makes it, and known no better.
         again = _test_again(changes, noise, in_doubt=noise is posterior.hypotheses[0])
         if again >= RULES.alarm.mechanism_level:
-            return replace(nothing, p_value=again, louder=noise.weight)
+            return replace(nothing, p_value=again, noise_fit=noise.model, louder=noise.weight)
     best = find_best(posterior)
     final = None if best is None else order_causes(refit_under(plain, best))
 

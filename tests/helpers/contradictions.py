@@ -73,7 +73,7 @@ def _compare_verdict(d: Mapping[str, Any], *, alone: bool) -> Iterator[str]:
         yield "a cause without words for the headline"
     if verdict == "none" and (nested(d["severity"]) or d["gain"] is not None or d["chi2_extended"] is not None):
         yield "verdict none with a severity, a gain or an extended model"
-    if verdict == "ambiguous" and not d["also_possible"]:
+    if verdict == "ambiguous" and not d["also_possible"] and len(named) < 2:
         yield "ambiguous between one cause"
     if (verdict == "none") != (d["p_value"] >= level):
         yield f"verdict {verdict} with p = {d['p_value']:.2g} at a level of {level:g}"

@@ -27,7 +27,7 @@ def renamed(name: str, **more: Any) -> Mapping[str, Any]:
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
     """Four specimens, one of each verdict but unknown, and one that could not be asked."""
     folder = tmp_path_factory.mktemp("told")
-    names = ("S-1", "S-2", "S-3", "S-4", "S-5")
+    names = ("S-1", "S-2", "S-3", "S-4", "S-5", "S-6")
     measured = [(f"{n}-r", n) for n in names] + [("r-1", "S-1"), ("r-2", "S-1")]
     recordings = [
         {"recording_id": r, "specimen_id": n, "status": "ok", "source_path": f"/raw/{r}", "source_sha256": r}
@@ -40,6 +40,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
         renamed("S-1"),
         renamed("S-2", **close),
         renamed("S-3", **quiet, candidates=(), p_value=0.4),
+        renamed("S-6", verdict="ambiguous", also_possible=()),
         undiagnosed_tables("S-4", ["one sweep \x1b[2Jalone"]),
     ]
     made = Lab(folder)
@@ -50,6 +51,14 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
 def told(lab: Lab, name: str) -> str:
     return describe_diagnoses(lab, [name], as_json=False)
+
+
+def test_a_cause_that_may_stand_beside_a_sure_one_is_told_as_such(lab: Lab) -> None:
+    first = told(lab, "S-6").splitlines()[0]
+    assert first == (
+        "◐ S-6: force reads too much, by 10.0 ± 1.0 %, and perhaps the film softens from cycle to cycle; these recordings cannot tell "
+        "(ambiguous)."
+    )
 
 
 def test_a_named_cause_is_told_with_size_gain_interval_and_what_moved(lab: Lab) -> None:
@@ -94,7 +103,7 @@ def test_what_could_not_be_asked_is_told_with_the_reason_and_without_control_cha
 
 def test_all_specimens_without_names(lab: Lab) -> None:
     text = describe_diagnoses(lab, [], as_json=False)
-    assert [line[0] for line in text.splitlines() if not line.startswith(" ") and line] == ["●", "◐", "○", "–"]
+    assert [line[0] for line in text.splitlines() if not line.startswith(" ") and line] == ["●", "◐", "○", "–", "◐"]
 
 
 def test_programs_get_everything_as_objects(lab: Lab) -> None:
@@ -104,7 +113,7 @@ def test_programs_get_everything_as_objects(lab: Lab) -> None:
     assert first["discrepancies"][0]["recording_id"] == "r-1"
     assert {p["parameter"] for p in first["parameters"]} >= {"k0", "k1", "tau1"}
     assert first["next_design"] == [{"protocol": "weight"}]
-    assert [o["verdict"] for o in others] == ["ambiguous", "none", None]
+    assert [o["verdict"] for o in others] == ["ambiguous", "none", None, "ambiguous"]
 
 
 def test_a_lab_of_an_earlier_release_without_diagnoses(tmp_path: Path) -> None:

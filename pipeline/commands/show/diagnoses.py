@@ -106,7 +106,8 @@ def _state_verdict(row: Row) -> str:
     if verdict == "named":
         return f"{text} (named)."
     if verdict == "ambiguous":
-        return f"{text}; these recordings cannot tell which (ambiguous)."
+        which = " which" if row["also_possible"] else ""
+        return f"{text}; these recordings cannot tell{which} (ambiguous)."
     if verdict == "unknown":
         return f"the simulation is wrong, {p_equals(row['p_value'])}, and no listed cause explains all of it (unknown)."
     return f"the simulation is right within the noise, {p_equals(row['p_value'])} (none)."
