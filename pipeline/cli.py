@@ -16,6 +16,7 @@ from typing import Any
 from pipeline.commands import (
     add,
     annotate,
+    compare,
     completion,
     design,
     diagnose,
@@ -50,6 +51,7 @@ COMMANDS: Mapping[str, Command] = {
         diagnose.COMMAND,
         simulate.COMMAND,
         plan.COMMAND,
+        compare.COMMAND,
         figure.COMMAND,
         design.COMMAND,
         export.COMMAND,
