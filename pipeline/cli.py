@@ -34,6 +34,7 @@ from pipeline.commands import (
     sql,
     status,
     validate,
+    verify,
 )
 from pipeline.commands.command import FAILED, Command
 from pipeline.import_path import leave_working_folder
@@ -55,6 +56,7 @@ COMMANDS: Mapping[str, Command] = {
         figure.COMMAND,
         design.COMMAND,
         export.COMMAND,
+        verify.COMMAND,
         inspect.COMMAND,
         add.COMMAND,
         validate.COMMAND,

@@ -31,12 +31,13 @@ def _column(values: Column) -> list[str]:
         return [f"{v:.7g}" if math.isfinite(v) else "" for v in values.tolist()]
     cells = values.tolist() if isinstance(values, np.ndarray) else values
     if len(cells) and isinstance(cells[0], str):
-        known = {v: _cell(v) for v in set(cells)}
+        known = {v: write_cell(v) for v in set(cells)}
         return [known[v] for v in cells]
-    return [_cell(v) for v in cells]
+    return [write_cell(v) for v in cells]
 
 
-def _cell(value: Any) -> str:
+def write_cell(value: Any) -> str:
+    """A cell of CSV: numbers to seven digits, text quoted where it must be and never a formula."""
     if value is None:
         return ""
     if isinstance(value, str):

@@ -40,7 +40,9 @@ def run(arguments: Namespace) -> int:
 
     out = arguments.out
     if out is not None and out.suffix.lower() not in (*_PAGE, *ENDINGS):
-        raise UsageError(f"{out}: a comparison has no such format", expected=f"a file that ends in .html, {', '.join(ENDINGS)}")  # fmt: skip
+        raise UsageError(
+            f"{out}: a comparison has no such format", expected=f"a file that ends in .html, {', '.join(ENDINGS)}"
+        )
     lab = Lab(arguments.lab)
     lab.require_database()
     with Results(lab.folder) as results:
@@ -153,8 +155,8 @@ def note_intervals(items: Sequence[Item]) -> list[str]:
     notes = []
     if sum(not item.is_batch for item in items) > 1:
         notes.append(
-            "Specimen against specimen: the interval holds the errors of both measurements, not how far two films of one batch "
-            "are apart, so that nearly all films differ."
+            "Specimen against specimen: the interval holds the errors of both measurements, not how far two films of "
+            "one batch are apart, so that nearly all films differ."
         )
     if sum(item.is_batch for item in items) > 1:
         notes.append("Batch against batch: Welch's t interval of the means.")
@@ -168,7 +170,7 @@ def note_intervals(items: Sequence[Item]) -> list[str]:
 
 
 def test_whole_films(items: Sequence[Item]) -> list[str]:
-    """Wald's test of all springs and times of a specimen against those of the first, where both models have one order."""
+    """Wald's test of all springs and times of a specimen against the first, where both models have one order."""
     from pipeline.fit.comparing import compare_parameters
     from reports.overlay import read_parameters
     from schemas.numbers import p_equals, significant
@@ -179,8 +181,8 @@ def test_whole_films(items: Sequence[Item]) -> list[str]:
         if both is not None:
             whole = compare_parameters(*both)
             lines.append(
-                f"All parameters of {item.name} against {items[0].name} at once (Wald): χ² {significant(whole.chi2)} for "
-                f"{whole.freedom}, {p_equals(whole.p_value)}."
+                f"All parameters of {item.name} against {items[0].name} at once (Wald): "
+                f"χ² {significant(whole.chi2)} for {whole.freedom}, {p_equals(whole.p_value)}."
             )
     return lines
 
@@ -202,7 +204,10 @@ def lay_out(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """A table for a terminal: the first column to the left, the others to the right."""
     table = [list(heads), *(list(r) for r in rows)]
     wide = [max(len(row[i]) for row in table) for i in range(len(heads))]
-    lines = ["  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, wide, strict=True))).rstrip() for row in table]  # fmt: skip
+    lines = [
+        "  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, wide, strict=True))).rstrip()
+        for row in table
+    ]
     return [lines[0], "  ".join("─" * w for w in wide), *lines[1:]]
 
 

@@ -1,0 +1,1 @@
+"""Handing on a lab: an archive of its results with hashes, figures, report and provenance, and its verification."""
