@@ -22,6 +22,8 @@ license = "https://creativecommons.org/licenses/by/4.0/"
 [[creators]]
 name = "Mills, Ada"
 orcid = "https://orcid.org/0000-0002-1825-0097"
+affiliation = "A university"
+affiliation_url = "https://university.example"
 """
 
 
@@ -88,6 +90,11 @@ def test_the_metadata_name_every_file_and_recording(crate: Path) -> None:
     for name in parts:
         assert graph[name]["sha256"] == hashlib.sha256(files[name]).hexdigest()
         assert graph[name]["contentSize"] == str(len(files[name]))
+    author = graph[graph["./"]["author"]["@id"]]
+    assert graph[author["affiliation"]["@id"]] == {
+        "@id": "https://university.example", "@type": "Organization", "name": "A university",
+        "url": "https://university.example",
+    }  # fmt: skip
     night = graph["#night"]
     assert night["instrument"] == {"@id": "#dealab"}
     rests_on = night["object"] if isinstance(night["object"], list) else [night["object"]]

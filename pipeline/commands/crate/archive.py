@@ -85,7 +85,7 @@ def write_crate(lab: Lab, target: Path, about: About, name: str) -> tuple[Digest
         runs = results.rows("SELECT * FROM runs ORDER BY run_id")
         recordings = list_recordings(results)
     if not runs:
-        raise UsageError("no night is recorded in this lab", expected="a lab that `dealab nightly` has made")
+        raise UsageError("no night is recorded in this lab", expected="a lab with a night")
     run = {
         **runs[-1],
         "started_at": runs[-1]["started_at"].isoformat(),
@@ -149,9 +149,7 @@ def read_crate(path: Path) -> dict[str, bytes]:
         raise UsageError(f"{path}: neither a folder nor an archive", expected="a crate: a folder, .zip or .eln")
     roots = [n for n in found if PurePosixPath(n).name == METADATA]
     if not roots:
-        raise UsageError(
-            f"{path}: there is no {METADATA} in it", expected="a crate that `dealab export --crate` has written"
-        )
+        raise UsageError(f"{path}: there is no {METADATA} in it", expected="a crate that dealab has written")
     prefix = min(roots, key=len).removesuffix(METADATA)
     return {n.removeprefix(prefix): content for n, content in found.items()}
 

@@ -69,7 +69,7 @@ def _plain(value: Any, column: str) -> Any:
 
 def _write_models(lab: Lab, results: Results) -> Iterator[tuple[str, bytes]]:
     """Each film whose moduli are known as JSON: the Prony series that `dealab export --as json` gives."""
-    from pipeline.commands.export import read_series
+    from pipeline.commands.series import read_series
     from pipeline.transform.prony import write_deck
 
     specimens = [

@@ -38,7 +38,7 @@ class About:
 
     Parameters
     ----------
-    creators : each with `name`, and `orcid` and `affiliation` where known
+    creators : each with `name`, and `orcid`, `affiliation` and `affiliation_url` where known
     license : its address, such as https://creativecommons.org/licenses/by/4.0/
     """
 
@@ -46,6 +46,7 @@ class About:
     description: str = ""
     creators: tuple[Mapping[str, str], ...] = ()
     publisher: str = ""
+    publisher_url: str = ""
     publication_year: int | None = None
     license: str = ""
     doi: str = ""
@@ -129,17 +130,19 @@ def write_metadata(
     recordings : what the results rest on, with SHA-256; they are named, not carried
     digests : SHA-256 and size of each file of the crate but this one
     """
-    people = [
+    urls = {c["affiliation"]: c.get("affiliation_url", "") for c in about.creators if c.get("affiliation")}
+    places = {name: url or f"#affiliation-{i}" for i, (name, url) in enumerate(urls.items(), 1)}
+    people: list[dict[str, Any]] = [
         {
             "@id": c.get("orcid") or f"#creator-{i}",
             "@type": "Person",
             "name": c["name"],
-            **({"affiliation": c["affiliation"]} if c.get("affiliation") else {}),
+            **({"affiliation": {"@id": places[c["affiliation"]]}} if c.get("affiliation") else {}),
         }
         for i, c in enumerate(about.creators, 1)
     ]
-    licence = about.license or _LICENCE
-    root = {
+    licence, publisher = about.license or _LICENCE, about.publisher_url or "#publisher"
+    root: dict[str, Any] = {
         "@id": "./",
         "@type": "Dataset",
         "name": about.title or title,
@@ -151,7 +154,7 @@ def write_metadata(
         "hasPart": _unpack([{"@id": name} for name in sorted(digests)]),
         "mentions": {"@id": "#night"},
         **({"author": _unpack([{"@id": p["@id"]} for p in people])} if people else {}),
-        **({"publisher": {"@id": "#publisher"}} if about.publisher else {}),
+        **({"publisher": {"@id": publisher}} if about.publisher else {}),
         **({"identifier": about.doi} if about.doi else {}),
         **({"keywords": ", ".join(about.keywords)} if about.keywords else {}),
     }
@@ -165,7 +168,8 @@ def write_metadata(
             "description": "as stated by the authors" if about.license else "nobody may copy it without asking",
         },
         *people,
-        *([{"@id": "#publisher", "@type": "Organization", "name": about.publisher}] if about.publisher else []),
+        *(_organise(places[name], name, url) for name, url in urls.items() if places[name] != publisher),
+        *([_organise(publisher, about.publisher, about.publisher_url)] if about.publisher else []),
         {
             "@id": "#dealab",
             "@type": "SoftwareApplication",
@@ -210,6 +214,12 @@ def write_metadata(
             }
         )
     return {"@context": _CONTEXT, "@graph": graph}
+
+
+def _organise(identity: str, name: str, url: str) -> dict[str, str]:
+    """An organization as an entity."""
+    known = {"@id": identity, "@type": "Organization", "name": name}
+    return known | {"url": url} if url else known
 
 
 def _unpack(values: list[dict[str, str]]) -> list[dict[str, str]] | dict[str, str]:
