@@ -140,3 +140,10 @@ def test_refusals_have_names(batches: list[str], problem: str) -> None:
     life = np.arange(1.0, 7.0)
     with pytest.raises(DealabError, match=problem):
         fit_batch_scatter(Lives(life, life), [], batches, "weibull")
+
+
+def test_batches_that_differ_in_all_covariates_are_refused() -> None:
+    life = np.arange(1.0, 7.0)
+    kind = Covariate("kind", CATEGORY, list("aabbcc"))
+    with pytest.raises(DealabError, match="3 batches for 3 coefficients of what is the same within each batch"):
+        fit_batch_scatter(Lives(life, life), [kind], list("xxyyzz"), "weibull")

@@ -2,6 +2,8 @@
 
     python -m tests.studies.study_lives [--draws N] [--seed N]
 
+Batches are drawn with a scatter of their own, and lives with and without a voltage below which nothing fails.
+
 Lives are drawn at three voltages by each family, and fitted by the family that they were drawn by; the shares of draws whose
 interval contains the truth are printed for the exponent, the scatter, the shape, and the median life at a voltage below the
 lowest one tested.
@@ -16,8 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.fit.survival.batch_scatter import fit_batch_scatter
 from pipeline.fit.survival.covariates import CATEGORY, INVERSE_POWER, Covariate, make_design
 from pipeline.fit.survival.cox_regression import fit_cox
+from pipeline.fit.survival.endurance_limit import find_endurance_limit
 from pipeline.fit.survival.error_distributions import LOGISTIC, log_gamma
 from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.life_regression import (
@@ -63,6 +67,8 @@ class Design:
         return f"{self.specimens} per voltage, {100 * self.censored:.0f} % censored, {how}"
 
 
+BATCHES = ((0.0, 8), (0.5, 5), (0.5, 8), (0.5, 20))
+LIMITS_KV = (0.0, 3.0)
 DESIGNS = (Design(10, 0.0), Design(10, 0.3), Design(10, 0.3, inspected=True), Design(40, 0.3))
 
 
@@ -178,6 +184,57 @@ def judge_cox(design: Design, draws: int, seed: int) -> tuple[int, int, int]:
     return held, counted, refused
 
 
+def judge_batches(tau: float, batches: int, draws: int, seed: int) -> str:
+    """Weibull lives in batches of six, a third censored; the voltage varies within a batch, the electrode between them."""
+    rng = np.random.default_rng((seed, batches, int(10 * tau)))
+    place = np.repeat(np.arange(batches), 6)
+    voltage, kind = np.tile(VOLTAGES_KV, 2 * batches), place % 2
+    held: Counter[str] = Counter()
+    for _ in range(draws):
+        location = INTERCEPT + EXPONENT * np.log(voltage) + 0.5 * kind + tau * rng.normal(size=batches)[place]
+        life = np.exp(location + SIGMA * np.log(rng.exponential(size=place.size)))
+        end = np.exp(INTERCEPT + EXPONENT * np.log(voltage) + 0.4)
+        lives = Lives(np.minimum(life, end), np.where(life <= end, life, np.inf))
+        covariates = [
+            Covariate("voltage", INVERSE_POWER, voltage, "kV"),
+            Covariate("electrode", CATEGORY, np.where(kind > 0, "b", "a").tolist()),
+        ]
+        try:
+            fit = fit_batch_scatter(lives, covariates, place.astype(str).tolist(), WEIBULL)
+        except (DealabError, np.linalg.LinAlgError):
+            held["refused"] += 1
+            continue
+        _, slope, effect = (one.value for one in fit.coefficients)
+        held["tau"] += fit.tau.lower <= tau <= fit.tau.upper
+        held["slope"] += slope.lower <= EXPONENT <= slope.upper
+        held["effect"] += effect.lower <= 0.5 <= effect.upper
+        held["seen"] += fit.p_value < 0.05
+    n = draws - held["refused"]
+    shares = "; ".join(
+        f"{words} {100 * held[name] / n:.1f} %"
+        for name, words in (
+            ("tau", "scatter of batches held"), ("slope", "exponent held"), ("effect", "electrode held"), ("seen", "p below 5 %"),
+        )
+    )  # fmt: skip
+    return f"- {batches} batches of 6, scatter {tau:g} between them: {shares}; {held['refused']} of {draws} not fitted"
+
+
+def judge_limit(limit: float, draws: int, seed: int) -> str:
+    """Weibull lives over (voltage − limit)^−3, ten at each of six voltages, cut off by the end of the test."""
+    rng = np.random.default_rng((seed, 77, int(10 * limit)))
+    voltage = np.repeat([2.0, 3.2, 3.6, 4.0, 5.0, 6.0], 10)
+    held = seen = 0
+    for _ in range(draws):
+        scale = 9 - 3 * np.log(np.maximum(voltage - limit, 1e-12))
+        life, end = np.exp(scale + 0.4 * np.log(rng.exponential(size=voltage.size))), 1e5
+        lives = Lives(np.minimum(life, end), np.where(life <= end, life, np.inf))
+        found = find_endurance_limit(lives, [Covariate("voltage", INVERSE_POWER, voltage, "kV")], WEIBULL)
+        held += found.limit.lower <= limit <= found.limit.upper
+        seen += found.p_value < 0.05
+    shares = f"held {100 * held / draws:.1f} %; p below 5 % {100 * seen / draws:.1f} %"
+    return f"- endurance limit of {limit:g} kV: {shares} of {draws}"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument(
@@ -200,6 +257,10 @@ def main() -> int:
             held, counted, refused = judge_cox(design, few, arguments.seed)
             share = f"{100 * held / counted:.1f} %"
             print(f"| Cox, ln hazard ratio | {design} | {share} | | | | {refused} of {few} | information |", flush=True)
+    for tau, batches in BATCHES:
+        print(judge_batches(tau, batches, few, arguments.seed), flush=True)
+    for limit in LIMITS_KV:
+        print(judge_limit(limit, few, arguments.seed), flush=True)
     print("\nShares of the draws that were fitted. Limits of the median life are those of the information.")
     return 0
 

@@ -35,7 +35,7 @@ class BatchCoefficient:
     """A coefficient of ln t beside the scatter of batches, with 95 % limits.
 
     A column that is the same for all specimens of each batch is known from as many values as there are batches, which its
-    limits allow for; they are infinite where there are no more batches than such columns.
+    limits allow for.
     """
 
     name: str
@@ -81,12 +81,14 @@ def fit_batch_scatter(
     covariates : each with n values; none is needed
     batches : (n,) name of the batch of each
     family : exponential, Weibull, log-normal or log-logistic
-    drop : of the profile at the limits of τ; None: `critical_drop` for as many values as there are batches
+    drop : of the profile at the limits of τ; None: `critical_drop` for as many values as there are
+        batches, less what is the same within each of them
 
     Raises
     ------
     NotIdentifiableError
-        Fewer than three batches, or no batch of two or more; covariates that tell nothing.
+        Fewer than three batches, no batch of two or more, or no more batches than coefficients of what is the same within
+        each; covariates that tell nothing.
     RefusedError
         There is not one batch for each life.
 
@@ -110,6 +112,12 @@ def fit_batch_scatter(
             expected="batches of two or more",
         )
     design = make_design(covariates, np.isfinite(lives.upper))
+    between = int(_same_within(design.matrix, place).sum())
+    if names.size <= between:
+        raise NotIdentifiableError(
+            f"{names.size} batches for {between} coefficients of what is the same within each batch",
+            expected="more batches, or covariates that vary within them",
+        )
     without, start = log_likelihood_of(lives, design.x, family)
     model = _Integrated(lives, design.x, place.astype(np.int64), family)
     best = model.climb(model.begin(start))
@@ -118,7 +126,7 @@ def fit_batch_scatter(
         best = model.climb(model.begin(start, 0.0), tau=0.0)
         top = without
     statistic = max(2 * (top - without), 0.0)
-    allowed = critical_drop(int(names.size)) if drop is None else drop
+    allowed = critical_drop(int(names.size), between) if drop is None else drop
     tau = model.limit_tau(best, top + lives.log_jacobian - allowed)
     failed = np.isfinite(lives.upper)
     return BatchScatter(
@@ -257,25 +265,17 @@ class _Integrated:
         change[0, 1:] = -self.centre / self.scale
         errors = np.sqrt(np.diag(change @ covariance[first : first + p, first : first + p] @ change.T))
         values = change @ best[1 : 1 + p]
-        between = self._same_within_batches()
-        by_batches = self.batches - int(between.sum())
+        between = _same_within(self.design, self.place)
         found = []
         for i, name in enumerate(names):
             if not between[i]:
                 deviations = critical_deviations(failures, p)
-            elif by_batches < 1:
-                deviations = float("inf")
             else:
                 deviations = critical_deviations(self.batches, int(between.sum()))
             half = deviations * float(errors[i])
             value = float(values[i])
             found.append(BatchCoefficient(name, Estimate(value, value - half, value + half), float(errors[i])))
         return tuple(found)
-
-    def _same_within_batches(self) -> Bool:
-        """(1 + p,) columns that are the same for all specimens of each batch; the intercept is one of them."""
-        first = self.design[np.unique(self.place, return_index=True)[1]]
-        return np.asarray((np.abs(self.design - first[self.place]) < 1e-9).all(axis=0))
 
     def effects(self, best: Float, names: np.ndarray, failed: Bool) -> tuple[BatchEffect, ...]:
         tau, sigma = float(best[0]), self.sigma(best)
@@ -291,6 +291,12 @@ class _Integrated:
             here = self.place == i
             found.append(BatchEffect(str(name), int(here.sum()), int(failed[here].sum()), Estimate(*limits)))
         return tuple(found)
+
+
+def _same_within(columns: Float, place: Int) -> Bool:
+    """(p,) columns that are the same for all specimens of each batch; the intercept is one of them."""
+    first = columns[np.unique(place, return_index=True)[1]]
+    return np.asarray((np.abs(columns - first[place]) <= 1e-9 * np.abs(columns).max(axis=0)).all(axis=0))
 
 
 @dataclass(frozen=True)
