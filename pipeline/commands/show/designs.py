@@ -146,7 +146,11 @@ def _read_source(lab: Lab, asked: DesignAsked) -> _Source:
         recordings = reader.rows(
             "recordings", None, "specimen_id", [name], "status IN ('ok', 'damaged') AND metadata IS NOT NULL"
         )
-        lives = reader.rows("lifetimes", None, where="failed") if asked.breakdown_mv_per_m is None else []
+        lives = (
+            reader.rows("lifetimes", None, where="breakdown_voltage_kv IS NOT NULL")
+            if asked.breakdown_mv_per_m is None
+            else []
+        )
         broken = reader.rows(
             "recordings",
             ["recording_id", "material", "metadata"],
@@ -225,27 +229,31 @@ def _choose_permittivity(
 def _find_breakdown(
     stated: float | None, lives: Sequence[dict[str, Any]], broken: Sequence[dict[str, Any]]
 ) -> tuple[Limit | None, str]:
-    """Field at breakdown as stated, or of films that broke down by their lives and recordings; and what it rests on."""
+    """Field at breakdown as stated, or of films whose voltage was raised until they broke down; and what it rests on.
+
+    A film that failed while its voltage was held says how long it lives at that voltage, and not what it bears.
+    """
     if stated is not None:
         return Limit(stated, 0.0), f"breakdown at {stated:.3g} MV/m as given, taken as exact"
     told = {r["recording_id"]: json.loads(r["metadata"] or "{}").get("recording", {}) for r in broken}
     abouts = {name: RecordingMetadata.parse(one) for name, one in told.items() if "protocol" in one}
     fields = []
     for life in lives:
-        film, volts = abouts.get(life["recording_id"]), life["breakdown_voltage_kv"] or life["voltage_kv"]
+        film, volts = abouts.get(life["recording_id"]), life["breakdown_voltage_kv"]
         if film is not None and volts and film.layer_thickness_mm and film.pre_stretch:
             fields.append(volts * film.pre_stretch * (film.lateral_stretch or 1.0) / film.layer_thickness_mm)
     if len(fields) < _FEWEST_BREAKDOWNS:
         return (
             None,
-            "no breakdown margin: fewer than three films of this material broke down here (--breakdown-mv-per-m)",
+            "no breakdown margin: of fewer than three films of this material the voltage was raised until they broke down here; films"
+            " that failed while it was held tell a life (--breakdown-mv-per-m)",
         )
     logs = np.log(fields)
     sd = float(np.std(logs, ddof=1)) * math.sqrt(1 + 1 / logs.size)
     middle = float(np.exp(logs.mean()))
     said = (
         f"breakdown at {middle:.3g} MV/m, {100 * sd:.2g} % from film to film: {counted(len(fields), 'film')} of this"
-        " material that broke down, whenever they did"
+        " material whose voltage was raised until they broke down"
     )
     return Limit(middle, sd), said
 
