@@ -97,6 +97,7 @@ def test_a_resonance_that_few_nodes_do_not_carry_is_simulated_with_all() -> None
     assert not np.array_equal(*(s.predict(of.model, of.theta + 1e-3) for s in (of.simulation, about)))
 
 
+@pytest.mark.slow
 def test_few_nodes_are_few() -> None:
     """A third of them at most, in every family that has many."""
     of = fitted()

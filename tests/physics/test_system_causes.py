@@ -239,6 +239,7 @@ def test_a_system_that_remembers_longer_than_its_record_is_not_asked() -> None:
         ask_system([ringing])
 
 
+@pytest.mark.slow
 def test_a_system_without_a_resonance_is_simulated() -> None:
     """A low pass of first order, 1/(1 + jω 0.1 s), which is the limit of a damped resonance: sines by their formula."""
     rng = np.random.default_rng(5)

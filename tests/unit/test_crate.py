@@ -62,6 +62,7 @@ def test_a_lab_elsewhere_gives_the_same_crate(lab: Path, crate: Path, tmp_path: 
     assert again.read_bytes() == crate.read_bytes()
 
 
+@pytest.mark.slow
 def test_nights_in_two_folders_give_the_same_digest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = []
     for name in ("first", "second"):

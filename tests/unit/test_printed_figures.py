@@ -72,6 +72,7 @@ def test_the_synthetic_lab_shows_nearly_all_kinds(exhibits: dict[str, Exhibit]) 
     assert set(PRINTED) - set(exhibits) <= {"cycle", "cycle-residual", "relaxation"}
 
 
+@pytest.mark.slow
 def test_every_kind_is_drawn_in_both_widths(exhibits: dict[str, Exhibit], untouched: None) -> None:
     for place, exhibit in enumerate(exhibits.values()):
         for width, size in list(WIDTHS_MM.items())[place % 2 :]:  # every second one in both
@@ -109,6 +110,7 @@ def test_points_of_the_response_are_those_of_the_database(folder: Path, exhibits
         assert any(d.shape == wanted.shape and np.allclose(d[np.argsort(d[:, 0])], wanted, rtol=1e-6) for d in drawn)
 
 
+@pytest.mark.slow
 def test_a_pdf_has_its_fonts_in_it_and_no_date(exhibits: dict[str, Exhibit], tmp_path: Path, untouched: None) -> None:
     for kind in ("response", "survival", "force-map"):
         exhibit = exhibits[kind]

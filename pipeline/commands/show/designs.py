@@ -245,8 +245,8 @@ def _find_breakdown(
     if len(fields) < _FEWEST_BREAKDOWNS:
         return (
             None,
-            "no breakdown margin: of fewer than three films of this material the voltage was raised until they broke down here; films"
-            " that failed while it was held tell a life (--breakdown-mv-per-m)",
+            "no breakdown margin: of fewer than three films of this material the voltage was raised until they broke"
+            " down here; films that failed while it was held tell a life (--breakdown-mv-per-m)",
         )
     logs = np.log(fields)
     sd = float(np.std(logs, ddof=1)) * math.sqrt(1 + 1 / logs.size)
