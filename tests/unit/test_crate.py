@@ -12,6 +12,7 @@ import pytest
 
 from pipeline.cli import main
 from pipeline.commands.crate.archive import read_crate
+from pipeline.nightly.night import nightly
 from tests.helpers import synthetic_lab
 from tests.helpers.small_lab import make_lab_of_one_life
 
@@ -67,7 +68,9 @@ def test_nights_in_two_folders_give_the_same_digest(tmp_path: Path, capsys: pyte
     said = []
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
-        _, lab = make_lab_of_one_life(tmp_path / name)
+        raw, lab = make_lab_of_one_life(tmp_path / name)
+        shutil.copy(raw / "L-1.mcap", raw / "copy.mcap")  # a duplicate names the other file with its folder
+        nightly([raw], lab, jobs=0)
         capsys.readouterr()
         assert main(["export", "--crate", str(tmp_path / f"{name}.zip"), "--lab", str(lab.folder)]) == 0
         said.append(digest_said(capsys.readouterr().out))

@@ -30,6 +30,8 @@ _OF_THE_NIGHT = ("accidents", "carried", "files", "history", "items", "lab", "pr
 _OF_THE_MACHINE = ("run_id", "software_version", "samples_path", "source_present", "seconds")
 _PATHS = ("source_path",)
 """Columns with paths: the name of the file is kept."""
+_NAMING_FILES = ("problem", "notes", "reason")
+"""Columns of words that may name another file of the lab, of which the name is kept, too."""
 
 
 def write_results(lab: Lab, *, figures: bool = True) -> Iterator[tuple[str, bytes]]:
@@ -43,19 +45,24 @@ def write_results(lab: Lab, *, figures: bool = True) -> Iterator[tuple[str, byte
 
 def write_tables(results: Results) -> Iterator[tuple[str, bytes]]:
     """Each table with rows as CSV in full precision; rows and columns in a fixed order."""
+    places = (r["source_path"] for r in results.rows("SELECT DISTINCT source_path FROM recordings"))
+    folders = sorted({f"{posixpath.dirname(place)}/" for place in places if place}, key=len, reverse=True)
     for name, table in sorted(TABLES.items()):
         columns = [c.name for c in table.columns if c.name not in _OF_THE_MACHINE]
         if name in _OF_THE_NIGHT or not columns:
             continue
-        rows = [[_plain(row[c], c) for c in columns] for row in results.rows(f"SELECT * FROM {name}")]
+        rows = [[_plain(row[c], c, folders) for c in columns] for row in results.rows(f"SELECT * FROM {name}")]
         if not rows:
             continue
         lines = sorted(",".join(write_cell(value) for value in row) for row in rows)
         yield f"{TABLES_FOLDER}/{name}.csv", ("\n".join((",".join(columns), *lines)) + "\n").encode()
 
 
-def _plain(value: Any, column: str) -> Any:
-    """A value as a cell: numbers in full, times in ISO 8601, lists as JSON, a file's name for its path."""
+def _plain(value: Any, column: str, folders: Sequence[str]) -> Any:
+    """A value as a cell: numbers in full, times in ISO 8601, lists as JSON, a file's name for a path."""
+    if column in _NAMING_FILES and isinstance(value, str):
+        for folder in folders:
+            value = value.replace(folder, "")
     if column in _PATHS and isinstance(value, str):
         return posixpath.basename(value.replace("\\", "/"))
     if isinstance(value, bool) or value is None:
