@@ -45,10 +45,11 @@ def read_raw(path: Path, mapping: FileMapping | None) -> Content:
             expected="a known file ending, or format in the mapping TOML",
         )
     if mapping is None and found != "mcap":
+        asked = path.name if path.is_absolute() else str(path)  # as it was typed, so that the command works from there
         raise UnmappedError(
             "there is no mapping TOML for this file",
             where=path.name,
-            remedy=f"`dealab add {shlex.quote(path.name)}` writes one, {path.name[:100]}.toml, beside the file",
+            remedy=f"`dealab add {shlex.quote(asked)}` writes one, {path.name[:100]}.toml, beside the file",
         )
     try:
         if found == "mcap":

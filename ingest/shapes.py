@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from schemas.arrays import Float, Int
+from schemas.numbers import significant
 
 SURE, LIKELY, UNSURE = "sure", "likely", "a guess"
 _POINTS = 200_000
@@ -176,7 +177,7 @@ def _sweep(loading: str, drive: _Drive) -> Shape:
     periods = drive.periods_s
     first, last = (float(np.median(periods[part])) for part in (slice(0, 2), slice(-5, None)))
     low, high = sorted((1 / first, 1 / last))
-    seen = f"periods from {first:.3g} to {last:.3g} s: a sweep from about {low:.2g} to {high:.2g} Hz"
+    seen = f"a sweep, from about {significant(low, 2)} to {significant(high, 2)} Hz as its periods show; what was commanded is better"
     return Shape("chirp", loading, SURE, seen)
 
 

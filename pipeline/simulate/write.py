@@ -76,7 +76,10 @@ def simulate_command(
             watch(simulated.recording)
 
         written = write_campaign(loaded, out, truth=truth, after_each=after_each)
-    print(f"{len(loaded.planned)} recordings of campaign {loaded.name} in {out} ({written.size / 1e6:.0f} MB)")
+    count = len(loaded.planned)
+    print(
+        f"{count} recording{'' if count == 1 else 's'} of campaign {loaded.name} in {out} ({written.size / 1e6:.0f} MB)"
+    )
     if truth is not None:
         print(f"what is true behind them: {truth}")
     return 0

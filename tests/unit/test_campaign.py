@@ -327,7 +327,7 @@ def test_the_command_takes_a_file_or_a_name(
         '[[recordings]]\ntest = "tap"\nrigs = ["r"]\nid = "tap"\n'
     )
     assert simulate_command(file, tmp_path / "raw") == 0
-    assert "1 recordings of campaign mini" in capsys.readouterr().out
+    assert "1 recording of campaign mini" in capsys.readouterr().out
     monkeypatch.setattr(plan, "PACKAGED", tmp_path)
     assert simulate_command("mini", tmp_path / "raw", tmp_path / "truth.json") == 0
     assert (tmp_path / "truth.json").is_file()

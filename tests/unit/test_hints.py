@@ -35,6 +35,7 @@ FILL = {
     "RECORDING": "L-1",
     "TEXT": "loose",
     "{shlex.quote(path.name)}": "run7.csv",
+    "{shlex.quote(asked)}": "run7.csv",
     "{shlex.quote(str(path))}": "run7.csv",
     " --yes {wanted}": "",
     "{shlex.quote(str(draft.path))}": "run7.csv",

@@ -42,7 +42,7 @@ class GainProposal:
                 f" settled after {self.best.settling_time_s:.2g} s"
             )
             if self.best.force_overshoot_percent is not None:
-                text += f"; the force overshoots by {self.best.force_overshoot_percent:.2g} %, the least of {self.kept} pairs"
+                text += f"; the force overshoots by {self.best.force_overshoot_percent:.2g} %, the least of the {self.kept} pairs that keep both"
         if self.gentle is None:
             return f"{text}; no pair keeps the force within {OVERSHOOT_PERCENT:g} %"
         if self.gentle is not self.best:
