@@ -155,6 +155,12 @@ _INFLATERS: dict[str, Callable[[], Any]] = {
     ".bz2": bz2.BZ2Decompressor,
     ".xz": lambda: lzma.LZMADecompressor(memlimit=_MOST_OF_XZ),
 }
+# RuntimeError is also what zipfile raises for a kind of compression that it does not know.
+_DAMAGED = (
+    zlib.error, lzma.LZMAError, zipfile.BadZipFile, struct.error, EOFError, OSError, ValueError, RuntimeError,
+    OverflowError, LookupError,
+)  # fmt: skip
+"""What the decompressors raise for damaged files."""
 _BEGINNINGS = {".gz": b"\x1f\x8b", ".bz2": b"BZh", ".xz": b"\xfd7zXZ\x00"}
 
 
@@ -195,9 +201,7 @@ def _refused(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError:
         raise
-    except (zlib.error, lzma.LZMAError, zipfile.BadZipFile, EOFError, OSError, ValueError, RuntimeError) as error:
-        raise _damaged(path, error) from None
-    except (NotImplementedError, struct.error, OverflowError, LookupError) as error:
+    except _DAMAGED as error:
         raise _damaged(path, error) from None
 
 

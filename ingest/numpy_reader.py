@@ -31,8 +31,8 @@ _ONLY = "arr_0"
 _LARGEST = CELL_LIMIT * 8
 _LARGEST_HEAD = 1 << 16
 _DAMAGED = (
-    OSError, ValueError, TypeError, EOFError, RuntimeError, NotImplementedError, KeyError, SyntaxError, MemoryError,
-    OverflowError, zipfile.BadZipFile, zlib.error, struct.error, RecursionError, AttributeError,
+    OSError, ValueError, TypeError, EOFError, RuntimeError, KeyError, SyntaxError, MemoryError, OverflowError,
+    zipfile.BadZipFile, zlib.error, struct.error, AttributeError,
 )  # fmt: skip
 """What NumPy and zipfile raise for damaged files."""
 

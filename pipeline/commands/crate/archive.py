@@ -143,7 +143,7 @@ def read_crate(path: Path) -> dict[str, bytes]:
                 raise UsageError(f"{path}: unfolds to more than 2 GiB", expected="a crate that dealab has written")
             try:
                 found = {e.filename: archive.read(e) for e in entries}
-            except (zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+            except (zipfile.BadZipFile, RuntimeError) as error:
                 raise UsageError(f"{path}: {error}", expected="an archive that is whole") from None
     else:
         raise UsageError(f"{path}: neither a folder nor an archive", expected="a crate: a folder, .zip or .eln")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
 from pipeline.diagnose.features import kinds
@@ -56,8 +59,10 @@ def compute_least_p(fit: ExtendedFit) -> float:
     ----------
     fit : the plain model at its optimum
     """
-    found = _test_everywhere(fit)
-    return min(1.0, len(found) * min((d.p_value for d in found), default=1.0))
+    probabilities = [
+        place.probability for place in _measure_everywhere(fit.of.session, fit.of.compute_data_residual(fit.x))
+    ]
+    return min(1.0, len(probabilities) * min(probabilities, default=1.0))
 
 
 def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
@@ -79,12 +84,19 @@ def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str,
     return (*(f"{d.recording_id}: {d.statement[0].lower()}{d.statement[1:]}" for d in worst), *more)
 
 
-def _test_everywhere(fit: ExtendedFit, weight: Float | None = None) -> list[Discrepancy]:
-    """Every block in its bands or spans of time, in the order of the session."""
-    session = fit.of.session
-    simulated, residual = fit.of.predict(fit.x), fit.of.compute_data_residual(fit.x)
-    residual = residual if weight is None else weight * residual
-    found = []
+@dataclass(frozen=True)
+class _Measured:
+    """A band or a span of time of a block: its label, its rows of the block, χ² there and its probability."""
+
+    place: Place
+    where: str
+    rows: Int
+    chi2: float
+    probability: float
+
+
+def _measure_everywhere(session: Session, residual: Float) -> Iterator[_Measured]:
+    """Every block in its bands or spans of time, in the order of the session, from a whitened residual (N,)."""
     for number, p in enumerate(session.places):
         doubt = session.doubt_noise(number)
         for where, rows in _split_block(p):
@@ -92,14 +104,25 @@ def _test_everywhere(fit: ExtendedFit, weight: Float | None = None) -> list[Disc
             chi2 = float(r @ r)
             # Slow noise of which no rest shows anything may well be louder than it is expected to be.
             spread = float(np.sqrt(RULES.detectable.noise_spread**2 + np.mean(doubt[rows] ** 2)))
-            probability = compute_block_p(chi2, rows.size, spread)
-            statement = _write_statement(session, p, rows, simulated[p.first + rows], where, probability)
-            found.append(
-                Discrepancy(
-                    session.recordings[p.recording].recording_id, where, chi2, rows.size, probability, statement
-                )
-            )
-    return found
+            yield _Measured(p, where, rows, chi2, compute_block_p(chi2, rows.size, spread))
+
+
+def _test_everywhere(fit: ExtendedFit, weight: Float | None = None) -> list[Discrepancy]:
+    """The same with a sentence for each."""
+    session = fit.of.session
+    simulated, residual = fit.of.predict(fit.x), fit.of.compute_data_residual(fit.x)
+    residual = residual if weight is None else weight * residual
+    return [
+        Discrepancy(
+            session.recordings[m.place.recording].recording_id,
+            m.where,
+            m.chi2,
+            m.rows.size,
+            m.probability,
+            _write_statement(session, m.place, m.rows, simulated[m.place.first + m.rows], m.where, m.probability),
+        )
+        for m in _measure_everywhere(session, residual)
+    ]
 
 
 def name_kind(kind: str) -> str:
