@@ -222,6 +222,8 @@ class Page:
     provenance_heading: str = "Provenance"
     files: dict[str, str] = field(default_factory=dict)
     """CSV files beside the page: address from the reports' folder → text."""
+    further: tuple[tuple[str, Page], ...] = ()
+    """Pages that are made with this one, with their addresses: what would make it too long."""
 
 
 def filled(heads: Sequence[Head], rows: Sequence[Row]) -> tuple[tuple[Head, ...], tuple[Row, ...]]:

@@ -178,16 +178,17 @@ def _write(folder: Path, site: Site, planned: Planned) -> Made:
     try:
         page = make(site, planned)
         text = html(page)
+        files = page.files | {path: html(further) for path, further in page.further}
     except _OF_A_PAGE as error:
         if short_of_memory(error):
             raise
         problem = describe_error(error)
         page = _apologise(planned, problem)
-        text = html(page)
-    for path, data in page.files.items():
+        text, files = html(page), page.files
+    for path, data in files.items():
         manifest.write_text(folder / path, data)
     manifest.write_text(folder / planned.path, text)
-    return planned.path, list(page.files), problem
+    return planned.path, list(files), problem
 
 
 def _apologise(planned: Planned, problem: str) -> Page:

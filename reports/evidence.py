@@ -119,6 +119,11 @@ class Standing:
         return str(self.diagnosis["verdict"]) if self.diagnosis else ""
 
     @property
+    def mechanisms(self) -> tuple[str, ...]:
+        """The causes that the diagnosis names."""
+        return tuple(self.diagnosis["mechanisms"] or ()) if self.diagnosis else ()
+
+    @property
     def alarm(self) -> bool:
         """Somebody should look: something is negative, a cause was found or searched in vain, or more than noise is left."""
         if self.negative:

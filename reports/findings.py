@@ -5,6 +5,7 @@ From diagnoses where they were made; else from what the fits and the lifetimes s
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from markupsafe import Markup
@@ -15,7 +16,7 @@ from reports.names import short
 from reports.results import Row
 from schemas import numbers
 from schemas.mechanisms import MECHANISMS, RECORD, UNLISTED, cause, model_name, plain_name
-from schemas.numbers import NBSP, capital, compact, p_equals, percent, pm, significant, whole, word
+from schemas.numbers import NBSP, capital, compact, p_equals, pm, removed, significant, symbols, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
 _STAGES = {"contact": "clamping of the film", "drift": "force while a recording lasts"}
@@ -27,11 +28,7 @@ def gain(diagnosis: Row) -> str:
     """What the extension removes of the removable held-out error, with its 95 % limits where they are known."""
     if diagnosis["gain"] is None:
         return ""
-    text = percent(diagnosis["gain"])
-    lower, upper = diagnosis["gain_lower"], diagnosis["gain_upper"]
-    if lower is not None and upper is not None:
-        text += f" (95{NBSP}% interval {percent(lower)} to {percent(upper)})"
-    return text
+    return removed(diagnosis["gain"], diagnosis["gain_lower"], diagnosis["gain_upper"])
 
 
 def what_is_wrong(standing: Standing) -> str:
@@ -47,7 +44,7 @@ def headline(standing: Standing) -> Markup:
     if standing.negative:
         return flow(who, ": ", short(standing.negative.partition(":")[0], 120), ", as of no film")
     if d and d["verdict"] == "named":
-        removes = "" if d["gain"] is None else f" Correcting it removes {percent(d['gain'])} of the held-out error."
+        removes = "" if d["gain"] is None else f" Correcting it removes {removed(d['gain'])} of the held-out error."
         return flow(who, f": {what_is_wrong(standing)}.{removes}")
     if d and d["verdict"] == "ambiguous":
         return flow(who, f": {what_is_wrong(standing)}. The recordings cannot tell which.")
@@ -57,7 +54,7 @@ def headline(standing: Standing) -> Markup:
         return flow(who, "")
     if no_relaxation(fit) and not d:
         return flow(who, ": no relaxation of any order describes the response")
-    film = f"{model_name(fit['model_order'])} {short(standing.material or 'film', 30)}"
+    film = f"{model_name(fit['model_order'])} model of {short(standing.material or 'the film', 30)}"
     stiffness = numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm")
     if d:
         return flow(who, f": the simulation is right within the noise; a {film}")
@@ -158,7 +155,20 @@ def what_next(diagnosis: Row | None) -> Next | None:
     """The recording that would decide."""
     if not diagnosis or not diagnosis["next_recording"]:
         return None
-    return Next("Next recording to make", diagnosis["next_recording"])
+    return Next("Next recording to make", name_causes(str(diagnosis["next_recording"])))
+
+
+_CAUSES = re.compile(r"\b(?:" + "|".join(sorted((m for m in MECHANISMS if "_" in m), key=len, reverse=True)) + r")\b")
+
+
+def name_causes(text: str) -> str:
+    """The text with causes by their everyday names in place of their ids."""
+    return _CAUSES.sub(lambda found: _in_sentence(plain_name(found[0])), text)
+
+
+def _in_sentence(words: str) -> str:
+    """A name as it stands within a sentence."""
+    return f"“{words[:1].lower()}{words[1:]}”"
 
 
 _CONSTANTS = {
@@ -200,7 +210,7 @@ _SAID = ("no relaxation of any order", "more arms cannot help")
 
 def sentences(warnings: str) -> str:
     """Warnings of a fit, stored with semicolons between, as sentences."""
-    parts = [part.strip().rstrip(".") for part in short(warnings, 600).split("; ")]
+    parts = [symbols(part.strip().rstrip(".")) for part in short(warnings, 600).split("; ")]
     return " ".join(f"{capital(part)}." for part in parts if part)
 
 

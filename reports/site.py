@@ -93,6 +93,10 @@ class Site:
     def campaign_path(self, campaign: str) -> str:
         return f"campaigns/{self._campaign_file(campaign)}.html"
 
+    def checks_path(self, campaign: str) -> str:
+        """The page on which a campaign's publication is checked against its own numbers and ours."""
+        return f"checks/{self._campaign_file(campaign)}.html"
+
     def data_path(self, kind: str, item: str, figure: str) -> str:
         """Address of the CSV file of a figure."""
         if kind == "lab":

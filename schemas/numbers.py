@@ -6,6 +6,7 @@ What a number means, and which sentence it stands in, does not belong here.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 NBSP = "\u00a0"
@@ -112,6 +113,13 @@ def pm(value: float | None, sd: float | None, unit: str = "") -> str:
     return with_unit(pair, unit)
 
 
+def never_negative(value: float | None, sd: float | None, unit: str = "") -> str:
+    """As `pm`, of what cannot be negative: where ± would reach down to 0 the upper 95 % limit alone, `< 0.06`."""
+    if value is None or sd is None or not math.isfinite(value) or not math.isfinite(sd) or sd < abs(value):
+        return pm(value, sd, unit)
+    return with_unit(f"<{NBSP}{significant(abs(value) + 1.96 * sd, 2)}", unit)
+
+
 def headline(value: float | None, sd: float | None, unit: str = "") -> str:
     """As `pm`, for a heading: a statistical SD below 10⁻⁴ of the value is left to the table, where its meaning is said."""
     if value is not None and sd is not None and 0 < sd < 1e-4 * abs(value):
@@ -122,14 +130,21 @@ def headline(value: float | None, sd: float | None, unit: str = "") -> str:
 def bounds(value: float | None, lower: float | None, upper: float | None, scale: float = 1.0) -> str:
     """`40 (28–52)`: value with its 95 % limits, rounded as an SD of a quarter of the interval would be.
 
-    One limit alone is given as `(≥ 13)`; without limits the value stands alone to three digits.
+    One limit alone is given as `(≥ 13)`; without limits the value stands alone to three digits. Very small and very
+    large ones share a power of ten: `1.0 (0.2–5.6) × 10⁷`.
     """
-    if value is None:
+    if value is None or not math.isfinite(value):
         return ABSENT
-    value, known = scale * value, [scale * e for e in (lower, upper) if e is not None]
+    value, known = scale * value, [scale * e for e in (lower, upper) if e is not None and math.isfinite(e)]
     width = max(value, *known) - min(value, *known) if known else 0.0
     if width <= 0:
         return significant(value)
+    exponent = math.floor(math.log10(max(abs(value), *(abs(e) for e in known))))
+    if not -4 <= exponent < 6:
+        unit = 10.0**-exponent
+        low, high = (None if e is None else e * unit * scale for e in (lower, upper))
+        reduced = bounds(value * unit, low, high)
+        return f"{reduced}{NBSP}×{NBSP}{_power(exponent)}"
     place = _place(width / (4 if len(known) == 2 else 2))
     if len(known) == 1:
         limit = f"{'≥' if upper is None else '≤'}{NBSP}{fixed(known[0], place)}"
@@ -188,11 +203,33 @@ def percent(share: float | None, digits: int = 2) -> str:
     if share is None or not math.isfinite(share):
         return ABSENT
     value = 100 * share
-    if 99.5 <= value < 100:
-        text = fixed(value, 1) if value < 99.95 else fixed(min(value, 99.99), 2)
+    if 99.995 <= value < 100:
+        text = f">{NBSP}99.99"
+    elif 99.5 <= value < 99.995:
+        text = fixed(value, 1) if value < 99.95 else fixed(value, 2)
     else:
         text = fixed(value, 0) if abs(value) >= 10 else significant(value, digits)
     return f"{text}{NBSP}%"
+
+
+_NEARLY_ALL = 0.995
+"""A share from which on what is left of it says more than the share."""
+
+
+def removed(share: float | None, lower: float | None = None, upper: float | None = None) -> str:
+    """`97 % (95 % interval 96 % to 98 %)`; of what is nearly all, what is left: `all but 0.0012 % (… 0.0009 % to 0.0016 %)`."""
+    if share is None or not math.isfinite(share):
+        return ABSENT
+    left = _NEARLY_ALL <= share < 1
+    value, *ends = (None if e is None else 1 - e if left else e for e in (share, lower, upper))
+    text = f"all but {percent(value)}" if left else percent(value)
+    known = sorted(e for e in ends if e is not None and math.isfinite(e))
+    if len(known) < 2:
+        return text
+    first, second = percent(known[0]), percent(known[1])
+    if first == second:
+        return f"{text} (95{NBSP}% interval within rounding)"
+    return f"{text} (95{NBSP}% interval {first} to {second})"
 
 
 def seconds(value: float | None) -> str:
@@ -234,6 +271,17 @@ def joined(parts: Sequence[str]) -> str:
     return ", ".join(parts[:-1]) + " and " + parts[-1]
 
 
+_NOT_A_WORD = re.compile(r"[^\W\d_]+(?:[\d_₀-₉]|(?<=[a-zµ])[A-Z])")
+"""How symbols, units and ids begin: `k3`, `drive_lag`, `kV`."""
+
+
 def capital(text: str) -> str:
-    """The text with its first letter large."""
-    return text[:1].upper() + text[1:]
+    """The text with its first letter large; a symbol, a unit or an id keeps its own."""
+    return text if _NOT_A_WORD.match(text) else text[:1].upper() + text[1:]
+
+
+def symbols(text: str) -> str:
+    """`k₃` for `k3`, `τ₁` for `tau1`, in sentences that were stored without typography, and true minus signs."""
+    text = re.sub(r"\btau(\d)\b", r"τ\1", text)
+    text = re.sub(r"\b([kcτ])(\d)\b", lambda m: m[1] + chr(ord("₀") + int(m[2])), text)
+    return re.sub(r"(?<![\w.)\]-])-(?=\d)", MINUS, text)

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from schemas.numbers import fixed
+
 FAILED, SWITCHED_OFF, SUPPLY, MONITOR = "failed", "switched off", "supply", "monitor"
 CAUSES = (FAILED, SWITCHED_OFF, SUPPLY, MONITOR)
 CERTAIN = 0.9
@@ -101,4 +103,6 @@ def strongest(found: Mapping[str, str], cause: str) -> str:
 
 def describe(found: Mapping[str, str]) -> str:
     """All evidence in words, each with the log odds that it adds for a breakdown."""
-    return "; ".join(f"{w.says} ({_for(w, FAILED):+.1f})" for w in _weights(found))
+    return "; ".join(
+        f"{w.says} ({'+' if _for(w, FAILED) > 0 else ''}{fixed(_for(w, FAILED), 1)})" for w in _weights(found)
+    )

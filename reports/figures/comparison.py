@@ -12,7 +12,7 @@ from reports.figures.palette import BETTER, INK, MODEL, SECOND, WRONG
 from reports.figures.picture import pictured
 from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
 from reports.figures.svg import TICKS, Drawing
-from schemas.arrays import Complex, Float
+from schemas.arrays import Bool, Complex, Float
 from schemas.numbers import significant
 
 _REACH = 8.0
@@ -24,6 +24,10 @@ _SHRINKS = 0.5
 """A spacing below this share of the one before begins a new row of windows."""
 _BOLD_WIDTH, _APART = 7.9, 8.0
 """Width of a bold letter of the widest common font, and space between two texts of one line, px."""
+_DWARFED = 50.0
+"""Residuals from which on the ±2 band is a line in any case, SD: then all of them are drawn, none at the edge."""
+_FAINT = 4.0
+"""Noise over its median from which on a model is not followed from line to line: it would look spiky, and is only badly seen."""
 _MOST_EDGES = 4
 """More would be no edges but a scatter of places."""
 
@@ -54,6 +58,46 @@ class Compared:
         return np.concatenate([off.real, off.imag]) if np.iscomplexobj(off) else np.asarray(off)
 
     @property
+    def turned(self) -> bool:
+        """More of what the plain model misses is phase than magnitude."""
+        if not np.iscomplexobj(self.measured):
+            return False
+        off = (self.measured - self.plain) / np.maximum(self.sd, _LEAST)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = off * np.conj(self.measured) / np.abs(self.measured)
+        return bool(np.nansum(along.imag**2) > np.nansum(along.real**2))
+
+    @property
+    def shown_title(self) -> str:
+        """The title of what is drawn: of the phase where that tells more."""
+        what = self.title.partition(",")[0].replace("|", "")
+        return f"Phase of {what[:1].lower()}{what[1:]}, degrees" if self.turned else self.title
+
+    def shown(self, values: Complex | Float) -> Float:
+        """(n,) what is drawn of the values: themselves, or their magnitude, or their phase in degrees."""
+        if self.turned:
+            turn = np.angle(values * np.exp(-1j * self._middle))
+            return np.asarray(np.degrees(turn + self._middle))
+        return shown_values(values)
+
+    @property
+    def _middle(self) -> float:
+        """Mean direction of what was measured, rad: phases are given within half a turn of it."""
+        return float(np.angle(np.sum(self.measured / np.maximum(np.abs(self.measured), _LEAST))))
+
+    @property
+    def spread(self) -> Float:
+        """(n,) one standard deviation of what is drawn."""
+        if not self.turned:
+            return self.sd
+        return np.asarray(np.degrees(self.sd / np.maximum(np.abs(self.measured), _LEAST)))
+
+    @property
+    def sharp(self) -> Bool:
+        """(n,) true where the noise is not far above the usual: through the other places no line of a model is drawn."""
+        return np.asarray(self.sd <= _FAINT * np.median(self.sd))
+
+    @property
     def residual_x(self) -> Float:
         return np.tile(self.x, 2) if np.iscomplexobj(self.measured) else self.x
 
@@ -68,21 +112,20 @@ def comparison(data: Compared, *, alt: str) -> Markup:
     drawing = Drawing(WIDE, 344)
     x = logarithmic(data.x, margin=0.02) if data.x_log else linear(data.x, margin=0.04)
     ticks = [place for place, _ in data.groups] if data.groups else None
-    shown = {"measured": shown_values(data.measured), "plain": shown_values(data.plain)}
+    shown = {"measured": data.shown(data.measured), "plain": data.shown(data.plain)}
     if data.extended is not None:
-        shown["extended"] = shown_values(data.extended)
-    upper = Panel(
-        drawing, 52, 24, 352, 176, x, magnitude_scale(list(shown.values()), positive=np.iscomplexobj(data.measured))
-    )
+        shown["extended"] = data.shown(data.extended)
+    upper = Panel(drawing, 52, 24, 352, 176, x, shown_scale(data, list(shown.values())))
     lower = Panel(drawing, 52, 232, 352, 66, x, symmetric(comparison_reach(data)))
-    upper.axes(data.title, x_labels=False, y_most=5, x_ticks=ticks)
-    upper.bars(data.x, shown["measured"] - 2 * data.sd, shown["measured"] + 2 * data.sd, INK)
+    upper.axes(data.shown_title, x_labels=False, y_most=5, x_ticks=ticks)
+    upper.bars(data.x, shown["measured"] - 2 * data.spread, shown["measured"] + 2 * data.spread, INK)
     upper.held(data.x, shown["measured"], INK, 4.2)
     names = [("plain", MODEL, "square")] + ([("extended", BETTER, "triangle")] if data.extended is not None else [])
     for name, colour, marker in names:
         if data.lines:
             order = np.argsort(data.x, kind="stable")
-            course = data.x[order], shown[name][order]
+            drawn = order[data.sharp[order]] if data.x_log else order
+            course = data.x[drawn], shown[name][drawn]
             upper.curve(*(course if data.x_log else broken(*course)), colour, 1.9)
         else:
             upper.dots(data.x, shown[name], colour, 5.4, marker=marker, open_=True)
@@ -123,6 +166,13 @@ def _residuals(panel: Panel, data: Compared) -> None:
     drawing.text(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
 
 
+def shown_scale(data: Compared, values: Sequence[Float]) -> Scale:
+    """The axis of what is drawn: magnitudes on a logarithmic one where they span much."""
+    if data.turned:
+        return linear(*values, margin=0.08)
+    return magnitude_scale(values, positive=np.iscomplexobj(data.measured))
+
+
 def shown_values(values: Complex | Float) -> Float:
     return np.abs(values) if np.iscomplexobj(values) else np.asarray(values, dtype=float)
 
@@ -136,9 +186,11 @@ def magnitude_scale(values: Sequence[Float], *, positive: bool) -> Scale:
 
 
 def comparison_reach(data: Compared) -> float:
-    """High enough for most of both residuals, and for the ±2 band."""
+    """High enough for most of both residuals, and for the ±2 band; all of them where they dwarf the noise anyway."""
     parts = [data.residual(data.plain)] + ([data.residual(data.extended)] if data.extended is not None else [])
     largest = max(float(np.quantile(np.abs(p), 0.97)) for p in parts)
+    if largest > _DWARFED:
+        return 1.08 * max(float(np.abs(p).max()) for p in parts)
     return max(4.0, min(1.15 * largest, max(_REACH, 1.15 * float(np.quantile(np.abs(parts[0]), 0.9)))))
 
 

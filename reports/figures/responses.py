@@ -280,6 +280,12 @@ def _worst(panel: Panel, f: Float, off: Float) -> None:
     panel.drawing.text(x + (-34 if anchor else 12), y, text, colour=WRONG, anchor=anchor, bold=True, size=11.3)
 
 
+OUTSIDE = 3.0
+"""Residual from which on a point of the overview is drawn in the colour of what is wrong, SD."""
+_JUMP, _NEIGHBOURS = 1.25, 1.3
+"""Factor between the measured points over the model that is a jump, and of the frequencies that are neighbours."""
+
+
 @dataclass(frozen=True)
 class Multiple:
     """A specimen in the overview: measured points, selected model, alarm colour where the residual is no noise."""
@@ -288,6 +294,21 @@ class Multiple:
     lines: Lines
     curve: Curve | None
     alarm: bool
+
+
+def find_jump(lines: Lines, model: Complex) -> tuple[float, float] | None:
+    """Frequency in Hz and factor of the largest jump of the usable lines against a model's values (n,) at all lines."""
+    good = np.flatnonzero(lines.usable & (np.abs(lines.value) > 0))
+    good = good[np.argsort(lines.frequency[good], kind="stable")]
+    if good.size < 3:
+        return None
+    f = lines.frequency[good]
+    over = np.log(np.abs(lines.value[good]) / np.abs(model[good]))
+    beside = (f[1:] < _NEIGHBOURS * f[:-1]) & (f[1:] > f[:-1])
+    steps = np.where(beside, np.abs(np.diff(over)), 0.0)
+    place = int(np.argmax(steps))
+    factor = float(np.exp(steps[place]))
+    return (float(np.sqrt(f[place] * f[place + 1])), factor) if factor > _JUMP else None
 
 
 def multiple(item: Multiple, x: Scale, y: Scale, *, alt: str) -> Markup:
@@ -307,7 +328,10 @@ def multiple(item: Multiple, x: Scale, y: Scale, *, alt: str) -> Markup:
         upper.curve(item.curve.grid, np.abs(item.curve.on_grid), LOWER, 1.8)
         left = item.curve.residual
         thin = max(1, -(-left.frequency.size // 60))
-        lower.held(left.frequency[::thin], left.magnitude[::thin], WRONG if item.alarm else MODEL, 3.6)
+        f, off = left.frequency[::thin], left.magnitude[::thin]
+        wrong = np.abs(off) > OUTSIDE if item.alarm and in_sd else np.full(off.shape, item.alarm and not in_sd)
+        lower.held(f[~wrong], off[~wrong], MODEL, 3.6)
+        lower.held(f[wrong], off[wrong], WRONG, 3.6)
     upper.dots(item.lines.frequency[good], np.abs(item.lines.value)[good], INK, 3.4)
     tick = nice(0.7 * reach)
     lower.axes(x_most=5 if x.high / x.low < 1e6 else 3, y_ticks=(-tick, tick), signed=True, size=10.5)

@@ -61,12 +61,16 @@ def against_square(voltage: Float, step: Float, wrinkled: Bool, slope: float | N
 
 @dataclass(frozen=True)
 class Trace:
-    """One recorded step, set to zero before it: time after switching on in s, change of the quantity."""
+    """One recorded step, set to zero before it: time after switching on in s, change of the quantity.
+
+    `expected` is the change that growth with V² predicts at its voltage, where that was fitted.
+    """
 
     name: str
     time: Float
     change: Float
     wrinkled: bool = False
+    expected: float | None = None
 
 
 @pictured("step-response")
@@ -75,13 +79,17 @@ def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Mark
     drawing = Drawing(WIDE, 262)
     end = max(float(t.time.max()) for t in steps)
     start = min(float(t.time.min()) for t in steps)
-    panel = Panel(drawing, 46, 24, 338, 192, Scale(start, end), linear(*(t.change for t in steps), [0.0], margin=0.12))
+    expected = [t.expected for t in steps if t.expected is not None]
+    y = linear(*(t.change for t in steps), expected, [0.0], margin=0.12)
+    panel = Panel(drawing, 46, 24, 338, 192, Scale(start, end), y)
     panel.column(0.0, min(on_s, end))
     drawing.text(float(panel.px([0.0])[0]) + 5, panel.top + 12, "voltage on", size=10.7, colour=SECOND)
     entries = []
     for trace in steps:
         colour = WRONG if trace.wrinkled else RAW
         panel.curve(trace.time, trace.change, colour, 1.3, dash="6 3" if trace.wrinkled else None)
+        if trace.expected is not None:
+            panel.curve([0.0, 0.0, on_s, on_s], [0.0, trace.expected, trace.expected, 0.0], MODEL, 1.2, dash="5 3")
         inside = np.flatnonzero((trace.time > 0.8 * on_s) & (trace.time < on_s))
         if inside.size:
             name = f"{trace.name} wrinkled" if trace.wrinkled else trace.name
@@ -93,6 +101,12 @@ def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Mark
             )
             entries.append((level, name, WRONG if trace.wrinkled else SECOND, False))
     panel.names(entries)
+    if expected:
+        upwards = abs(panel.y.high) > abs(panel.y.low)
+        drawing.text(
+            float(panel.px([end])[0]), panel.top - 8 if upwards else panel.bottom - 6, "– – simulated: ∝ V²",
+            size=11.3, colour=MODEL, anchor="end",
+        )  # fmt: skip
     panel.axes(title, "Time after switching on, s")
     return drawing.image(alt)
 

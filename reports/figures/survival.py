@@ -24,6 +24,8 @@ _ALONG = 60
 """Points along a fitted line."""
 _COVERED = 1e4
 """What a covered point of a curve costs, in px of distance from its own curve."""
+_AT_RISK_LETTERS = 24
+"""Letters of a line beside the numbers at risk; a name has two or three."""
 _FEW = 3
 """Up to so many groups have room for a second line beside their name."""
 
@@ -79,10 +81,11 @@ class GroupCurve:
 @pictured("survival")
 def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> Markup:
     """Step curves with 95 % bands, open marks where specimens were still alive, numbers at risk under the ticks."""
-    name_height = 17.0
-    drawing = Drawing(WIDE, 286 + name_height * (len(groups) + 1))
+    names = [wrap(short(g.name, 2 * _AT_RISK_LETTERS), _AT_RISK_LETTERS) for g in groups]
+    drawing = Drawing(WIDE, 286 + 17.0 + sum(_row_height(n) for n in names))
     x, ticks = survival_time_scale(groups)
-    panel = Panel(drawing, 162, 26, 286, 206, x, Scale(0.0, 110.0))
+    above = [_unfailed_words(g) for g in groups if not g.failed]
+    panel = Panel(drawing, 162, 26, 286, 206, x, Scale(0.0, max(110.0, 104.0 + 7.6 * sum(map(len, above)))))
     start = x.low
     for g in groups:
         time, survival = np.append(start, np.maximum(g.time, start)), np.append(1.0, g.survival)
@@ -93,7 +96,7 @@ def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> 
         panel.dots(g.time[kept], 100 * g.survival[kept], g.drawn.colour, 7.2, marker=g.drawn.marker, open_=True)
     panel.axes("Surviving, %", time_title, x_ticks=ticks, y_ticks=(0, 25, 50, 75, 100))
     _names(panel, groups)
-    _at_risk(panel, groups, ticks, name_height)
+    _at_risk(panel, groups, names, ticks)
     return drawing.image(alt)
 
 
@@ -110,15 +113,21 @@ def survival_time_scale(groups: Sequence[GroupCurve]) -> tuple[Scale, list[float
     return x, ticks
 
 
+def _unfailed_words(g: GroupCurve) -> list[str]:
+    """The name of a group without a failure, in lines as wide as the figure."""
+    return wrap(f"{short(g.name, 60)}: {g.failed} of {g.total} failed", 44)
+
+
 def _names(panel: Panel, groups: Sequence[GroupCurve]) -> None:
     """The group's name beside its curve, where neither a curve nor another name is; above it where nobody failed."""
+    y = float(panel.py([100.0])[0]) - 6
     paths = [_trace(panel, g) for g in groups]
     taken: list[tuple[float, float, float, float]] = []
     for g, own in zip(groups, paths, strict=True):
         if not g.failed:
-            text = f"{short(g.name, 30)}: {g.failed} of {g.total} failed"
-            y = float(panel.py([100.0])[0]) - 7
-            panel.drawing.text(panel.right, y, text, size=11.3, colour=g.drawn.colour, anchor="end", bold=True)
+            for line in reversed(_unfailed_words(g)):
+                panel.drawing.text(panel.right, y, line, size=11.3, colour=g.drawn.colour, anchor="end", bold=True)
+                y -= 14
             continue
         lines = [*wrap(short(g.name, 44), 22), f"{g.failed} of {g.total} failed"]
         lines = lines if len(groups) <= _FEW else [short(g.name, 22)]
@@ -179,15 +188,23 @@ def _trace(panel: Panel, g: GroupCurve) -> Float:
     return np.column_stack([np.interp(at, along, corners[:, 0]), np.interp(at, along, corners[:, 1])])
 
 
-def _at_risk(panel: Panel, groups: Sequence[GroupCurve], ticks: Sequence[float], height: float) -> None:
+def _row_height(lines: Sequence[str]) -> float:
+    return 4.0 + 13.0 * max(1, len(lines))
+
+
+def _at_risk(
+    panel: Panel, groups: Sequence[GroupCurve], names: Sequence[Sequence[str]], ticks: Sequence[float]
+) -> None:
     top = panel.bottom + 50
     panel.drawing.line([(4, top - 8), (panel.right + 14, top - 8)], RULE, 0.9)
     panel.drawing.text(panel.left - 12, top + 6, "At risk", size=11, colour=SECOND, anchor="end")
-    for i, g in enumerate(groups):
-        y = top + 6 + height * (i + 1)
-        panel.drawing.text(
-            panel.left - 12, y, short(g.name, 23), size=10.7, colour=g.drawn.colour, anchor="end", bold=True
-        )
+    y = top + 6.0
+    for g, lines, before in zip(groups, names, [["At risk"], *names], strict=False):
+        y += _row_height(before)
+        for j, line in enumerate(lines):
+            panel.drawing.text(
+                panel.left - 12, y + 13 * j, line, size=10.7, colour=g.drawn.colour, anchor="end", bold=True
+            )
         for p, t in zip(panel.px(list(ticks)).tolist(), ticks, strict=True):
             panel.drawing.text(p, y, str(g.still_at_risk(t)), size=11.3, anchor="middle")
 

@@ -12,7 +12,7 @@ from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, capital, compact, counted, significant, with_unit
+from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, counted, significant, with_unit
 
 _SQL = """SELECT quantity, value, value_lower, value_upper, value_lower_90, value_upper_90, unit, voltage_kv, required, meets,
        multiple, multiplied, note
@@ -87,9 +87,11 @@ def _figure(draft: Draft) -> Figure | None:
 
 
 def _value(row: Record) -> str:
-    """Value with its limits to three digits: a requirement is not known better. Limits that round to the value are left out."""
+    """Value with its limits; those that round to three digits of the value are left out: a requirement is not known better."""
     value, limits = significant((1.0 if row["unit"] else 100.0) * row["value"]), _limits(row)
-    return value if limits == f"{value}–{value}" else f"{value} ({limits})"
+    if limits == f"{value}–{value}":
+        return value
+    return bounds(row["value"], row["value_lower"], row["value_upper"], 1.0 if row["unit"] else 100.0)
 
 
 def _limits(row: Record, level: str = "") -> str:

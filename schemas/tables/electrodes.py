@@ -77,6 +77,6 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("recording_id",),
         made_by=(MadeBy("recording"),),
-        pages=("specimen",),
+        pages=("index", "campaign", "specimen"),
     ),
 )

@@ -474,7 +474,7 @@ def whole_story() -> Story:
     story.recording("P-07_step", "P-07", "step", "electrical", duration_s=124.0)
     story.steps("P-07", "P-07_step", wrinkles_from=7.0)
     story.rows["sensing_fits"].append(
-        {"specimen_id": "P-07", "force_per_capacitive_strain_n": 5.03, "force_per_capacitive_strain_n_sd": 0.06, "r_squared": 0.9981, "modulus_mpa": 0.151, "modulus_mpa_sd": 0.002, "sensitivity": -0.36, "sensitivity_sd": 0.01, "predicted_sensitivity": -0.364, "drift_pf_per_hour": -0.2, "drift_pf_per_hour_sd": 0.03, "warnings": ""}
+        {"specimen_id": "P-07", "force_per_capacitive_strain_n": 5.03, "force_per_capacitive_strain_n_sd": 0.06, "r_squared": 0.9981, "modulus_mpa": 0.151, "modulus_mpa_sd": 0.002, "sensitivity": -0.36, "sensitivity_sd": 0.01, "predicted_sensitivity": -0.364, "drift_pf_per_hour": -0.2, "drift_pf_per_hour_sd": 0.03, "wrinkling_onset_kv": 6.7, "wrinkling_onset_kv_lower": 6.4, "wrinkling_onset_kv_upper": 7.0, "warnings": ""}
     )  # fmt: skip
     for specimen, verdict in (
         ("P-05", "none"),

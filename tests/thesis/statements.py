@@ -36,6 +36,7 @@ class Statement:
 
 
 CAMPAIGN = "campaigns/thesis.html"
+CHECKS = "checks/thesis.html"
 _CASES = {
     1: "case 1: single electrode",
     2: "case 2: divided electrode",
@@ -241,9 +242,9 @@ STATEMENTS: tuple[Statement, ...] = (
     *(Statement("figure 3-13", f"failures found, {region} third", CAMPAIGN + "#where", _region(region, "observed_share"), share) for region, share in (("left", 0.35), ("centre", 0.50), ("right", 0.15))),
     *(Statement("figure 3-13", f"failures expected from the thickness, {region} third", CAMPAIGN + "#where", _region(region, "predicted_share"), share, why="a film that is symmetric cannot expect 35 and 15 % left and right; 20 failures tell 50 from 38 % no better") for region, share in (("left", 0.35), ("centre", 0.50), ("right", 0.15))),
     _picture("figure 4-1", "model of n arms", "specimens/PA-1.html#parameters", "a drawing"),
-    Statement("figure 4-2", "first-order example, stiffness at rest", CAMPAIGN + "#springs", _end(0.5, (2.0,), (0.6,), 0.0), 0.5, unit="N/mm", why="as printed eq 4.11 gives 2.0"),
-    Statement("figure 4-2", "first-order example, stiffness at high frequency", CAMPAIGN + "#springs", _end(0.5, (2.0,), (0.6,), 1e9), 2.5, unit="N/mm"),
-    Statement("figure 4-3", "second-order example, stiffness at high frequency", CAMPAIGN + "#springs", _end(0.5, (1.0, 1.0), (1.0, 0.1), 1e9), 2.5, unit="N/mm"),
+    Statement("figure 4-2", "first-order example, stiffness at rest", CHECKS + "#springs", _end(0.5, (2.0,), (0.6,), 0.0), 0.5, unit="N/mm", why="as printed eq 4.11 gives 2.0"),
+    Statement("figure 4-2", "first-order example, stiffness at high frequency", CHECKS + "#springs", _end(0.5, (2.0,), (0.6,), 1e9), 2.5, unit="N/mm"),
+    Statement("figure 4-3", "second-order example, stiffness at high frequency", CHECKS + "#springs", _end(0.5, (1.0, 1.0), (1.0, 0.1), 1e9), 2.5, unit="N/mm"),
     Statement("figure 4-4", "order that the procedure ends with, stack", "specimens/ST-1.html#order", _order("ST-1"), 3, why="orders are chosen by test here, not by tolerances"),
     Statement("figure 4-4", "order that the procedure ends with, polyacrylate layer", "specimens/PA-1.html#order", _order("PA-1"), 3),
     Statement("figure 4-4", "order that the procedure ends with, silicone", "specimens/SI-1.html#order", _order("SI-1"), 1),

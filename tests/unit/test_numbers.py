@@ -50,7 +50,7 @@ def test_no_false_uncertainty(sd: float | None) -> None:
         (1.0, "100 %"),
         (0.9993, "99.9 %"),
         (0.9997, "99.97 %"),
-        (0.999999, "99.99 %"),
+        (0.999999, "> 99.99 %"),
         (0.997, "99.7 %"),
         (0.994, "99 %"),
         (0.0512, "5.1 %"),
@@ -126,7 +126,7 @@ def test_no_p_is_surer_than_the_formula_it_comes_from(p: float) -> None:
         ((-6.88, -7.6, -6.1), "-6.9 (-7.6 to -6.1)"),
         ((5.0, None, None), "5.00"),
         ((None, 1.0, 2.0), "–"),
-        ((4_883_219.0, 4_712_332.0, 5_035_325.0), "4 880 000 (4 710 000–5 040 000)"),
+        ((4_883_219.0, 4_712_332.0, 5_035_325.0), "4.88 (4.71–5.04) × 10⁶"),
     ],
 )
 def test_bounds(arguments: tuple[float | None, ...], expected: str) -> None:
@@ -174,3 +174,105 @@ def test_words() -> None:
     assert plain(numbers.counted(13, "recording")) == "13 recordings"
     assert numbers.ordinal(3) == "third"
     assert numbers.ordinal(12) == "12th"
+
+
+EVERY = st.floats(-1e12, 1e12).filter(lambda v: v == 0 or abs(v) > 1e-12)
+SHARES = st.floats(0.0, 1.0)
+
+
+def read(text: str) -> float:
+    """The number that a text shows, by the rules of typography alone."""
+    mantissa, _, power = plain(text).replace(" ", "").replace("%", "").partition("×10")
+    return float(mantissa.lstrip("<>")) * 10.0 ** int(power.translate(_POWERS) or 0)
+
+
+_POWERS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+
+
+@settings(deadline=None)
+@given(EVERY, st.floats(0, 1e12), st.floats(0, 1e12))
+def test_whatever_is_shown_is_typeset(value: float, down: float, up: float) -> None:
+    """No hyphen for a minus, no e-notation, no infinity, no space at which a line could break."""
+    texts = [
+        numbers.bounds(value, value - down, value + up), numbers.pm(value, down), numbers.never_negative(value, down, "N"),
+        numbers.significant(value), numbers.compact(value), numbers.percent(value),
+    ]  # fmt: skip
+    for text in texts:
+        assert not re.search(r"-|\de[+-]?\d|inf|nan|\n", text), text
+    assert all(" " not in text for text in texts[1:] if "unresolved" not in text)
+
+
+@settings(deadline=None)
+@given(EVERY, st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))
+def test_an_interval_is_never_shown_as_a_point(value: float, down: float, up: float) -> None:
+    """Limits that differ by more than a millionth of the value are told apart, and hold what is shown between them."""
+    low, high = value - down * max(abs(value), 1e-3), value + up * max(abs(value), 1e-3)
+    text = numbers.bounds(value, low, high)
+    shown, _, rest = text.partition("(")
+    inside, _, power = rest.partition(")")
+    first, second = re.split(f"{GAP}to{GAP}|–", inside)
+    assert first != second
+    parts = [read(one + power) for one in (shown, first, second)]
+    assert parts[1] <= parts[0] <= parts[2]
+    assert parts[0] == pytest.approx(value, abs=(high - low) / 8)
+
+
+@settings(deadline=None)
+@given(SHARES)
+def test_a_share_is_all_or_nothing_only_where_it_is(share: float) -> None:
+    text = plain(numbers.percent(share))
+    assert (text == "100 %") == (share == 1)
+    if not text.startswith(">"):
+        assert read(text) / 100 == pytest.approx(share, rel=0.051, abs=1e-300)
+
+
+@settings(deadline=None)
+@given(st.floats(0.5, 1 - 1e-9), st.floats(1e-3, 0.9), st.floats(1e-3, 0.9))
+def test_what_is_removed_is_told_by_what_is_left_where_that_says_more(share: float, down: float, up: float) -> None:
+    """`99.99 % (99.99 to 99.99)` is no interval: of what is nearly all the rest is given, to its own digits."""
+    left = 1 - share
+    text = plain(numbers.removed(share, 1 - left * (1 + down), 1 - left * (1 - up)))
+    assert text.startswith("all but") == (share >= 0.995)
+    found = re.search(r"interval (.*) to (.*)\)", text)
+    assert found is None or found[1] != found[2]
+    if share >= 0.995:
+        assert read(text.split("(")[0].removeprefix("all but")) / 100 == pytest.approx(left, rel=0.06)
+
+
+def test_a_gain_of_nearly_all_has_its_interval() -> None:
+    assert plain(numbers.removed(0.9999904, 0.99999, 0.9999907)) == (
+        "all but 0.00096 % (95 % interval 0.00093 % to 0.0010 %)"
+    )
+    assert plain(numbers.removed(0.97, 0.95, 0.98)) == "97 % (95 % interval 95 % to 98 %)"
+    assert plain(numbers.removed(0.97, 0.9701, 0.9702)) == "97 % (95 % interval within rounding)"
+    assert numbers.removed(None) == "–"
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "expected"),
+    [
+        (0.001, 0.03, "< 0.060 N"),
+        (0.31, 0.02, "0.310 ± 0.020 N"),
+        (0.5, None, "0.500 N, ± unresolved"),
+        (None, 0.1, "–"),
+    ],
+)
+def test_what_cannot_be_negative_gets_a_limit(value: float | None, sd: float | None, expected: str) -> None:
+    assert plain(numbers.never_negative(value, sd, "N")) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("three films", "Three films"), ("k3 at least 0.02", "k3 at least 0.02"), ("drive_lag is there", "drive_lag is there"),
+        ("kV is the unit", "kV is the unit"), ("c₃ is not resolved", "c₃ is not resolved"), ("", ""), ("Already", "Already"),
+    ],
+)  # fmt: skip
+def test_symbols_and_ids_keep_their_case(text: str, expected: str) -> None:
+    assert numbers.capital(text) == expected
+
+
+def test_stored_sentences_get_their_typography() -> None:
+    assert numbers.symbols("k3 between -0.1 and 2; tau1, c2 of run k33 on 2026-03-01") == (
+        "k₃ between −0.1 and 2; τ₁, c₂ of run k33 on 2026-03-01"
+    )

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from reports.figures import film, recording, survival
 from reports.figures.palette import group, misfit
 from reports.figures.plot import Panel, Scale, apart, linear, logarithmic, nice, tick_text
-from reports.figures.responses import Curve, Lines, beyond, residual, response
+from reports.figures.responses import Curve, Lines, beyond, find_jump, residual, response
 from reports.figures.svg import DENSE, Drawing
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -27,6 +27,11 @@ def parsed(image: str) -> ElementTree.Element:
     found = re.search(r'base64,([^"]+)"', image)
     assert found
     return ElementTree.fromstring(base64.b64decode(found[1]))
+
+
+def markup(image: str) -> str:
+    """The SVG inside an image."""
+    return ElementTree.tostring(parsed(image), encoding="unicode").replace("svg:", "").replace("ns0:", "")
 
 
 def png(data: bytes) -> tuple[np.ndarray, np.ndarray, set[int]]:
@@ -217,3 +222,29 @@ def test_misfit_colours_darken() -> None:
     assert misfit(50.0) == "#571b00"
     brightness = [sum(int(misfit(v)[i : i + 2], 16) for i in (1, 3, 5)) for v in np.linspace(1.3, 6.8, 12)]
     assert brightness == sorted(brightness, reverse=True)
+
+
+def test_names_at_risk_are_whole() -> None:
+    names = ("case 2: divided electrode", "case 3: divided electrode, contact outside")
+    groups = [
+        survival.GroupCurve(
+            n, group(i), np.array([10.0, 20.0]), np.array([1 - i / 2, 1 - i / 2]), np.ones(2), np.ones(2), np.array([4, 3]),
+            np.array([0, 3]), np.array([i, 0]),
+        )
+        for i, n in enumerate(names)
+    ]  # fmt: skip
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", markup(survival.kaplan_meier(groups, "Time, s", alt="a")))
+    assert "…" not in " ".join(texts)
+    for name in names:
+        assert " ".join(texts).count(name.split()[-1]) >= 2, "beside the curve and beside its numbers"
+
+
+def test_a_jump_of_the_points_is_found_where_it_is() -> None:
+    f = np.geomspace(1, 100, 80)
+    model = (1 + f / 10).astype(complex)
+    value = np.where(f > 50, 1.9, 1.0) * model
+    lines = Lines(f, value, np.full(80, 0.01), np.ones(80, dtype=bool), np.ones(80))
+    found = find_jump(lines, model)
+    assert found is not None
+    assert found == pytest.approx((50, 1.9), rel=0.05)
+    assert find_jump(Lines(f, model, lines.error, lines.usable, lines.amplification), model) is None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from reports.figures.comparison import Compared, broken, comparison_reach, magnitude_scale, shown_values, write_times
+from reports.figures.comparison import Compared, broken, comparison_reach, shown_scale, write_times
 from reports.figures.palette import BAND, BETTER, INK, MODEL, RULE, SECOND, WRONG, misfit
 from reports.figures.plot import Scale, linear, logarithmic
 from reports.figures.printed.axes import (
@@ -40,19 +40,20 @@ def draw_comparison(data: Compared, *, width: str = SINGLE) -> Figure:
     upper, lower = axes[:, 0]
     x = logarithmic(data.x, margin=0.02) if data.x_log else linear(data.x, margin=0.04)
     ticks = [place for place, _ in data.groups] if data.groups else None
-    measured, plain = shown_values(data.measured), shown_values(data.plain)
+    measured, plain = data.shown(data.measured), data.shown(data.plain)
     models = [("plain", plain, MODEL, "square")]
     if data.extended is not None:
-        models.append(("extended", shown_values(data.extended), BETTER, "triangle"))
-    y = magnitude_scale([measured, *(m[1] for m in models)], positive=np.iscomplexobj(data.measured))
-    scale_axes(upper, x, y, data.title, x_labels=False, x_ticks=ticks)
-    draw_bars(upper, data.x, measured - 2 * data.sd, measured + 2 * data.sd, INK)
+        models.append(("extended", data.shown(data.extended), BETTER, "triangle"))
+    y = shown_scale(data, [measured, *(m[1] for m in models)])
+    scale_axes(upper, x, y, data.shown_title, x_labels=False, x_ticks=ticks)
+    draw_bars(upper, data.x, measured - 2 * data.spread, measured + 2 * data.spread, INK)
     draw_held(upper, data.x, measured, y, INK)
     order = np.argsort(data.x, kind="stable")
     names: list[Name] = []
     for name, value, colour, marker in models:
         if data.lines:
-            course = data.x[order], value[order]
+            drawn = order[data.sharp[order]] if data.x_log else order
+            course = data.x[drawn], value[drawn]
             draw_curve(upper, *(course if data.x_log else broken(*course)), colour, CURVE_PT)
         else:
             draw_points(upper, data.x, value, colour, 1.3 * POINT_PT, marker=marker, hollow=True)

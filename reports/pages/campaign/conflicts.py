@@ -13,7 +13,7 @@ from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import NBSP, joined, pm, significant
+from schemas.numbers import NBSP, bounds, joined, pm, significant
 
 _SECTION_MM2, _TOTAL_MM, _ACTIVE_MM = 50.0 / 1.5, 75.0, 20.0
 _FORCE_8, _FORCE_11 = 0.044, 0.115
@@ -133,8 +133,7 @@ def _exponent(fits: list[Record]) -> Row | None:
 
 
 def _limits(row: Record, name: str) -> str:
-    low, high = row[f"{name}_lower"], row[f"{name}_upper"]
-    return f"{significant(row[name])} ({significant(low)} to {significant(high)})"
+    return bounds(*(row[f"{name}{end}"] for end in ("", "_lower", "_upper")))
 
 
 def _sentences(parts: list[str]) -> Piece:

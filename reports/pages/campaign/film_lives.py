@@ -53,11 +53,10 @@ def _table(query: Query, rows: Sequence[Record]) -> Table:
     for r in rows:
         if r["predicted_median_s"] is None:
             reason = f"no prediction: {visible(r['warnings'] or 'no reason was kept')}"
-            made.append(Row((short(r["configuration"] or ABSENT, 60), reason, *[ABSENT] * 5)))
+            made.append(Row((short(r["configuration"] or ABSENT, 60), *[ABSENT] * 5, reason)))
             continue
         median = bounds(r["predicted_median_s"], r["predicted_median_s_low"], r["predicted_median_s_high"])
-        low, high = (percent(r[f"predicted_failed_{end}"]) for end in ("low", "high"))
-        failed = f"{percent(r['predicted_failed'])} ({low} to {high})"
+        failed = bounds(r["predicted_failed"], r["predicted_failed_low"], r["predicted_failed_high"], 100.0)
         observed = "not reached" if r["observed_median_s"] is None else significant(r["observed_median_s"])
         made.append(
             Row(
@@ -69,7 +68,7 @@ def _table(query: Query, rows: Sequence[Record]) -> Table:
         )  # fmt: skip
     heads = (
         Head("Configuration"), Head("Voltage, kV", "n"), Head("Median predicted, s", "n"), Head("Found", "n"),
-        Head("Failed predicted", "n"), Head("Found", "n"), Head("Within"),
+        Head("Failed predicted, %", "n"), Head("Found", "n"), Head("Within"),
     )  # fmt: skip
     below = (
         "Each layout by the law that the lives of the others give, as if it had never been tested; limits hold the median, or"

@@ -10,6 +10,8 @@ from markupsafe import Markup
 from reports.blocks import (
     Block,
     Figure,
+    Finding,
+    Findings,
     Fold,
     Head,
     Link,
@@ -20,16 +22,18 @@ from reports.blocks import (
     Section,
     Table,
     flow,
+    link,
+    listed,
     name,
     separated,
     tag,
 )
 from reports.evidence import Standing, curve, drawable, measured
 from reports.figures.plot import Scale, logarithmic
-from reports.figures.responses import Multiple, multiple
-from reports.findings import causes_named
+from reports.figures.responses import Multiple, find_jump, multiple
+from reports.findings import causes_named, headline, kind, what_is_wrong
 from reports.names import short
-from reports.pages import listing, requirement
+from reports.pages import found, listing, requirement
 from reports.pages.campaign import (
     comparing,
     conflicts,
@@ -47,8 +51,8 @@ from reports.results import Query, days
 from reports.results import Row as Record
 from reports.site import Site
 from reports.standings import of_campaign
-from schemas.mechanisms import model_name
-from schemas.numbers import ABSENT, capital, digits, joined, percent, pm, significant, word
+from schemas.mechanisms import model_name, plain_name
+from schemas.numbers import ABSENT, capital, compact, counted, digits, joined, percent, pm, significant, with_unit, word
 
 MOST = 24
 """Small multiples on one page."""
@@ -65,21 +69,24 @@ def page(site: Site, campaign: str) -> Page:
             {"campaign": campaign},
         )
     )
-    found = lives.load(draft)
+    lived = lives.load(draft)
     used = [r for r in recordings if r["status"] in ("ok", "damaged")]
     standings = of_campaign(site.results, campaign, used)
     fitted = [s for s in standings if s.fit is not None or s.diagnosis is not None]
+    published = [
+        s for s in (*literature.sections(draft, fitted, recordings), conflicts.section(draft)) if s is not None
+    ]
     sections = [
         s
         for s in (
-            lives.survival(draft, found),
-            lives.groups(draft, found),
-            depends.section(draft, found.unit),
-            laws.voltage_life(draft, found.unit),
-            plans.section(draft, found.unit),
-            places.failures(draft, found),
+            _findings(draft, fitted),
+            lives.survival(draft, lived),
+            lives.groups(draft, lived),
+            depends.section(draft, lived.unit),
+            laws.voltage_life(draft, lived.unit),
+            plans.section(draft, lived.unit),
+            places.failures(draft, lived),
             _specimens(draft, fitted),
-            *literature.sections(draft, fitted, recordings),
             force.section(
                 draft, "specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $item)", campaign
             ),
@@ -87,13 +94,13 @@ def page(site: Site, campaign: str) -> Page:
             comparing.self_sensing(draft),
             constraint.section(draft),
             requirement.of_campaign(draft),
-            conflicts.section(draft),
-            _recordings(draft, recordings, found),
+            _published(draft, published),
+            _recordings(draft, recordings, lived),
         )
         if s is not None
     ]
     run_id = _last_run(site, recordings)
-    heading, lede = _finding(draft, found, fitted, recordings)
+    heading, lede = _finding(draft, lived, fitted, recordings)
     return Page(
         title=f"Campaign {short(campaign, 40)}",
         heading=heading,
@@ -101,20 +108,82 @@ def page(site: Site, campaign: str) -> Page:
         when=site.when(run_id),
         crumbs=(Link("Last night", "../index.html"), Link("Campaign")),
         lede=lede,
-        sub=_sub(campaign, recordings, found),
+        sub=_sub(campaign, recordings, lived),
         sections=tuple(sections),
         provenance=(*site.provenance(run_id), listing.files(recordings[:500], f"{capital(digits(len(recordings), 'file'))} with SHA-256")),
         files=draft.files,
+        further=((site.checks_path(campaign), _checks(draft, published, run_id)),) if published else (),
     )  # fmt: skip
 
 
+_TOLD = 8
+"""Findings of single specimens on a campaign's page; the others are counted and stand in its table."""
+
+
+def _findings(draft: Draft, fitted: Sequence[Standing]) -> Section | None:
+    """What a laboratory would act on, first: shared causes, limits of films, specimens by themselves."""
+    site = draft.site
+    alarms = found.by_rank([s for s in fitted if s.alarm])
+    items: list[Finding] = []
+    groups = found.sharing(alarms)
+    for group in groups:
+        who = listed([site.specimen(s.specimen_id) for s in group])
+        body = flow(who, ": one cause in all of them, so rather in the rig than in the film.")
+        items.append(
+            Finding(f"{capital(counted(len(group), 'specimen'))}: {what_is_wrong(group[0])}", (body,), "named")
+        )
+    items += [found.limit_finding(site, one, "../") for one in found.limits(draft.results, draft.item)]
+    together = {s.specimen_id for group in groups for s in group}
+    alone = [s for s in alarms if s.specimen_id not in together]
+    for standing in alone[:_TOLD]:
+        page = link("The specimen's page", f"../{site.specimen_path(standing.specimen_id)}")
+        items.append(Finding(headline(standing), (page,), kind(standing)))
+    if len(alone) > _TOLD:
+        more = flow("They stand first in the ", link("table of specimens", "#specimens"), ".")
+        items.append(Finding(f"{digits(len(alone) - _TOLD, 'more specimen')} to look at", (more,), "open"))
+    return Section("findings", "What to act on", "Findings", (Findings(tuple(items)),)) if items else None
+
+
+def _published(draft: Draft, published: Sequence[Section]) -> Section | None:
+    """The way to the page on which what was published is checked, by what is found there."""
+    if not published:
+        return None
+    address = f"../{draft.site.checks_path(draft.item)}"
+    rows = tuple(Row((link(s.link, f"{address}#{s.id}"), s.heading)) for s in published)
+    return Section(
+        "published",
+        "Against what was published",
+        "Publication",
+        (Table("On a page of its own", (Head("Part"), Head("Finding", "text")), rows, kind="narrow"),),
+    )
+
+
+def _checks(draft: Draft, published: Sequence[Section], run_id: str | None) -> Page:
+    """The publication that the campaign follows, against its own numbers and ours."""
+    site, campaign = draft.site, draft.item
+    return Page(
+        title=f"Campaign {short(campaign, 40)}: the publication checked",
+        heading=flow("Campaign ", name(campaign), " against what was published"),
+        bar=site.bar("../", f"Campaign {short(campaign, 24)}: checks"),
+        when=site.when(run_id),
+        crumbs=(
+            Link("Last night", "../index.html"),
+            Link(f"Campaign {short(campaign, 40)}", f"../{site.campaign_path(campaign)}"),
+            Link("Checks"),
+        ),
+        lede="Our models beside the published ones, and what in the publication does not follow from its own numbers.",
+        sections=tuple(published),
+        provenance=site.provenance(run_id),
+    )
+
+
 def _finding(
-    draft: Draft, found: lives.Lives, fitted: Sequence[Standing], recordings: Sequence[Record]
+    draft: Draft, lived: lives.Lives, fitted: Sequence[Standing], recordings: Sequence[Record]
 ) -> tuple[Piece, Piece]:
-    text = lives.headline(found)
+    text = lives.headline(lived)
     if text:
         law = laws.headline(draft)
-        return flow(capital(text), f"; {law[:1].lower()}{law[1:]}" if law else ""), lives.support(found)
+        return flow(capital(text), f"; {law[:1].lower()}{law[1:]}" if law else ""), lives.support(lived)
     who = flow("Campaign ", name(draft.item))
     if fitted:
         alarms = [s for s in fitted if s.alarm]
@@ -143,7 +212,7 @@ def _orders(fitted: Sequence[Standing]) -> str:
     )
 
 
-def _sub(campaign: str, recordings: Sequence[Record], found: lives.Lives) -> Piece:
+def _sub(campaign: str, recordings: Sequence[Record], lived: lives.Lives) -> Piece:
     used = [r for r in recordings if r["status"] in ("ok", "damaged", "excluded")]
     times = [r["started_at"] for r in used if r["started_at"]]
     parts: list[Piece] = [flow("Campaign ", name(campaign)), digits(len(used), "recording")]
@@ -153,9 +222,9 @@ def _sub(campaign: str, recordings: Sequence[Record], found: lives.Lives) -> Pie
         parts.append(tag("damaged", f"{damaged} damaged, used in part"))
     if refused:
         parts.append(tag("refused", f"{refused} refused, not in these numbers"))
-    if found.lifetimes:
-        alive = sum(not r["failed"] for r in found.lifetimes)
-        parts.append(f"{digits(len(found.lifetimes), 'lifetime')}, {alive} alive at the end (censored)")
+    if lived.lifetimes:
+        alive = sum(not r["failed"] for r in lived.lifetimes)
+        parts.append(f"{digits(len(lived.lifetimes), 'lifetime')}, {alive} alive at the end (censored)")
     if times:
         parts.append(days(min(times), max(times)))
     return separated(parts)
@@ -178,12 +247,12 @@ def multiples(
     """Small responses of specimens, those with a finding first, and whether they share their axes."""
     items: list[tuple[Standing, Multiple]] = []
     for standing in sorted(standings, key=lambda s: (not s.alarm, s.specimen_id))[: 2 * most]:
-        found = measured(site.results, standing.specimen_id, "mechanical")
-        lines = found.film
+        responses = measured(site.results, standing.specimen_id, "mechanical")
+        lines = responses.film
         if lines is None or lines.usable.sum() < 2 or len(items) >= most:
             continue
         drawn = (
-            curve(standing.fit, found, lines, standing.stated, points=60)
+            curve(standing.fit, responses, lines, standing.stated, points=60)
             if standing.fit is not None and drawable(standing.fit)
             else None
         )
@@ -209,7 +278,10 @@ def _multiple(site: Site, standing: Standing, item: Multiple, x: Scale, y: Scale
     material = short(" ".join(p for p in (standing.material, standing.configuration) if p), 44)
     second = material
     if standing.verdict == "named" and standing.diagnosis:
-        second = ", ".join(str(m).replace("_", " ") for m in standing.diagnosis["mechanisms"] or [])
+        second = ", ".join(plain_name(m) for m in standing.diagnosis["mechanisms"] or [])
+    jump = find_jump(item.lines, item.curve.at_lines) if item.curve is not None else None
+    if jump is not None:
+        second = f"jump of {percent(jump[1] - 1)} at {with_unit(compact(jump[0], 2), 'Hz')}"
     caption = flow(site.specimen(standing.specimen_id, root), " ", verdict, Markup("<br>"), second)
     return Figure(multiple(item, x, y, alt=alt), caption, above=True)
 
@@ -257,9 +329,9 @@ def specimen_table(
         _SPECIMEN_SQL.format(where=where, limit=limit, offset=offset), {"item": value} if "$item" in where else {}
     )
     rows = []
-    found = site.results.rows(query)
-    diagnosed = any(r["verdict"] for r in found)
-    for r in found:
+    specimens = site.results.rows(query)
+    diagnosed = any(r["verdict"] for r in specimens)
+    for r in specimens:
         modulus_sd = None
         if r["modulus_mpa"] and r["k0_n_per_mm"] and r["k0_n_per_mm_sd"]:
             modulus_sd = r["modulus_mpa"] * r["k0_n_per_mm_sd"] / r["k0_n_per_mm"]
@@ -271,7 +343,7 @@ def specimen_table(
         if diagnosed:
             cells += [
                 tag(r["verdict"]) if r["verdict"] else "not diagnosed",
-                ", ".join(r["mechanisms"] or []) or ABSENT,
+                ", ".join(plain_name(m) for m in r["mechanisms"] or []) or ABSENT,
                 percent(r["gain"]),
             ]
         rows.append(Row(tuple(cells)))
@@ -302,7 +374,7 @@ def _protocol(row: Record) -> str:
     return f"table: {str(row['kind'] or 'unknown').replace('_', ' ')}"
 
 
-def _recordings(draft: Draft, recordings: Sequence[Record], found: lives.Lives) -> Section:
+def _recordings(draft: Draft, recordings: Sequence[Record], lived: lives.Lives) -> Section:
     query = Query(_PROTOCOL_SQL, {"campaign": draft.item})
     rows = tuple(
         Row(
@@ -327,7 +399,7 @@ def _recordings(draft: Draft, recordings: Sequence[Record], found: lives.Lives) 
                 draft.site, bad[:100], select, "Refused, damaged or excluded", note=f"{len(bad)} of {len(recordings)}"
             )
         )
-    table = lives.table(draft, found)
+    table = lives.table(draft, lived)
     if table is not None:
         blocks.append(table)
     return Section("recordings", digits(len(recordings), "recording"), "Recordings", tuple(blocks))

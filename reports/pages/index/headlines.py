@@ -24,6 +24,7 @@ from reports.evidence import Standing, curve, drawable, measured
 from reports.figures.responses import response
 from reports.findings import LESS_THAN_NOISE
 from reports.names import short
+from reports.pages import found
 from reports.pages.campaign import lives
 from reports.pages.index import control
 from reports.pages.specimen import comparing_models, film
@@ -36,23 +37,29 @@ _WIDE = 2
 """Findings that get a figure; the others are a paragraph."""
 _ALARMED, _MOST = 12, 20
 """Specimens with a finding of their own, and findings altogether."""
-_SHARED = 3
-"""Specimens with the same cause from which on they have one finding together."""
+_LIMITS = 4
+"""Films and electrodes beyond their limit with a finding of their own."""
 _POINTS = 2
 """Points out of control with a finding of their own."""
 
 
-def section(site: Site, standings: Sequence[Brief], survival: Sequence[tuple[str, lives.Lives]]) -> Section | None:
-    rank = {"named": 0, "ambiguous": 1, "unknown": 2}
-    alarms = sorted((s for s in standings if s.alarm), key=lambda s: (rank.get(s.verdict, 3), s.specimen_id))
+def section(
+    site: Site,
+    standings: Sequence[Brief],
+    survival: Sequence[tuple[str, lives.Lives]],
+    bounds: Sequence[found.Limit] = (),
+) -> Section | None:
+    """The findings, the first of them what several specimens share, then what bounds the use of films (`bounds`)."""
+    alarms = found.by_rank([s for s in standings if s.alarm])
     items: list[Finding] = []
-    shared = _sharing(alarms)
+    shared = found.sharing(alarms)
     together = {s.specimen_id for group in shared for s in group}
     alone = [s for s in alarms if s.specimen_id not in together]
     told = (*(group[0] for group in shared), *alone[:_ALARMED])
     full = {s.specimen_id: s for s in of_lab(site.results, [s.specimen_id for s in told])}
     for group in shared:
         items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
+    items += [found.limit_finding(site, limit, "") for limit in bounds[:_LIMITS]]
     for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
         wide = len([i for i in items if i.figure]) < _WIDE
         items.append(_specimen_finding(site, standing, wide=wide))
@@ -65,16 +72,16 @@ def section(site: Site, standings: Sequence[Brief], survival: Sequence[tuple[str
             )
         )
     items += _out_of_control(site)
-    for campaign, found in survival:
-        text = lives.headline(found)
+    for campaign, lived in survival:
+        text = lives.headline(lived)
         if text and len(items) < _MOST:
             page = link(flow("Campaign ", name(campaign)), site.campaign_path(campaign))
             title = (
                 f"{capital(text)}."
-                if lives.decisive(found.comparisons)
+                if lives.decisive(lived.comparisons)
                 else flow("Campaign ", name(campaign), f": {text}.")
             )
-            items.append(Finding(title, tuple(p for p in (lives.support(found), page) if p), "group"))
+            items.append(Finding(title, tuple(p for p in (lives.support(lived), page) if p), "group"))
     items += _quiet(site, [s for s in standings if not s.alarm])
     if not items:
         return None
@@ -127,14 +134,14 @@ def _verdicts(standings: Sequence[Brief]) -> Text | None:
 
 def _out_of_control(site: Site) -> list[Finding]:
     """The latest points that leave their control limits."""
-    found = control.alarms(site)
-    more = len(found) - _POINTS
+    points = control.alarms(site)
+    more = len(points) - _POINTS
     ending = f"{capital(digits(more, 'further point'))} out of control. " if more > 0 else ""
     return [
         Finding(
             control.sentence(a), (flow(ending if i == _POINTS - 1 else "", link("Control charts", CONTROL)),), "open"
         )
-        for i, a in enumerate(found[:_POINTS])
+        for i, a in enumerate(points[:_POINTS])
     ]
 
 
@@ -148,15 +155,6 @@ def _specimen_finding(site: Site, standing: Standing, *, wide: bool) -> Finding:
         findings.what_next(standing.diagnosis),
         figure,
     )
-
-
-def _sharing(alarms: Sequence[Brief]) -> list[list[Brief]]:
-    """Specimens in which the same causes are named, where there are several: what they share is rather the rig."""
-    groups: dict[tuple[str, ...], list[Brief]] = {}
-    for standing in alarms:
-        if standing.verdict == "named":
-            groups.setdefault(standing.mechanisms, []).append(standing)
-    return [group for group in groups.values() if len(group) >= _SHARED]
 
 
 def _shared_finding(site: Site, group: Sequence[Brief], first: Standing, *, wide: bool) -> Finding:
@@ -182,12 +180,12 @@ def _told_figure(site: Site, standing: Standing) -> Figure | None:
 
 def _evidence_figure(site: Site, standing: Standing) -> Figure | None:
     """The specimen's response and residual, where there is one."""
-    found = measured(site.results, standing.specimen_id, "mechanical")
-    lines, fit = found.film, standing.fit
+    responses = measured(site.results, standing.specimen_id, "mechanical")
+    lines, fit = responses.film, standing.fit
     if lines is None or fit is None or lines.size < 3 or not drawable(fit):
         return None
     alt = f"Dynamic stiffness of {short(standing.specimen_id, 40)} with the {word(fit['model_order'])}-arm model, residual below."
-    curves = [curve(fit, found, lines, standing.stated)]
+    curves = [curve(fit, responses, lines, standing.stated)]
     image = response(lines, None, curves, phase=False, alt=alt, alarm=True)
     return Figure(
         image, flow(bold("Response and residual"), " of the fitted model. ", film.misfit_elsewhere(fit, curves))
@@ -196,11 +194,11 @@ def _evidence_figure(site: Site, standing: Standing) -> Figure | None:
 
 def _quiet(site: Site, standings: Sequence[Brief]) -> list[Finding]:
     """Specimens without a finding, in one paragraph per kind of evidence."""
-    found: list[Finding] = []
+    quiet: list[Finding] = []
     diagnosed = [s for s in standings if s.verdict == "none"]
     if diagnosed:
         names = _names(site, diagnosed)
-        found.append(
+        quiet.append(
             Finding(
                 flow(names, ": the simulation is right within the noise."),
                 (flow(tag("none"), ". What would have been seen stands on each specimen's page."),), "fine",
@@ -228,11 +226,11 @@ def _quiet(site: Site, standings: Sequence[Brief]) -> list[Finding]:
         title = flow(
             f"{capital(word(order))} relaxation{'' if order == 1 else 's'} {verb} ", _names(site, group), f"{about}."
         )
-        found.append(Finding(title, (span,) if span else (), "fine"))
+        quiet.append(Finding(title, (span,) if span else (), "fine"))
     if unknown:
         title = flow(_names(site, unknown), ": fitted, but whether the misfit is noise is not known.")
-        found.append(Finding(title, ("Their recordings do not say how large their noise is.",), "group"))
-    return found
+        quiet.append(Finding(title, ("Their recordings do not say how large their noise is.",), "group"))
+    return quiet
 
 
 def _span(values: Sequence[float]) -> str:

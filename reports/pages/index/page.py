@@ -22,6 +22,7 @@ from reports.blocks import (
     separated,
 )  # fmt: skip
 from reports.names import short, visible
+from reports.pages import found
 from reports.pages.campaign import lives
 from reports.pages.campaign import page as campaign
 from reports.pages.draft import Draft
@@ -42,11 +43,12 @@ def page(site: Site) -> Page:
         (c, lives.load(_campaign_draft(site, c), single=False)) for c in site.campaigns[: arrived.CAMPAIGNS_SHOWN]
     ]
     counts = _counts(site)
+    bounds = found.limits(site.results)
     run = site.last_run
     sections = [
         s
         for s in (
-            headlines.section(site, standings, survival),
+            headlines.section(site, standings, survival, bounds),
             _specimens(site, standings),
             arrived.section(site),
             changes.section(site),
@@ -57,7 +59,7 @@ def page(site: Site) -> Page:
     ]
     return Page(
         title=_night(run) if run else "No run yet",
-        heading=headline(standings, survival, counts, trouble.count_without_result(site)),
+        heading=headline(standings, survival, counts, trouble.count_without_result(site), found.in_words(bounds)),
         bar=site.bar("", INDEX),
         when=_night(run) if run else "",
         sub=_sub(run),
@@ -144,6 +146,7 @@ def headline(
     survival: Sequence[tuple[str, lives.Lives]],
     counts: dict[tuple[str, bool], int],
     silent: int = 0,
+    bounds: str = "",
 ) -> str:
     """The finding of the night: specimens to look at first, then lifetimes, then what came in.
 
@@ -153,12 +156,15 @@ def headline(
     survival : of the campaigns
     counts : files by status, those of the last run apart
     silent : recordings and tables that were taken in and led to no result
+    bounds : what bounds the use of films, in words
     """
     total = sum(counts.values())
     also = f"; {counted(silent, 'recording')} led to no result" if silent else ""
     clear = next((lives.headline(x) for _, x in survival if _clear(x)), "")
     if standings:
         rest = f"; {clear}" if clear and not any(s.alarm for s in standings) else also
+        if bounds:
+            rest = f"; {bounds}{rest}"
         return capital(f"{headlines.standing_in_words(standings)}{rest}")
     if clear:
         return capital(clear)
@@ -217,7 +223,7 @@ def _specimens(site: Site, standings: Sequence[Brief]) -> Section | None:
             Text(
                 flow(
                     "Dynamic stiffness |k| in N/mm against frequency in Hz, ", "all on the same" if shared else "each on its own", " axes: ", _key("dot"), "measured, ",
-                    _key("line"), "selected model. Below: residual in SD of the noise, grey band ±2; vermilion where it is more than noise.",
+                    _key("line"), "selected model. Below: residual in SD of the noise, grey band ±2; vermilion beyond ±3 where the whole is more than noise.",
                 ),
                 "sub",
             )

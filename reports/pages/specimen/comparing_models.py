@@ -14,12 +14,16 @@ from reports.pages.draft import Draft
 from reports.results import Query, Results
 from reports.results import Row as Record
 from reports.site import Site
-from schemas.numbers import capital, significant
+from schemas.numbers import capital, percent, significant
 
 _TELLING = 4
 """Kinds of features that get a figure."""
 _WORTH = 0.5
 """χ² per value, beyond the noise and taken off by the extension together, from which a second figure is worth its place."""
+_LEFT = 1.5
+"""Residual of the extended model from which on it is said that something is left, SD."""
+_EXPLAINED = 0.01
+"""Share of the misfit below which nothing of it is explained."""
 _SMALL = 12
 """Blocks with fewer values are drawn together, block by block in the order of the session."""
 
@@ -99,12 +103,20 @@ def _comparison(
         return None
     where = "All recordings" if small else f"{short(first[1], 40)}, {visible(first[2])}"
     words = f"{significant(data.rms(data.plain), 2)} times the noise with the plain model"
+    left = ""
     if data.extended is not None:
-        words += f", {significant(data.rms(data.extended), 2)} with the extended one"
+        after = data.rms(data.extended)
+        words += f", {significant(after, 2)} with the extended one"
+        if after > _LEFT:
+            share = 1 - (after / data.rms(data.plain)) ** 2
+            explained = percent(share) if share > _EXPLAINED else "nothing"
+            left = f" The cause explains {explained} of it; what is left is still no noise (1)."
+    if data.turned:
+        words = f"mostly in phase, {words}"
     about = kind_of(kind).words
     address = keep(f"diagnosis_{kind.replace('.', '_')}", {n: [r[n] for r in rows] for n in rows[0]})
     return Figure(
         comparison(data, alt=f"{capital(about)}, {where}: residual {words}."),
-        flow(bold(f"{capital(about)}."), f" {where}. Residual {words}."),
+        flow(bold(f"{capital(about)}."), f" {where}. Residual {words}.{left}"),
         address,
     )

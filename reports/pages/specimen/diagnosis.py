@@ -40,7 +40,7 @@ from reports.results import Row as Record
 from schemas.corrections import write_corrections
 from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
 from schemas.mechanisms import severity as severity_words
-from schemas.numbers import ABSENT, UNRESOLVED, capital, compact, digits, p_value, percent, pm, significant, whole
+from schemas.numbers import ABSENT, capital, compact, digits, never_negative, p_value, percent, significant, whole
 
 _DECISIVE = 9.2
 """2Δ ln L by which a cause must lead to stand alone."""
@@ -140,7 +140,7 @@ ORDER BY recording_id, position"""
 
 def _wrong(draft: Draft, d: Record) -> list[Block | Fold]:
     """Residuals by recording and kind, before and after; the worst places in words."""
-    maps = _maps(draft, d)
+    maps = [*_maps(draft, d), *_frequency_maps(draft)]
     query = Query(_DISCREPANCY_SQL, {"specimen": draft.item})
     found = draft.results.rows(query)
     worst = [r for r in found if r["p_value"] is not None and r["p_value"] < _CLEAR]
@@ -202,6 +202,59 @@ def _maps(draft: Draft, d: Record) -> list[Block]:
             Figure(image, flow(bold(f"{title}."), f"{total} {peak} 1 is noise alone; dot: not measured."), data)
         )
     return [Pair(tuple(pictures))] if len(pictures) > 1 else list(pictures)
+
+
+_FREQUENCY_SQL = """SELECT recording_id, frequency_hz, measured, plain, extended, sd
+FROM diagnosis_curves
+WHERE specimen_id = $specimen AND frequency_hz > 0 AND sd > 0 AND measured IS NOT NULL AND plain IS NOT NULL
+ORDER BY recording_id, frequency_hz"""
+_BANDS = tuple(m * 10.0**e for e in range(-3, 5) for m in (1, 2, 5))
+"""Edges of the bands of frequency in which residuals are gathered, Hz."""
+_FEWEST_BANDS = 3
+
+
+def _frequency_maps(draft: Draft) -> list[Block]:
+    """Residuals by recording and band of frequency: where on the axis that the resonance lies on the simulation is wrong."""
+    data = draft.results.columns(Query(_FREQUENCY_SQL, {"specimen": draft.item}))
+    if not data["frequency_hz"].size:
+        return []
+    edges = np.array(_BANDS)
+    place = np.clip(np.searchsorted(edges, data["frequency_hz"].astype(float), side="right") - 1, 0, edges.size - 2)
+    bands = np.unique(place)
+    recordings = list(dict.fromkeys(str(r) for r in data["recording_id"]))
+    if bands.size < _FEWEST_BANDS:
+        return []
+    row = np.array([recordings.index(str(r)) for r in data["recording_id"]])
+    column = np.searchsorted(bands, place)
+    names = [f"{compact(float(edges[b]))}–{compact(float(edges[b + 1]))}" for b in bands]
+    common = _common_start(recordings)
+    pictures, kept = [], {}
+    for model, title in (("plain", "Plain model"), ("extended", "Extended model")):
+        off = (data["measured"].astype(float) - data[model].astype(float)) / data["sd"].astype(float)
+        if not np.isfinite(off).all():
+            continue
+        total, count = np.zeros((2, len(recordings), bands.size))
+        np.add.at(total, (row, column), off**2)
+        np.add.at(count, (row, column), 1)
+        rms = np.sqrt(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
+        worst = np.sort(np.argsort(-np.nanmax(rms, axis=1), kind="stable")[:_MAPPED])
+        i, j = np.unravel_index(int(np.nanargmax(rms)), rms.shape)
+        peak = f"Largest: {significant(float(rms[i, j]), 2)} times the noise from {names[j]} Hz in {short(recordings[i], 40)}."
+        shown = [recordings[k].removeprefix(common) or recordings[k] for k in worst]
+        kept[model] = rms
+        image = figures.residual_map(
+            rms[worst], shown, names, f"{title} over frequency, Hz: residual, SD",
+            alt=f"{title}: root mean square residual by recording and band of frequency. {peak}",
+        )  # fmt: skip
+        pictures.append((image, title, peak))
+    grid = [(r, n) for r in recordings for n in names]
+    columns = {"recording_id": [r for r, _ in grid], "band_hz": [n for _, n in grid]}
+    href = draft.data("diagnosis_bands", columns | {f"{m}_rms": v.ravel() for m, v in kept.items()})
+    drawn = tuple(
+        Figure(image, flow(bold(f"{title} over frequency."), f" {peak} Of the {whole(row.size)} values kept."), href)
+        for image, title, peak in pictures
+    )
+    return [Pair(drawn)] if len(drawn) > 1 else list(drawn)
 
 
 def _rms(found: list[Record], recordings: list[str], columns: list[str], name: str) -> np.ndarray:
@@ -322,7 +375,8 @@ def _gain(draft: Draft, d: Record) -> list[Block]:
     if before is None:
         return []
     parts = sorted(json.loads(d["held_out_parts"] or "{}").items(), key=lambda part: -part[1]["before"])
-    names = ["all together", *(name for name, _ in parts)]
+    common = _common_start([name for name, _ in parts])
+    names = ["all together", *(name.removeprefix(common) or name for name, _ in parts)]
     first = [before, *(p["before"] for _, p in parts)]
     second = [after, *(p["after"] for _, p in parts)]
     words = f"{significant(before, 2)} times the noise with the plain model"
@@ -331,7 +385,7 @@ def _gain(draft: Draft, d: Record) -> list[Block]:
     address = draft.data("diagnosis_held_out", {"left_out": names, "plain": first, "extended": second})
     caption = flow(
         bold(
-            f"Gain {gain(d)} of the removable held-out error."
+            f"Gain: {gain(d)} of the removable held-out error."
             if d["gain"] is not None
             else "No gain is stated: on these data the plain model errs by little more than the noise."
         ),
@@ -384,10 +438,8 @@ def _symbol(parameter: str) -> Piece:
 
 
 def _or_absent(value: float | None, sd: float | None) -> str:
-    """Value ± SD; where the SD is as large as the value, the word for it: a ± would be false."""
-    if value is None:
-        return ABSENT
-    return UNRESOLVED if sd is not None and sd >= abs(value) else pm(value, sd)
+    """Value ± SD; where the SD is as large as the value, its upper limit: a ± would be false."""
+    return never_negative(value, sd)
 
 
 def _visible(draft: Draft, d: Record) -> list[Block]:

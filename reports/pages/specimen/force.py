@@ -85,7 +85,10 @@ def _figure(draft: Draft, found: Sequence[Record], fits: Sequence[Record], axis:
     fitted = {f["specimen_id"]: f["relative_permittivity"] for f in fits}
     series = []
     points = Counter((r["specimen_id"], r["direction"]) for r in found)
-    for key in sorted(points, key=lambda k: -points[k])[:_DRAWN]:
+    ranked = sorted(points, key=lambda k: -points[k])
+    if best is not None:  # what the heading names is drawn, and how the same film does in its other direction
+        ranked.sort(key=lambda k: k[0] != best["specimen_id"] and points[k] <= _FEW)
+    for key in ranked[:_DRAWN]:
         part = [r for r in found if (r["specimen_id"], r["direction"]) == key and r["force_n"] is not None]
         if part:
             series.append(_series(part, axis, fitted.get(key[0]), several=len(fitted) > 1))

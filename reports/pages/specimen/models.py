@@ -18,7 +18,20 @@ from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.mechanisms import model_name
-from schemas.numbers import ABSENT, NBSP, capital, compact, headline, ordinal, p_equals, p_value, pm, significant, whole
+from schemas.numbers import (
+    ABSENT,
+    NBSP,
+    capital,
+    compact,
+    headline,
+    never_negative,
+    ordinal,
+    p_equals,
+    p_value,
+    pm,
+    significant,
+    whole,
+)
 
 _ORDER_SQL = """SELECT model_order, reduced_chi2, bic - min(bic) OVER () AS delta_bic, order_p_value, magnitude_error_n_per_mm,
        phase_error_deg, held_out_error, selected
@@ -215,7 +228,7 @@ def _time(chosen: Record, index: int, arm: Arm) -> str:
 def _estimate(row: Record, column: str, tau: str) -> str:
     if row[column] is None:
         return "rigid: pure dashpot" if tau == "pure dashpot" else ABSENT
-    return pm(row[column], row[f"{column}_sd"])
+    return never_negative(row[column], row[f"{column}_sd"])
 
 
 def _moved(before: Record, after: Record, column: str) -> str:
@@ -228,6 +241,8 @@ def _moved(before: Record, after: Record, column: str) -> str:
 
 def _parameter_note(chosen: Record, after: Record | None) -> Markup:
     parts: list[Piece] = ["± is one standard deviation, scaled by √(reduced χ²) where that exceeds 1."]
+    if any(_estimate(chosen, c, "").startswith("<") for c in chosen if f"{c}_sd" in chosen):
+        parts.append(" <: upper 95 % limit, where ± would reach 0.")
     if beyond_noise(chosen):
         parts.append(" The residual is not noise, so ± does not hold all of the error.")
     if after is not None:

@@ -12,7 +12,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, percent, significant, with_unit
+from schemas.numbers import ABSENT, bounds, percent, pm, significant, with_unit
 
 _TESTS_SQL = """SELECT t.*
 FROM pull_tests AS t JOIN recordings AS r USING (recording_id)
@@ -131,14 +131,22 @@ def _laws(draft: Draft, query: Query, found: list[Record]) -> Table:
     return Table("Hyperelastic laws up to the break", heads, tuple(rows), query.shown(), below=below, kind="narrow")
 
 
+_NOTHING = 1e-9
+"""A parameter smaller than this share of the largest lies at its bound 0: its digits are those of the search."""
+
+
 def _parameters(values: dict[str, Any]) -> str:
     parts = []
     for name, value in values.items():
         if not name.endswith("_sd"):
             sd = values.get(f"{name}_sd")
-            unit = " kPa" if name.endswith("modulus") else ""
-            spread = f" ± {significant(sd, 2)}" if sd is not None else ""
-            parts.append(f"{name.replace('_', ' ')} {significant(value, 4)}{spread}{unit}")
+            unit = "kPa" if name.endswith("modulus") else ""
+            largest = max(abs(v) for n, v in values.items() if not n.endswith("_sd"))
+            if abs(value) < _NOTHING * largest:
+                text = "0, its bound"
+            else:
+                text = with_unit(significant(value, 4), unit) if sd is None else pm(value, sd, unit)
+            parts.append(f"{name.replace('_', ' ')} {text}")
     return ", ".join(parts)
 
 
@@ -147,7 +155,7 @@ def _number(value: float | None) -> str:
 
 
 def _between(value: float, low: float, high: float) -> str:
-    return f"{significant(value, 3)} ({significant(low, 3)} to {significant(high, 3)})"
+    return bounds(value, low, high)
 
 
 def _bound(row: Record, value: float) -> str:

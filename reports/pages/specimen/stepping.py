@@ -236,8 +236,9 @@ def _table(draft: Draft, query: Query, found: Sequence[Record]) -> Table:
         )  # fmt: skip
     heads = (
         Head("Recording"), Head("Voltage, kV", "n"), Head("Steps", "n"), Head("Force, mN", "n"), Head("Capacitance, pF", "n"),
-        Head("Strain", "n"), Head("Force at once", "n"), Head("Cap. at once", "n"), Head("Rise, s", "n"),
-        Head("Over­shoot, %", "n"), Head("Settling, s", "n"), Head("Recovery, s", "n"), Head("Film"),
+        Head("Strain", "n"), Head("Force at once", "n"), Head("Cap. at once", "n"),
+        Head("Force: rise, s", "n"), Head("Force: over­shoot, %", "n"), Head("Force: settling, s", "n"),
+        Head("Force: recovery, s", "n"), Head("Film"),
     )  # fmt: skip
     below = (
         "Means over the cycles ± their standard deviation. At once: share of the step 0.1 s after the voltage has reached"
@@ -266,13 +267,16 @@ _SENSING_SQL = "SELECT *\nFROM sensing_fits\nWHERE specimen_id = $specimen"
 def _traces(draft: Draft, quantity: str, factor: float, title: str, caption: str) -> Figure | None:
     """The first step at each voltage, from the preview of the recording."""
     steps_ = draft.results.rows(Query(_FIRST_STEPS_SQL, {"specimen": draft.item}))[-_TRACES:]
-    found = [t for t in (_trace(draft, s, quantity, factor) for s in steps_) if t is not None]
+    slope = _fitted_slope(draft, quantity, abs(factor))
+    found = [t for t in (_trace(draft, s, quantity, factor, slope) for s in steps_) if t is not None]
     if not found:
         return None
     on = max(s["end_s"] - s["start_s"] for s in steps_)
-    columns: dict[str, list[object]] = {"voltage": [], "time_s": [], "change": []}
+    columns: dict[str, list[object]] = {"voltage": [], "time_s": [], "change": [], "simulated": []}
     for t in found:
         columns["voltage"] += [t.name] * t.time.size
+        under = (t.time >= 0) & (t.time <= on)
+        columns["simulated"] += [None if t.expected is None else t.expected * bool(u) for u in under]
         columns["time_s"] += t.time.tolist()
         columns["change"] += t.change.tolist()
     return Figure(
@@ -282,7 +286,11 @@ def _traces(draft: Draft, quantity: str, factor: float, title: str, caption: str
             title,
             alt=f"{title.replace(', ', ' in ')} over time after switching on: {_levels_reached(found, on)}.",
         ),
-        flow(bold(caption), " First step at each voltage, as recorded (middle of the envelope)."),
+        flow(
+            bold(caption),
+            " First step at each voltage, as recorded (middle of the envelope).",
+            " Dashed: simulated, at once and in proportion to V²." if slope is not None else "",
+        ),
         draft.data(f"steps_{quantity}", columns),
     )
 
@@ -297,7 +305,16 @@ def _levels_reached(traces: Sequence[Trace], on_s: float) -> str:
     return ", ".join(parts)
 
 
-def _trace(draft: Draft, step: Record, quantity: str, factor: float) -> Trace | None:
+def _fitted_slope(draft: Draft, quantity: str, factor: float) -> float | None:
+    """Change per kV² of a quantity, fitted through the steps at several voltages; None with fewer than two."""
+    cycles = draft.results.columns(Query(_OPEN_CYCLES_SQL, {"specimen": draft.item}))
+    column = {"force": "force_step_n", "capacitance": "capacitance_step_pf"}[quantity]
+    voltage, step = cycles["voltage_kv"].astype(float), factor * cycles[column].astype(float)
+    kept = np.isfinite(voltage) & np.isfinite(step) & (voltage > 0) & ~cycles["wrinkled"].astype(bool)
+    return _slope(voltage, step, kept) if np.unique(np.round(voltage[kept], 1)).size > 1 else None
+
+
+def _trace(draft: Draft, step: Record, quantity: str, factor: float, slope: float | None) -> Trace | None:
     """The stretch of a preview around a step, zero before it."""
     start, length = step["start_s"], step["end_s"] - step["start_s"]
     data = draft.results.columns(
@@ -316,7 +333,8 @@ def _trace(draft: Draft, step: Record, quantity: str, factor: float) -> Trace | 
     if shown.sum() < 8 or not before.any():
         return None
     change = factor * (data["middle"].astype(float) - float(np.nanmean(data["middle"][before])))
-    return Trace(f"{compact(step['voltage_kv'], 2)} kV", time[shown], change[shown], bool(step["wrinkled"]))
+    expected = None if slope is None else slope * step["voltage_kv"] ** 2
+    return Trace(f"{compact(step['voltage_kv'], 2)} kV", time[shown], change[shown], bool(step["wrinkled"]), expected)
 
 
 def _per_percent(fit: Record, unit: str = "mN") -> str:
