@@ -195,6 +195,10 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
     ("Which recordings led to no result, and what was missing?", "SELECT * FROM without_result"),
     ("What needs attention?", "SELECT what, name, status, problem FROM needs_attention"),
     ("What does holding the passive part of a sensing film add?", "SELECT * FROM constraint_gains"),
+    (
+        "How would designed controllers settle, and how far would the force overshoot, beside the thesis' gains?",
+        "SELECT specimen_id, goal, controller, settling_time_s, force_overshoot_percent FROM controller_designs",
+    ),
     ("What came in last night?", "SELECT * FROM tonight"),
     ("Was last night like the night before?", "SELECT * FROM nights LIMIT 2"),
     (

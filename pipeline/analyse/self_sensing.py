@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.analyse.analysis import Analysis
+from pipeline.analyse.controllers import analyse_controllers
 from pipeline.analyse.inputs import Measured, all_of
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.results import SpecimenFits
@@ -31,16 +32,24 @@ def analyse_self_sensing(
     analysis: Analysis, specimen_id: str, recordings: Sequence[Measured], forward: SpecimenFits | None
 ) -> None:
     """Steps of all recordings, the sensing fit and electrode coverage; `forward` is the specimen's mechanical model."""
-    _steps(analysis, specimen_id, recordings, forward)
+    opened = _steps(analysis, specimen_id, recordings, forward)
+    if forward is not None and opened:
+        rig = next(one.rig for one in recordings if one.of(StepAnalysis))
+        analyse_controllers(analysis, specimen_id, opened, forward.selected, rig)
     _gains(analysis, recordings)
     _coats(analysis, all_of(Coat, recordings))
 
 
-def _steps(analysis: Analysis, specimen_id: str, recordings: Sequence[Measured], forward: SpecimenFits | None) -> None:
-    """Rows of all steps. Wrinkling shows only from one voltage to the next: the open-loop ones are marked together."""
+def _steps(
+    analysis: Analysis, specimen_id: str, recordings: Sequence[Measured], forward: SpecimenFits | None
+) -> list[list[StepResponse]]:
+    """Rows of all steps; returned are those of each recording with open loop, where they have a capacitance.
+
+    Wrinkling shows only from one voltage to the next: the open-loop ones are marked together.
+    """
     stepped = [one for one in recordings if one.of(StepAnalysis)]
     if not stepped or not isinstance(about := stepped[0].metadata, RecordingMetadata):
-        return
+        return []
     steps = [[step for found in one.of(StepAnalysis) for step in found.steps] for one in stepped]
     levels = [step for one, own in zip(stepped, steps, strict=True) if not _closed(one) for step in own]
     judged = analysis.attempt("wrinkling", wrinkling, levels)
@@ -58,6 +67,8 @@ def _steps(analysis: Analysis, specimen_id: str, recordings: Sequence[Measured],
         fit = analysis.attempt("self-sensing", fit_sensing, steps, about, modulus, float(np.median(common)))
         if fit is not None:
             analysis.add({"sensing_fits": sensing_table(specimen_id, replace(fit, wrinkling_onset_kv=onset))})
+    opened = [own for one, own in zip(stepped, steps, strict=True) if not _closed(one)]
+    return [own for own in opened if any(step.capacitance_step_pf is not None for step in own)]
 
 
 def sensing_table(specimen_id: str, fit: SensingFit) -> pa.Table:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.physics.controllers import Controller
 from pipeline.simulate.bench import Bench
 from pipeline.simulate.effects import EFFECTS
 from pipeline.simulate.lifetime import Life
@@ -67,8 +68,8 @@ def bench_for(campaign: Campaign, planned: Planned) -> Bench:
     return bench
 
 
-def simulate_one(campaign: Campaign, planned: Planned) -> SimulatedRecording:
-    """One recording of a campaign."""
+def simulate_one(campaign: Campaign, planned: Planned, controller: Controller | None = None) -> SimulatedRecording:
+    """One recording of a campaign; a closed loop with another controller than the PI of its gains, where one is given."""
     procedure = planned.procedure
     bench = bench_for(campaign, planned)
     highest = max(s.sample_rate_hz for s in planned.sensors.values())
@@ -81,7 +82,7 @@ def simulate_one(campaign: Campaign, planned: Planned) -> SimulatedRecording:
     if isinstance(procedure, ClosedLoop):
         # The controller has sampled its own channels already.
         every = factors["capacitance"]
-        signals = procedure.run_with(bench, clock, every, planned.sensors["capacitance"], rng)
+        signals = procedure.run_with(bench, clock, every, planned.sensors["capacitance"], rng, controller)
         finished = {"capacitance", "demand"}
     else:
         signals = procedure.run(bench, planned.specimen, clock, rng)

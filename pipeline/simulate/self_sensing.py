@@ -7,12 +7,12 @@ exactly as in every other test. Open-loop steps are in `procedures`.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from pipeline.physics.controllers import Controller, ProportionalIntegral
 from pipeline.physics.motion import Propagator
 from pipeline.simulate.bench import Bench, Film, Signals, Stage, capacitance
 from pipeline.simulate.procedures.base import Clock, amplifier_interval_s
@@ -75,10 +75,19 @@ class ClosedLoop:
     def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
         raise TypeError("a closed loop runs with its sensor: run_with")
 
-    def run_with(self, bench: Bench, clock: Clock, factor: int, sensor: Sensor, rng: np.random.Generator) -> Signals:
+    def run_with(
+        self,
+        bench: Bench,
+        clock: Clock,
+        factor: int,
+        sensor: Sensor,
+        rng: np.random.Generator,
+        controller: Controller | None = None,
+    ) -> Signals:
         """All signals; `capacitance` holds the samples that the controller saw, each held for `factor` intervals.
 
-        `clock` is the fine clock, `sensor` the capacitance channel, which is sampled every `factor` intervals.
+        `clock` is the fine clock, `sensor` the capacitance channel, which is sampled every `factor` intervals. `controller`
+        decides in place of the PI controller of these gains.
         """
         film, amplifier = bench.film, bench.amplifier
         ticks = clock.samples // factor
@@ -95,10 +104,9 @@ class ClosedLoop:
         keep = float(np.exp(-2 * np.pi * self.controller_filter_hz * factor * clock.interval_s))
         exact = replace(sensor, noise_sd=0.0)
 
-        lowers = film.shared == self.thesis_sign
-        sign = 1.0 if lowers else -1.0
+        loop = (controller or self._controller(bench)).start(1, factor * clock.interval_s)
         relaxed = float(np.exp(-factor * clock.interval_s / film.permittivity_time_s))
-        state, voltage, integral, seen, permittivity = rest[0], self.bias_kv, 0.0, start, 0.0
+        state, voltage, seen, permittivity = rest[0], self.bias_kv, start, 0.0
         measured, commands = np.empty(ticks), np.empty(ticks)
         for tick in range(ticks):
             maxwell = film.force_per_voltage_squared * voltage**2 * (1 + permittivity)
@@ -107,13 +115,8 @@ class ClosedLoop:
             seen += (1 - keep) * (measured[tick] - seen)
             wanted = self.bias_kv
             if on[tick]:
-                error = sign * (seen - demand[tick])
-                step = self.integral_gain * error * factor * clock.interval_s
-                free = self.bias_kv / amplifier.gain_kv_per_v + self.proportional_gain * error + integral + step
-                asked = min(max(free * amplifier.gain_kv_per_v, 0.0), self.largest_kv)
-                wanted = math.sqrt(asked * self.largest_kv) if self.square_root_drive else asked
-                if 0 < free * amplifier.gain_kv_per_v < self.largest_kv or step * free < 0:
-                    integral += step
+                decided = loop.decide(np.array([seen - start]), float(demand[tick] - start))
+                wanted = min(float(decided[0]), self.largest_kv)
             elif times[tick] >= self.rest_s:
                 wanted = 0.0
             commands[tick] = amplifier.command_for(np.array([wanted]))[0]
@@ -126,6 +129,17 @@ class ClosedLoop:
         held = Signals(clock.interval_s, {"command": np.repeat(commands, factor)})
         signals = bench.run(held)
         return signals.with_values(capacitance=np.repeat(measured, factor), demand=np.repeat(demand, factor))
+
+    def _controller(self, bench: Bench) -> Controller:
+        return ProportionalIntegral(
+            self.proportional_gain,
+            self.integral_gain,
+            bench.film.shared == self.thesis_sign,
+            bench.amplifier.gain_kv_per_v,
+            self.largest_kv,
+            self.bias_kv,
+            self.square_root_drive,
+        )
 
     def _steady(self, system: Any, maxwell: float) -> tuple[Float, float]:
         return -np.linalg.solve(system.a, system.b[:, 1] * maxwell), maxwell

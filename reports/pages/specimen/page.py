@@ -13,6 +13,7 @@ from reports.pages import assumed, listing, requirement
 from reports.pages.draft import Draft
 from reports.pages.recording import calibrating
 from reports.pages.specimen import (
+    controllers,
     correction,
     cycles,
     diagnosis,
@@ -162,6 +163,8 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         candidates += [stepping.steps(draft), stepping.sensing(draft)]
     if recorded("loop_responses"):
         candidates.append(loops.section(draft))
+    if has("controller_designs"):
+        candidates.append(controllers.section(draft))
     if has("electrode_coats"):
         candidates.append(electrodes.coverage(draft))
     if has("electrode_migrations"):
