@@ -199,6 +199,10 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
         "How would designed controllers settle, and how far would the force overshoot, beside the thesis' gains?",
         "SELECT specimen_id, goal, controller, settling_time_s, force_overshoot_percent FROM controller_designs",
     ),
+    (
+        "Which electrodes would live longer at the same force, and by how much?",
+        "SELECT configuration, design, life_ratio, life_ratio_lower, life_ratio_upper FROM electrode_designs",
+    ),
     ("What came in last night?", "SELECT * FROM tonight"),
     ("Was last night like the night before?", "SELECT * FROM nights LIMIT 2"),
     (

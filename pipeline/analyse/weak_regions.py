@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.film_lives import LayoutLives, film_life_tables
 from pipeline.analyse.inputs import Measured
-from pipeline.fit.survival.film_life import lay_film
+from pipeline.fit.survival.electrode_design import ElectrodeDesign, design_electrodes
+from pipeline.fit.survival.film_life import PLAUSIBLE_EXPONENT, fit_film_life, lay_film
 from pipeline.fit.survival.weak_regions import (
     THIN,
     FilmGrid,
@@ -55,6 +56,9 @@ def analyse_weak_regions(recordings: Sequence[Measured]) -> Analysis:
         tables = analysis.attempt("life from the film", film_life_tables, campaign or None, tested)
         if tables is not None:
             analysis.add(tables)
+        if len(tested) > 1:
+            firsts = {name: own[0] for (where, name), own in sorted(groups.items()) if where == campaign}
+            analysis.attempt("electrode designs", _design, analysis, campaign or None, tested, firsts)
     return analysis
 
 
@@ -69,6 +73,38 @@ def _lay(configuration: str, members: Sequence[Measured]) -> LayoutLives:
     film = rod_film(about)
     layout = lay_film(configuration, _maps(film)[0], electrodes(film, about.electrode_gap_mm), about.layer_thickness_mm)
     return LayoutLives(layout, [life for one in members for life in one.of(LifetimeRow)])
+
+
+def _design(
+    analysis: Analysis, campaign: str | None, tested: Sequence[LayoutLives], members: Mapping[str, Measured]
+) -> None:
+    """Electrodes that would live longer, for each configuration of a campaign, by the law of all its lives."""
+    law = fit_film_life([group for one in tested for group in one.groups()], PLAUSIBLE_EXPONENT)
+    for name, member in members.items():
+        about = member.metadata
+        assert isinstance(about, RecordingMetadata)
+        film = rod_film(about)
+        designs = design_electrodes(_maps(film)[0], electrodes(film, about.electrode_gap_mm), law)
+        analysis.add(electrode_design_tables(campaign, name, designs))
+
+
+def electrode_design_tables(
+    campaign: str | None, configuration: str, designs: Sequence[ElectrodeDesign]
+) -> dict[str, pa.Table]:
+    """Tables `electrode_designs` and `electrode_shapes` of one configuration."""
+    about = {"campaign": campaign, "configuration": configuration}
+    shapes = [
+        {
+            **about, "design": one.design, "number": number, "x_low_mm": r.x_low, "x_high_mm": r.x_high,
+            "y_low_mm": r.y_low, "y_high_mm": r.y_high,
+        }
+        for one in designs
+        for number, r in enumerate(one.electrodes, start=1)
+    ]  # fmt: skip
+    return {
+        "electrode_designs": TABLES["electrode_designs"].from_objects(designs, **about),
+        "electrode_shapes": TABLES["electrode_shapes"].rows(shapes),
+    }
 
 
 def _configuration(analysis: Analysis, campaign: str | None, configuration: str, members: Sequence[Measured]) -> None:

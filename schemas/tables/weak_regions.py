@@ -105,4 +105,45 @@ TABLES: tuple[Table, ...] = (
         made_by=(MadeBy("group", group="weak_regions"),),
         pages=("campaign",),
     ),
+    Table(
+        "electrode_designs",
+        "electrodes for a configuration's film over its rods that would live longest at the force of its own ones, by the film's law",
+        (
+            CAMPAIGN,
+            CONFIGURATION,
+            text(
+                "design",
+                "rectangles between the rods; shaped (outlines made of slices); any shape: no electrodes better it",
+            ),
+            real("gap_mm", "mm", "distance from the axes of the rods; NULL unless rectangles"),
+            real("inset_mm", "mm", "distance from the film's ends along the rods; NULL unless rectangles"),
+            real("covered_share", "", "of the film"),
+            real("relative_force", "", "at equal voltage, over that of the electrodes now"),
+            real("voltage_ratio", "", "of voltages at equal force"),
+            *with_bounds(
+                "life_ratio", "", "median life at equal force over that now; limits are 90 %, of the law of life"
+            ),
+            real("thinnest", "", "smallest thickness under an electrode over the film's median"),
+        ),
+        key=("campaign", "configuration", "design"),
+        made_by=(MadeBy("group", group="weak_regions"),),
+        pages=("campaign",),
+    ),
+    Table(
+        "electrode_shapes",
+        "the rectangles that make up electrode_designs, on the finished film",
+        (
+            CAMPAIGN,
+            CONFIGURATION,
+            text("design", "as in electrode_designs"),
+            whole("number", "of the rectangle, from 1"),
+            real("x_low_mm", "mm", "along the rods, the middle of the film at 0"),
+            real("x_high_mm", "mm", "likewise"),
+            real("y_low_mm", "mm", "across the rods"),
+            real("y_high_mm", "mm", "likewise"),
+        ),
+        key=("campaign", "configuration", "design", "number"),
+        made_by=(MadeBy("group", group="weak_regions"),),
+        pages=("campaign",),
+    ),
 )

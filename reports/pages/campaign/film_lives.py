@@ -29,7 +29,45 @@ def blocks(draft: Draft) -> list[Block]:
     if not laws:
         return []
     query = Query(_PREDICTED_SQL, {"campaign": draft.item})
-    return [_law(laws[0]), _table(query, draft.results.rows(query))]
+    designs = _designs(draft)
+    return [_law(laws[0]), _table(query, draft.results.rows(query)), *([] if designs is None else [designs])]
+
+
+_DESIGN_SQL = """SELECT configuration, design, gap_mm, inset_mm, covered_share, relative_force, voltage_ratio, life_ratio,
+       life_ratio_lower, life_ratio_upper, thinnest
+FROM electrode_designs
+WHERE campaign = $campaign
+ORDER BY configuration, list_position(['rectangles', 'shaped', 'any shape'], design)"""
+
+
+def _designs(draft: Draft) -> Table | None:
+    """Electrodes that would live longer at the same force."""
+    query = Query(_DESIGN_SQL, {"campaign": draft.item})
+    found = draft.results.rows(query)
+    if not found:
+        return None
+    rows = tuple(
+        Row(
+            (
+                short(r["configuration"] or ABSENT, 60), r["design"], significant(r["gap_mm"]), significant(r["inset_mm"]),
+                percent(r["covered_share"]), significant(r["relative_force"]), significant(r["voltage_ratio"]),
+                bounds(r["life_ratio"], r["life_ratio_lower"], r["life_ratio_upper"]), significant(r["thinnest"]),
+            )
+        )
+        for r in found
+    )  # fmt: skip
+    heads = (
+        Head("Configuration"), Head("Design"), Head("From rods, mm", "n"), Head("From ends, mm", "n"), Head("Covers", "n"),
+        Head("Force ×", "n"), Head("Voltage ×", "n"), Head("Life × (90 %)", "n"), Head("Thinnest", "n"),
+    )  # fmt: skip
+    below = (
+        "Against the electrodes that the configuration has: force at equal voltage, voltage and median life at equal force, by the law"
+        " of the film’s life with its limits. Shaped electrodes follow the outline of film that is thick enough; any shape is the"
+        " bound. Force counts film between the rods as equally stiff. The command layout writes the outlines as SVG and CSV."
+    )
+    return Table(
+        "Electrodes that would live longer at the same force", heads, rows, query.shown(), below=below, kind="wide"
+    )
 
 
 def _law(law: Record) -> Text:
