@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup
@@ -18,15 +18,20 @@ from matplotlib.figure import Figure as MatplotlibFigure
 from reports.blocks import Figure, Head, Link, Page, Row, Section, Table, Text, bold, flow
 from reports.evidence import choice, curve, drawable, measured
 from reports.figures.curves import arms, band, covariance, stiffness
+from reports.figures.palette import group
+from reports.figures.printed.lives import draw_survival
 from reports.figures.printed.overlay import Overlaid, draw_overlay
 from reports.figures.printed.style import DOUBLE, write_figure
+from reports.figures.survival import GroupCurve
 from reports.names import short, visible
+from reports.pages.campaign import lives
+from reports.pages.draft import Draft
 from reports.results import Query, Results
 from reports.results import Row as Record
 from reports.site import Site
 from schemas.arrays import Float
 from schemas.errors import UsageError
-from schemas.numbers import joined
+from schemas.numbers import compact, joined, with_unit
 
 _AT_HZ = (1.0, 10.0, 50.0)
 """Frequencies at which stiffness and loss angle are set side by side, whatever the order of the models."""
@@ -213,13 +218,19 @@ def make_page(
     overlaid = [item.overlaid for item in items if item.overlaid is not None]
     sections = []
     if len(overlaid) > 1:
-        image = _draw(overlaid, heading)
+        image = _show(draw_overlay(overlaid, width=DOUBLE), heading)
         caption = flow(
             bold("Stiffness and phase."),
             " Points: measured; lines: the model; of a batch the mean, its specimens thin. Below: how far each is off the first,"
             " with the 95 % band of the models, or of the mean where a batch is drawn.",
         )
         sections.append(Section("figure", "Stiffness over frequency", "Figure", (Figure(image, caption),)))
+    curves, time_title = read_curves(site, items)
+    if curves:
+        told = _tell_lives(curves)
+        caption = flow(bold("Survival."), " Kaplan–Meier with 95 % bands; open marks: alive when the test ended.")
+        figure = Figure(_show(draw_lives(curves, time_title), told), caption)
+        sections.append(Section("lives", "Survival under voltage", "Survival", (figure,)))
     shown = [
         Table(
             visible(caption),
@@ -242,16 +253,54 @@ def make_page(
     )  # fmt: skip
 
 
-def draw_items(items: Sequence[Item], width: str = DOUBLE) -> MatplotlibFigure:
-    """The overlay by itself; `UsageError` where fewer than two of the items have a mechanical model."""
+def draw_items(site: Site, items: Sequence[Item], width: str = DOUBLE) -> MatplotlibFigure:
+    """The overlay by itself: of models, else of lives; `UsageError` where fewer than two of the items have either."""
     overlaid = [item.overlaid for item in items if item.overlaid is not None]
     if len(overlaid) < 2:
-        raise UsageError("there is no figure of this", expected="mechanical models of at least two of them")
+        return draw_lives(*read_curves(site, items), width=width)
     return draw_overlay(overlaid, width=width)
 
 
-def _draw(items: Sequence[Overlaid], finding: str) -> Markup:
-    figure, file = draw_overlay(items, width=DOUBLE), io.BytesIO()
+def read_curves(site: Site, items: Sequence[Item]) -> tuple[list[GroupCurve], str]:
+    """Survival curves of the items that are configurations with lives, in one unit, and the title of their time axis."""
+    names = [item.name for item in items]
+    found: list[tuple[GroupCurve, str, float, str]] = []
+    volts: set[float] = set()
+    for campaign in site.campaigns:
+        lived = lives.load(Draft(site, "campaign", campaign))
+        own = lives.list_curves(lived, names)
+        found += [(g, campaign, *lived.unit) for g in own]
+        volts |= {v for c, v in lived.groups if c in names and v is not None}
+    if len(found) < 2:
+        return [], ""
+    factor, unit = min((f, u) for _, _, f, u in found)
+    several = len({campaign for _, campaign, *_ in found}) > 1
+    curves = [
+        replace(
+            g, name=f"{g.name}, {short(campaign, 20)}" if several else g.name, drawn=group(i),
+            time=g.time * factor / own, laws={},
+        )
+        for i, (g, campaign, own, _) in enumerate(found)
+    ]  # fmt: skip
+    at = f"at {with_unit(compact(volts.pop()), 'kV')}" if len(volts) == 1 else "under voltage"
+    return curves, f"Time {at}, {unit}"
+
+
+def _tell_lives(curves: Sequence[GroupCurve]) -> str:
+    return "Survival: " + "; ".join(f"{g.name}: {g.failed} of {g.total} failed" for g in curves)
+
+
+def draw_lives(curves: Sequence[GroupCurve], time_title: str, width: str = DOUBLE) -> MatplotlibFigure:
+    """Survival curves over each other, with numbers at risk; `UsageError` where there are fewer than two."""
+    if len(curves) < 2:
+        raise UsageError(
+            "there is no figure of this", expected="mechanical models, or lives under voltage, of at least two of them"
+        )
+    return draw_survival(curves, time_title, width=width)
+
+
+def _show(figure: MatplotlibFigure, finding: str) -> Markup:
+    file = io.BytesIO()
     write_figure(figure, file, "svg", title="Comparison", finding=finding)
     uri = "data:image/svg+xml;base64," + base64.b64encode(file.getvalue()).decode("ascii")
     high = round(_WIDTH_PX * figure.get_figheight() / figure.get_figwidth())

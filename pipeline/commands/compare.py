@@ -64,7 +64,7 @@ def run(arguments: Namespace) -> int:
                     file.write_text(html(make_page(site, items, heading, tables, notes)), encoding="utf-8")
                 else:
                     form = ENDINGS[out.suffix.lower()]
-                    write_figure(draw_items(items), file, form, title="Comparison", finding=heading)
+                    write_figure(draw_items(site, items), file, form, title="Comparison", finding=heading)
     print(make_safe(heading))
     for table in tables:
         if table.rows:

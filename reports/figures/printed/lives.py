@@ -28,6 +28,8 @@ from reports.names import short
 _ROW_MM = 3.6
 _FEW = 3
 """Up to so many groups have room for a second line beside their name."""
+_HALF_A_LINE = 0.045
+"""Half the height of a line of text, as a share surviving."""
 _NONE_LEFT, _LATE = 0.02, 0.55
 """Survival at which a curve has ended at the axis, and share of the axis from which on its name has no room beside it."""
 _CROSSED = (0.45, 0.6, 0.3)
@@ -57,10 +59,11 @@ def draw_survival(groups: Sequence[GroupCurve], time_title: str, *, width: str =
         known = survival[np.isfinite(survival)]
         text = short(g.name, 24)
         if few:
-            text = "\n".join([*wrap(short(g.name, 40), 20)[:2], f"{g.failed} of {g.total} failed"])
+            text = "\n".join([*wrap(short(g.name, 60), 20), f"{g.failed} of {g.total} failed"])
         text = f"{g.drawn.sign} {text}"
         level = _CROSSED[len(fallen) % len(_CROSSED)]
-        at = float(g.time[np.argmax(g.survival <= level)]) if np.any(g.survival <= level) else math.inf
+        foot = max(level - _HALF_A_LINE * (1 + text.count("\n")), 0.0)  # right of the curve over its whole height
+        at = float(g.time[np.argmax(g.survival <= foot)]) if np.any(g.survival <= foot) else math.inf
         if known[-1] <= _NONE_LEFT and float(x.share([max(at, x.low)])[0]) < _LATE:
             fallen.append((max(at, x.low), 100 * level, text, g.drawn.colour))
         else:
@@ -77,7 +80,7 @@ def _write_at_risk(axes: Axes, x: Scale, groups: Sequence[GroupCurve], ticks: Se
     scale_axes(axes, x, Scale(len(groups) - 0.4, -1.4), x_labels=False, x_ticks=ticks, y_ticks=())
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0, which="both")
-    axes.axhline(-0.75, color=RULE, linewidth=0.6, xmin=-0.5, xmax=1.0, clip_on=False)
+    axes.axhline(-0.75, color=RULE, linewidth=0.6, xmin=-0.15, xmax=1.0, clip_on=False)
     axes.annotate("At risk", (0, -1.25), (-6, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
                   ha="right", va="center", fontsize=TICK_PT, color=SECOND, annotation_clip=False)  # fmt: skip
     for i, g in enumerate(groups):

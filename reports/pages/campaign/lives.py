@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -192,7 +192,7 @@ def support(lives: Lives) -> str:
 
 def survival(draft: Draft, lives: Lives) -> Section | None:
     """Kaplan–Meier curves with numbers at risk, and the Weibull check."""
-    groups = _curves(lives)
+    groups = list_curves(lives)
     if not groups:
         return None
     href = draft.data("survival", {n: [r[n] for r in lives.curves] for n in lives.curves[0]})
@@ -245,9 +245,12 @@ def survival(draft: Draft, lives: Lives) -> Section | None:
     return Section("survival", "Survival", "Survival", tuple(pairs))
 
 
-def _curves(lives: Lives) -> list[GroupCurve]:
+def list_curves(lives: Lives, configurations: Collection[str] | None = None) -> list[GroupCurve]:
+    """The survival curves of all groups, or of those of some configurations, in the unit in which the lives are read."""
     found = []
     for i, key in enumerate(lives.groups):
+        if configurations is not None and key[0] not in configurations:
+            continue
         rows = [r for r in lives.curves if (r["configuration"], r["voltage_kv"]) == key]
         summary = next(s for s in lives.summaries if (s["configuration"], s["voltage_kv"]) == key)
         if not rows:
