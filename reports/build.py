@@ -66,16 +66,24 @@ class ReportResult:
 
 
 def build_reports(
-    lab: Path, *, force: bool = False, workers: Callable[[], Executor] | None = None, jobs: int = 1
+    lab: Path,
+    *,
+    force: bool = False,
+    interactive: bool | None = None,
+    workers: Callable[[], Executor] | None = None,
+    jobs: int = 1,
 ) -> ReportResult:
     """Writes LAB/reports; `force` makes every page anew. Raises `LabError` without a readable database or folder.
 
-    `workers` opens an executor with `jobs` workers, which many pages are shared among.
+    `interactive`: with a script or without; None leaves it as the pages are that are there, none at first. `workers`
+    opens an executor with `jobs` workers, which many pages are shared among.
     """
+    if interactive is None:
+        interactive = manifest.interactive(lab / "reports")
     start = time.perf_counter()
     for memory in MEMORY:
         try:
-            written, unchanged, problems = _build(lab, memory, force, workers if jobs > 1 else None, jobs)
+            written, unchanged, problems = _build(lab, memory, force, interactive, workers if jobs > 1 else None, jobs)
             break
         except Exception as error:
             if memory == MEMORY[-1] or not short_of_memory(error):
@@ -84,13 +92,13 @@ def build_reports(
 
 
 def _build(
-    lab: Path, memory: str, force: bool, workers: Callable[[], Executor] | None, jobs: int
+    lab: Path, memory: str, force: bool, interactive: bool, workers: Callable[[], Executor] | None, jobs: int
 ) -> tuple[int, int, dict[str, str]]:
     """Numbers of pages that were written and left alone, and what went wrong with which."""
     problems: dict[str, str] = {}
     folder = lab / "reports"
     with Results(lab, memory) as results:
-        ledger, site = results.ledger, Site(results)
+        ledger, site = results.ledger, Site(results, interactive=interactive)
         pages = plan(site, digests(results))
         ledger.add("pages", ((None, one.path, one.kind, one.item, digest) for one, digest in pages))
         try:
@@ -104,10 +112,10 @@ def _build(
                 _note(ledger, problems, (_write(folder, site, one) for one in waiting))
             else:
                 _note(ledger, problems, [_write(folder, site, next(waiting))])
-                _note(ledger, problems, _shared(lab, memory, waiting, stale - 1, workers, jobs))
+                _note(ledger, problems, _shared(lab, memory, interactive, waiting, stale - 1, workers, jobs))
             manifest.remove_stale(folder, ledger)
             if stale or ledger.number("SELECT count(*) FROM known") != count:
-                manifest.write(folder, ledger)
+                manifest.write(folder, ledger, script=interactive)
         except OSError as error:
             raise LabError(f"the report cannot be written: {error}", where=str(folder)) from error
     return stale, count - stale, problems
@@ -145,6 +153,7 @@ def _note(ledger: Ledger, problems: dict[str, str], made: Iterable[Made]) -> Non
 def _shared(
     lab: Path,
     memory: str,
+    interactive: bool,
     waiting: Iterator[Planned],
     count: int,
     workers: Callable[[], Executor],
@@ -157,28 +166,32 @@ def _shared(
         for some in batches(waiting, min(_PAGES_AT_ONCE, -(-count // (2 * jobs)))):
             if len(tasks) > 2 * jobs:
                 yield from tasks.popleft().result()
-            tasks.append(executor.submit(write_pages, lab, memory, (state.st_ino, state.st_mtime_ns), some))
+            tasks.append(
+                executor.submit(write_pages, lab, memory, interactive, (state.st_ino, state.st_mtime_ns), some)
+            )
         for task in tasks:
             yield from task.result()
 
 
-def write_pages(lab: Path, memory: str, state: tuple[int, int], pages: list[Planned]) -> list[Made]:
+def write_pages(lab: Path, memory: str, interactive: bool, state: tuple[int, int], pages: list[Planned]) -> list[Made]:
     """Writes some pages of a lab whose database is in this `state`; a worker that is asked again knows the site already."""
-    site = _known_site(lab, memory, state)
+    site = _known_site(lab, memory, interactive, state)
     return [_write(lab / "reports", site, one) for one in pages]
 
 
 @functools.lru_cache(maxsize=1)
-def _known_site(lab: Path, memory: str, state: tuple[int, int]) -> Site:
-    return Site(Results(lab, memory))
+def _known_site(lab: Path, memory: str, interactive: bool, state: tuple[int, int]) -> Site:
+    return Site(Results(lab, memory), interactive=interactive)
 
 
 def _write(folder: Path, site: Site, planned: Planned) -> Made:
     problem = ""
     try:
         page = make(site, planned)
-        text = html(page)
-        files = page.files | {path: html(further) for path, further in page.further}
+        entries = site.entries() if site.interactive and planned.kind == "index" else ()
+        text = html(page, interactive=site.interactive, site=entries)
+        further = {path: html(one, interactive=site.interactive) for path, one in page.further}
+        files = page.files | further
     except _OF_A_PAGE as error:
         if short_of_memory(error):
             raise

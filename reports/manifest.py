@@ -24,7 +24,7 @@ from reports.ledger import Ledger, batches
 NAME = ".manifest.json"
 _OURS = re.compile(r"(?:[^/]+/)?[^/]+\.html|data/(?:[^/]+/)?[^/]+\.csv|(?:.*/)?\.writing-[^/]*")
 """What reports write, with names of ASCII: nothing else in their folder is ever removed."""
-_BEGIN, _END = '{"pages": {\n', "}}\n"
+_BEGIN, _WITH_SCRIPT, _END = '{"pages": {\n', '{"script": true, "pages": {\n', "}}\n"
 _SOURCES = (Path(__file__).parent, Path(schemas.__file__).parent)
 
 
@@ -33,7 +33,7 @@ def code_digest() -> str:
     """Digest of the code, templates and style that make pages, and of the libraries whose output they carry."""
     digest = hashlib.sha256()
     for folder in _SOURCES:
-        for path in sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".j2", ".css")):
+        for path in sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".j2", ".css", ".js")):
             digest.update(path.relative_to(folder.parent).as_posix().encode() + b"\0" + path.read_bytes())
     for library in ("duckdb", "jinja2", "markupsafe", "numpy"):
         digest.update(f"{library} {importlib.metadata.version(library)}\n".encode())
@@ -45,7 +45,7 @@ def read(folder: Path, ledger: Ledger) -> None:
     an earlier release, which had all pages in one line (then everything is made anew)."""
     try:
         with (folder / NAME).open(encoding="utf-8") as file:
-            if file.readline(len(_BEGIN)) != _BEGIN:
+            if file.readline(len(_WITH_SCRIPT)) not in (_BEGIN, _WITH_SCRIPT):
                 return
             for some in batches(_entries(file)):
                 ledger.add("known", ((page, digest) for page, digest, _ in some))
@@ -68,13 +68,20 @@ def _entries(file: Iterable[str]) -> Iterator[tuple[str, str, list[str]]]:
     raise ValueError("the end is missing")
 
 
-def write(folder: Path, ledger: Ledger) -> None:
-    """Writes the manifest, pages in order."""
+def interactive(folder: Path) -> bool:
+    """The pages that are there have the script."""
+    with contextlib.suppress(OSError, ValueError), (folder / NAME).open(encoding="utf-8") as file:
+        return file.readline(len(_WITH_SCRIPT)) == _WITH_SCRIPT
+    return False
+
+
+def write(folder: Path, ledger: Ledger, *, script: bool = False) -> None:
+    """Writes the manifest, pages in order; `script`: they have one."""
     rows = ledger.each(
         "SELECT p.path, p.digest, d.path FROM pages AS p LEFT JOIN data AS d ON d.page = p.path ORDER BY p.path, d.path"
     )
     with _replacing(folder / NAME) as file:
-        before = _BEGIN
+        before = _WITH_SCRIPT if script else _BEGIN
         for (page, digest), some in itertools.groupby(rows, key=lambda row: row[:2]):
             entry = {"digest": digest, "files": [path for *_, path in some if path is not None]}
             file.write(f"{before}{json.dumps(page)}: {json.dumps(entry)}".encode())

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import functools
+import hashlib
+import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -16,14 +20,21 @@ _HERE = Path(__file__).parent
 
 
 @functools.cache
-def _environment() -> Environment:
-    return Environment(
+def _environment(script: str) -> Environment:
+    environment = Environment(
         loader=FileSystemLoader(_HERE / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         finalize=unbroken,
     )
+    environment.globals |= {"script": Markup(script), "hash": _digest(script)}  # noqa: S704
+    return environment
+
+
+def _digest(script: str) -> str:
+    """How a policy names the one script that may run."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
 
 
 _CODE_OR_TEXT = re.compile(r"(<code>.*?</code>|<[^<>]*>)|([^<]+)", re.S)
@@ -40,13 +51,24 @@ def unbroken(value: object) -> object:
 
 
 @functools.cache
-def _style() -> Markup:
-    """The style sheet, comments and indentation left out; it is ours and holds no data."""
-    text = (_HERE / "style.css").read_text(encoding="utf-8")
+def _script() -> str:
+    """The script of pages that may be asked, comments and indentation left out; it is ours and holds no data."""
+    text = (_HERE / "interactive.js").read_text(encoding="utf-8")
+    lines = (line.strip() for line in text.splitlines())
+    return str(unbroken(Markup("\n".join(line for line in lines if line and not line.startswith("// ")))))  # noqa: S704
+
+
+@functools.cache
+def _style(*names: str) -> Markup:
+    """The style sheets, comments and indentation left out; they are ours and hold no data."""
+    text = "".join((_HERE / name).read_text(encoding="utf-8") for name in names)
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.S)
     return Markup(re.sub(r"\s*\n\s*", "\n", text).strip())  # noqa: S704
 
 
-def html(page: Page) -> str:
-    """The page's bytes as text."""
-    return _environment().get_template("page.html.j2").render(page=page, style=_style())
+def html(page: Page, *, interactive: bool = False, site: Sequence[tuple[str, str]] = ()) -> str:
+    """The page's bytes as text; `interactive` with the script, and what a search in `site` finds: words → address."""
+    style = _style("style.css", "interactive.css") if interactive else _style("style.css")
+    entries = json.dumps(site, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c") if site else ""
+    template = _environment(_script() if interactive else "").get_template("page.html.j2")
+    return template.render(page=page, style=style, entries=Markup(entries))  # noqa: S704

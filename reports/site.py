@@ -14,7 +14,7 @@ from typing import Any
 from markupsafe import Markup
 
 from reports.blocks import Fold, Link, Piece, Pre, Text, code, link, name, separated
-from reports.names import FileNames, Verbatim
+from reports.names import FileNames, Verbatim, short
 from reports.results import Results, Row, day, moment
 
 USED_SQL = "status IN ('ok', 'damaged', 'excluded')"
@@ -23,16 +23,20 @@ RECORDINGS = "recordings.html"
 SPECIMENS = "specimens.html"
 REFUSED = "refused.html"
 CONTROL = "control.html"
+_ENTRIES = 5000
+"""Specimens, and recordings, that a search in the whole site finds; beyond, the lists have their own."""
 
 
 class Site:
     """All pages of a lab's report, by what they are about.
 
     Which recordings and specimens have one stands in the ledger; `recordings` and `specimens` are their numbers.
+    `interactive`: the pages carry the script.
     """
 
-    def __init__(self, results: Results) -> None:
+    def __init__(self, results: Results, *, interactive: bool = False) -> None:
         self.results, self.ledger = results, results.ledger
+        self.interactive = interactive
         used = results.each(
             "SELECT recording_id, min(specimen_id) AS specimen_id, min(kind) AS kind"
             f" FROM recordings WHERE {USED_SQL} AND recording_id IS NOT NULL GROUP BY ALL ORDER BY recording_id"
@@ -104,6 +108,17 @@ class Site:
         files = {"specimen": self._specimen_file, "campaign": self._campaign_file, "recording": self._recording_file}
         return f"data/{kind}s/{files[kind](item)}_{figure}.csv"
 
+    def entries(self) -> list[tuple[str, str]]:
+        """What a search in the whole site finds: names of campaigns, specimens and the first recordings, with addresses."""
+        found = [(f"Campaign {short(c)}", self.campaign_path(c)) for c in self.campaigns]
+        for table, column, path in (
+            ("specimens", "specimen_id", self.specimen_path),
+            ("recordings", "recording_id", self.recording_path),
+        ):
+            names = self.ledger.each(f"SELECT {column} FROM {table} ORDER BY {column} LIMIT {_ENTRIES}")
+            found += [(short(name), path(name)) for (name,) in names]
+        return found
+
     def recording(self, recording_id: str | None, root: str = "../", text: Piece | None = None) -> Piece:
         """A recording's name, linked where it has a page."""
         if not recording_id:
@@ -162,7 +177,8 @@ class Site:
         """What links and file names depend on beyond a page's own rows."""
         crowded = [self._recording_file, self._specimen_file, self._campaign_file]
         return json.dumps(
-            [sorted(f.crowded) for f in crowded] + [bool(self.specimens), bool(self.recordings), self.controlled]
+            [sorted(f.crowded) for f in crowded]
+            + [bool(self.specimens), bool(self.recordings), self.controlled, self.interactive]
         )
 
 

@@ -133,7 +133,9 @@ def comparison(data: Compared, *, alt: str) -> Markup:
     upper.names([(float(shown[name][last]), name, colour, True) for name, colour, _ in names])
     _residuals(lower, data)
     reach = nice(lower.y.high)
-    lower.axes("", data.x_title, y_ticks=(-reach, 0, reach), signed=True, x_ticks=ticks, x_labels=not data.groups)
+    lower.axes(
+        "Residual, SD", data.x_title, y_ticks=(-reach, 0, reach), signed=True, x_ticks=ticks, x_labels=not data.groups
+    )
     for place, name in data.groups:
         drawing.text(float(lower.px(place)), lower.bottom + 17, name, size=TICKS, colour=SECOND, anchor="middle")
     return drawing.image(alt)
@@ -155,7 +157,6 @@ def _residuals(panel: Panel, data: Compared) -> None:
     panel.level(0)
     drawing = panel.drawing
     panel.held(data.residual_x, data.residual(data.plain), WRONG, 3.8, open_=True)
-    drawing.text(panel.left, panel.top - 9, "Residual, SD")
     words = f"○ plain: {write_times(data.rms(data.plain))}"
     x = panel.right
     if data.extended is not None:

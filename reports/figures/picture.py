@@ -8,10 +8,12 @@ from typing import Any, ParamSpec, Self
 
 from markupsafe import Markup
 
+from reports.figures.svg import Image
+
 P = ParamSpec("P")
 
 
-class Picture(Markup):
+class Picture(Image):
     """A figure as HTML; `kind` is what it shows, `data` and `options` are what it was drawn from, `finding` is its alt text."""
 
     kind: str
@@ -23,6 +25,8 @@ class Picture(Markup):
     def keep(cls, image: Markup, kind: str, data: tuple[Any, ...], options: Mapping[str, Any]) -> Self:
         """The HTML with what it was drawn from; `options` without the alt text, which is the finding."""
         picture = cls(image)
+        if isinstance(image, Image):
+            picture.drawing = image.drawing
         picture.kind, picture.data = kind, data
         picture.options = {name: value for name, value in options.items() if name != "alt"}
         picture.finding = str(options["alt"])

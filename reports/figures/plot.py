@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reports.figures.palette import BAND, INK, RULE, SECOND
-from reports.figures.svg import TICKS, Drawing
+from reports.figures.svg import TICKS, Drawing, Plot, Series
 from schemas.arrays import Bool, Float
 from schemas.numbers import NBSP, compact, fixed
 
@@ -149,6 +149,8 @@ class Panel:
         self.left, self.top, self.width, self.height = left, top, width, height
         self.x, self.y = x, y
         self._clip = drawing.clip(left - 3, top - 3, width + 6, height + 6)
+        self.plot = Plot((left, top, width, height), (x.low, x.high, x.log), (y.low, y.high, y.log))
+        drawing.plots.append(self.plot)
 
     @property
     def right(self) -> float:
@@ -165,6 +167,21 @@ class Panel:
     def py(self, values: ArrayLike) -> Float:
         """Vertical positions in px, downwards."""
         return np.asarray(self.top + self.height * (1 - self.y.share(values)))
+
+    def _keep(
+        self,
+        kind: str,
+        x: ArrayLike,
+        y: ArrayLike,
+        colour: str,
+        width: float = 0.0,
+        dash: str | None = None,
+        *,
+        open_: bool = False,
+    ) -> None:
+        """Keeps values for who asks the figure: what is drawn, in the units of the axes."""
+        across, up = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        self.plot.series.append(Series(kind, across.ravel(), up.ravel(), colour, width, dash, open_))
 
     def _points(self, x: ArrayLike, y: ArrayLike) -> list[tuple[float, float]]:
         h, v = np.broadcast_arrays(self.px(x), self.py(y))
@@ -187,6 +204,7 @@ class Panel:
     ) -> None:
         """Left and lower axis with ticks; the y quantity with its unit is the title, top left."""
         drawing = self.drawing
+        self.plot.x_title, self.plot.y_title = x_title, title
         xs, x_minor = (list(x_ticks), []) if x_ticks is not None else self.x.ticks(x_most)
         ys, y_minor = (list(y_ticks), []) if y_ticks is not None else self.y.ticks(y_most)
         drawing.line([(self.left, self.top), (self.left, self.bottom), (self.right, self.bottom)], SECOND, 0.95)
@@ -208,6 +226,7 @@ class Panel:
 
     def curve(self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 2.1, *, dash: str | None = None) -> None:
         """A line; a NaN interrupts it."""
+        self._keep("c", x, y, colour, width, dash)
         h, v = self.px(x), self.py(y)
         limit = 8 * self.height
         v = np.clip(v, self.top - limit, self.bottom + limit)
@@ -217,6 +236,7 @@ class Panel:
 
     def steps(self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 2.1) -> None:
         """A step line: the value holds until the next x."""
+        self._keep("t", x, y, colour, width)
         corners = self._points(x, y)
         points = corners[:1]
         for (_, before), (p, after) in itertools.pairwise(corners):
@@ -247,6 +267,7 @@ class Panel:
         self, x: ArrayLike, y: ArrayLike, colour: str, size: float = 4.2, *, marker: str = "circle", open_: bool = False
     ) -> None:
         """Marks at the points that lie inside the axes."""
+        self._keep("d", x, y, colour, open_=open_)
         points = [p for p in self._points(x, y) if self._inside(*p)]
         self.drawing.marks(points, marker, colour, size, open_=open_)
 
@@ -313,7 +334,8 @@ class Panel:
         order = sorted(range(len(kept)), key=lambda i: float(self.py(kept[i][0])))
         wanted = [min(max(float(self.py(kept[i][0])), self.top), self.bottom) for i in order]
         for i, place in zip(order, apart(wanted, gap, self.top - 4, self.bottom + 6), strict=True):
-            _, text, colour, bold = kept[i]
+            value, text, colour, bold = kept[i]
+            self.plot.names.append((value, text, colour))
             self.drawing.text(self.right + dx, place + 4, text, colour=colour, bold=bold)
 
 

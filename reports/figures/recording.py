@@ -11,7 +11,7 @@ from markupsafe import Markup
 from reports.figures.palette import INK, MODEL, WRONG
 from reports.figures.picture import pictured
 from reports.figures.plot import Panel, Scale, linear
-from reports.figures.svg import Drawing
+from reports.figures.svg import Drawing, Series
 from reports.words import plain
 from schemas.arrays import Bool, Float
 from schemas.numbers import capital
@@ -19,6 +19,8 @@ from schemas.numbers import capital
 WIDTH = 1000.0
 COLUMNS = 440
 """Most intervals drawn per channel: neighbours are merged, their extremes kept."""
+_DETAIL = 2000
+"""Most intervals kept per channel for who zooms in."""
 
 
 @dataclass(frozen=True)
@@ -84,3 +86,12 @@ def _drawn(panel: Panel, envelope: Envelope) -> None:
         time, low, high = thin.time[part], thin.low[part], thin.high[part]
         panel.band(time, low, high, MODEL, ".45")
         panel.curve(time, (low + high) / 2, MODEL if part.size > 2 else INK, 1.0)
+    panel.plot.series = [_in_detail(envelope)]
+
+
+def _in_detail(envelope: Envelope) -> Series:
+    """The envelope as one line up and down, denser than it is drawn: for who zooms into the record."""
+    full = envelope.merged(_DETAIL)
+    ends = np.flatnonzero(full.gaps()) + 1
+    time, low, high = (np.insert(v, ends, np.nan) for v in (full.time, full.low, full.high))
+    return Series("c", np.repeat(time, 2), np.column_stack([low, high]).ravel(), MODEL, 1.0)

@@ -335,6 +335,11 @@ def multiple(item: Multiple, x: Scale, y: Scale, *, alt: str) -> Markup:
     upper.dots(item.lines.frequency[good], np.abs(item.lines.value)[good], INK, 3.4)
     tick = nice(0.7 * reach)
     lower.axes(x_most=5 if x.high / x.low < 1e6 else 3, y_ticks=(-tick, tick), signed=True, size=10.5)
+    for panel, title in (
+        (upper, "Dynamic stiffness |k|, N/mm"),
+        (lower, "Residual, SD"),
+    ):  # there is no room to write it
+        panel.plot.x_title, panel.plot.y_title = "Frequency, Hz", title
     return drawing.image(alt)
 
 

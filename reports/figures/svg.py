@@ -8,15 +8,20 @@ must stay text that the reader's own font sets without running into the curves. 
 from __future__ import annotations
 
 import base64
+import json
+import math
 import struct
 import zlib
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from reports.figures.palette import INK
+from schemas.arrays import Float
+from schemas.numbers import significant, with_unit
 
 Points = Sequence[tuple[float, float]]
 
@@ -41,12 +46,65 @@ def path(points: Points) -> str:
     return "M" + "L".join([f"{x:.1f},{y:.1f}" for x, y in points])
 
 
+@dataclass(frozen=True)
+class Series:
+    """Values that a panel shows: `kind` is d (dots), c (a curve) or t (steps); x and y (n,) in the units of its axes."""
+
+    kind: str
+    x: Float
+    y: Float
+    colour: str
+    width: float = 0.0
+    dash: str | None = None
+    open_: bool = False
+
+
+@dataclass
+class Plot:
+    """What a panel holds: its place (left, top, width, height) in px, its axes (low, high, logarithmic), titles and values."""
+
+    box: tuple[float, float, float, float]
+    x: tuple[float, float, bool]
+    y: tuple[float, float, bool]
+    x_title: str = ""
+    y_title: str = ""
+    series: list[Series] = field(default_factory=list)
+    names: list[tuple[float, str, str]] = field(default_factory=list)
+
+    def told(self) -> list[tuple[float, float]]:
+        """(x, y) of at most `_TOLD` values, marks before curves, of those that lie inside."""
+        dots = [s for s in self.series if s.kind == "d"] or self.series
+        if not dots:
+            return []
+        x, y = (np.concatenate([getattr(s, axis) for s in dots]) for axis in "xy")
+        inside = (x >= self.x[0]) & (x <= self.x[1]) & (y >= self.y[0]) & (y <= self.y[1])
+        places = np.flatnonzero(inside)
+        places = places[:: max(1, -(-places.size // _TOLD))]
+        return list(zip(x[places].tolist(), y[places].tolist(), strict=True))
+
+
+_TOLD = 40
+"""Values of a panel that say themselves under the pointer where no script is allowed."""
+
+
+class Image(Markup):
+    """A figure as HTML, and the drawing that it was made from."""
+
+    drawing: Drawing
+
+    @property
+    def plot(self) -> Markup:
+        """The values of its panels as JSON, for pages with a script; empty where nothing can be asked of it."""
+        return self.drawing.values()
+
+
 class Drawing:
     """A drawing of `width` × `height` px on white, built from back to front."""
 
     def __init__(self, width: float, height: float) -> None:
         self.width = width
         self.height = height
+        self.plots: list[Plot] = []
         self._parts: list[str] = []
         self._clips: list[str] = []
 
@@ -188,11 +246,83 @@ class Drawing:
             f' font-family="{FONT}" font-size="{number(TEXT)}" fill="{INK}">{clips}{"".join(self._parts)}</svg>'
         )
 
-    def image(self, alt: str) -> Markup:
-        """`<img>` with the drawing inside; `alt` states the finding."""
+    def image(self, alt: str) -> Image:
+        """`<img>` with the drawing inside, over it what says its values under the pointer; `alt` states the finding."""
         uri = "data:image/svg+xml;base64," + base64.b64encode(self.svg().encode()).decode("ascii")
         size = Markup('width="{}" height="{}"').format(round(self.width), round(self.height))
-        return Markup('<img src="{}" {} alt="{}">').format(uri, size, alt)
+        picture = Markup('<img src="{}" {} alt="{}">').format(uri, size, alt)
+        said = self._said()
+        made = Image(Markup('<span class="plot">{}{}</span>').format(picture, said) if self.asked else picture)
+        made.drawing = self
+        return made
+
+    @property
+    def asked(self) -> list[Plot]:
+        """Panels with axes that say what they show."""
+        return [p for p in self.plots if p.y_title and p.series]
+
+    def _said(self) -> Markup:
+        """Invisible marks over the values, each with a title that says it; of residuals none, the values above them have it."""
+        marks = []
+        for plot in self.asked:
+            if plot.y_title.startswith(_RESIDUALS):
+                continue
+            left, top, width, height = plot.box
+            for x, y in plot.told():
+                h, v = left + width * _share(plot.x, x), top + height * (1 - _share(plot.y, y))
+                words = f"{_with_unit(x, plot.x_title or self._x_title())}: {_with_unit(y, plot.y_title)}"
+                marks.append(f'<path d="M{h:.0f} {v:.0f}h0"><title>{escape(words)}</title></path>')
+        if not marks:
+            return Markup()
+        frame = f'viewBox="0 0 {number(self.width)} {number(self.height)}"'
+        return Markup(f'<svg class="said" {frame} aria-hidden="true">{"".join(marks)}</svg>')  # noqa: S704
+
+    def _x_title(self) -> str:
+        return next((p.x_title for p in reversed(self.plots) if p.x_title), "")
+
+    def values(self) -> Markup:
+        """The values of all panels as JSON that may stand in a page."""
+        panels = [
+            {
+                "box": [round(v, 1) for v in p.box], "x": p.x, "y": p.y, "xt": p.x_title or self._x_title(), "yt": p.y_title,
+                "names": [[_short(y), text, colour] for y, text, colour in p.names],
+                "series": [
+                    {
+                        "kind": s.kind, "colour": s.colour, "width": s.width, "dash": s.dash, "open": s.open_,
+                        "x": [_short(v) for v in s.x.tolist()], "y": [_short(v) for v in s.y.tolist()],
+                    }
+                    for s in p.series
+                ],
+            }
+            for p in self.asked
+        ]  # fmt: skip
+        if not panels:
+            return Markup()
+        text = json.dumps(panels, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+        return Markup(text.replace("<", "\\u003c").replace("&", "\\u0026"))  # noqa: S704
+
+
+_RESIDUALS = ("Residual", "Off ")
+"""How titles of panels begin that show what is left of the values of another."""
+
+
+def _share(axis: tuple[float, float, bool], value: float) -> float:
+    low, high, log = axis
+    return math.log(value / low) / math.log(high / low) if log else (value - low) / (high - low)
+
+
+def _with_unit(value: float, title: str) -> str:
+    """The value with the unit that stands behind the comma of an axis's title."""
+    unit = title.rpartition(", ")[2] if ", " in title else ""
+    return with_unit(significant(value, 3), unit.partition(";")[0].partition(" (")[0])
+
+
+def _short(value: float) -> float | None:
+    """Five digits of it; None for what JSON has no number for."""
+    if not math.isfinite(value):
+        return None
+    short = float(f"{value:.5g}")
+    return int(short) if short.is_integer() and abs(short) < 1e5 else short
 
 
 DENSE = 2000

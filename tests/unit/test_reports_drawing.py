@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import itertools
+import json
 import re
 import struct
 import zlib
@@ -248,3 +249,41 @@ def test_a_jump_of_the_points_is_found_where_it_is() -> None:
     assert found is not None
     assert found == pytest.approx((50, 1.9), rel=0.05)
     assert find_jump(Lines(f, model, lines.error, lines.usable, lines.amplification), model) is None
+
+
+def test_a_record_is_kept_denser_than_it_is_drawn() -> None:
+    time = np.arange(3000.0)
+    time[1500:] += 500.0
+    low = np.sin(time / 40)
+    one = recording.Envelope("force", "N", time, low, low + 0.1)
+    image = recording.channels([one], [], alt="a")
+    (plot,) = image.drawing.plots
+    (series,) = plot.series
+    assert series.x.size > 4 * recording.COLUMNS
+    assert np.nanmin(series.y) == low.min()
+    assert np.nanmax(series.y) == low.max() + 0.1
+    assert np.isnan(series.y).any(), "no line across the gap"
+
+
+@given(st.lists(st.tuples(st.floats(1, 99), st.floats(-1, 1)), min_size=1, max_size=200))
+def test_values_are_said_where_they_are(points: list[tuple[float, float]]) -> None:
+    """At most 40 titles a panel, each over its point, in the unit of the axis; and the JSON of the same values is safe in HTML."""
+    drawing = Drawing(400, 300)
+    panel = Panel(drawing, 40, 20, 300, 200, Scale(1, 100, log=True), Scale(-1, 1))
+    panel.axes("Drop </script> & more, mN", "Frequency, Hz")
+    x, y = (np.array(v) for v in zip(*points, strict=True))
+    panel.dots(x, y, "#000000")
+    image = drawing.image("a")
+    marks = re.findall(r'<path d="M(-?\d+) (-?\d+)h0"><title>([^<]*)</title>', image)
+    assert 1 <= len(marks) <= 40
+    for across, down, words in marks:
+        at_x, at_y = words.replace("\u00a0", " ").replace("−", "-").split(": ")
+        assert at_x.endswith(" Hz")
+        assert at_y.endswith(" mN")
+        f, value = float(at_x.split()[0]), float(at_y.split(" ×")[0].split()[0]) if "×" not in at_y else 0.0
+        assert float(panel.px(f)) == pytest.approx(float(across), abs=1.5)
+        assert float(panel.py(value)) == pytest.approx(float(down), abs=1.5)
+    assert "<" not in image.plot
+    kept = json.loads(image.plot)[0]["series"][0]
+    assert kept["x"] == pytest.approx(x.tolist(), rel=1e-4)
+    assert kept["y"] == pytest.approx(y.tolist(), rel=1e-4, abs=1e-12)
