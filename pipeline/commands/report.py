@@ -33,8 +33,9 @@ COMMAND = Command(
         argument(
             "--interactive",
             action="store_true",
-            help="with a script of ours in each page, no network: tables that sort and filter, a search, values under the pointer, zoom,"
-            " specimens laid over each other; the nights that follow keep it until a report without it",
+            help="with a script of ours in each page, no network: tables that sort and filter, a search, values under"
+            " the pointer, zoom, specimens laid over each other; the nights that follow keep it until a report"
+            " without it",
         ),
     ),
     run,
