@@ -90,8 +90,13 @@ def swap_channels(recording: Recording) -> Recording:
 
 
 def scale_signal(share: float) -> Callable[[Values], Values]:
-    """What a film of which a share is left makes of the force: its noise and its converter stay out of account."""
+    """Force as another gain of the load cell reads it: its noise and its converter stay out of account."""
     return lambda v: float(np.median(v[:100])) * share + (v - float(np.median(v[:100]))) * share
+
+
+def scale_motion(share: float) -> Callable[[Values], Values]:
+    """The same, of a film that was brought to the same tension at rest again."""
+    return lambda v: float(np.median(v[:100])) + (v - float(np.median(v[:100]))) * share
 
 
 def clip(share: float) -> Callable[[Values], Values]:
@@ -186,8 +191,11 @@ EDITS: Mapping[str, Edit] = {
         SINE,
         lambda r: change_channel(r, "force", lambda v: np.resize(v[: max(v.size // 40, 8)], v.size)),
     ),
-    "film torn from the seventh recording on": Edit(
-        "specimen_changed", from_seventh, lambda r: change_channel(r, "force", scale_signal(0.8))
+    "force read 0.8 times from the seventh recording on": Edit(
+        "gain_error", from_seventh, lambda r: change_channel(r, "force", scale_signal(0.8))
+    ),
+    "film clamped anew from the seventh recording on": Edit(
+        "specimen_changed", from_seventh, lambda r: change_channel(r, "force", scale_motion(0.8))
     ),
     "clamp mass ten times": Edit("rig_constants", all_of, lambda r: change_rig(r, clamp_mass_kg=10.0)),
     "clamp mass in g": Edit("rig_constants", all_of, lambda r: change_rig(r, clamp_mass_kg=1e3)),

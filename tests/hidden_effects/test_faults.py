@@ -93,8 +93,18 @@ def test_another_specimens_recording_is_foreign() -> None:
     ]
 
 
-def test_a_film_torn_midway_is_another_from_there_on() -> None:
-    name = "film torn from the seventh recording on"
+def test_a_gain_that_changed_midway_reads_the_rest_otherwise_too() -> None:
+    name = "force read 0.8 times from the seventh recording on"
+    (fault,) = check(name).faults
+    assert fault.cause == "gain_error"
+    assert fault.recordings == EDITS[name].culprits(recordings())
+    assert "0.800 times" in fault.finding
+    assert {c.key for c in fault.corrections} == {"columns.force.scale"}
+    assert [float(c.value_proposed) for c in fault.corrections] == pytest.approx([1.25] * 4, rel=2e-3)
+
+
+def test_a_film_clamped_anew_to_the_same_tension_is_another_from_there_on() -> None:
+    name = "film clamped anew from the seventh recording on"
     (fault,) = check(name).faults
     assert fault.cause == "specimen_changed"
     assert fault.recordings == EDITS[name].culprits(recordings())

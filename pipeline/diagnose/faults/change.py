@@ -1,15 +1,18 @@
-"""A film that was another one from one recording on: torn, or clamped anew."""
+"""What was another from one recording on: the film (torn, or clamped anew), or the gain of the load cell."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.agreement import agrees
-from pipeline.diagnose.faults.fault import Fault
+from pipeline.diagnose.faults.correct import write
+from pipeline.diagnose.faults.fault import Correction, Fault
+from pipeline.diagnose.faults.levels import log_likelihood_of
 from pipeline.diagnose.faults.undo import scale_of
+from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, compute_deviations, make_bounds
 from pipeline.diagnose.simulation.session import Session
@@ -27,6 +30,8 @@ _LEAST = 2 * _FLOOR
 """Logarithm of a change below which it is not looked for: twice the scatter that is always allowed for."""
 _LARGEST = 2.0
 """Logarithm of the largest change that is searched."""
+_WORTH_SAYING = 0.05
+"""Probability from which what may have changed is said."""
 
 
 def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: float) -> Fault | None:
@@ -42,21 +47,76 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
         return None
     first, start = place
     rows = session.recording_of >= first
-    fits = [_fit_change(session, simulation, fit, rows, start, change) for change in (_tear, _rescale)]
-    before, (chi2, change) = chi2, min(fits)
+    fits = {
+        cause: _fit_change(session, simulation, fit, rows, start, change)
+        for cause, change in ((ids.SPECIMEN_CHANGED, _tear), (GAIN_ERROR.id, _rescale))
+    }
+    nearest = min(fits, key=lambda name: fits[name][0])
+    before, chi2 = chi2, fits[nearest][0]
     fall = before - chi2
     odds = 0.5 * fall - float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
     left = chi2 / session.size
     if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or not agrees(left, before / session.size):
         return None
+    return _state_change(session, first, fits, nearest, left)
+
+
+def _state_change(
+    session: Session, first: int, fits: Mapping[str, tuple[float, float]], nearest: str, left: float
+) -> Fault:
+    """The fault, with the other thing that may have changed where the recordings do not tell them apart.
+
+    The clamp's resonance moves with the film's stiffness and not with a gain, and a gain reads the tension at rest otherwise as well.
+    """
+    behind = {name: -0.5 * (chi2 - fits[nearest][0]) / max(left, 1.0) for name, (chi2, _) in fits.items()}
+    as_gain, as_before = _judge_tension(session, first, fits[GAIN_ERROR.id][1])
+    odd_film = float(np.log(RULES.fault.stray)) + behind[GAIN_ERROR.id] + as_before  # new, and yet as under another gain
+    log = np.array([np.logaddexp(behind[ids.SPECIMEN_CHANGED], odd_film), behind[GAIN_ERROR.id] + as_gain])
+    share = np.exp(log - np.logaddexp(*log))
+    shares = {ids.SPECIMEN_CHANGED: float(share[0]), GAIN_ERROR.id: float(share[1])}
+    cause, other = sorted(shares, key=lambda name: -shares[name])
+    factor = float(np.exp(fits[nearest][1]))
+    changed = session.recordings[first:]
+    corrections = []
+    for name in (n for n in (cause, other) if shares[n] >= _WORTH_SAYING):
+        for own in changed:
+            if name == GAIN_ERROR.id:
+                now, then = "1", write(1 / factor)
+                corrections.append(Correction(own.recording_id, name, "columns.force.scale", now, then, shares[name]))
+            else:
+                now = own.specimen_id
+                corrections.append(Correction(own.recording_id, name, "specimen_id", now, "", shares[name]))
+    size = significant(factor, 3)
+    words = {
+        ids.SPECIMEN_CHANGED: f"the film pulls {size} times as strongly as before",
+        GAIN_ERROR.id: f"the force is read {size} times as large as before",
+    }
+    open_words = " (or the film changed so much)" if cause == GAIN_ERROR.id else " (or its force is read so much larger)"
     return Fault(
-        ids.SPECIMEN_CHANGED,
-        tuple(r.recording_id for r in session.recordings[first:]),
-        float(1 / (1 + np.exp(-min(odds, 50.0)))),
-        f"from {session.recordings[first].recording_id} on the film pulls {significant(np.exp(change), 3)} times as strongly "
-        "as before, or its force is read so much larger",
+        cause,
+        tuple(r.recording_id for r in changed),
+        shares[cause],
+        f"from {changed[0].recording_id} on {words[cause]}" + (open_words if shares[other] >= _WORTH_SAYING else ""),
+        tuple(corrections),
         left_per_value=left,
     )
+
+
+def _judge_tension(session: Session, first: int, log_factor: float) -> tuple[float, float]:
+    """Log likelihood of the tension at rest after a change: read by another factor, and the same; 0 where it is not known."""
+    rest = [r.values.get("rest_force_n", np.nan) for r in session.recordings]
+    before, after = (np.array(part)[np.isfinite(part)] for part in (rest[:first], rest[first:]))
+    if not before.size or not after.size or np.median(before) * np.median(after) <= 0:
+        return 0.0, 0.0
+    middle = float(np.median(before))
+    spread = float(np.median(np.abs(np.append(before / middle, after / np.median(after)) - 1))) / 0.6745
+    if spread > RULES.fault.rest_spread:
+        return 0.0, 0.0
+    sd = float(np.hypot(RULES.fault.rest_sd, spread))
+    ratio = float(np.log(np.median(after) / middle))
+    stray = float(np.log(RULES.fault.stray * sd / RULES.fault.anywhere))
+    found = [float(np.logaddexp(log_likelihood_of((ratio - x) / sd), stray)) for x in (log_factor, 0.0)]
+    return found[0], found[1]
 
 
 def shows_in_more_than_one_test(session: Session, first: int) -> bool:
