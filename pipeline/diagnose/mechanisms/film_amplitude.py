@@ -247,7 +247,7 @@ SLACK = Mechanism(
     source="buckling of a film that loses its pre-stretch",
     parameters=(
         Parameter("overload", "1", "largest fall of the tension over the fall at which the film is slack, less 1", 0.02, 2.0),
-        Parameter("residual", "1", "stiffness that is left", 0.0, 0.2, SHAPE, log=False, most=0.9),
+        Parameter("residual", "1", "stiffness that is left", 0.0, 0.4, SHAPE, log=False, most=0.9),
         Parameter("softness", "1", "width of the bend over the floor", 0.01, 0.3, SHAPE),
     ),
     shows=_BENT,

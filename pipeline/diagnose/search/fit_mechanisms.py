@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS
+from pipeline.diagnose.mechanisms.mechanism import SEVERITY
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.search.screen import Score, Signatures, make_absorbed_basis, scale_severities
@@ -181,6 +182,10 @@ def _fit_from_starts(base: ExtendedFit, of: Extended, score: Score, signatures: 
     if mechanism.absorbed:
         # Film and rig first: they must make room before the severity may move.
         begins = [room.x for room in drop_astray([of.fit_material(x, _ROUGHLY, base) for x in begins], base)]
+    elif mechanism.onset and _is_strong(base):
+        # Far above an onset no slope leads to it from below, and film and rig stand where they hid it.
+        far = {p.name: p.high if p.role == SEVERITY else p.start for p in mechanism.parameters}
+        begins.append(of.fit_material(of.make_entries(base.theta, (*base.values, far)), _ROUGHLY, base).x)
     if mechanism.as_filed is not None and any(base.of.model.rigs):
         begins.append(_start_as_filed(of, base, mechanism.as_filed))
     near = None if mechanism.absorbed else base
@@ -286,10 +291,14 @@ def drop_astray(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
     rooms : where film and rig are at their best for each severity
     base : the model without the mechanism
     """
-    is_strong = base.chi2 > RULES.fit.strong * base.of.session.size
-    astray = np.inf if is_strong else RULES.fit.astray * base.chi2
+    astray = np.inf if _is_strong(base) else RULES.fit.astray * base.chi2
     least = min(room.chi2 for room in rooms)
     return [room for room in rooms if room.chi2 <= max(astray, least)]
+
+
+def _is_strong(base: ExtendedFit) -> bool:
+    """Whether so much is to explain that causes may be far from where a screen sees them."""
+    return base.chi2 > RULES.fit.strong * base.of.session.size
 
 
 def follow_to_end(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedFit:

@@ -25,7 +25,7 @@ _SETTLED = 1e-4
 """Relative change of it that is none."""
 _LOOPS = 2
 """Rounds in which a waveform is found with its harmonics."""
-_SLOPES = 0.05, 1.5
+SLOPES = 0.05, 1.5
 """Least and largest slope of a tension over the linear one by which its waveform is corrected."""
 _GRID = np.array([
     0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.68, 0.75, 0.81, 0.86, 0.9, 0.93, 0.96, 0.98, 1.0, 1.02, 1.05, 1.1, 1.2, 1.35, 1.6, 2.2, 3.2,
@@ -273,7 +273,7 @@ def _one_amplitude(
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(np.abs(linear[..., 1]) > 0, 1 + found[..., 1] / linear[..., 1], 1.0)
     # The mean slope of the elements is what the clamp feels at its overtones; the rest of the tension drives it.
-    slope = np.clip(factor.real, *_SLOPES)[..., None]
+    slope = np.clip(factor.real, *SLOPES)[..., None]
     driving = found + (1 - slope) * linear
     driving[..., 0] += (slope[..., 0] - 1) * (k * scale.length_mm)[..., 0] * mean_strain
     moved = -driving * give / (dynamic + slope * k * give) / scale.length_mm

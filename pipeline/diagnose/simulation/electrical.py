@@ -9,20 +9,23 @@ voltage act on the waveform (one stored period, or the plateaus of steps) before
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pipeline.diagnose.features.kinds import SPHS_CAPACITANCE, SPHS_DETECTION, SPHS_VOLTAGE
-from pipeline.diagnose.simulation.describing import Loads, along
+from pipeline.diagnose.simulation.describing import SLOPES, Loads, along
 from pipeline.diagnose.simulation.effects import NONE, Course, Edge, Effect, View, Wave, bent
 from pipeline.diagnose.simulation.families import Family, channel, dynamic, film_at, rig_of, state_view
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
 from pipeline.diagnose.simulation.session import Place, Session
+from pipeline.physics.rig import Rig
 from schemas.arrays import Complex, Float, Int
 
+_ROUNDS, _SETTLED = 8, 1e-3
+"""Rounds in which tension and clamp come into balance, at most; relative change of the tension that is none."""
 FORCE, CAPACITANCE, VOLTAGE = "force", "capacitance", "voltage"
 STEP, MULTISINE = "step", "multisine"
 _INPUTS = {
@@ -133,7 +136,7 @@ class StepFamily(Family):
                     np.diff(p.block.time_s, prepend=0.0)[None],
                     self.session.scale,
                 )
-                drop = drop - along(effect.tension, course)[0] / still
+                drop = drop - _balance(effect.tension, course, physical.film.k0 * rig.compliance) / still
             seen = bent(np.nan_to_num(rest) - drop, loads.reading_n, effect.reading)
             values[at : at + p.block.size] = drop - seen
             at += p.block.size
@@ -249,7 +252,7 @@ class MultisineFamily:
         return _interpolated(self._lines, lines, acting[:, lines] / self._measured[:, lines])
 
     def _bent(self, physical: Physical, effect: Effect, loads: Loads, acting: Complex) -> Complex:
-        """What elements and readings add to −F, at all lines (S, L), to first order in the waveform."""
+        """What elements and readings add to −F, at all lines (S, L), with the clamp in balance with them."""
         count, view = acting.shape[1], self._at_lines
         rig = rig_of(physical, self.rig, effect)
         film = film_at(physical, effect, view)
@@ -260,25 +263,83 @@ class MultisineFamily:
         rest = np.nan_to_num(self.view.rest_force_n)
         total = np.zeros((len(self.places), count), dtype=complex)
         if effect.tension:
-            strain = _wave(-force / rig.gain * rig.compliance, self._wave.shape[1]) / self.session.scale.length_mm
-            tension = _wave(force / rig.gain * own, self._wave.shape[1])
+            total = total - passed * self._balance(physical, effect, loads, rig, film.k, own, pulled)
+        if effect.reading:
+            plain = rest + _wave(force - total, self._wave.shape[1])
+            total = total - _lines(bent(plain, loads.reading_n, effect.reading))
+        return total
+
+
+    def _balance(
+        self,
+        physical: Physical,
+        effect: Effect,
+        loads: Loads,
+        rig: Rig,
+        k: Complex,
+        own: Complex,
+        pulled: Complex,
+    ) -> Complex:
+        """(S, L) lines of what elements add to the tension T that the film has once the clamp has given way to all of it.
+
+            T = −F_A − k x,   x = (T + d(T))/(kL own)
+
+        Rounds of substitution with the mean slope s of T + d(T) taken out of d, which leaves of it what is less than the slope:
+        they converge at a clamp's resonance as well.
+        """
+        give, samples = k * rig.compliance, self._wave.shape[1]
+        tension = -own * pulled / (own + give)
+        added = np.zeros_like(tension)
+        for _ in range(_ROUNDS):
+            moved = (pulled - added) / (own + give) * rig.compliance / self.session.scale.length_mm
             course = Course(
-                strain,
-                tension,
+                _wave(moved, samples),
+                _wave(tension, samples),
                 True,
                 self.view.rest_force_n,
                 loads.tension_n,
                 loads.fall_n,
                 np.array([[physical.film.k0]], dtype=complex),
                 physical.film.k0,
-                np.array([[self._period / self._wave.shape[1]]]),
+                np.array([[self._period / samples]]),
                 self.session.scale,
             )
-            total = total - passed * _lines(along(effect.tension, course))
-        if effect.reading:
-            plain = rest + _wave(force - total, self._wave.shape[1])
-            total = total - _lines(bent(plain, loads.reading_n, effect.reading))
-        return total
+            extra = along(effect.tension, course)
+            added = _lines(extra)
+            slope = _measure_slope(course.tension, extra)
+            new = (-own * pulled - give * (added - (slope - 1) * tension)) / (own + slope * give)
+            change, size = np.abs(new - tension).max(), np.abs(tension).max()
+            tension = new
+            if not change > _SETTLED * size:
+                break
+        return added
+
+
+def _measure_slope(tension: Float, extra: Float) -> Float:
+    """(S, 1) slope of all tension over the linear one along waves (S, W)."""
+    about = tension - tension.mean(axis=1, keepdims=True)
+    power = np.sum(about**2, axis=1, keepdims=True)
+    slope = 1 + np.sum(about * extra, axis=1, keepdims=True) / np.maximum(power, 1e-300)
+    return np.clip(slope, *SLOPES)
+
+
+def _balance(elements: Sequence[Callable[[Course], Float]], course: Course, give: float) -> Float:
+    """(P,) what elements add to the tension along a slow course (1, P), with the clamp in balance with it.
+
+    Parameters
+    ----------
+    give : stiffness of the film over that of the load cell
+    """
+    pulled = course.tension * (1 + give)
+    for _ in range(_ROUNDS):
+        added = along(elements, course)
+        slope = _measure_slope(course.tension, added)
+        new = (pulled - give * (added - (slope - 1) * course.tension)) / (1 + slope * give)
+        change, size = np.abs(new - course.tension).max(), np.abs(course.tension).max()
+        course = replace(course, tension=new)
+        if not change > _SETTLED * size:
+            break
+    return np.asarray(added[0])
 
 
 def _nonlinear(effect: Effect) -> bool:
