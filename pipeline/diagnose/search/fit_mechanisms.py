@@ -59,7 +59,7 @@ def fit_each_mechanism(
     ----- A mechanism is given up where the screen promises so little that its fit could come near neither the best of
     those fitted so far nor the goal. A mechanism whose place film and rig can take is never given up, for a screen sees
     next to nothing of a strong one; and wherever it stands in the screen it is fitted if the best of the others is
-    known to be taken for it.
+    known to be taken for it. The same holds of a mechanism with an onset where much is to explain.
     """
     by_id = _group_by_mechanism(scores)
     kept: list[ExtendedFit] = []
@@ -67,7 +67,7 @@ def fit_each_mechanism(
     def add_fit(id: str) -> None:
         reach = min([goal, *(_bound_chi2(base, f) for f in kept)])
         hopeful = [
-            s for s in by_id[id] if MECHANISMS[id].absorbed or base.chi2 - RULES.fit.hopeless * s.statistic < reach
+            s for s in by_id[id] if _may_be_unseen(id, base) or base.chi2 - RULES.fit.hopeless * s.statistic < reach
         ]
         fits = [fit_mechanism(base, s, signatures, reach) for s in hopeful]
         if fits:
@@ -79,7 +79,7 @@ def fit_each_mechanism(
         return kept
     best = max(kept, key=lambda f: f.log_evidence)
     for id in list(by_id)[number:]:
-        if MECHANISMS[id].absorbed and id in best.of.chosen[-1].mechanism.confusable:
+        if _may_be_unseen(id, base) and id in best.of.chosen[-1].mechanism.confusable:
             add_fit(id)
     return _exchange_films(base, kept, best)
 
@@ -294,6 +294,11 @@ def drop_astray(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
     astray = np.inf if _is_strong(base) else RULES.fit.astray * base.chi2
     least = min(room.chi2 for room in rooms)
     return [room for room in rooms if room.chi2 <= max(astray, least)]
+
+
+def _may_be_unseen(id: str, base: ExtendedFit) -> bool:
+    """Whether a screen sees next to nothing of a strong mechanism."""
+    return MECHANISMS[id].absorbed or (MECHANISMS[id].onset and _is_strong(base))
 
 
 def _is_strong(base: ExtendedFit) -> bool:
