@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.mechanisms.mechanism import SEVERITY
+from pipeline.diagnose.mechanisms.mechanism import SEVERITY, Mechanism
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.search.screen import Score, Signatures, make_absorbed_basis, scale_severities
@@ -59,7 +59,7 @@ def fit_each_mechanism(
     ----- A mechanism is given up where the screen promises so little that its fit could come near neither the best of
     those fitted so far nor the goal. A mechanism whose place film and rig can take is never given up, for a screen sees
     next to nothing of a strong one; and wherever it stands in the screen it is fitted if the best of the others is
-    known to be taken for it. The same holds of a mechanism with an onset where much is to explain.
+    known to be taken for it. The same holds of all where much is to explain.
     """
     by_id = _group_by_mechanism(scores)
     kept: list[ExtendedFit] = []
@@ -164,6 +164,8 @@ def fit_mechanism(base: ExtendedFit, score: Score, signatures: Signatures, reach
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
     best = follow_to_end(base, min(_fit_from_starts(base, of, score, signatures), key=lambda f: f.chi2), reach)
+    if not score.chosen.mechanism.absorbed and _is_strong(base):
+        best = min(best, _fit_from_afar(base, of, score.chosen.mechanism, reach), key=lambda f: f.chi2)
     if score.chosen.mechanism.absorbed:
         best = _revive_arms(base, best, reach)
     if not best.chi2 <= base.chi2:
@@ -182,10 +184,6 @@ def _fit_from_starts(base: ExtendedFit, of: Extended, score: Score, signatures: 
     if mechanism.absorbed:
         # Film and rig first: they must make room before the severity may move.
         begins = [room.x for room in drop_astray([of.fit_material(x, _ROUGHLY, base) for x in begins], base)]
-    elif mechanism.onset and _is_strong(base):
-        # Far above an onset no slope leads to it from below, and film and rig stand where they hid it.
-        far = {p.name: p.high if p.role == SEVERITY else p.start for p in mechanism.parameters}
-        begins.append(of.fit_material(of.make_entries(base.theta, (*base.values, far)), _ROUGHLY, base).x)
     if mechanism.as_filed is not None and any(base.of.model.rigs):
         begins.append(_start_as_filed(of, base, mechanism.as_filed))
     near = None if mechanism.absorbed else base
@@ -197,6 +195,16 @@ def _fit_from_starts(base: ExtendedFit, of: Extended, score: Score, signatures: 
         f if f.solution.converged else of.fit(f, most=_ROUGHLY - _FEW, thorough=False)
         for f in begun[: RULES.fit.followed]
     ]
+
+
+def _fit_from_afar(base: ExtendedFit, of: Extended, mechanism: Mechanism, reach: float) -> ExtendedFit:
+    """The optimum from the largest plausible severity, to which film and rig have made room.
+
+    No slope leads there from where the screen looks: film and rig stand where they hide a strong effect.
+    """
+    far = {p.name: p.high if p.role == SEVERITY else p.start for p in mechanism.parameters}
+    room = of.fit_material(of.make_entries(base.theta, (*base.values, far)), _ROUGHLY, base)
+    return follow_to_end(base, of.fit(room.x, most=_ROUGHLY, thorough=False), reach)
 
 
 def _list_starts(base: ExtendedFit, of: Extended, score: Score, signatures: Signatures) -> list[Start]:
@@ -298,7 +306,7 @@ def drop_astray(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
 
 def _may_be_unseen(id: str, base: ExtendedFit) -> bool:
     """Whether a screen sees next to nothing of a strong mechanism."""
-    return MECHANISMS[id].absorbed or (MECHANISMS[id].onset and _is_strong(base))
+    return MECHANISMS[id].absorbed or _is_strong(base)
 
 
 def _is_strong(base: ExtendedFit) -> bool:
