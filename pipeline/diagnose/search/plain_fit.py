@@ -50,6 +50,8 @@ _IDLE = 0.05
 """Share of the stiffness with which an arm that the mechanical tests do not show is placed anew."""
 _OF_ARM = 0.3
 """Share of the stiffness that an arm has where it is placed before anything is known of it."""
+_ALIKE = 1.2
+"""Ratio of strains within which sweeps are of one strain."""
 _PLACES = 6
 """Places at which a further arm is tried."""
 _STIFFNESSES, _TIMES = (0.03, 0.1, 0.3, 3.0), (0.03, 1.0, 30.0)
@@ -92,6 +94,8 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
         return _search_near_and_far(session, simulation, order)
     part = session.part(chosen)
     found = _search_near_and_far(part, Simulation(part), order)
+    if order is None and found.chi2 > RULES.plain.astray * part.size:
+        found = _begin_at_small_strain(part, found) or found
     model = session.base_model(found.model.arms)
     if found.model.is_widened:
         model = model.widened
@@ -103,6 +107,36 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
     whole = found if order else _add_arms_that_suffice(session, simulation, found)
     # The mechanical tests alone know nothing of arms that others show.
     return replace(whole, mechanical=start if whole.model.arms == found.model.arms else None)
+
+
+def _begin_at_small_strain(session: Session, found: PlainFit) -> PlainFit | None:
+    """The film that the sweeps of the smallest strain show, where strains of all sizes have no film in common.
+
+    What depends on the strain vanishes with it: there the film has the arms and the rig the constants that a strong cause hides.
+
+    Parameters
+    ----------
+    session : mechanical tests
+    found : the best fit of all of them
+
+    Returns
+    -------
+    None where there is no sweep, or where those of the smallest strain show no film either
+    """
+    strain = np.array(
+        [
+            session.recordings[p.recording].values.get("largest_strain", np.nan)
+            if p.block.kind == CHIRP_RESPONSE
+            else np.nan
+            for p in session.places
+        ]
+    )
+    if not np.isfinite(strain).any():
+        return None
+    small = session.part([bool(s < _ALIKE * np.nanmin(strain)) for s in strain])
+    alone = _search_near_and_far(small, Simulation(small), None)
+    is_film = alone.chi2 < RULES.fit.strong * small.size and alone.model.arms >= found.model.arms
+    return alone if is_film else None
 
 
 def _add_arms_that_suffice(session: Session, simulation: Simulation, found: PlainFit) -> PlainFit:
