@@ -122,6 +122,7 @@ class CyclicFamily(MechanicalFamily):
         self._own = replace(self.view, frequency_hz=f, strain=strain).overtones()
         self._groups = self._cyclic_groups()
         self._cycles = self._group_cycles()
+        self._against = self._find_references()
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
@@ -131,16 +132,31 @@ class CyclicFamily(MechanicalFamily):
         else:
             values = self._with_elements(linear, physical, effect, loads)
         if loads is not None and effect.reading:
-            self._read(values, effect, loads)
+            self._read(values, physical, effect, loads)
         return values
 
-    def _cyclic_groups(self) -> list[tuple[Place, Place, Place]]:
-        """Response, harmonics and level of each group of cycles."""
+    def _cyclic_groups(self) -> list[tuple[Place, Place, Place | None]]:
+        """Response, harmonics and level of each group of cycles; cycles that levels are told against have none."""
         found: dict[int, dict[str, Place]] = {}
         for p in self.places:
             found.setdefault(p.state, {})[p.block.kind] = p
-        kinds = CYCLIC_RESPONSE, CYCLIC_HARMONIC, CYCLIC_LEVEL
-        return [(g[kinds[0]], g[kinds[1]], g[kinds[2]]) for g in found.values() if all(kind in g for kind in kinds)]
+        needed = CYCLIC_RESPONSE, CYCLIC_HARMONIC
+        return [
+            (g[needed[0]], g[needed[1]], g.get(CYCLIC_LEVEL))
+            for g in found.values()
+            if all(kind in g for kind in needed)
+        ]
+
+    def _find_references(self) -> dict[int, int]:
+        """Recording → the state of the cycles that its levels are told against, for recordings that begin with their cycles: these have
+        no level of their own."""
+        kinds: dict[int, set[str]] = {}
+        recording: dict[int, int] = {}
+        for p in self.places:
+            state = self.state_of[id(p)]
+            kinds.setdefault(state, set()).add(p.block.kind)
+            recording[state] = p.recording
+        return {recording[s]: s for s, own in kinds.items() if CYCLIC_RESPONSE in own and CYCLIC_LEVEL not in own}
 
     def _group_cycles(self) -> tuple[Float, Float]:
         """First and last cycle of each state, (S, 1) each: the groups of a recording follow each other from the first on."""
@@ -170,28 +186,46 @@ class CyclicFamily(MechanicalFamily):
         for p in self.places:
             state, own = self.state_of[id(p)], self.spans[id(p)]
             if p.block.kind == CYCLIC_LEVEL:
-                values[own] += (found.mean / still)[state, 0]
+                against = self._against.get(p.recording)
+                if against is None:
+                    values[own] += (found.mean / still)[state, 0]
+                else:
+                    carried_by_k0 = (found.factor.real - 1) * physical.film.k0 * view.scale.length_mm * mean_strain
+                    whole = (found.mean + carried_by_k0) / still
+                    values[own] += whole[state, 0] - whole[against, 0]
             elif p.block.kind == CYCLIC_HARMONIC:
                 both = np.array([force[int(m) - 2][state, 0] for m in p.block.support["order"]])
                 values[own] += np.concatenate([both.real, both.imag])
         return values
 
-    def _read(self, values: Float, effect: Effect, loads: Loads) -> None:
+    def _read(self, values: Float, physical: Physical, effect: Effect, loads: Loads) -> None:
         """Readings of sinusoids: of the waves that mean, fundamental and harmonics of each group make."""
+        still = rig_of(physical, self.rig, effect).at_rest(physical.film.k0).item()
+        shifts: dict[int, float] = {}
+        levels: list[tuple[Place, slice]] = []
         for group in self._groups:
-            response, harmonic, level = (self.spans[id(p)] for p in group)
-            amplitude = float(group[0].block.amplitude[0]) * self.session.scale.length_mm
-            rest = self.rest_of(group[0])
+            response, harmonic = (self.spans[id(p)] for p in group[:2])
+            state, amplitude = self.state_of[id(group[0])], float(group[0].block.amplitude[0]) * self.session.scale.length_mm
+            rest, level = self.rest_of(group[0]), 0.0
+            if group[2] is None or group[0].recording in self._against:
+                level = physical.film.k0 / still * float(self._mean_strain[state, 0]) * self.session.scale.length_mm
+            else:
+                level = float(values[self.spans[id(group[2])]][0])
             orders = np.concatenate([[1], group[1].block.support["order"]]).astype(np.int64)
             parts = [np.array([complex(*values[response])]) * amplitude]
             both = values[harmonic]
             parts.append(both[: both.size // 2] + 1j * both[both.size // 2 :])
             turned = np.exp(2j * np.pi / PHASES * np.outer(orders, np.arange(PHASES)))
-            wave = rest + values[level] + (np.concatenate(parts) @ turned).real
+            wave = rest + level + (np.concatenate(parts) @ turned).real
             change = harmonics(bent(wave, loads.reading_n, effect.reading))
-            values[level] += change[0].real - bent(np.array([rest]), loads.reading_n, effect.reading)[0]
+            shifts[state] = float(change[0].real - bent(np.array([rest]), loads.reading_n, effect.reading)[0])
+            if group[2] is not None:
+                levels.append((group[2], self.spans[id(group[2])]))
             values[response] += np.array([change[1].real, change[1].imag]) / amplitude
             values[harmonic] += np.concatenate([change[orders[1:]].real, change[orders[1:]].imag])
+        for p, own in levels:
+            against = self._against.get(p.recording)
+            values[own] += shifts[self.state_of[id(p)]] - (0.0 if against is None else shifts[against])
 
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the family as the plain film has them: what onsets are measured against."""

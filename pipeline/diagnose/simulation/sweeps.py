@@ -22,7 +22,7 @@ from pipeline.diagnose.simulation.nodes import POINTS
 from pipeline.diagnose.simulation.parameters import Physical
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.diagnose.simulation.sweep_courses import SweepCourse, SweepCourses
-from schemas.arrays import Bool, Complex, Float, Int
+from schemas.arrays import Complex, Float, Int
 
 SWEEP = "sweep"
 _COARSE = 24
@@ -215,7 +215,7 @@ class SweepFamily(MechanicalFamily):
                 # A logarithmic sweep spends equal times in equal steps of log frequency.
                 x = self._log_hz
                 mean = float(np.trapezoid(added.mean, x) / (x[-1] - x[0])) if x.size > 1 else 0.0
-                values[own] += np.where(_moving(p, sweep), mean, 0.0)
+                values[own] += _weigh_mean(p, sweep) * mean
 
     @cached_property
     def _seen(self) -> dict[int, _Seen]:
@@ -245,7 +245,7 @@ class SweepFamily(MechanicalFamily):
             if p.block.kind == CHIRP_HARMONIC:
                 values[own] += np.concatenate([harmonic.real, harmonic.imag])
             else:
-                values[own] += np.where(_moving(p, sweep), change[piece.start : piece.end].mean(), 0.0)
+                values[own] += _weigh_mean(p, sweep) * change[piece.start : piece.end].mean()
 
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the family as the plain film has them: what onsets are measured against."""
@@ -267,9 +267,12 @@ def _of_sweep(p: Place, own: Place) -> bool:
     return p.block.kind == CHIRP_LEVEL or (p.block.kind == CHIRP_HARMONIC and p.block.label == own.block.label)
 
 
-def _moving(p: Place, sweep: _Sweep) -> Bool:
-    """Which mean forces of a block are those while a sweep moves."""
-    return np.asarray((p.block.amplitude > 0) & (p.block.cycle == sweep.response.block.cycle[0]))
+def _weigh_mean(p: Place, sweep: _Sweep) -> Float:
+    """(n,) what the mean of a sweep's force counts in the mean forces of a block: 1 in its own; in a recording without rest, in which they
+    are told against the last sweep, −1 of that one in all."""
+    own = (p.block.amplitude > 0) & (p.block.cycle == sweep.response.block.cycle[0])
+    is_reference = not own.any() and sweep.response.block.cycle[0] > p.block.cycle.max()
+    return np.full(own.size, -1.0) if is_reference else own.astype(np.float64)
 
 
 def _rows(values: Complex, state: Int) -> Complex:
