@@ -132,12 +132,13 @@ def _damage_report(values: Values, variant: str, context: Context) -> Mapping[st
 
 
 def _stiff(values: Values, variant: str) -> Effect:
-    rise, uneven = values["stiffening"], values["asymmetry"]
+    rise, uneven, power = values["stiffening"], values["asymmetry"], values["exponent"]
 
     def stiffer(course: Course) -> Float:
         relative = course.strain / course.scale.largest_strain
         # A strain measure under all springs (quasi-linear viscoelasticity): what it adds relaxes as strain does.
-        added = course.strain * rise * (uneven * relative / 2 + (1 - uneven) * relative**2 / 3)
+        tangent = rise * np.abs(relative) ** power * (1 - uneven + uneven * np.sign(relative))
+        added = course.strain * tangent / (1 + power)
         return np.asarray(course.tension + course.carried(added))
 
     return Effect(tension=(stiffer,)) if rise else Effect()
@@ -266,11 +267,13 @@ STRAIN_STIFFENING = Mechanism(
     id="strain_stiffening",
     stage="film",
     depends_on=("amplitude",),
-    equation="k acts on e (1 + S (q x/2 + (1 − q) x²/3)), x strain e over the largest: the tangent rises by S there",
-    source="second-order expansion of Gent and Ogden laws about the pre-stretch; quasi-linear viscoelasticity, Fung 1972",
+    equation="k acts on e (1 + S |x|^p (1 − q ± q)/(1 + p)), x strain e over the largest, + where it is positive: the tangent rises by S there",
+    source="leading terms of Gent and Ogden laws about the pre-stretch, of higher power the nearer the film is to locking; "
+    "quasi-linear viscoelasticity, Fung 1972",
     parameters=(
         Parameter("stiffening", "1", "rise of the tangent at the largest strain", 0.005, 0.6, signed=True, least=-0.9),
         Parameter("asymmetry", "1", "share q that changes with the sign of the strain", 0.0, 1.0, SHAPE, log=False, most=1.0),
+        Parameter("exponent", "1", "p", 1.0, 4.0, SHAPE, least=0.5, most=8.0),
     ),
     shows=_BENT,
     faint=("sphs", "step"),

@@ -181,18 +181,17 @@ class CyclicFamily(MechanicalFamily):
         if self.view.few:
             carried(rig.loaded(k, linear.dynamic))
         values = self.apply(np.atleast_2d(rig.mechanical(k, linear.dynamic) * channels(effect, self.view)))
+        # A mean is what it is in the linear film, where a cycle that begins at once rings, and what all of the waves adds to it.
+        plain = self.apply(linear.response)
+        scaled = (found.factor.real - 1) * physical.film.k0 * view.scale.length_mm * mean_strain
+        added = (found.mean + scaled) / still
         unit = found.turn / np.abs(found.turn)
         force = [h * unit**m * p for m, h, p in zip((2, 3), (found.second, found.third), passing, strict=True)]
         for p in self.places:
             state, own = self.state_of[id(p)], self.spans[id(p)]
             if p.block.kind == CYCLIC_LEVEL:
                 against = self._against.get(p.recording)
-                if against is None:
-                    values[own] += (found.mean / still)[state, 0]
-                else:
-                    carried_by_k0 = (found.factor.real - 1) * physical.film.k0 * view.scale.length_mm * mean_strain
-                    whole = (found.mean + carried_by_k0) / still
-                    values[own] += whole[state, 0] - whole[against, 0]
+                values[own] = plain[own] + added[state, 0] - (0.0 if against is None else added[against, 0])
             elif p.block.kind == CYCLIC_HARMONIC:
                 both = np.array([force[int(m) - 2][state, 0] for m in p.block.support["order"]])
                 values[own] += np.concatenate([both.real, both.imag])
