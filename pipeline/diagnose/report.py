@@ -308,7 +308,7 @@ def _list_terms(posterior: Posterior) -> tuple[Term, ...]:
 
 def _describe_unexplained(evidence: Evidence, verdict: str, extended: ExtendedFit | None) -> tuple[str, ...]:
     """What speaks against the causes, and where they mend next to nothing."""
-    found = _describe_sizes(evidence.noise_fit)
+    found = _describe_sizes(evidence.noise_fit if extended is None else extended)
     if verdict == UNKNOWN:
         found += _describe_patterns(evidence)
     if verdict == AMBIGUOUS:
@@ -328,6 +328,8 @@ def _describe_sizes(fit: ExtendedFit) -> list[str]:
     if not np.isfinite(of_sizes.sd):
         return []
     apart = fit.theta[place] - of_sizes.mean
+    if abs(apart) < RULES.prior.contradicted * of_sizes.sd:
+        return []  # what contradicted them was the cause
     return [
         f"The actuation is {float(np.exp(apart)):.3g} times what sizes and permittivity give, {abs(apart) / of_sizes.sd:.0f} standard "
         "deviations away: thickness, layers, active region or permittivity are wrong."

@@ -17,6 +17,8 @@ from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.recording import Recording
 from tests.helpers.truth_rig import Effect, compact_session
+from tests.helpers.truth_rig import make_session as true_session
+from tests.hidden_effects.test_forms import CYCLES, SESSION, explained
 
 SESSION_SEED = 103
 
@@ -95,3 +97,11 @@ def test_causes_are_named_without_rest(cause: str, severity: float) -> None:
     found = diagnose_without_rest(Effect(cause, severity))
     assert found.verdict in ("named", "ambiguous")
     assert found.mechanisms[0] == cause
+
+
+def test_what_shifts_a_mean_shifts_it_in_the_cycles_that_it_is_told_against_as_well() -> None:
+    """Without rest a mean is told against that of the last cycles: a film that stiffens moves all of them alike."""
+    truth = true_session(SESSION, CYCLES, [Effect("strain_stiffening", 0.8, {})])
+    cut = replace(truth, recordings=tuple(without_rest(r) for r in truth.recordings))
+    share, _ = explained(cut, "strain_stiffening", "", {"stiffening": 0.3, "asymmetry": 0.5, "exponent": 2.0})
+    assert share > 0.99
