@@ -164,7 +164,7 @@ def fit_mechanism(base: ExtendedFit, score: Score, signatures: Signatures, reach
     """
     of = replace(base.of, chosen=(*base.of.chosen, score.chosen))
     best = follow_to_end(base, min(_fit_from_starts(base, of, score, signatures), key=lambda f: f.chi2), reach)
-    if not score.chosen.mechanism.absorbed and _is_strong(base):
+    if not score.chosen.mechanism.absorbed and _hides_causes(base):
         best = min(best, _fit_from_afar(base, of, score.chosen.mechanism, reach), key=lambda f: f.chi2)
     if score.chosen.mechanism.absorbed:
         best = _revive_arms(base, best, reach)
@@ -306,7 +306,12 @@ def drop_astray(rooms: Sequence[Solution], base: ExtendedFit) -> list[Solution]:
 
 def _may_be_unseen(id: str, base: ExtendedFit) -> bool:
     """Whether a screen sees next to nothing of a strong mechanism."""
-    return MECHANISMS[id].absorbed or _is_strong(base)
+    return MECHANISMS[id].absorbed or _hides_causes(base)
+
+
+def _hides_causes(base: ExtendedFit) -> bool:
+    """Whether a plain model stands where a strong cause has bent it to."""
+    return not base.of.chosen and _is_strong(base)
 
 
 def _is_strong(base: ExtendedFit) -> bool:
