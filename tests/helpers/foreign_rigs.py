@@ -1,0 +1,144 @@
+"""Sessions of rigs that were written apart from the pipeline, diagnosed from their raw files, beside what they hide.
+
+A rig is a package with a module `rig` that has `KINDS` and `write_session(seed, kind, folder)`, which writes a session's raw
+files and returns what is hidden (`tests/foreign/README.md`). Nothing here looks into a rig.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from ingest.canonical import canonical
+from ingest.read import read_raw
+from pipeline.diagnose.diagnosis import diagnose
+from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.results import Diagnosis
+from schemas.errors import DealabError
+
+FOLDER = Path(__file__).resolve().parent.parent / "foreign"
+CLEAN, SINGLE, UNLISTED, PAIR, FAULT = "clean", "single", "unlisted", "pair", "fault"
+KINDS = (CLEAN, SINGLE, UNLISTED, PAIR, FAULT)
+_SHOWN = 8
+"""Hypotheses of a posterior that are kept."""
+_TOLD = ("listed", "fault", "unlisted", "stage", "depends_on", "severity", "form_distance", "strength", "strength_alone",
+         "noise", "session")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A session that is asked of a rig."""
+
+    rig: str
+    seed: int
+    kind: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is hidden in a session, and what was said of it.
+
+    `faults`: id, recordings, and the corrections proposed (key, value now, value proposed, probability) of the first of them.
+    `failed`: why it could not be diagnosed; `refused`: recordings of which no features can be made, with the reason.
+    """
+
+    rig: str
+    seed: int
+    kind: str
+    truth: Mapping[str, Any]
+    verdict: str = ""
+    named: tuple[str, ...] = ()
+    possible: tuple[str, ...] = ()
+    probabilities: Mapping[str, float] | None = None
+    stage: str = ""
+    depends_on: tuple[str, ...] = ()
+    faults: tuple[Mapping[str, Any], ...] = ()
+    gain: float | None = None
+    p_value: float = 1.0
+    has_function: bool = False
+    recordings: int = 0
+    seconds: float = 0.0
+    failed: str = ""
+    refused: tuple[str, ...] = ()
+
+    def as_line(self) -> dict[str, Any]:
+        """For a file of JSON lines."""
+        return asdict(self)
+
+
+def find_rigs(folder: Path = FOLDER) -> list[str]:
+    """Names of the rigs in a folder."""
+    return sorted(path.parent.name for path in folder.glob("*/rig.py"))
+
+
+def write_session(asked: Asked, raw: Path, folder: Path = FOLDER) -> Mapping[str, Any]:
+    """Writes a session's raw files; returns what is hidden."""
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    rig = importlib.import_module(f"{asked.rig}.rig")
+    return dict(rig.write_session(asked.seed, asked.kind, raw))
+
+
+def read_session(raw: Path) -> tuple[list[RecordingFeatures], list[str]]:
+    """Features of the recordings in a folder, and why there are none of others."""
+    features, refused = [], []
+    for path in sorted(raw.rglob("*.mcap")):
+        try:
+            features.append(reduce(canonical(read_raw(path, None), where=path.name)))
+        except DealabError as error:
+            refused.append(f"{path.name}: {error}")
+    return features, refused
+
+
+def answer_session(asked: Asked, folder: Path = FOLDER) -> Answer:
+    """A session made, read and diagnosed."""
+    with TemporaryDirectory() as place:
+        told = write_session(asked, Path(place), folder)
+        features, refused = read_session(Path(place))
+    truth = {name: told.get(name) for name in _TOLD}
+    begin = time.process_time()
+    try:
+        found = diagnose(features)
+    except DealabError as error:
+        return Answer(asked.rig, asked.seed, asked.kind, truth, failed=str(error), refused=tuple(refused))
+    return _tell(asked, truth, found, len(features), time.process_time() - begin, tuple(refused))
+
+
+def _tell(
+    asked: Asked, truth: Mapping[str, Any], found: Diagnosis, recordings: int, seconds: float, refused: tuple[str, ...]
+) -> Answer:
+    likely = sorted(found.probabilities.items(), key=lambda item: -item[1])[:_SHOWN]
+    return Answer(
+        asked.rig, asked.seed, asked.kind, truth,
+        verdict=found.verdict,
+        named=tuple(found.mechanisms),
+        possible=tuple(found.also_possible),
+        probabilities={name: round(p, 4) for name, p in likely},
+        stage=found.stage or "",
+        depends_on=tuple(found.depends_on),
+        faults=tuple(
+            {
+                "id": f.cause,
+                "recordings": list(f.recordings),
+                "corrections": [
+                    [c.key, c.value_now, c.value_proposed, round(c.probability, 3)]
+                    for c in f.corrections
+                    if c.recording_id == f.recordings[0]
+                ],
+            }
+            for f in found.faults
+        ),
+        gain=None if found.held_out is None else round(found.held_out.gain, 3),
+        p_value=found.p_value,
+        has_function=bool(found.terms),
+        recordings=recordings,
+        seconds=round(seconds, 1),
+        refused=refused,
+    )  # fmt: skip

@@ -1,0 +1,264 @@
+"""How often is the diagnosis right on rigs that were written apart from it and from each other?
+
+    python -m tests.studies.study_foreign [--seed N] [--rigs NAME …] [--folder DIR] [--kinds KIND …] [--sessions N] [--minutes N]
+                                          [--jobs N] [--log FILE]
+
+Every rig of `tests/foreign` makes sessions with nothing hidden, one cause, an effect that is in no list, two causes, or an everyday
+fault. They are written as raw files, read, and diagnosed. The seed is a fresh one where none is given: what is reported comes from sessions
+that nobody has seen. `--sessions` of each kind and rig; `--minutes` ends the study early, with a fair share of each kind.
+Every answer is kept in `foreign.jsonl`, or `--log`. Intervals are those of Clopper and Pearson, 95 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from reports.pages.campaign.places import clopper_pearson
+from tests.helpers.foreign_rigs import CLEAN, FAULT, FOLDER, KINDS, PAIR, SINGLE, UNLISTED, Answer, Asked
+from tests.helpers.foreign_rigs import answer_session, find_rigs
+from tests.helpers.judging import INSEPARABLE
+
+HERE = Path(__file__).resolve().parent
+SEEDS = 1_000_000_000
+_ALIKE = 0.03
+"""Relative difference within which a proposed value is the right one."""
+_BINS = (0.0, 0.5, 0.8, 0.95, 1.0)
+"""Limits of the bins of a reliability diagram."""
+
+
+def draw_sessions(seed: int, rigs: Sequence[str], kinds: Sequence[str], sessions: int) -> list[Asked]:
+    """All sessions of a study, mixed so that an early end leaves a fair share of each kind."""
+    rng = np.random.default_rng(seed)
+    return [Asked(rig, int(rng.integers(SEEDS)), kind) for _ in range(sessions) for kind in kinds for rig in rigs]
+
+
+def answer_all(asked: Sequence[Asked], folder: Path, jobs: int, minutes: float, log: Path) -> Iterator[Answer]:
+    """Answers in the order in which they come; each is a line of `log`."""
+    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    end, left = time.monotonic() + 60 * minutes, list(asked)[::-1]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        running = set()
+        while left or running:
+            while left and len(running) < jobs and time.monotonic() < end:
+                running.add(pool.submit(partial(answer_session, folder=folder), left.pop()))
+            if not running:
+                return
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                answer = future.result()
+                with log.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(answer.as_line()) + "\n")
+                yield answer
+
+
+def is_hard_pair(a: Answer) -> bool:
+    """Whether what was named first and what is hidden are a declared hard pair, or the effect a gain that the material absorbs."""
+    hidden = a.truth["listed"]
+    return "gain_error" in hidden or any({*hidden, *a.named[:1]} <= group for group in INSEPARABLE)
+
+
+def is_right_first(a: Answer) -> bool:
+    """Whether the first cause named is hidden."""
+    return a.verdict in ("named", "ambiguous") and bool(a.named) and a.named[0] in a.truth["listed"]
+
+
+def is_in_set(a: Answer) -> bool:
+    """Whether all that is hidden is named or possible."""
+    return a.verdict in ("named", "ambiguous") and set(a.truth["listed"]) <= {*a.named, *a.possible}
+
+
+def is_wrong_name(a: Answer) -> bool:
+    """Whether something is named without doubt that is not there."""
+    right = {*a.truth["listed"], (a.truth.get("fault") or {}).get("id", "")}
+    return a.verdict == "named" and not set(a.named) <= right
+
+
+def is_place_right(a: Answer) -> bool:
+    """Whether stage and dependence are those of what is hidden: the stage, and one covariate at least where there is one."""
+    depends = set(a.truth["depends_on"] or ())
+    return a.stage == a.truth["stage"] and (not depends or bool(depends & set(a.depends_on)))
+
+
+def is_fault_named(a: Answer) -> bool:
+    """Whether the fault is named, with the recordings that it is in."""
+    told = a.truth["fault"]
+    own = [f for f in a.faults if f["id"] == told["id"]]
+    if not own:
+        return told["id"] in a.named and told["recordings"] == "all"
+    if told["recordings"] == "all":
+        return True
+    return {name for f in own for name in f["recordings"]} == set(told["recordings"])
+
+
+def is_correction_right(a: Answer) -> bool | None:
+    """Whether what would put the fault right is proposed; None where nothing would."""
+    told = a.truth["fault"]
+    if not told.get("key") or told.get("right_value") in (None, ""):
+        return None
+    for f in a.faults:
+        for key, _, proposed, _ in f["corrections"]:
+            if key == told["key"] and _same(proposed, told["right_value"]):
+                return True
+    return False
+
+
+def _same(proposed: object, right: object) -> bool:
+    try:
+        return abs(float(str(proposed)) / float(str(right)) - 1) < _ALIKE
+    except (ValueError, ZeroDivisionError):
+        return str(proposed) == str(right)
+
+
+def state_rate(hits: Sequence[bool]) -> str:
+    """Share with its 95 % interval, in per cent."""
+    if not hits:
+        return "–"
+    low, high = clopper_pearson(sum(hits), len(hits))
+    return f"{100 * sum(hits) / len(hits):.0f} % ({sum(hits)}/{len(hits)}; {100 * low:.0f} to {100 * high:.0f})"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the report: what is asked of which answers, and what is wanted."""
+
+    name: str
+    hits: Sequence[bool]
+    wanted: str = ""
+
+
+def make_rows(found: Sequence[Answer]) -> list[Row]:
+    """The rates of some answers."""
+    asked = [a for a in found if not a.failed]
+    clean, single, unlisted, pairs, faults = ([a for a in asked if a.kind == kind] for kind in KINDS)
+    seen = [a for a in single if a.verdict != "none"]
+    mended = [hit for a in faults if is_fault_named(a) and (hit := is_correction_right(a)) is not None]
+    return [
+        Row("could not be diagnosed", [bool(a.failed) for a in found], "0 %"),
+        Row("nothing hidden: false alarms", [a.verdict != "none" for a in clean], "≤ 1 %"),
+        Row("one cause: detected", [a.verdict != "none" for a in single], "≥ 95 %"),
+        Row("… right cause first, outside the declared hard pairs", [is_right_first(a) for a in seen if not is_hard_pair(a)], "≥ 90 %"),
+        Row("… right cause first, all", [is_right_first(a) for a in seen]),
+        Row("… right cause named or possible", [is_in_set(a) for a in seen], "93–97 %"),
+        Row("… named or possible, or its stage and dependence", [is_in_set(a) or is_place_right(a) for a in seen]),
+        Row("… called unknown", [a.verdict == "unknown" for a in seen]),
+        Row("… a wrong name without doubt", [is_wrong_name(a) for a in single]),
+        Row("in no list: a wrong name without doubt", [is_wrong_name(a) for a in unlisted], "≤ 5 %"),
+        Row("… detected", [a.verdict != "none" for a in unlisted]),
+        Row("… stage and dependence right, of those called unknown", [is_place_right(a) for a in unlisted if a.verdict == "unknown"], "≥ 70 %"),
+        Row("two causes: both named", [set(a.truth["listed"]) <= {*a.named} for a in pairs], "≥ 85 %"),
+        Row("… both named or possible", [set(a.truth["listed"]) <= {*a.named, *a.possible} for a in pairs], "≥ 93 %"),
+        Row("everyday faults: fault and recordings named", [is_fault_named(a) for a in faults], "≥ 90 %"),
+        Row("… what is proposed puts them right", mended, "≥ 90 %"),
+        Row("… a wrong name without doubt", [is_wrong_name(a) for a in faults]),
+    ]  # fmt: skip
+
+
+def measure_calibration(found: Iterable[Answer]) -> Iterator[tuple[float, float, int, int]]:
+    """Mean probability of the most probable hypothesis, share in which it is right, by bin, with hits and number."""
+    pairs = []
+    for a in found:
+        if a.kind in (SINGLE, PAIR) and not a.failed and a.probabilities and a.verdict != "none":
+            name, p = max(a.probabilities.items(), key=lambda item: item[1])
+            pairs.append((min(p, 1.0), set(name.split("+")) == set(a.truth["listed"])))
+    for low, high in zip(_BINS, _BINS[1:], strict=False):
+        own = [(p, hit) for p, hit in pairs if low < p <= high]
+        if own:
+            hits = sum(hit for _, hit in own)
+            yield float(np.mean([p for p, _ in own])), hits / len(own), hits, len(own)
+
+
+def report(found: Sequence[Answer]) -> Iterator[str]:
+    """The tables in Markdown: all rigs, each rig, the reliability, and what was said for what."""
+    rigs = sorted({a.rig for a in found})
+    columns = [make_rows(found), *(make_rows([a for a in found if a.rig == rig]) for rig in rigs)]
+    yield "| | all | " + " | ".join(rigs) + " | wanted |"
+    yield "| --- |" + " --- |" * (len(columns) + 1)
+    for rows in zip(*columns, strict=True):
+        yield f"| {rows[0].name} | " + " | ".join(state_rate(r.hits) for r in rows) + f" | {rows[0].wanted} |"
+    bins = list(measure_calibration(found))
+    if bins:
+        total = sum(n for *_, n in bins)
+        error = sum(n * abs(p - share) for p, share, _, n in bins) / total
+        yield ""
+        yield f"Most probable hypothesis, one or two causes hidden: expected calibration error {error:.2f} (wanted ≤ 0.05)."
+        yield ""
+        yield "| mean probability | right | sessions |"
+        yield "| --- | --- | --- |"
+        for p, share, _, n in bins:
+            yield f"| {p:.2f} | {share:.2f} | {n} |"
+    seconds = sorted(a.seconds for a in found if not a.failed)
+    if seconds:
+        yield ""
+        yield f"Time of a diagnosis: median {np.median(seconds):.0f} s, longest {seconds[-1]:.0f} s of processor."
+    yield ""
+    yield "| hidden | sessions | first or named | otherwise |"
+    yield "| --- | --- | --- | --- |"
+    by_truth: dict[str, list[Answer]] = {}
+    for a in found:
+        by_truth.setdefault(name_truth(a), []).append(a)
+    for name, own in sorted(by_truth.items()):
+        right = [a for a in own if is_answered(a)]
+        wrong = Counter(say(a) for a in own if a not in right)
+        words = ", ".join(f"{what} {n}" for what, n in wrong.most_common(3))
+        yield f"| {name} | {len(own)} | {len(right)} | {words} |"
+
+
+def name_truth(a: Answer) -> str:
+    """Words for what is hidden; effects without a name and pairs are one line each."""
+    if a.kind == SINGLE:
+        return str(a.truth["listed"][0])
+    return f"fault: {a.truth['fault']['id']}" if a.kind == FAULT else a.kind
+
+
+def is_answered(a: Answer) -> bool:
+    """Whether an answer is right, of any kind."""
+    if a.kind == CLEAN:
+        return a.verdict == "none"
+    if a.kind == UNLISTED:
+        return a.verdict not in ("none", "named")
+    if a.kind == FAULT:
+        return is_fault_named(a)
+    return set(a.truth["listed"]) <= {*a.named} if a.kind == PAIR else is_right_first(a)
+
+
+def say(a: Answer) -> str:
+    """An answer in short."""
+    if a.failed:
+        return "failed"
+    return f"{a.verdict} {a.named[0]}" if a.named and a.verdict in ("named", "ambiguous") else a.verdict
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--rigs", nargs="*")
+    parser.add_argument("--folder", type=Path, default=FOLDER)
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--sessions", type=int, default=20)
+    parser.add_argument("--minutes", type=float, default=float("inf"))
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--log", type=Path, default=HERE / "foreign.jsonl")
+    given = parser.parse_args(arguments)
+    seed = int(np.random.default_rng().integers(SEEDS)) if given.seed is None else given.seed
+    asked = draw_sessions(seed, given.rigs or find_rigs(given.folder), given.kinds, given.sessions)
+    found = list(answer_all(asked, given.folder, given.jobs, given.minutes, given.log))
+    print(f"{len(found)} of {len(asked)} sessions, seed {seed}.\n")
+    print("\n".join(report(found)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
