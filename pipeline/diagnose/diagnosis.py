@@ -89,8 +89,10 @@ def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
     """Steps 2 to 6, begun anew where they find that the plain model was not at its optimum."""
     start, mechanical = plain.theta, plain.mechanical
     of = replace(of, simulation=of.simulation.about(of.model.physical(start)))
+    earlier: Sequence[Hypothesis] = ()
     for _ in range(RULES.plain.restarts):
-        evidence = _search_from(of, start, mechanical)
+        evidence = _search_from(of, start, mechanical, earlier)
+        earlier = _list_close_causes(evidence)
         with_arm = _take_up_arm(evidence)
         if with_arm is not None:
             # The mechanical tests alone know nothing of this arm.
@@ -104,8 +106,23 @@ def _search_causes(of: Extended, plain: PlainFit) -> Evidence:
     return evidence
 
 
-def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Evidence:
-    """Steps 2 to 6 from entries `start` (P,) of the plain model; `mechanical` (P,): those of the mechanical tests alone."""
+def _list_close_causes(evidence: Evidence) -> Sequence[Hypothesis]:
+    """Single causes that come near the best one: a search from another film may end elsewhere, and must not lose them."""
+    if evidence.posterior is None:
+        return ()
+    single = [h for h in evidence.posterior.hypotheses if len(h.causes) == 1]
+    best = max((h.log_joint for h in single), default=0.0)
+    return [h for h in single if h.log_joint > best - RULES.fit.close_call]
+
+
+def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: Sequence[Hypothesis]) -> Evidence:
+    """Steps 2 to 6 from entries `start` (P,) of the plain model.
+
+    Parameters
+    ----------
+    mechanical : (P,) entries of the mechanical tests alone
+    earlier : causes found in a search from elsewhere
+    """
     # 2. Is there anything?
     changes, nothing = _screen(of, start)
     noise_fit, signatures, p_value, patterns = (
@@ -134,7 +151,8 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None) -> Eviden
 
     # 5. All hypotheses under one likelihood: single causes, further ones beside the best, regions without a name.
     agreed = find_consensus([plain, noise_fit], mechanical)
-    hypotheses = settle_hypotheses([*map(weigh_fit, singles), *search_from_consensus(plain, agreed)])
+    kept = [h for h in earlier if h.model.of.model.names == plain.of.model.names]
+    hypotheses = settle_hypotheses([*map(weigh_fit, singles), *search_from_consensus(plain, agreed), *kept])
     hypotheses += add_causes(hypotheses, changes)
     noise = max(
         (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),

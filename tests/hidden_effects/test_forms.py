@@ -67,7 +67,15 @@ CASES = [
         {"overload": 0.3, "growth": 0.1, "recovery_s": 1.0, "rise_s": 0.15},
         0.9,
     ),
-    ("leakage", "", 0.06, {}, STEPS + MULTISINES, {"droop": 0.05, "build_up_s": 1.0, "ohmic": 0.5}, 0.9),
+    (
+        "leakage",
+        "",
+        0.06,
+        {},
+        STEPS + MULTISINES,
+        {"droop": 0.05, "build_up_s": 1.0, "ohmic": 0.5, "field_power": 3.0},
+        0.9,
+    ),
     (
         "strain_stiffening",
         "",

@@ -70,7 +70,9 @@ def _state_change(
     """
     behind = {name: -0.5 * (chi2 - fits[nearest][0]) / max(left, 1.0) for name, (chi2, _) in fits.items()}
     as_gain, as_before = _judge_tension(session, first, fits[GAIN_ERROR.id][1])
-    odd_film = float(np.log(RULES.fault.stray)) + behind[GAIN_ERROR.id] + as_before  # new, and yet as under another gain
+    odd_film = (
+        float(np.log(RULES.fault.stray)) + behind[GAIN_ERROR.id] + as_before
+    )  # new, and yet as under another gain
     log = np.array([np.logaddexp(behind[ids.SPECIMEN_CHANGED], odd_film), behind[GAIN_ERROR.id] + as_gain])
     share = np.exp(log - np.logaddexp(*log))
     shares = {ids.SPECIMEN_CHANGED: float(share[0]), GAIN_ERROR.id: float(share[1])}
@@ -91,7 +93,9 @@ def _state_change(
         ids.SPECIMEN_CHANGED: f"the film pulls {size} times as strongly as before",
         GAIN_ERROR.id: f"the force is read {size} times as large as before",
     }
-    open_words = " (or the film changed so much)" if cause == GAIN_ERROR.id else " (or its force is read so much larger)"
+    open_words = (
+        " (or the film changed so much)" if cause == GAIN_ERROR.id else " (or its force is read so much larger)"
+    )
     return Fault(
         cause,
         tuple(r.recording_id for r in changed),

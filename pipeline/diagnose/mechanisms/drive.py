@@ -11,10 +11,9 @@ from pipeline.diagnose.mechanisms.mechanism import AMPLIFIER, BENT, SHAPE, Conte
 from pipeline.diagnose.simulation.effects import Effect, View, Wave
 from schemas.arrays import Complex, Float
 
+_MONITORED, _HIDDEN = "monitored", "hidden from the monitor"
 _ROUNDS = 4
 """Rounds in which the rate of a lagging voltage is found."""
-_FIELD_POWER = 4.0
-"""Exponent of the part of the current that the field drives; which power hardly shows beside an ohmic part."""
 
 
 def _lagged(wave: Float, interval_s: float, rise_s: float, fall_s: float, slew: float) -> Float:
@@ -61,7 +60,7 @@ def _lag(values: Values, variant: str) -> Effect:
         s = 2j * np.pi * view.frequency_hz * constant(view, side)
         return np.asarray(2 / ((1 + s) * (2 + s)) if side > 0 else 1 / (1 + s / 2))
 
-    if variant == "hidden from the monitor":
+    if variant == _HIDDEN:
         return Effect(film_voltage=(wave,), film_edges=(squared_edge,))
     return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
 
@@ -89,25 +88,38 @@ def _offset(values: Values, variant: str) -> Effect:
 
 
 def _leak(values: Values, variant: str) -> Effect:
-    droop, build, ohmic, at_once = (values[name] for name in ("droop", "build_up_s", "ohmic", "at_once"))
+    droop, build, ohmic, at_once, power = (
+        values[name] for name in ("droop", "build_up_s", "ohmic", "at_once", "field_power")
+    )
 
     def conductance(kv: Float, largest: float) -> Float:
-        return np.asarray(ohmic + (1 - ohmic) * (np.abs(kv) / max(largest, 1e-9)) ** (_FIELD_POWER - 1))
+        return np.asarray(ohmic + (1 - ohmic) * (np.abs(kv) / max(largest, 1e-9)) ** power)
+
+    def build_up(view: View) -> Complex:
+        return np.asarray(at_once + (1 - at_once) / (1 + 2j * np.pi * view.frequency_hz * build))
 
     def edge(view: View, side: float) -> Complex | Float:
         sag = droop * conductance(view.voltage_kv, view.scale.voltage_kv)
         if side < 0:
             # The current ends with the voltage.
             return np.asarray(1 - sag)
-        return np.asarray(1 - sag * (at_once + (1 - at_once) / (1 + 2j * np.pi * view.frequency_hz * build)))
+        return np.asarray(1 - sag * build_up(view))
+
+    def squared_edge(view: View, side: float) -> Complex | Float:
+        lost = 1 - (1 - np.minimum(droop * conductance(view.voltage_kv, view.scale.voltage_kv), 1.0)) ** 2
+        return np.asarray(1 - lost * (build_up(view) if side > 0 else 1.0))
 
     def wave(given: Wave) -> Wave:
+        if given.interval_s is None:
+            return given
         # What builds up follows the voltage slowly: its mean over the period.
         mean = np.abs(given.film_kv).mean(axis=1, keepdims=True) / max(given.scale.voltage_kv, 1e-9)
         built = at_once + (1 - at_once) * np.minimum(mean, 1.0)
         sag = droop * conductance(given.film_kv, given.scale.voltage_kv) * built
         return replace(given, film_kv=given.film_kv * (1 - sag))
 
+    if variant == _HIDDEN:
+        return Effect(film_voltage=(wave,), film_edges=(squared_edge,))
     return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
 
 
@@ -137,7 +149,7 @@ DRIVE_LAG = Mechanism(
     },
     effect=_lag,
     report=_lag_report,
-    variants=("monitored", "hidden from the monitor"),
+    variants=(_MONITORED, _HIDDEN),
 )
 
 DRIVE_OFFSET = Mechanism(
@@ -159,7 +171,7 @@ LEAKAGE = Mechanism(
     id="leakage",
     stage="drive",
     depends_on=("voltage", "record_time"),
-    equation="V (1 − d (q + (1 − q) (V/V_max)³)): current V/R + a V⁴, which builds up, through a series resistance",
+    equation="V (1 − d (q + (1 − q) (V/V_max)^p)): current V/R + a V^(p + 1), which builds up, through a series resistance before the monitor or behind it",
     source="current of polymers at high fields",
     parameters=(
         Parameter("droop", "1", "sag at the largest voltage", 0.01, 0.2, most=0.9),
@@ -175,12 +187,14 @@ LEAKAGE = Mechanism(
             most=1.0,
         ),
         Parameter("at_once", "1", "share of the current that needs no time", 0.0, 1.0, SHAPE, log=False, most=1.0),
+        Parameter("field_power", "1", "p", 0.5, 4.0, SHAPE, least=0.1, most=8.0),
     ),
-    shows=AMPLIFIER,
+    shows=AMPLIFIER | BENT,
     confusable={
-        "field_dependent_permittivity": "the measured voltage tells",
-        "wrinkling": "the measured voltage tells",
+        "field_dependent_permittivity": "the measured voltage tells, where the monitor sits at the film",
+        "wrinkling": "the measured voltage tells, where the monitor sits at the film",
     },
     effect=_leak,
+    variants=(_MONITORED, _HIDDEN),
 )
 MECHANISMS = (DRIVE_LAG, DRIVE_OFFSET, LEAKAGE)

@@ -269,7 +269,6 @@ class MultisineFamily:
             total = total - _lines(bent(plain, loads.reading_n, effect.reading))
         return total
 
-
     def _balance(
         self,
         physical: Physical,

@@ -204,7 +204,10 @@ class CyclicFamily(MechanicalFamily):
         levels: list[tuple[Place, slice]] = []
         for group in self._groups:
             response, harmonic = (self.spans[id(p)] for p in group[:2])
-            state, amplitude = self.state_of[id(group[0])], float(group[0].block.amplitude[0]) * self.session.scale.length_mm
+            state, amplitude = (
+                self.state_of[id(group[0])],
+                float(group[0].block.amplitude[0]) * self.session.scale.length_mm,
+            )
             rest, level = self.rest_of(group[0]), 0.0
             if group[2] is None or group[0].recording in self._against:
                 level = physical.film.k0 / still * float(self._mean_strain[state, 0]) * self.session.scale.length_mm
