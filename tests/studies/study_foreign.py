@@ -22,14 +22,26 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from reports.pages.campaign.places import clopper_pearson
-from tests.helpers.foreign_rigs import CLEAN, FAULT, FOLDER, KINDS, PAIR, SINGLE, UNLISTED, Answer, Asked
-from tests.helpers.foreign_rigs import answer_session, find_rigs
+from tests.helpers.foreign_rigs import (
+    CLEAN,
+    FAULT,
+    FOLDER,
+    KINDS,
+    PAIR,
+    SINGLE,
+    UNLISTED,
+    Answer,
+    Asked,
+    answer_session,
+    find_rigs,
+)
 from tests.helpers.judging import INSEPARABLE
 
 HERE = Path(__file__).resolve().parent
@@ -188,7 +200,7 @@ def measure_calibration(found: Iterable[Answer]) -> Iterator[tuple[float, float,
         if a.kind in (SINGLE, PAIR) and not a.failed and a.probabilities and a.verdict != "none":
             name, p = max(a.probabilities.items(), key=lambda item: item[1])
             pairs.append((min(p, 1.0), set(name.split("+")) == set(a.truth["listed"])))
-    for low, high in zip(_BINS, _BINS[1:], strict=False):
+    for low, high in pairwise(_BINS):
         own = [(p, hit) for p, hit in pairs if low < p <= high]
         if own:
             hits = sum(hit for _, hit in own)

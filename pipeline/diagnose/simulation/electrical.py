@@ -136,7 +136,7 @@ class StepFamily(Family):
                     np.diff(p.block.time_s, prepend=0.0)[None],
                     self.session.scale,
                 )
-                drop = drop - _balance(effect.tension, course, physical.film.k0 * rig.compliance) / still
+                drop = drop - _balance(effect.tension, course, still - 1) / still
             seen = bent(np.nan_to_num(rest) - drop, loads.reading_n, effect.reading)
             values[at : at + p.block.size] = drop - seen
             at += p.block.size
@@ -319,7 +319,7 @@ def _measure_slope(tension: Float, extra: Float) -> Float:
     about = tension - tension.mean(axis=1, keepdims=True)
     power = np.sum(about**2, axis=1, keepdims=True)
     slope = 1 + np.sum(about * extra, axis=1, keepdims=True) / np.maximum(power, 1e-300)
-    return np.clip(slope, *SLOPES)
+    return np.asarray(np.clip(slope, *SLOPES))
 
 
 def _balance(elements: Sequence[Callable[[Course], Float]], course: Course, give: float) -> Float:

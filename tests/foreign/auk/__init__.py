@@ -1,0 +1,1 @@
+"""The silicone-and-acrylic laboratory `auk`: a truth rig."""

@@ -1,0 +1,1 @@
+"""Truth rig `bison`: an acrylic film laboratory with a voice coil and a laser."""
