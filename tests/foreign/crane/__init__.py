@@ -1,0 +1,1 @@
+"""Truth rig crane: a small laboratory with compact sessions."""
