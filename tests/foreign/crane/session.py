@@ -282,7 +282,7 @@ def draw_session(seed: int, salt: int) -> Session:
     lst = cal + lst
     out = []
     t = 0.0
-    for i, r in enumerate(lst):
+    for _i, r in enumerate(lst):
         dyn = r["protocol"] in ("chirp", "sphs", "tap")
         over = int(np.ceil((8000 if dyn else 2000) / r["fs"])) if dyn else int(np.ceil(1500 / r["fs"]))
         n = int(np.ceil(r["dur"] * r["fs"] / 4 + 1)) * 4
