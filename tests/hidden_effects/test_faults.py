@@ -15,7 +15,7 @@ from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.simulation.session import make_session as join_features
 from schemas.recording import Recording
-from tests.helpers.everyday_faults import EDITS, mix_in
+from tests.helpers.everyday_faults import EDITS, change_metadata, mix_in
 from tests.helpers.truth_rig import KINDS, compact_session, make_session
 
 SEED, ANOTHER_SEED = 990_000_001, 990_000_002
@@ -210,3 +210,22 @@ def test_a_change_has_to_show_in_more_than_one_kind_of_test(tests: str, first: i
     )
     session = replace(join_features(sound()), recordings=recordings)
     assert shows_in_more_than_one_test(session, first) is is_seen
+
+
+def test_channels_swapped_in_all_mechanical_tests_rest_at_the_tension_of_the_others() -> None:
+    edit = EDITS["channels of one sweep swapped"].edit
+    session = [edit(r) if r.metadata.loading == "mechanical" else r for r in recordings()]
+    checked = check_recordings([reduce(r) for r in session])
+    (fault,) = checked.faults
+    assert fault.cause == "channels_swapped"
+    assert set(fault.recordings) == {r.metadata.recording_id for r in session if r.metadata.loading == "mechanical"}
+    assert checked.is_barred
+
+
+def test_lengths_that_contradict_the_pre_stretch_are_named() -> None:
+    session = [change_metadata(r, film_length_mm=2.0) for r in recordings()]
+    (fault,) = check_recordings([reduce(r) for r in session]).faults
+    assert fault.cause == "size_wrong"
+    best = max((c for c in fault.corrections), key=lambda c: c.probability)
+    assert best.key == "film_length_mm"
+    assert float(best.value_proposed) == pytest.approx(recordings()[0].metadata.film_length_mm)

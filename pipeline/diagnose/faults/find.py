@@ -24,8 +24,10 @@ from pipeline.diagnose.faults.hypotheses import MECHANISM, SOUND, Judged, judge_
 from pipeline.diagnose.faults.levels import Levels, name_clamp, read_levels
 from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.faults.session_wide import (
+    find_contradicting_lengths,
     find_shared,
     find_stated_by_all,
+    find_swapped_in_all,
     find_wrong_file,
     judge_taps,
     merge_lengths,
@@ -62,9 +64,14 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
     """
     taps = [r for r in recordings if RING_HZ in r.values]
     recordings = [r for r in recordings if RING_HZ not in r.values]
+    swapped = find_swapped_in_all(recordings)
+    if swapped is not None:
+        return Checked(*fit_session(recordings), (swapped,))
     levels = {r.recording_id: own for r, own in zip(recordings, _read(recordings), strict=True)}
     recordings, found = find_stated_by_all(recordings, levels)
     explained = frozenset(id for f in found for id in f.recordings)
+    lengths = find_contradicting_lengths(recordings) if not found else None
+    found += [] if lengths is None else [lengths]
     suspects = frozenset(id for id, own in levels.items() if own.is_suspect) - explained
     if 2 * len(suspects) >= len(recordings):
         suspects = frozenset()  # what most recordings have in common is asked of all of them

@@ -20,6 +20,7 @@ from pipeline.diagnose.features.kinds import (
     CHIRP_RESPONSE,
     CYCLIC_RESPONSE,
     FILED_RING_HZ,
+    REST_INPUT,
     RING_HZ,
     RecordingFeatures,
 )
@@ -32,7 +33,7 @@ from pipeline.transform.calibration import GRAVITY_M_PER_S2
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.numbers import significant
-from schemas.protocols import MECHANICAL
+from schemas.protocols import ELECTRICAL, MECHANICAL
 
 _ALIKE = 0.03
 """Difference of the logarithms of levels up to which recordings share one."""
@@ -52,6 +53,63 @@ _WORTH_SAYING = 0.05
 """Probability from which a way to put a rig right is said."""
 _TRIED = 2
 """Ways to put a rig right that are fitted, of those that make the film smoothest."""
+
+
+def find_swapped_in_all(recordings: Sequence[RecordingFeatures]) -> Fault | None:
+    """Channels that are swapped in all mechanical tests: what is called displacement rests at the tension that tests under voltage show."""
+    tests = [r for r in recordings if REST_INPUT in r.values]
+    tension = np.array(
+        [r.values["rest_force_n"] for r in recordings if r.loading == ELECTRICAL and "rest_force_n" in r.values]
+    )
+    spread = RULES.fault.rest_spread
+    if len(tests) < 2 or tension.size < 2 or np.ptp(tension) > spread * abs(np.median(tension)):
+        return None
+    rest = np.median(tension)
+    moved, force = (np.array([r.values[key] for r in tests]) / rest for key in (REST_INPUT, "rest_force_n"))
+    if np.abs(moved - 1).max() > spread or np.abs(force - 1).min() < 2 * spread:
+        return None
+    names = tuple(r.recording_id for r in tests)
+    both = ("force", "displacement"), ("displacement", "force")
+    corrections = tuple(
+        Correction(name, ids.CHANNELS_SWAPPED, f"columns.{a}.column", a, b, RULES.fault.named)
+        for a, b in both
+        for name in names
+    )
+    words = "what is called displacement rests at the tension of the tests under voltage, in all mechanical tests"
+    return Fault(ids.CHANNELS_SWAPPED, names, RULES.fault.named, words, corrections, sets_aside=False, bars=True)
+
+
+def find_contradicting_lengths(recordings: Sequence[RecordingFeatures]) -> Fault | None:
+    """Lengths that contradict each other by a usual slip: the stretched one is the undeformed one times the pre-stretch."""
+    keys = ("film_length_mm", "stretch_1", "total_length_mm")
+    having = [r for r in recordings if all(STATED + key in r.values for key in keys)]
+    if not having:
+        return None
+    ratio = np.array([np.prod([r.values[STATED + k] for k in keys[:2]]) / r.values[STATED + keys[2]] for r in having])
+    off = [float(np.abs(np.log(ratio / slip)).max()) for slip in _SIZE_SLIPS]
+    near = int(np.argmin(off))
+    if off[near] > _ALIKE:
+        return None
+    slip = _SIZE_SLIPS[near]
+    # Strains that are driven as the stretched length has them say that this is right.
+    corrections = [
+        Correction(r.recording_id, ids.SIZE_WRONG, key, write(now), write(now / factor), share)
+        for key, factor, share in (
+            ("film_length_mm", slip, 0.6),
+            ("total_length_mm", 1 / slip, 0.2),
+            ("stretch_1", slip, 0.2),
+        )
+        for r in having
+        if (now := r.values[STATED + key])
+    ]
+    return Fault(
+        ids.SIZE_WRONG,
+        tuple(r.recording_id for r in having),
+        RULES.fault.named,
+        f"film_length_mm times stretch_1 is {significant(slip, 3)} times total_length_mm: one of them is wrong",
+        tuple(corrections),
+        sets_aside=False,
+    )
 
 
 def find_stated_by_all(

@@ -14,7 +14,14 @@ import numpy as np
 
 from pipeline.diagnose.features.blocks import Signals, block
 from pipeline.diagnose.features.functionals import Component, stacked
-from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_LEVEL, CHIRP_RESPONSE, FeatureBlock, NoiseSample
+from pipeline.diagnose.features.kinds import (
+    CHIRP_HARMONIC,
+    CHIRP_LEVEL,
+    CHIRP_RESPONSE,
+    REST_INPUT,
+    FeatureBlock,
+    NoiseSample,
+)
 from pipeline.diagnose.features.records import (
     Record,
     Start,
@@ -125,7 +132,11 @@ def chirp_blocks(
     if not blocks:
         raise NotIdentifiableError("every sweep has gaps", where=where)
     blocks += _levels(signals, found, pieces, rest if start.rests else None, amplitude / length)
-    values = {"largest_strain": amplitude / length, "rest_force_n": float(found.values[names[1]][:rest].mean())}
+    values = {
+        "largest_strain": amplitude / length,
+        "rest_force_n": float(found.values[names[1]][:rest].mean()),
+        REST_INPUT: float(found.values[names[0]][:rest].mean()),
+    }
     return blocks, [n for n in noise if n is not None], values, warnings
 
 

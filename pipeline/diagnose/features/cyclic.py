@@ -17,6 +17,7 @@ from pipeline.diagnose.features.kinds import (
     CYCLIC_HARMONIC,
     CYCLIC_LEVEL,
     CYCLIC_RESPONSE,
+    REST_INPUT,
     FeatureBlock,
     NoiseSample,
 )
@@ -117,6 +118,7 @@ def cyclic_blocks(
     values = {
         "largest_strain": float(np.abs(x).max()) / length,
         "rest_force_n": float(found.values[names[1]][:rest].mean()),
+        REST_INPUT: float(found.values[names[0]][:rest].mean()),
     }
     if "capacitance" in channels:
         values["capacitance_rest_pf"] = float(sensed[:rest].mean())

@@ -25,7 +25,7 @@ from schemas.metadata import RigConstants
 
 Array = NDArray[Any]
 
-_VERSION = 4
+_VERSION = 5
 """Of the format; features of another version are made again."""
 _LEVEL = 9
 """Of the compression: 9 is the densest that is quick."""

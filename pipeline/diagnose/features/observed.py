@@ -28,6 +28,7 @@ SIZES = (
     "active_width_mm",
     "film_length_mm",
     "total_length_mm",
+    "stretch_1",
     "relative_permittivity",
 )
 """Keys of the metadata whose values are kept under `STATED`."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.diagnose.features.blocks import Signals, block, log_windows, window_means
 from pipeline.diagnose.features.functionals import Component, lines_spectrum
-from pipeline.diagnose.features.kinds import CYCLE_FORCE, RELAXATION_FORCE, FeatureBlock, NoiseSample
+from pipeline.diagnose.features.kinds import CYCLE_FORCE, RELAXATION_FORCE, REST_INPUT, FeatureBlock, NoiseSample
 from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_samples, ringing_s, strain_length_mm
 from pipeline.diagnose.rules import RULES
 from pipeline.transform.channels import drive
@@ -208,7 +208,11 @@ def _finished(
         support={"since_s": (at - np.array(ramps)) * found.interval_s, "strain": _strains(x, windows, length)},
         drifts=True,
     )
-    values = {"largest_strain": height / length, "rest_force_n": float(found.values[force][:rest].mean())}
+    values = {
+        "largest_strain": height / length,
+        "rest_force_n": float(found.values[force][:rest].mean()),
+        REST_INPUT: float(found.values[names[0]][:rest].mean()),
+    }
     return [made], [n for n in noise if n is not None], values, []
 
 
