@@ -6,11 +6,13 @@ Does not belong here: formulas (their stored results are read), units and time (
 from __future__ import annotations
 
 import math
+import re
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,14 @@ from schemas.errors import RefusedError
 
 _INFLATED_LIMIT = 1 << 29
 """Most bytes that a workbook may inflate to."""
+
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
+"""What reading a damaged archive raises."""
+_PIECE = 1 << 20
+_PLACE = re.compile(rb"""\sr=["']([A-Z]{0,3})([0-9]{1,7})["']""")
+"""Where a cell or a row of a sheet's XML says that it stands."""
+_SHEET = re.compile(rb"""<(?:\w+:)?sheet\s[^>]*?:id=["']([^"']{1,200})["']""")
+_RELATION = re.compile(rb"<(?:\w+:)?Relationship\s[^>]*>")
 
 
 @dataclass(frozen=True)
@@ -141,17 +151,66 @@ def sheet_rows(path: Path, sheet: str | int | None) -> list[list[Any]]:
             remedy="Give sheet in [excel] of the mapping TOML",
         )
     name = sheet if isinstance(sheet, str) else names[sheet or 0]
+    if zipfile.is_zipfile(path):
+        _refuse_size(*_guarded(_measure_sheet, path, names.index(name), where=where), where=where)
     found = _guarded(book.get_sheet_by_name, name, where=where)
-    if found.total_height * found.total_width > CELL_LIMIT >> 4:
+    _refuse_size(found.total_height, found.total_width, where=where)
+    rows: list[list[Any]] = list(_guarded(found.to_python, skip_empty_area=False, where=where))
+    # old files of two-byte letters come with a zero byte behind each
+    return [[c.replace("\x00", "") if isinstance(c, str) and "\x00" in c else c for c in row] for row in rows]
+
+
+def _refuse_size(height: int, width: int, *, where: str) -> None:
+    if height * width > CELL_LIMIT >> 4:
         raise RefusedError(
-            f"the sheet has {found.total_height} × {found.total_width} cells",
+            f"the sheet has {height} × {width} cells",
             where=where,
             expected=f"at most {CELL_LIMIT >> 4}",
             remedy="Delete what stands far away from the data",
         )
-    rows: list[list[Any]] = list(_guarded(found.to_python, skip_empty_area=False, where=where))
-    # old files of two-byte letters come with a zero byte behind each
-    return [[c.replace("\x00", "") if isinstance(c, str) and "\x00" in c else c for c in row] for row in rows]
+
+
+def _measure_sheet(path: Path, number: int) -> tuple[int, int]:
+    """(rows, columns) up to the last cell of an .xlsx sheet, (0, 0) for other formats.
+
+    The library makes all cells between the first and the last before anybody can ask for their number: two cells in
+    opposite corners take 500 GB, for which the whole process ends.
+    """
+    height, letters = 0, {b""}
+    with zipfile.ZipFile(path) as archive:
+        for member in _find_members(archive, number):
+            rest = b""
+            with archive.open(member) as file:
+                while piece := file.read(_PIECE):
+                    found = _PLACE.findall(rest + piece)
+                    height = max(height, max((int(row) for _, row in found), default=0))
+                    letters |= {column for column, _ in found}
+                    rest = piece[-32:]  # a place may lie across the border
+    return height, max(_number_column(column) for column in letters)
+
+
+def _find_members(archive: zipfile.ZipFile, number: int) -> list[str]:
+    """The members that hold a sheet; those of all sheets where the workbook does not say which."""
+    sheets = [name for name in archive.namelist() if name.startswith("xl/worksheets/") and name.endswith(".xml")]
+    try:
+        wanted = _SHEET.findall(archive.read("xl/workbook.xml"))[number]
+        relations = _RELATION.findall(archive.read("xl/_rels/workbook.xml.rels"))
+    except (KeyError, IndexError):
+        return sheets
+    for relation in relations:
+        values = dict(re.findall(rb"""\s(Id|Target)=["']([^"']*)["']""", relation))
+        if values.get(b"Id") == wanted:
+            target = PurePosixPath("/xl", values.get(b"Target", b"").decode("utf-8", "replace")).as_posix()[1:]
+            return [target] if target in sheets else sheets
+    return sheets
+
+
+def _number_column(letters: bytes) -> int:
+    """A = 1, Z = 26, AA = 27; 0 for none."""
+    number = 0
+    for letter in letters:
+        number = 26 * number + letter - ord("A") + 1
+    return number
 
 
 def _workbook(path: Path) -> Any:
@@ -161,7 +220,7 @@ def _workbook(path: Path) -> Any:
         try:
             with zipfile.ZipFile(path) as archive:
                 size = sum(member.file_size for member in archive.infolist())
-        except (zipfile.BadZipFile, OSError, NotImplementedError, ValueError) as error:
+        except _DAMAGED as error:
             raise _unreadable(path.name, error) from None
         if size > _INFLATED_LIMIT:
             raise RefusedError(
@@ -185,7 +244,7 @@ def _guarded(call: Any, *arguments: Any, where: str, **options: Any) -> Any:
             expected="a readable workbook",
             remedy="Save it without",
         ) from None
-    except (python_calamine.CalamineError, ValueError, OSError) as error:
+    except (*_DAMAGED, python_calamine.CalamineError) as error:
         raise _unreadable(where, error) from None
     except BaseException as error:
         if type(error).__name__ == "PanicException":  # a bug of the library in compiled code; no Exception subclass

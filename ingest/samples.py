@@ -33,6 +33,9 @@ _COARSE_BITS = 16
 _REPEATING = 0.9
 _SPLIT = "BYTE_STREAM_SPLIT"
 
+SAMPLES_AGAIN = "Remove it and run the nightly over the raw files again"
+"""What to do with a samples file that cannot be read: a night makes what is lost, and leaves what is there."""
+
 PREVIEW_POINTS = 2000
 TIME = "time_ns"
 
@@ -73,7 +76,8 @@ def samples_table(recording: Recording) -> pa.Table:
 def write_table(table: pa.Table, path: Path) -> None:
     """Writes a samples table so that measured samples become small, under a name of its own until it is complete.
 
-    Each column is coded as fits its values, see `_encoding`; equal steps of time shrink to next to nothing.
+    Each column is coded as fits its values, see `_encoding`; equal steps of time shrink to next to nothing. Every page
+    has its checksum: without one, most flipped bits would be read as other values.
     """
     import pyarrow.parquet as pq
 
@@ -85,6 +89,7 @@ def write_table(table: pa.Table, path: Path) -> None:
             file,
             row_group_size=ROW_GROUP,
             compression="zstd",
+            write_page_checksum=True,
             use_dictionary=[name for name in values if encodings[name] is None],
             column_encoding={TIME: "DELTA_BINARY_PACKED"} | {n: e for n, e in encodings.items() if e is not None},
         )
@@ -117,11 +122,11 @@ def read_samples(path: Path) -> dict[str, Channel]:
     try:
         # opened as it is named: the folders' names (protocol=…) are not to become columns
         with path.open("rb") as file:
-            table = pq.ParquetFile(file).read()
+            table = pq.ParquetFile(file, page_checksum_verification=True).read()
         times = table.column(TIME).to_numpy()
     except (OSError, KeyError, pa.ArrowException) as error:
         reason = "is missing" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"
-        raise LabError(f"the samples file {reason}", where=str(path), remedy="Run the nightly again") from None
+        raise LabError(f"the samples file {reason}", where=str(path), remedy=SAMPLES_AGAIN) from None
     channels = {}
     for field in table.schema:
         if field.name == TIME:

@@ -21,7 +21,7 @@ _LISTED = 5
 
 
 def check_lab(lab: Lab) -> Iterator[Finding]:
-    """Is the lab whole? Reads all of the database and every samples file's footer, no samples."""
+    """Is the lab whole? Reads all of the database and all samples, and compares the checksums of both."""
     yield from _check_readable(lab)
     journal = lab.database.with_name(lab.database.name + ".wal")
     yield Finding(
@@ -99,14 +99,17 @@ def _find_fault(lab: Lab, relative: str, recording_id: str, sha256: str) -> str 
 
     try:
         with (lab.folder / relative).open("rb") as file:
-            about = pq.ParquetFile(file).schema_arrow.metadata or {}
+            found = pq.ParquetFile(file, page_checksum_verification=True)
+            about = found.schema_arrow.metadata or {}
+            for group in range(found.num_row_groups):  # all of one after the other: no more memory than a group takes
+                found.read_row_group(group)
     except FileNotFoundError:
         return "missing"
     except (OSError, pa.ArrowException) as error:
         return f"unreadable: {str(error).splitlines()[0]}"
-    if about.get(b"dealab.recording_id", b"").decode() != recording_id:
+    if about.get(b"dealab.recording_id") != recording_id.encode():
         return "of another recording"
-    if about.get(b"dealab.source_sha256", b"").decode() != sha256:
+    if about.get(b"dealab.source_sha256") != sha256.encode():
         return "made from another file"
     return None
 

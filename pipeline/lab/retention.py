@@ -17,6 +17,7 @@ from typing import Any
 
 from ingest.quarantine import entries as quarantine_entries
 from pipeline.lab.checks import ANALYSED
+from pipeline.lab.interrupts import end_when_told
 from pipeline.lab.journal import RECORDING, make_item_id
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import hold_lab
@@ -105,7 +106,7 @@ def prune(lab: Lab, rule: Rule, now: datetime | None = None) -> Plan:
     Specimens and groups that lose a recording are made again by the next nightly. Raises `LabError` as a nightly does.
     """
     lab.require_database()
-    with hold_lab(lab):
+    with end_when_told(), hold_lab(lab):
         found = plan_removal(lab, rule, now)
         if found.forgotten or found.bare:
             publish(lab, Changes(list(_list_deletions(found)), [{"recordings": _drop_samples(found.bare)}]))

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from types import FrameType
 
 from ingest.discover import check_given
 from ingest.remote import is_url
 from pipeline.lab.annotations import find_broken_lines, list_excluded, read_annotations
+from pipeline.lab.interrupts import end_when_told
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import hold_lab
 from pipeline.lab.settings import load_settings
@@ -142,7 +141,7 @@ def nightly(
         raise UsageError("there is no such folder", where=str(rigs), expected="a folder of rig files")
     check_given(path for path in raw if not is_url(path))  # before a lab is made for a slip of the pen
     lab.create()
-    with hold_lab(lab), _end_when_told():
+    with end_when_told(), hold_lab(lab):
         clock = time.monotonic()
         with _prepare(raw, lab, jobs, rigs, cluster, track) as night:
             found = look_at_files(raw, lab, night.ledger, run_id=night.run_id, deadline_s=night.settings.deadline_s)
@@ -215,24 +214,6 @@ def _load_beside(module: str) -> threading.Thread:
     thread = threading.Thread(target=load_module, args=(module,), daemon=True)
     thread.start()
     return thread
-
-
-@contextlib.contextmanager
-def _end_when_told() -> Iterator[None]:
-    """Being told to end (SIGTERM) is an interrupt: workers are stopped and the lock is given back."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    try:
-        before = signal.signal(signal.SIGTERM, interrupt)
-    except ValueError:  # not in the main thread: whoever runs us handles signals
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _spell_files(number: int) -> str:

@@ -6,16 +6,21 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import duckdb
 import pytest
 
 from ingest.apart import Apart
+from pipeline.lab.interrupts import end_when_told
+from schemas.errors import LabError
 from tests.conftest import ROOT
 from tests.faults.harness import count_session
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
+on_linux = pytest.mark.skipif(sys.platform != "linux", reason="looks processes up in /proc")
 NIGHT = """
 import signal
 import sys
@@ -45,6 +50,7 @@ def _spin(mark: Path) -> None:
         time.sleep(0.01)
 
 
+@on_linux
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 @pytest.mark.parametrize("moment", ["while its workers load", "while they parse"])
 def test_all_end_with_the_night(number: signal.Signals, moment: str, tmp_path: Path) -> None:
@@ -65,3 +71,33 @@ def test_all_end_with_the_night(number: signal.Signals, moment: str, tmp_path: P
     while count_session(night.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert count_session(night.pid) == 0
+
+
+def _query_for_ever() -> None:
+    duckdb.connect().execute("SELECT count(*) FROM range(1000000000000) AS t(i) WHERE i % 7 = 3").fetchall()
+
+
+def _query_as_the_snapshot_does() -> None:
+    try:
+        _query_for_ever()
+    except Exception as error:
+        raise LabError("the database could not be built") from error
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("work", [_query_for_ever, _query_as_the_snapshot_does])
+def test_an_interrupt_during_a_query_is_an_interrupt(work: Callable[[], None], number: signal.Signals) -> None:
+    """DuckDB makes a RuntimeError of it."""
+    before = signal.getsignal(number)
+    teller = threading.Timer(0.2, os.kill, (os.getpid(), number))
+    teller.start()
+    with pytest.raises(KeyboardInterrupt), end_when_told():
+        work()
+    teller.join()
+    assert signal.getsignal(number) is before
+
+
+def test_an_error_that_nobody_asked_for_stays_what_it_is() -> None:
+    with pytest.raises(RuntimeError, match="by itself"), end_when_told():
+        raise RuntimeError("by itself")

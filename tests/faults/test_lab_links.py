@@ -104,8 +104,11 @@ def test_lost_samples_come_back_the_same_night(made: tuple[Path, Lab], tmp_path:
     shutil.copytree(made[1].folder, lab.folder)
     before, rows = samples(lab), content(lab)
     (file,) = lab.samples_folder.rglob("*.parquet")
-    file.write_bytes(b"")
-    assert any("remove them and run the nightly" in finding for finding in healthy(lab))
+    whole = file.read_bytes()
+    for damaged in (b"", whole[: len(whole) // 2], whole[:1500] + bytes([whole[1500] ^ 1]) + whole[1501:]):
+        file.write_bytes(damaged)
+        assert any("unreadable" in finding for finding in healthy(lab)), "checksums of all samples are compared"
+        assert any("remove them and run the nightly" in finding for finding in healthy(lab))
     shutil.rmtree(lab.samples_folder)
     assert any("remove them and run the nightly" in finding for finding in healthy(lab))
     assert nightly([made[0]], lab, jobs=0).exit_status == 0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ingest import excel_reader
+from ingest.inspect import inspect
 from ingest.mapping import FileMapping
 from ingest.read import read_raw
 from schemas.errors import RefusedError
@@ -120,6 +121,38 @@ def test_bomb_is_refused_before_it_inflates(tmp_path: Path, monkeypatch: pytest.
     assert path.stat().st_size < 1 << 20
     with pytest.raises(RefusedError, match="inflates to 3 MiB"):
         read(path, mapping())
+
+
+def put_cell(path: Path, place: str, sheet: int = 0) -> None:
+    """Adds a cell to a sheet, far from all others."""
+    with zipfile.ZipFile(path) as book:
+        parts = {name: book.read(name) for name in book.namelist()}
+    row = place.lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
+    cell = f'<row r="{row}"><c r="{place}"><v>5</v></c></row></sheetData>'
+    name = f"xl/worksheets/s{sheet}.xml"
+    parts[name] = parts[name].replace(b"</sheetData>", cell.encode())
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as book:
+        for part, content in parts.items():
+            book.writestr(part, content)
+
+
+@pytest.mark.parametrize(("place", "size"), [("XFD1048576", "1048576 × 16384"), ("IV900000", "900000 × 256")])
+def test_cells_far_out_are_refused_before_what_is_between_them_is_made(tmp_path: Path, place: str, size: str) -> None:
+    """The library asks for half a terabyte, and ends the process."""
+    path = write_xlsx(tmp_path / "run.xlsx", {"A": ROWS})
+    put_cell(path, place)
+    with pytest.raises(RefusedError, match=f"the sheet has {size} cells"):
+        read(path, mapping())
+    assert size in inspect(path).as_text()
+
+
+def test_cells_far_out_in_another_sheet_are_no_hindrance(tmp_path: Path) -> None:
+    path = write_xlsx(tmp_path / "run.xlsx", {"A": ROWS, "B": ROWS})
+    put_cell(path, "XFD1048576", sheet=1)
+    options = {"skip_rows": 2, "unit_row": True}
+    assert read(path, mapping(sheet="A", **options)).channels
+    with pytest.raises(RefusedError, match="1048576 × 16384"):
+        read(path, mapping(sheet="B", **options))
 
 
 def test_texts_of_two_byte_letters_are_without_zero_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -207,6 +207,25 @@ def test_the_file_has_the_rights_of_any_new_file(tmp_path: Path) -> None:
     assert path.stat().st_mode & 0o777 == 0o644
 
 
+def test_no_flipped_bit_of_a_sample_is_read(tmp_path: Path) -> None:
+    """Bytes that compression alone would give other values for; what a page's place and kind say is read, or told."""
+    noise = np.random.default_rng(7).normal(size=3000)
+    file = tmp_path / write_samples(recording(channel("force", range(3000), noise)), tmp_path)
+    whole = file.read_bytes()
+    footer = int.from_bytes(whole[-8:-4], "little") + 8
+    told = 0
+    places = range(5, len(whole) - footer, 97)
+    for place in places:
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
+        try:
+            found = read_samples(file)["force"]
+        except LabError:
+            told += 1
+        else:
+            assert np.array_equal(found.values, noise)
+    assert told > 0.9 * len(places)
+
+
 def test_other_files_are_told_from_samples(tmp_path: Path) -> None:
     with pytest.raises(LabError, match="missing"):
         read_samples(tmp_path / "none.parquet")
