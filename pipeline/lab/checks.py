@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from schemas.tables import TABLES, find_references
+from schemas.views import VIEWS
 
 STATUSES = ("ok", "damaged", "quarantined", "duplicate", "pending", "excluded")
 ANALYSED = ("ok", "damaged", "excluded")
@@ -63,6 +64,29 @@ def find_violations(connection: Any, rows: Mapping[str, int] | None = None) -> I
         broken = connection.execute(f"SELECT * FROM ({query}) LIMIT 3").fetchall()
         if broken:
             yield f"not so: {statement} ({', '.join(str(row[0]) for row in broken)})"
+
+
+def find_edits(connection: Any) -> Iterator[str]:
+    """Tables of today's that lack columns, have others, or are not there, though the database says it has all of them.
+
+    A database is replaced whole, never edited: what somebody took out of it is not made again by itself.
+    """
+    found: dict[str, set[str]] = {}
+    for name, column in connection.execute(
+        "SELECT table_name, column_name FROM duckdb_columns() WHERE NOT internal AND database_name = current_database()"
+    ).fetchall():
+        found.setdefault(name, set()).add(column)
+    for table in TABLES.values():
+        there, meant = found.get(table.name, set()), set(table.names)
+        if not there:
+            yield f"{table.name} is missing"
+        elif lacking := sorted(meant - there):
+            yield f"{table.name} lacks {', '.join(lacking)}"
+        elif foreign := sorted(there - meant):
+            yield f"{table.name} also has {', '.join(foreign)}"
+    for view in VIEWS:
+        if view.name not in found:
+            yield f"{view.name} is missing"
 
 
 _OUT_OF_MEMORY = ("failed to allocate", "could not allocate", "failed to pin")

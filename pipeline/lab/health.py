@@ -8,7 +8,7 @@ from typing import Any
 from ingest.quarantine import entries as quarantine_entries
 from ingest.quarantine import entry_name
 from pipeline.lab.annotations import find_broken_lines
-from pipeline.lab.checks import find_damage, find_violations
+from pipeline.lab.checks import find_damage, find_edits, find_violations
 from pipeline.lab.installation import Finding, tell
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import is_busy
@@ -66,6 +66,10 @@ def _check_database(lab: Lab) -> Iterator[Finding]:
                 None if current else "it is another release's; the next nightly brings it up to date",
             )
             if current:
+                edits = list(find_edits(connection))
+                yield tell("nobody has edited the database", edits, REBUILD[0].lower() + REBUILD[1:])
+                if edits:
+                    return
                 yield tell("what must hold in the database holds", list(find_violations(connection)), "report this")
             rows = connection.execute(
                 "SELECT recording_id, samples_path, source_sha256, source_path, status FROM recordings"

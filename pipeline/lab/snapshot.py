@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import pyarrow as pa
 
 from ingest.atomic import flush
-from pipeline.lab.checks import find_damage, find_violations, is_short_of_memory
+from pipeline.lab.checks import find_damage, find_edits, find_violations, is_short_of_memory
 from pipeline.lab.lab import Lab
 from schemas import without_result
 from schemas.control import REMEMBER
@@ -190,6 +190,14 @@ def _open_base(published: Path, building: Path, memory: str) -> Any:
             remedy=REBUILD,
         ) from None
     if _read_about(connection) == _TODAY:
+        if edits := list(find_edits(connection)):
+            connection.close()
+            raise LabError(
+                f"somebody has edited the published database: {'; '.join(edits[:_TOLD])}",
+                where=str(published),
+                expected="a database that is only read",
+                remedy=REBUILD,
+            )
         return connection
     connection.close()
     discard(building)

@@ -122,3 +122,29 @@ def test_a_published_database_with_a_broken_block_is_told_and_left(
     assert nightly([made[0]], lab, jobs=0).exit_status == 0, "the remedy helps"
     assert content(lab) == whole
     assert healthy(lab) == []
+
+
+@pytest.mark.parametrize(
+    ("edit", "told"),
+    [
+        ("ALTER TABLE lifetimes DROP COLUMN failed", "lifetimes lacks failed"),
+        ("ALTER TABLE lifetimes ADD COLUMN mood VARCHAR", "lifetimes also has mood"),
+        ("DROP VIEW best_models", "best_models is missing"),
+        ("DROP TABLE previews", "previews is missing"),
+    ],
+)
+def test_a_database_that_somebody_edited_is_told_and_left(
+    made: tuple[Path, Path], lab: Lab, tmp_path: Path, edit: str, told: str
+) -> None:
+    whole = content(lab)
+    with duckdb.connect(str(lab.database)) as connection:
+        connection.execute(edit)
+    before = lab.database.read_bytes()
+    assert any(told in finding and "move it away" in finding for finding in healthy(lab))
+    with pytest.raises(LabError, match=f"somebody has edited the published database: {told}") as refused:
+        nightly([made[0]], lab, jobs=0)
+    assert "Move it away" in str(refused.value)
+    assert lab.database.read_bytes() == before
+    lab.database.rename(tmp_path / "away.duckdb")
+    assert nightly([made[0]], lab, jobs=0).exit_status == 0, "the remedy helps"
+    assert content(lab) == whole
