@@ -1,4 +1,4 @@
-"""Being told to end, by Ctrl-C or by the system, while a lab is written: always an interrupt, whoever hears of it first."""
+"""Being told to end, by Ctrl-C or by the system, while a lab is written: an interrupt, whoever hears of it first."""
 
 from __future__ import annotations
 
