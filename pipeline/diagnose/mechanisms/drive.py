@@ -196,5 +196,6 @@ LEAKAGE = Mechanism(
     },
     effect=_leak,
     variants=(_MONITORED, _HIDDEN),
+    seldom=(_HIDDEN,),
 )
 MECHANISMS = (DRIVE_LAG, DRIVE_OFFSET, LEAKAGE)
