@@ -217,11 +217,6 @@ class PriorRules:
         4.0, "deviation of the actuation from what sizes and permittivity say, from which these are wrong", unit="SD"
     )
     further: float = _rule(0.05, "that another of them is beside it")
-    seldom: float = _rule(
-        0.05,
-        "that a cause is at work in a variant that contradicts what the laboratory knows of its rig",
-        "contract: the monitor shows what reaches the film",
-    )
     unnamed: float = _rule(0.05, "that it is something without a name in one of the regions")
 
 

@@ -144,6 +144,6 @@ TABLES: tuple[Table, ...] = (
         ),
         key=("campaign", "configuration", "design", "number"),
         made_by=(MadeBy("group", group="weak_regions"),),
-        pages=("campaign",),
+        pages=(),
     ),
 )

@@ -96,7 +96,12 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return order
 
 
-BASE: Any = SimpleNamespace(chi2=1000.0, of=SimpleNamespace(weight=np.ones(400), model=SimpleNamespace(size=10)))
+BASE: Any = SimpleNamespace(
+    chi2=1000.0,
+    of=SimpleNamespace(
+        weight=np.ones(400), model=SimpleNamespace(size=10), chosen=(), session=SimpleNamespace(size=400)
+    ),
+)
 """A base whose noise alone would leave 390."""
 
 

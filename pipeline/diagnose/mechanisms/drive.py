@@ -105,21 +105,13 @@ def _leak(values: Values, variant: str) -> Effect:
             return np.asarray(1 - sag)
         return np.asarray(1 - sag * build_up(view))
 
-    def squared_edge(view: View, side: float) -> Complex | Float:
-        lost = 1 - (1 - np.minimum(droop * conductance(view.voltage_kv, view.scale.voltage_kv), 1.0)) ** 2
-        return np.asarray(1 - lost * (build_up(view) if side > 0 else 1.0))
-
     def wave(given: Wave) -> Wave:
-        if given.interval_s is None:
-            return given
         # What builds up follows the voltage slowly: its mean over the period.
         mean = np.abs(given.film_kv).mean(axis=1, keepdims=True) / max(given.scale.voltage_kv, 1e-9)
         built = at_once + (1 - at_once) * np.minimum(mean, 1.0)
         sag = droop * conductance(given.film_kv, given.scale.voltage_kv) * built
         return replace(given, film_kv=given.film_kv * (1 - sag))
 
-    if variant == _HIDDEN:
-        return Effect(film_voltage=(wave,), film_edges=(squared_edge,))
     return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
 
 
@@ -171,7 +163,7 @@ LEAKAGE = Mechanism(
     id="leakage",
     stage="drive",
     depends_on=("voltage", "record_time"),
-    equation="V (1 − d (q + (1 − q) (V/V_max)^p)): current V/R + a V^(p + 1), which builds up, through a series resistance before the monitor or behind it",
+    equation="V (1 − d (q + (1 − q) (V/V_max)^p)): current V/R + a V^(p + 1), which builds up, through a series resistance",
     source="current of polymers at high fields",
     parameters=(
         Parameter("droop", "1", "sag at the largest voltage", 0.01, 0.2, most=0.9),
@@ -189,13 +181,11 @@ LEAKAGE = Mechanism(
         Parameter("at_once", "1", "share of the current that needs no time", 0.0, 1.0, SHAPE, log=False, most=1.0),
         Parameter("field_power", "1", "p", 0.5, 4.0, SHAPE, least=0.1, most=8.0),
     ),
-    shows=AMPLIFIER | BENT,
+    shows=AMPLIFIER,
     confusable={
-        "field_dependent_permittivity": "the measured voltage tells, where the monitor sits at the film",
-        "wrinkling": "the measured voltage tells, where the monitor sits at the film",
+        "field_dependent_permittivity": "the measured voltage tells",
+        "wrinkling": "the measured voltage tells",
     },
     effect=_leak,
-    variants=(_MONITORED, _HIDDEN),
-    seldom=(_HIDDEN,),
 )
 MECHANISMS = (DRIVE_LAG, DRIVE_OFFSET, LEAKAGE)

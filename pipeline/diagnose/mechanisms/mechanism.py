@@ -91,7 +91,6 @@ class Mechanism:
     confusable : other mechanism → what separates the two
     effect : parameters by name, variant → what it changes in the simulation
     variants : versions of its equation that are tried one by one; the first is the usual one
-    seldom : variants that contradict what the laboratory knows of its rig, believed less beforehand
     onset : its severity is (largest load)/(onset) − 1, and its first derivative vanishes there: a score at 0 does not see it
     absorbed : whether film and rig of the plain model can take its place, so that a screen sees next to nothing of a strong one; it is
         searched from several severities then, with film and rig fitted to each first
@@ -114,7 +113,6 @@ class Mechanism:
     effect: Callable[[Values, str], Effect]
     faint: tuple[str, ...] = ()
     variants: tuple[str, ...] = ("",)
-    seldom: tuple[str, ...] = ()
     onset: bool = False
     absorbed: bool = False
     relaxes: bool = False

@@ -51,9 +51,8 @@ def name_regions(
 
 
 def _may_be_a_form_of(region: Hypothesis, cause: Hypothesis) -> bool:
-    """Whether a cause alone acts in the stage of a region, and depends on the same; one in a seldom variant lends its name to none."""
-    alone = len(cause.causes) == 1 and not cause.is_seldom
-    return alone and region.stages == cause.stages and region.depends_on <= cause.depends_on
+    """Whether a cause alone acts in the stage of a region, and depends on the same."""
+    return len(cause.causes) == 1 and region.stages == cause.stages and region.depends_on <= cause.depends_on
 
 
 def _is_near(region: Hypothesis, cause: Hypothesis, absorbed: Float) -> bool:

@@ -18,7 +18,7 @@ from scipy.stats import binom
 
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
 from pipeline.diagnose.search.regions import Region
 from schemas.arrays import Float
@@ -128,11 +128,6 @@ class Hypothesis:
         return () if self.fit is None else tuple(c.id for c in self.fit.of.chosen)
 
     @property
-    def is_seldom(self) -> bool:
-        """Whether one of its causes is at work in a variant that contradicts what the laboratory knows of its rig."""
-        return self.fit is not None and any(c.variant in c.mechanism.seldom for c in self.fit.of.chosen)
-
-    @property
     def stages(self) -> frozenset[str]:
         """Stages in which it acts."""
         if self.region is not None:
@@ -207,7 +202,7 @@ def weigh_fit(fit: ExtendedFit, *, noise_alone: bool = False) -> Hypothesis:
     return Hypothesis(
         "+".join(sorted(c.id for c in of.chosen)) or (PLAIN if noise_alone else ANYTHING),
         peak.log_likelihood + fit.integrate_mechanisms(peak.covariance),
-        _believe(of.chosen, noise_alone=noise_alone),
+        _believe(len(of.chosen), noise_alone=noise_alone),
         fit,
         None,
         peak.weight,
@@ -228,14 +223,12 @@ def measure_trace_of_causes(fit: ExtendedFit, groups: Groups) -> Float:
     return measure_trace(groups, find_absorbed(fit), of.session.whiten(change))
 
 
-def _believe(causes: Sequence[Chosen], *, noise_alone: bool) -> float:
-    """Logarithm of what is believed beforehand of listed causes in their variants."""
+def _believe(causes: int, *, noise_alone: bool) -> float:
+    """Logarithm of what is believed beforehand of so many listed causes."""
     rules = RULES.prior
     if not causes:
         return float(np.log(rules.plain if noise_alone else rules.anything))
-    seldom = sum(np.log(rules.seldom) for c in causes if c.variant in c.mechanism.seldom)
-    further = (len(causes) - 1) * np.log(rules.further / len(MECHANISMS))
-    return float(np.log(rules.listed / len(MECHANISMS)) + further + seldom)
+    return float(np.log(rules.listed / len(MECHANISMS)) + (causes - 1) * np.log(rules.further / len(MECHANISMS)))
 
 
 def reweigh_fit(hypothesis: Hypothesis, most: int) -> ExtendedFit:
