@@ -1,12 +1,12 @@
 """How often is the diagnosis right on rigs that were written apart from it and from each other?
 
     python -m tests.studies.study_foreign [--seed N] [--rigs NAME …] [--folder DIR] [--kinds KIND …] [--sessions N] [--minutes N]
-                                          [--jobs N] [--log FILE]
+                                          [--jobs N] [--log FILE] [--again]
 
 Every rig of `tests/foreign` makes sessions with nothing hidden, one cause, an effect that is in no list, two causes, or an everyday
 fault. They are written as raw files, read, and diagnosed. The seed is a fresh one where none is given: what is reported comes from sessions
 that nobody has seen. `--sessions` of each kind and rig; `--minutes` ends the study early, with a fair share of each kind.
-Every answer is kept in `foreign.jsonl`, or `--log`. Intervals are those of Clopper and Pearson, 95 %.
+Every answer is kept in `foreign.jsonl`, or `--log`; `--again` reports what is kept there. Intervals are those of Clopper and Pearson, 95 %.
 The amplifiers of the rigs lag their command: a `drive_lag` that is said beside what is hidden counts neither for nor against an answer.
 """
 
@@ -71,7 +71,11 @@ def answer_all(asked: Sequence[Asked], folder: Path, jobs: int, minutes: float, 
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
-                answer = future.result()
+                try:
+                    answer = future.result()
+                except ArithmeticError as error:
+                    print(f"a rig could not make its session: {error}", file=sys.stderr)
+                    continue
                 with log.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(answer.as_line()) + "\n")
                 yield answer
@@ -89,6 +93,11 @@ def leave_out_lag(a: Answer) -> Answer:
     return replace(
         a, verdict=a.verdict if named or possible else "none", named=named, possible=possible, probabilities=shares
     )
+
+
+def read_answers(log: Path) -> list[Answer]:
+    """The answers that were kept."""
+    return [Answer(**json.loads(line)) for line in log.read_text(encoding="utf-8").splitlines()]
 
 
 def is_hard_pair(a: Answer) -> bool:
@@ -278,7 +287,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=float("inf"))
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--log", type=Path, default=HERE / "foreign.jsonl")
+    parser.add_argument("--again", action="store_true", help="report what is kept, ask nothing")
     given = parser.parse_args(arguments)
+    if given.again:
+        found = [leave_out_lag(a) for a in read_answers(given.log)]
+        print(f"{len(found)} sessions, each with its seed in {given.log.name}.\n")
+        print("\n".join(report(found)))
+        return 0
     seed = int(np.random.default_rng().integers(SEEDS)) if given.seed is None else given.seed
     asked = draw_sessions(seed, given.rigs or find_rigs(given.folder), given.kinds, given.sessions)
     found = [leave_out_lag(a) for a in answer_all(asked, given.folder, given.jobs, given.minutes, given.log)]
