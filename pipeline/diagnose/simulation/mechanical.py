@@ -181,7 +181,8 @@ class CyclicFamily(MechanicalFamily):
         if self.view.few:
             carried(rig.loaded(k, linear.dynamic))
         values = self.apply(np.atleast_2d(rig.mechanical(k, linear.dynamic) * channels(effect, self.view)))
-        # A mean is what it is in the linear film, where a cycle that begins at once rings, and what all of the waves adds to it.
+        # Against other cycles a mean is that of the linear film, which rings where it begins at once, and what the waves add to it; against
+        # a rest it relaxes as the film does, with the secant of the cycles.
         plain = self.apply(linear.response)
         scaled = (found.factor.real - 1) * physical.film.k0 * view.scale.length_mm * mean_strain
         added = (found.mean + scaled) / still
@@ -191,7 +192,10 @@ class CyclicFamily(MechanicalFamily):
             state, own = self.state_of[id(p)], self.spans[id(p)]
             if p.block.kind == CYCLIC_LEVEL:
                 against = self._against.get(p.recording)
-                values[own] = plain[own] + added[state, 0] - (0.0 if against is None else added[against, 0])
+                if against is None:
+                    values[own] += (found.mean / still)[state, 0]
+                else:
+                    values[own] = plain[own] + added[state, 0] - added[against, 0]
             elif p.block.kind == CYCLIC_HARMONIC:
                 both = np.array([force[int(m) - 2][state, 0] for m in p.block.support["order"]])
                 values[own] += np.concatenate([both.real, both.imag])
