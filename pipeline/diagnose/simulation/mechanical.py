@@ -181,11 +181,12 @@ class CyclicFamily(MechanicalFamily):
         if self.view.few:
             carried(rig.loaded(k, linear.dynamic))
         values = self.apply(np.atleast_2d(rig.mechanical(k, linear.dynamic) * channels(effect, self.view)))
-        # Against other cycles a mean is that of the linear film, which rings where it begins at once, and what the waves add to it; against
-        # a rest it relaxes as the film does, with the secant of the cycles.
-        plain = self.apply(linear.response)
-        scaled = (found.factor.real - 1) * physical.film.k0 * view.scale.length_mm * mean_strain
-        added = (found.mean + scaled) / still
+        if self._against:
+            # Against other cycles a mean is that of the linear film, which rings where it begins at once, and what the waves add to it;
+            # against a rest it relaxes as the film does, with the secant of the cycles.
+            plain = self.apply(linear.response)
+            scaled = (found.factor.real - 1) * physical.film.k0 * view.scale.length_mm * mean_strain
+            added = (found.mean + scaled) / still
         unit = found.turn / np.abs(found.turn)
         force = [h * unit**m * p for m, h, p in zip((2, 3), (found.second, found.third), passing, strict=True)]
         for p in self.places:
@@ -212,7 +213,7 @@ class CyclicFamily(MechanicalFamily):
                 self.state_of[id(group[0])],
                 float(group[0].block.amplitude[0]) * self.session.scale.length_mm,
             )
-            rest, level = self.rest_of(group[0]), 0.0
+            rest = self.rest_of(group[0])
             if group[2] is None or group[0].recording in self._against:
                 level = physical.film.k0 / still * float(self._mean_strain[state, 0]) * self.session.scale.length_mm
             else:
