@@ -1,10 +1,10 @@
-"""The labs whose reports the tests look at."""
+"""The labs whose reports the tests look at, and the browser they look with."""
 
 from __future__ import annotations
 
 import typing
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from reports import build
 from reports.plan import Planned
 from reports.results import Query, Results
 from schemas.tables.table import Page
-from tests.helpers import synthetic_lab
+from tests.helpers import chromium, synthetic_lab
 
 
 @dataclass(frozen=True)
@@ -67,3 +67,13 @@ def lab(built: Built) -> Path:
 def site(lab: Path) -> Path:
     """The report of that lab."""
     return lab / "reports"
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[chromium.Chromium]:
+    """A running Chromium; the test is skipped where there is none and none can be installed."""
+    binary, reason = chromium.find()
+    if binary is None:
+        pytest.skip(reason)
+    with chromium.running(binary) as found:
+        yield found

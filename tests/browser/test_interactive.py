@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,15 +27,6 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lab = synthetic_lab.whole_story().write(tmp_path_factory.mktemp("asked") / "lab")
     build_reports(lab, interactive=True)
     return lab / "reports"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[chromium.Chromium]:
-    binary, reason = chromium.find()
-    if binary is None:
-        pytest.skip(reason)
-    with chromium.running(binary) as found:
-        yield found
 
 
 def mouse(browser: chromium.Chromium, kind: str, x: float, y: float, button: str = "none") -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,15 +32,6 @@ KINDS = {
     "recording-step": "recordings/P-07_step.html",
     "recording-hostile": "recordings/hostile-1.html",
 }
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[chromium.Chromium]:
-    binary, reason = chromium.find()
-    if binary is None:
-        pytest.skip(reason)
-    with chromium.running(binary) as found:
-        yield found
 
 
 def path_of(site: Path, kind: str) -> Path:
