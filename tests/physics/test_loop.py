@@ -215,3 +215,6 @@ def test_a_controller_study_prints_its_table_and_proposes() -> None:
     assert proposal.gentle is not None  # silicone hardly creeps: quick and without overshoot of the force
     assert (proposal.gentle.rise_time_s or 1) < 0.5
     assert ControllerStudy().text == ""
+    thesis = load_campaign("thesis")
+    study.add(simulate_one(thesis, next(p for p in thesis.planned if p.recording_id == "SS-2-open-loop")).recording)
+    assert study.text == "", "a campaign that tries gains among other things is no study of them"

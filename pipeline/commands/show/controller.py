@@ -13,14 +13,20 @@ from schemas.recording import Recording
 
 
 class ControllerStudy:
-    """Collects what closed loops did; `text` is the table of the gains tried and the proposal for each specimen."""
+    """Collects what closed loops did; `text` is the table of the gains tried and the proposal for each specimen.
+
+    A campaign of which closed loops are only a part is no study: its text is empty, and what it says of gains stands on
+    its pages.
+    """
 
     def __init__(self) -> None:
         self.loops: list[LoopResponse] = []
+        self._alone = True
 
     def add(self, recording: Recording) -> None:
-        """Takes a recording; anything but a closed loop that can be measured is passed over."""
+        """Takes a recording; a closed loop that cannot be measured is passed over."""
         if recording.metadata.controller != "closed":
+            self._alone = False
             return
         try:
             self.loops.append(measure_loop(recording))
@@ -29,7 +35,9 @@ class ControllerStudy:
 
     @property
     def text(self) -> str:
-        """Tables and proposals; empty where no grid of gains was tried."""
+        """Tables and proposals; empty where no grid of gains was tried, or something else as well."""
+        if not self._alone:
+            return ""
         return "\n\n".join(self._tabulate(proposal) for proposal in propose_gains(self.loops))
 
     def _tabulate(self, proposal: GainProposal) -> str:
