@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -247,13 +248,8 @@ class Plan:
         Alternating directions (Boyd et al. 2011) with one factored matrix for all loops. A weak pull on changes from
         block to block makes the optimum unique.
         """
-        b = self.forced.shape[1]
-        weighted = self.forced * self.weight[:, None]
-        changes = np.diff(np.eye(b), axis=0)
-        hessian = self.forced.T @ weighted + 1e-4 * float(self.weight.sum()) / b * changes.T @ changes
+        weighted, stiffness, solver = self._factored
         pull = (target[:, None] - points @ self.free.T) @ weighted
-        stiffness = float(np.sqrt(np.prod(np.linalg.eigvalsh(hessian)[[0, -1]])))
-        solver = np.linalg.inv(hessian + stiffness * np.eye(b))
         high = most[:, None]
         x, u = np.clip(start, 0.0, high), np.zeros_like(start)
         for _ in range(_ITERATIONS):
@@ -261,6 +257,16 @@ class Plan:
             x = np.clip(z + u, 0.0, high)
             u += z - x
         return np.asarray(x)
+
+    @cached_property
+    def _factored(self) -> tuple[Float, float, Float]:
+        """`forced` by its weights (m, b), the stiffness of the alternating directions, and their inverse matrix (b, b)."""
+        b = self.forced.shape[1]
+        weighted = self.forced * self.weight[:, None]
+        changes = np.diff(np.eye(b), axis=0)
+        hessian = self.forced.T @ weighted + 1e-4 * float(self.weight.sum()) / b * changes.T @ changes
+        stiffness = float(np.sqrt(np.prod(np.linalg.eigvalsh(hessian)[[0, -1]])))
+        return weighted, stiffness, np.linalg.inv(hessian + stiffness * np.eye(b))
 
 
 @dataclass

@@ -100,8 +100,9 @@ def stiffnesses(models: Sequence[RelaxationModel], frequency_hz: ArrayLike) -> C
     """
     omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
 
-    def column(values: Iterable[float]) -> Float:
-        return np.array(list(values)).reshape(-1, *[1] * omega.ndim)
+    def column(values: Iterable[float]) -> Float | float:
+        found = list(values)  # of a single film as a number, which is quicker
+        return found[0] if len(found) == 1 else np.array(found).reshape(-1, *[1] * omega.ndim)
 
     total = np.empty((len(models), *omega.shape), dtype=complex)
     total.real, total.imag = column(m.k0 for m in models), omega * column(m.c_inf for m in models)

@@ -42,16 +42,17 @@ def _slip(values: Values, variant: str) -> Effect:
         first, last = np.full((2, near.size), float(_TURNS if course.periodic else 1))
         if course.periodic and course.cycles is not None:
             first, last = (np.minimum(np.broadcast_to(c, shape[:-1]).ravel()[near], _MOST_TURNS) for c in course.cycles)
-        total, lost = np.zeros_like(path), np.zeros_like(path)
+        total, slipped, relaxed = np.zeros_like(path), np.empty_like(path), np.empty_like(path)
         slip, relaxing = np.zeros((2, near.size))
+        least, most = np.full(near.size, -held), np.full(near.size, held)
         for turn in range(1, int(np.ceil(last.max())) + 1):
-            for i in range(path.shape[0]):
-                relaxing = relaxing * decay[i]
-                pull = path[i] - held_by * slip - relaxing
-                more = (pull - np.minimum(np.maximum(pull, -held), held)) * flow[i]
-                slip = slip + more
-                relaxing = relaxing + arm * more
-                lost[i] = static * slip + relaxing
+            for i, (tension, left, flows) in enumerate(zip(path, decay, flow, strict=True)):
+                relaxing = relaxing * left
+                pull = tension - held_by * slip - relaxing
+                more = (pull - np.minimum(np.maximum(pull, least), most)) * flows
+                slipped[i] = slip = slip + more
+                relaxed[i] = relaxing = relaxing + arm * more
+            lost = static * slipped + relaxed
             total += np.where((turn >= first) & (turn <= last), path - lost, 0.0)
         out = total / (last - first + 1)
         result = wave.reshape(-1, shape[-1]).copy()

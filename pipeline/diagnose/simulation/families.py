@@ -19,7 +19,7 @@ from pipeline.diagnose.features.blocks import operator_of
 from pipeline.diagnose.features.functionals import Operator
 from pipeline.diagnose.features.kinds import CHIRP_RESPONSE
 from pipeline.diagnose.simulation.effects import NONE, Effect, Factor, Film, View
-from pipeline.diagnose.simulation.node_weights import NodeWeights
+from pipeline.diagnose.simulation.node_weights import NodeWeights, WeightsByState
 from pipeline.diagnose.simulation.nodes import POINTS, carried, fewer_nodes, interpolation
 from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.session import Place, Session, follow_sweep
@@ -129,24 +129,21 @@ class Family:
         return NodeWeights(self._operators)
 
     @cached_property
-    def _weights_by_state(self) -> list[tuple[Int, NodeWeights]]:
-        """Rows of the blocks of each state, and their weights."""
+    def _weights_by_state(self) -> WeightsByState:
+        """Of the blocks of each state."""
         ends = np.cumsum([0, *(p.block.size for p in self.places)])
         found = []
         for state in range(self.states.size):
             own = [i for i, p in enumerate(self.places) if self.state_of[id(p)] == state]
             rows = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in own])
-            found.append((rows, NodeWeights([self._operators[i] for i in own])))
-        return found
+            found.append((rows, [self._operators[i] for i in own]))
+        return WeightsByState(found)
 
     def apply(self, response: Complex) -> Float:
         """Features (rows,) of a response (1 or S, J) at the nodes; of several (B, 1 or S, J) at once (B, rows)."""
         if response.shape[-2] == 1:
             return self._weights.apply(response[..., 0, :])
-        values = np.empty((*response.shape[:-2], self.rows.size))
-        for state, (rows, weights) in enumerate(self._weights_by_state):
-            values[..., rows] = weights.apply(response[..., state, :])
-        return values
+        return self._weights_by_state.apply(response)
 
 
 def state_view(session: Session, number: Int, frequency: Float, test: str, *, strain: Float | None = None) -> View:

@@ -22,7 +22,7 @@ from pipeline.diagnose.simulation.parameters import Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.physics.rig import Rig
-from schemas.arrays import Complex, Float
+from schemas.arrays import Bool, Complex, Float, Int
 
 CYCLIC, RAMP = "cyclic", "ramp"
 
@@ -34,6 +34,25 @@ class Linear:
     k: Complex
     dynamic: Complex
     response: Complex
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """Rows (n,) of mean forces in a family, the states of their cycles, and of those that they are told against."""
+
+    rows: Int
+    state: Int
+    reference: Int
+
+
+@dataclass(frozen=True)
+class _Harmonics:
+    """Rows (n,) of harmonics in a family, the states of their cycles, their orders, and which are imaginary parts."""
+
+    rows: Int
+    state: Int
+    order: Int
+    imaginary: Bool
 
 
 class MechanicalFamily(Family, ABC):
@@ -123,6 +142,7 @@ class CyclicFamily(MechanicalFamily):
         self._groups = self._cyclic_groups()
         self._cycles = self._group_cycles()
         self._against = self._find_references()
+        self._added = self._find_added()
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
@@ -158,6 +178,24 @@ class CyclicFamily(MechanicalFamily):
             recording[state] = p.recording
         return {recording[s]: s for s, own in kinds.items() if CYCLIC_RESPONSE in own and CYCLIC_LEVEL not in own}
 
+    def _find_added(self) -> tuple[_Levels, _Levels, _Harmonics]:
+        """Rows to which elements add: levels against a rest, levels against other cycles, harmonics."""
+        at_rest: list[tuple[int, int, int]] = []
+        told_against: list[tuple[int, int, int]] = []
+        harmonic: list[tuple[int, int, int, bool]] = []
+        for p in self.places:
+            state, own = self.state_of[id(p)], self.spans[id(p)]
+            if p.block.kind == CYCLIC_LEVEL:
+                against = self._against.get(p.recording)
+                found = at_rest if against is None else told_against
+                found += [(row, state, state if against is None else against) for row in range(own.start, own.stop)]
+            elif p.block.kind == CYCLIC_HARMONIC:
+                parts = [(int(m), imaginary) for imaginary in (False, True) for m in p.block.support["order"]]
+                harmonic += [(own.start + i, state, *part) for i, part in enumerate(parts)]
+        levels = [np.array(rows, dtype=np.int64).reshape(-1, 3).T for rows in (at_rest, told_against)]
+        rows, state, order, imaginary = np.array(harmonic, dtype=np.int64).reshape(-1, 4).T
+        return _Levels(*levels[0]), _Levels(*levels[1]), _Harmonics(rows, state, order, imaginary.astype(bool))
+
     def _group_cycles(self) -> tuple[Float, Float]:
         """First and last cycle of each state, (S, 1) each: the groups of a recording follow each other from the first on."""
         middle = self.view.cycle[:, 0]
@@ -189,17 +227,13 @@ class CyclicFamily(MechanicalFamily):
             added = (found.mean + scaled) / still
         unit = found.turn / np.abs(found.turn)
         force = [h * unit**m * p for m, h, p in zip((2, 3), (found.second, found.third), passing, strict=True)]
-        for p in self.places:
-            state, own = self.state_of[id(p)], self.spans[id(p)]
-            if p.block.kind == CYCLIC_LEVEL:
-                against = self._against.get(p.recording)
-                if against is None:
-                    values[own] += (found.mean / still)[state, 0]
-                else:
-                    values[own] = plain[own] + added[state, 0] - added[against, 0]
-            elif p.block.kind == CYCLIC_HARMONIC:
-                both = np.array([force[int(m) - 2][state, 0] for m in p.block.support["order"]])
-                values[own] += np.concatenate([both.real, both.imag])
+        levels, told_against, harmonic = self._added
+        values[levels.rows] += (found.mean / still)[levels.state, 0]
+        if self._against:
+            rows = told_against.rows
+            values[rows] = plain[rows] + added[told_against.state, 0] - added[told_against.reference, 0]
+        both = np.array(force)[harmonic.order - 2, harmonic.state, 0]
+        values[harmonic.rows] += np.where(harmonic.imaginary, both.imag, both.real)
         return values
 
     def _read(self, values: Float, physical: Physical, effect: Effect, loads: Loads) -> None:

@@ -5,13 +5,13 @@ A band of a sweep sees a few of the thousand nodes that its harmonics see; most 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.diagnose.features.functionals import Operator
-from schemas.arrays import Complex, Float, Int
+from schemas.arrays import Bool, Complex, Float, Int
 
 _CALL = 4000
 """Weights that are read in the time that one product more takes."""
@@ -33,13 +33,25 @@ class NodeWeights:
         # Real and imaginary parts alternate, as they do in complex numbers.
         re, im = (np.concatenate([getattr(o, part).toarray() for o in operators]) for part in ("re", "im"))
         weights = np.stack([re, im], axis=2).reshape(len(re), -1)
-        self.rows = len(weights)
+        self.rows, self._parts = weights.shape
         self._blocks = [_Block(rows, parts, weights[rows, parts].copy()) for rows, parts in _groups(weights)]
 
     @property
     def read(self) -> int:
         """How many weights one product reads."""
         return sum(b.weights.size for b in self._blocks)
+
+    @property
+    def products(self) -> int:
+        """How many products there are."""
+        return len(self._blocks)
+
+    def dense(self) -> Float:
+        """(N, parts) weights of all parts; those of the real and the imaginary part of a node stand side by side."""
+        whole = np.zeros((self.rows, self._parts))
+        for b in self._blocks:
+            whole[b.rows, b.parts] = b.weights
+        return whole
 
     def apply(self, response: Complex) -> Float:
         """(N,) features of one response (J,) at the nodes; of several (B, J) at once (B, N)."""
@@ -49,6 +61,56 @@ class NodeWeights:
             # One response by the matrix, several by a product of matrices: a matrix by one row of many is read anew each time.
             values[..., b.rows] = b.weights @ seen[b.parts] if seen.ndim == 1 else seen[:, b.parts] @ b.weights.T
         return values
+
+
+class WeightsByState:
+    """Weights of the nodes in the rows of each state, whose response is its own.
+
+    Where states are many and see little each, one stack of matrices of equal size is read quicker than a product for each.
+    """
+
+    def __init__(self, states: Sequence[tuple[Int, list[Operator]]]) -> None:
+        """Of each state its rows in the features, and the operators that make them, one below the other."""
+        self._of_state = [(rows, NodeWeights(operators)) for rows, operators in states]
+        self._size = sum(rows.size for rows, _ in states)
+        self._stack = self._make_stack()
+
+    def apply(self, response: Complex) -> Float:
+        """(N,) features of the responses (S, J) of the states at the nodes; of several (B, S, J) at once (B, N)."""
+        if self._stack is None:
+            values = np.empty((*response.shape[:-2], self._size))
+            for state, (rows, weights) in enumerate(self._of_state):
+                values[..., rows] = weights.apply(response[..., state, :])
+            return values
+        values = np.zeros((*response.shape[:-2], self._size))
+        seen = np.ascontiguousarray(response).view(np.float64)
+        found = self._stack.weights @ (seen[..., None] if seen.ndim == 2 else np.moveaxis(seen, 0, -1))
+        values[..., self._stack.rows] = found[self._stack.used].T if seen.ndim > 2 else found[self._stack.used][:, 0]
+        return values
+
+    def _make_stack(self) -> _Stack | None:
+        dense = [weights.dense() for _, weights in self._of_state]
+        used = [each.any(axis=1) for each in dense]
+        most = max(int(some.sum()) for some in used)
+        width = dense[0].shape[1]
+        apart = sum(weights.read + _CALL * weights.products for _, weights in self._of_state)
+        if len(dense) * most * width >= apart:
+            return None
+        stacked, there = np.zeros((len(dense), most, width)), np.zeros((len(dense), most), dtype=bool)
+        for state, (each, some) in enumerate(zip(dense, used, strict=True)):
+            number = int(some.sum())
+            stacked[state, :number], there[state, :number] = each[some], True
+        rows = np.concatenate([rows[some] for (rows, _), some in zip(self._of_state, used, strict=True)])
+        return _Stack(stacked, there, rows)
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """Weights (S, n, parts) of the states; which of these rows are used (S, n), and the features that they are."""
+
+    weights: Float
+    used: Bool
+    rows: Int
 
 
 def _groups(weights: Float) -> Iterator[tuple[Int, slice]]:
