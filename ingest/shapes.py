@@ -24,6 +24,8 @@ _OUTER = 0.25
 """Share at the lowest or highest level that a trace of steps has at least: a sweep rests in its middle."""
 _HYSTERESIS = 0.1
 _FEWEST_CROSSINGS = 8
+_SETTLES, _GOES_ON = 0.02, 0.002
+"""Share of a hold at both its ends that is left out, and share of its range by which a displacement goes on in creep."""
 _ALIKE = 0.12
 """Spread of the periods of a sinusoid that a sampling of ten points a period leaves."""
 
@@ -120,6 +122,8 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
     drive = _reduce(traces[name])
     if drive.range <= 0:
         return Shape("step", "mechanical", UNSURE, f"a {name} that never changes")
+    if answer in traces and (crept := _find_creep(traces[name], traces[answer])) is not None:
+        return Shape("creep", "mechanical", SURE, f"{answer} is held at {crept:.4g} while the {name} goes on")
     if drive.held > _HELD:
         high, t = drive.high, drive.time_s
         reached = float(t[np.argmax(np.abs(drive.values - drive.values[0]) >= 0.98 * drive.range)] - t[0])
@@ -139,6 +143,32 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
     if crossings >= _FEWEST_CROSSINGS:
         return Shape("chirp", "mechanical", UNSURE, "a broad band of frequencies that is no sweep")
     return Shape("cycle", "mechanical", LIKELY, f"{drive.turns.size} turning points")
+
+
+def _find_creep(drive: Trace, answer: Trace) -> float | None:
+    """The level of a force that is put on and held while the displacement goes on; None: not.
+
+    In a relaxation it is the displacement that stands still, and the force goes on.
+    """
+    load = _reduce(answer)
+    if load.range <= 0 or load.held <= _HELD:
+        return None
+    level = load.low if abs(load.low) > abs(load.high) else load.high
+    loaded = np.flatnonzero(np.abs(answer.values - level) < 0.5 * load.range)
+    begin, end = answer.time_s[loaded[0]], answer.time_s[loaded[-1]]
+    span = end - begin
+    spreads = []
+    for trace in (answer, drive):
+        inside = (trace.time_s > begin + _SETTLES * span) & (trace.time_s < end - _SETTLES * span)
+        reach = float(np.ptp(np.quantile(trace.values, (0.01, 0.99))))
+        if inside.sum() < 2 * _FEWEST_CROSSINGS or reach <= 0:
+            return None
+        values = trace.values[inside]
+        third = max(1, values.size // 3)
+        noise = float(np.std(np.diff(values, 2))) / np.sqrt(6 * third)
+        spreads.append((abs(float(np.median(values[-third:]) - np.median(values[:third]))) / reach, noise / reach))
+    (stands, _), (goes_on, noise) = spreads
+    return level if goes_on > max(_GOES_ON, 3 * stands, 4 * noise) else None
 
 
 def _find_break(drive: Trace, answer: Trace) -> float | None:

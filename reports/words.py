@@ -39,6 +39,7 @@ _PROTOCOLS = {
     ("lifetime", "electrical"): "life under voltage",
     ("force_map", "electrical"): "static force",
     ("cycle", "mechanical"): "large load–unload cycle",
+    ("creep", "mechanical"): "creep and recovery",
     ("pull", "mechanical"): "pull to failure",
     ("tap", "calibration"): "tap of the clamp",
     ("weight", "calibration"): "known weights on the load cell",

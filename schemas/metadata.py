@@ -197,6 +197,9 @@ class RecordingMetadata:
         _positive_list, "masses of a weight calibration in the order they were hung, comma-separated"
     )
     extra_clamp_mass_kg: float | None = _key(_not_negative, "mass on the clamp beside its own in this recording")
+    load_n: float | None = _key(
+        _positive, "load of a creep test; of an isotonic one the constant load, where no force channel shows it"
+    )
     voltage_setpoint_kv: float | None = _key(_positive, "set point of a lifetime test")
     test_duration_s: float | None = _key(_positive, "planned end of a lifetime test")
     failure_site: str | None = _key(

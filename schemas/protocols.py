@@ -69,6 +69,9 @@ _ALL = (
         "coverage", ELECTRICAL, (("capacitance",),), (), "capacitance at rest after a number of coats of electrode"
     ),
     Protocol("cycle", MECHANICAL, _DRIVEN, (), "one large load-unload cycle (triangle)"),
+    Protocol(
+        "creep", MECHANICAL, _DRIVEN, ("temperature",), "a load that is put on, held and taken off: creep and recovery"
+    ),
     Protocol("pull", MECHANICAL, _DRIVEN, (), "pulled at one rate until it breaks"),
     Protocol("tap", CALIBRATION, (("force",),), (), "the clamp without film rings: its frequency and damping"),
     Protocol("weight", CALIBRATION, (("force",),), (), "known masses on the load cell: gain and offset"),

@@ -12,6 +12,8 @@ from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
 from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
+from pipeline.analyse.creep import NOT_ASKED as CREEP_NOT_ASKED
+from pipeline.analyse.creep import creep_tables
 from pipeline.analyse.cycle import cycle_fits, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.pull import NOT_ASKED, analyse_pull, pull_tables
@@ -21,6 +23,7 @@ from pipeline.analyse.signs import find_negative, sign_table
 from pipeline.analyse.temperatures import TEMPERATURE
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
+from pipeline.fit.retardation.creep import measure_creep
 from pipeline.fit.sensing.migration import migration
 from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.calibration import Calibration, TapCalibration, calibrate
@@ -91,6 +94,8 @@ def analyse_recording(recording: Recording) -> Analysis:
         _force_map(analysis, recording)
     elif about.protocol == "cycle":
         _cycle(analysis, recording)
+    elif about.protocol == "creep":
+        _creep(analysis, recording)
     elif about.protocol == "pull":
         _pull(analysis, recording)
     elif about.protocol == "coverage":
@@ -243,6 +248,14 @@ def _pull(analysis: Analysis, recording: Recording) -> None:
     if found is not None:
         analysis.note((*found.pull.warnings, NOT_ASKED))
         analysis.add(pull_tables(about.recording_id, about.specimen_id, found))
+
+
+def _creep(analysis: Analysis, recording: Recording) -> None:
+    about = recording.metadata
+    found = analysis.attempt("creep", measure_creep, recording)
+    if found is not None:
+        analysis.note((*found.warnings, CREEP_NOT_ASKED))
+        analysis.add(creep_tables(about.recording_id, about.specimen_id, found))
 
 
 def _responses(analysis: Analysis, recording: Recording) -> None:

@@ -16,7 +16,7 @@
     [specimens.PA-1.geometry]              keys of the recording's metadata (film_length_mm, stretch_1, …)
     [specimens.PA-1.effects.rig_constants] a hidden effect: mechanism → parameters (see `effects`)
     [[recordings]]
-    test = "chirp"                         chirp, sphs, cyclic, cycle, pull, step_mechanical, step_electrical,
+    test = "chirp"                         chirp, sphs, cyclic, cycle, pull, creep, step_mechanical, step_electrical,
                                            step_closed_loop, force_map, coating, tap, weight; parameters as the classes
                                            there have
     specimens = ["PA-1"]                   or rigs = ["shaker"] for tap and weight
@@ -64,6 +64,7 @@ TESTS: Mapping[str, type[Procedure]] = {
     "cyclic": mechanical.Cyclic,
     "cycle": mechanical.Triangle,
     "pull": mechanical.Pull,
+    "creep": mechanical.Creep,
     "step_mechanical": mechanical.Relaxation,
     "step_electrical": electrical.VoltageSteps,
     "step_closed_loop": ClosedLoop,

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 
 from schemas.tables import (
     calibrations,
+    creep,
     diagnosis,
     electrodes,
     fits,
@@ -42,6 +43,7 @@ _SUBJECTS = (
     recordings,
     responses,
     fits,
+    creep,
     temperatures,
     sensing,
     electrodes,

@@ -31,6 +31,7 @@ _GIVES = {
     ("force_map", "electrical"): "static force in two directions at this pre-stretch",
     ("coverage", "electrical"): "capacitance over coats of electrode",
     ("cycle", "mechanical"): "hysteresis and the stiffness of a large cycle",
+    ("creep", "mechanical"): "compliance, retardation times of order 1 to 3, and the share that comes back",
     ("pull", "mechanical"): "stiffness, strength and stretch at break, and a hyperelastic law",
     ("tap", "calibration"): "frequency and damping of the clamp, used for recordings of this rig",
     ("weight", "calibration"): "gain and offset of the load cell, used for recordings of this rig",

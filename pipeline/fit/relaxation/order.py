@@ -45,10 +45,15 @@ def arc_length(observations: Observations, solution: Solution, log_tau_bounds: t
     count = int(np.ceil((high - low) / np.log(10) * PER_DECADE)) + 1
     problem = Linearisation(observations, expansion_at(observations, solution))
     columns = problem.raw_columns(np.exp(np.linspace(low, high, count)))[:, 1:]
-    columns = columns[:, np.r_[columns.shape[1] - 1, 0 : columns.shape[1] - 1]]
-    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    scale = np.linalg.norm(solution.jacobian, axis=0)
-    q, r = np.linalg.qr(solution.jacobian / np.where(scale > 0, scale, 1.0))
+    return arc_of(columns[:, np.r_[columns.shape[1] - 1, 0 : columns.shape[1] - 1]], solution.jacobian)
+
+
+def arc_of(columns: Float, jacobian: Float) -> float:
+    """Length in rad of the curve that columns (R, K) run through, one after the other, with what a model's `jacobian` (R, p) explains
+    taken out."""
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    scale = np.linalg.norm(jacobian, axis=0)
+    q, r = np.linalg.qr(jacobian / np.where(scale > 0, scale, 1.0))
     q = q[:, np.abs(np.diag(r)) > 1e-12]
     left = columns - q @ (q.T @ columns)
     left -= q @ (q.T @ left)

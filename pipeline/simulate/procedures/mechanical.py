@@ -1,4 +1,4 @@
-"""Tests that move the driven end: sweeps, cycles, relaxation, one large cycle, a pull to failure."""
+"""Tests that move the driven end: sweeps, cycles, relaxation, one large cycle, a pull to failure, creep."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pipeline.physics import excitation
+from pipeline.physics.compliance import Compliance
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, INTERVALS_PER_TIME_CONSTANT, Clock, film_length_mm
 from pipeline.simulate.specimen import Specimen
@@ -214,3 +215,48 @@ class Pull(Mechanical):
     def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
         signals = super().run(bench, specimen, clock, rng)
         return signals.with_values(force=np.where(signals["displacement"] < self.break_mm, signals["force"], 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Creep(Mechanical):
+    """A load that is put on, held and taken off: the driven end goes where the load cell shows it; `drift_mm_per_h` of its sensor."""
+
+    protocol: ClassVar[str] = "creep"
+    load_n: float = number(above=0)
+    hold_s: float = number(above=0)
+    recovery_s: float = number(at_least=0)
+    ramp_s: float = number(0.2, above=0)
+    rest_s: float = number(5.0, at_least=0)
+    drift_mm_per_h: float = number(0.0)
+
+    @property
+    def duration_s(self) -> float:
+        return self.rest_s + 2 * self.ramp_s + self.hold_s + self.recovery_s
+
+    def finest_interval_s(self, bench: Bench) -> float:
+        return self.ramp_s / INTERVALS_PER_TIME_CONSTANT
+
+    def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
+        return {"load_n": self.load_n}
+
+    def check(self, specimen: Specimen | None, where: str) -> None:
+        super().check(specimen, where)
+        if specimen is not None and specimen.model.c_inf:
+            raise UsageError("a film with a pure dashpot does not give way to a load at once", where=where)
+
+    def displacement(self, time_s: Float, specimen: Specimen | None) -> Float:
+        raise NotImplementedError("the displacement follows from the load")
+
+    def load(self, time_s: Float) -> Float:
+        """The load (n,) N above that of the pre-stretch."""
+        on = excitation.ramp(time_s, start_s=self.rest_s, duration_s=self.ramp_s, height=self.load_n)
+        off_s = self.rest_s + self.ramp_s + self.hold_s
+        return np.asarray(on - excitation.ramp(time_s, start_s=off_s, duration_s=self.ramp_s, height=self.load_n))
+
+    def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
+        load = self.load(clock.time_s)
+        extension = sum((Compliance.of(part).response(clock.time_s, load) for part in bench.film.parts), 0 * load)
+        driven = extension + load / bench.rig.stiffness
+        signals = bench.run(Signals(clock.interval_s, {"displacement": driven}))
+        drift = self.drift_mm_per_h / 3600 * clock.time_s
+        return signals.with_values(displacement=signals["displacement"] + drift)

@@ -15,6 +15,7 @@ from reports.pages.recording import calibrating
 from reports.pages.specimen import (
     controllers,
     correction,
+    creeping,
     cycles,
     diagnosis,
     distorted,
@@ -151,6 +152,8 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         candidates.append(relaxing.of_specimen(draft, recordings, chosen))
         if chosen:
             candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
+    if recorded("creep_tests"):
+        candidates.append(creeping.of_specimen(draft))
     if recorded("pull_tests"):
         candidates.append(pulls.of_specimen(draft))
     if has("order_ladders"):

@@ -1,0 +1,261 @@
+"""Retardation times of a film under a drive that is held, by the search that relaxation uses.
+
+    x(t) = offset + drift t + Σ over levels of [J0 u + Σ Jᵢ R(u, λᵢ) + φ ∫u dt] + noise,      R = u − response of a Maxwell arm
+
+u is the measured drive (load, or squared voltage). For given λ that is linear in J ≥ 0: `varpro` searches, the tube test of
+`order` says how many. Offset and drift of the displacement are projected out, and all is weighted by the covariance that
+`slow_noise` estimates against the best retardation of any number of times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import nnls
+
+from pipeline.fit.relaxation.order import LEVEL, arc_of, tail_probability
+from pipeline.fit.relaxation.starts import candidates
+from pipeline.fit.relaxation.varpro import Candidate, LinearProblem
+from pipeline.fit.retardation.slow_noise import SlowNoise, best_score, estimate_noise
+from pipeline.physics.compliance import Compliance, integral
+from pipeline.physics.film import integrate_arms
+from pipeline.transform.holds import HeldRecord
+from schemas.arrays import Float
+
+ORDERS = (1, 2, 3)
+RESOLVED = 0.3
+"""Largest standard deviation of a logarithm that is reported as a number."""
+_FASTER, _SLOWER = 2.0, 3.0
+"""Retardation times are searched from the first window over 2 to the length of the record times 3: a faster one is a spring, a
+slower one a flow."""
+_PER_DECADE = 8
+_ROUNDS = 2
+_ACTIVE = 1e-6
+
+
+@dataclass(frozen=True)
+class RetardationFit:
+    """One order. `parameters` (p,) are offset and drift (where fitted), J0, the Jᵢ, φ (where there is one) and the log λᵢ.
+
+    `compliance` of the film; `covariance` (p, p) of the parameters; `chi2` against the noise that was estimated; `p_value` of the
+    hypothesis that no further retardation is needed, None for the highest order.
+    """
+
+    order: int
+    compliance: Compliance
+    parameters: Float
+    covariance: Float
+    nuisance: int
+    drifts: bool
+    chi2: float
+    freedom: int
+    p_value: float | None
+    warnings: tuple[str, ...] = ()
+
+    def with_parameters(self, parameters: Float) -> RetardationFit:
+        """The same order with other parameters."""
+        n, count = self.nuisance, len(self.compliance.times_s)
+        retarded = tuple(parameters[n + 1 : n + 1 + count].tolist())
+        times = tuple(np.exp(parameters[parameters.size - count :]).tolist())
+        flow = float(parameters[n + 1 + count]) if self.compliance.flow else 0.0
+        return replace(self, parameters=parameters, compliance=Compliance(float(parameters[n]), retarded, times, flow))
+
+    @property
+    def drift(self) -> tuple[float, float]:
+        """Drift of the displacement, mm/s, and its standard deviation; 0 and 0 where none was fitted."""
+        if not self.drifts:
+            return 0.0, 0.0
+        return float(self.parameters[self.nuisance - 1]), math.sqrt(
+            float(self.covariance[self.nuisance - 1, self.nuisance - 1])
+        )
+
+
+@dataclass(frozen=True)
+class Retardation:
+    """All orders of one record, which of them the data ask for, and the noise that they were weighed by."""
+
+    record: HeldRecord
+    noise: SlowNoise
+    fits: tuple[RetardationFit, ...]
+    selected_order: int
+    sign: float
+
+    @property
+    def selected(self) -> RetardationFit:
+        return next(f for f in self.fits if f.order == self.selected_order)
+
+    def modelled(self, fit: RetardationFit) -> Float:
+        """Displacement (n,) of the windows by one order, offset and drift included."""
+        record = self.record
+        film = record.mean @ fit.compliance.response(record.history_s, record.drive)
+        return np.asarray(self.sign * (film + _nuisance(record, fit.drifts) @ fit.parameters[: fit.nuisance]))
+
+
+def fit_retardation(record: HeldRecord, *, drifts: bool, orders: Sequence[int] = ORDERS) -> Retardation:
+    """Fits all orders. `drifts`: a constant drift of the displacement can be told from creep, because a load was taken off."""
+    sign = _sign_of(record)
+    noise = estimate_noise(record, _Problem(record, _first_noise(record), sign, drifts).spectrum()[1])
+    for _ in range(_ROUNDS):
+        noise = estimate_noise(record, _Problem(record, noise, sign, drifts).spectrum()[1], noise)
+    problem = _Problem(record, noise, sign, drifts)
+    spectrum, _ = problem.spectrum()
+    linear = LinearProblem(problem, problem.low, problem.high, per_decade=_PER_DECADE)
+    found: list[tuple[int, Candidate]] = []
+    lower: Candidate | None = None
+    for order in sorted(orders):
+        best = candidates(linear, order, lower, spectrum)[0]
+        if lower is not None and best.cost > lower.cost:
+            best = lower
+        found.append((order, best))
+        lower = best
+    fits = []
+    for i, (order, candidate) in enumerate(found):
+        p_value = None
+        if i + 1 < len(found):
+            p_value = problem.test(candidate, found[i + 1][1], noise)
+        fits.append(problem.report(order, candidate, p_value))
+    selected = next(f.order for f in fits if f.p_value is None or f.p_value > LEVEL)
+    return Retardation(record, noise, tuple(fits), selected, sign)
+
+
+def _sign_of(record: HeldRecord) -> float:
+    """1 where the film gives way along the drive, −1 where it contracts under it."""
+    drive = record.mean @ record.drive
+    return 1.0 if float((record.displacement - record.displacement.mean()) @ (drive - drive.mean())) >= 0 else -1.0
+
+
+def _first_noise(record: HeldRecord) -> SlowNoise:
+    told = record.scatter[record.scatter > 0]
+    span = float(np.ptp(record.displacement)) or 1.0
+    return SlowNoise(max(float(np.median(told)) if told.size else 0.0, 1e-3 * span), 0.0)
+
+
+def _nuisance(record: HeldRecord, drifts: bool) -> Float:
+    """Columns (n, 0 to 2) of what the displacement does by itself: its offset, where there is a rest, and its drift."""
+    since = record.time_s - record.history_s[0]
+    parts = [np.ones(since.size)] if record.rests else []
+    parts += [since] if drifts else []
+    return np.column_stack(parts) if parts else np.zeros((since.size, 0))
+
+
+class _Problem:
+    """The weighted linear problem that `varpro` searches, offset and drift projected out."""
+
+    def __init__(self, record: HeldRecord, noise: SlowNoise, sign: float, drifts: bool) -> None:
+        self.record, self.rows, self.drifts = record, record.usable, drifts
+        covariance = noise.covariance(record)[np.ix_(self.rows, self.rows)]
+        self.root = cholesky(covariance, lower=True)
+        self.nuisance = _nuisance(record, drifts)
+        self.basis, _ = np.linalg.qr(self._white(self.nuisance))
+        self.measured = self._white(sign * record.displacement)
+        self.target = self._left(self.measured)
+        first = float(np.min(np.diff(record.time_s)[np.diff(record.hold) == 0], initial=math.inf))
+        for i, hold in enumerate(record.holds):
+            own = record.time_s[record.hold == i]
+            if own.size and (i or not record.rests):
+                first = min(first, max(float(own[0]) - hold.begins_s, 1e-12))
+        length = record.end_s - record.history_s[0]
+        self.low, self.high = math.log(first / _FASTER), math.log(_SLOWER * length)
+
+    def _white(self, rows: Float) -> Float:
+        return np.asarray(solve_triangular(self.root, rows[self.rows], lower=True))
+
+    def _left(self, rows: Float) -> Float:
+        return np.asarray(rows - self.basis @ (self.basis.T @ rows))
+
+    def raw_columns(self, tau: Float) -> Float:
+        """(n, k) mm per unit of J."""
+        record = self.record
+        arms = record.drive[:, None] - integrate_arms(record.history_s, record.drive, tau)
+        return np.asarray(record.mean @ arms)
+
+    def raw_ends(self) -> Float:
+        """(n, 2) of J0 and φ."""
+        record = self.record
+        both = np.column_stack([record.drive, integral(record.history_s, record.drive)])
+        return np.asarray(record.mean @ both)
+
+    def columns(self, tau: Float) -> Float:
+        return self._left(self._white(self.raw_columns(tau)))
+
+    def ends(self) -> Float:
+        return self._left(self._white(self.raw_ends()))
+
+    def spectrum(self) -> tuple[tuple[Float, Float], Float]:
+        """Log times and weights of the best retardation of any number of times, and the columns (n, p) that it uses."""
+        grid = np.linspace(self.low, self.high, int((self.high - self.low) / math.log(10) * _PER_DECADE) + 2)
+        raw = np.column_stack([self.raw_ends(), self.raw_columns(np.exp(grid))])
+        white = self._left(self._white(raw))
+        size = np.linalg.norm(white, axis=0)
+        size[size == 0] = 1.0
+        weight = nnls(white / size, self.target, maxiter=50 * raw.shape[1])[0] / size
+        used = weight * size > _ACTIVE * float((weight * size).max(initial=1e-300))
+        arms = used[2:]
+        return (grid[arms], weight[2:][arms]), np.column_stack([self.nuisance, raw[:, used]])
+
+    def test(self, smaller: Candidate, larger: Candidate, noise: SlowNoise) -> float:
+        """Probability of a gain so large by one more retardation, where the smaller model is true.
+
+        Both are given the noise that suits them best: how far a displacement wanders is itself known from few windows.
+        """
+        scores = [best_score(self.record, self._design(c), noise) for c in (smaller, larger)]
+        ratio = scores[0] - scores[1]
+        grid = np.linspace(self.low, self.high, int((self.high - self.low) / math.log(10) * _PER_DECADE) + 2)
+        curve = np.column_stack([self.columns(np.exp(grid)), self.ends()[:, 1]])
+        return tail_probability(ratio, arc_of(curve, self._jacobian(smaller)))
+
+    def _design(self, candidate: Candidate) -> Float:
+        """Columns (n, p) of a model that is linear at given retardation times, offset and drift first."""
+        times = np.exp(candidate.log_tau[candidate.k > 0])
+        ends = self.raw_ends()
+        return np.hstack(
+            [self.nuisance, ends[:, :1], self.raw_columns(times), ends[:, 1:] if candidate.c > 0 else ends[:, :0]]
+        )
+
+    def _jacobian(self, candidate: Candidate) -> Float:
+        used = candidate.k > 0
+        times = np.exp(candidate.log_tau[used])
+        ends = self.ends()
+        parts = [ends[:, :1], self.columns(times), self._slopes(times) * candidate.k[used]]
+        if candidate.c > 0:
+            parts.append(ends[:, 1:])
+        return np.hstack(parts)
+
+    def _slopes(self, times: Float) -> Float:
+        return self._left(self._white(self._raw_slopes(times)))
+
+    def _raw_slopes(self, times: Float) -> Float:
+        step = 1e-4
+        return (self.raw_columns(times * math.exp(step)) - self.raw_columns(times * math.exp(-step))) / (2 * step)
+
+    def report(self, order: int, candidate: Candidate, p_value: float | None) -> RetardationFit:
+        used = candidate.k > 0
+        times = np.exp(candidate.log_tau[used])
+        white = self._white(self._design(candidate))
+        solution = np.linalg.lstsq(white, self.measured, rcond=None)[0]
+        nuisance = self.nuisance.shape[1]
+        retarded = np.maximum(solution[nuisance + 1 : nuisance + 1 + times.size], 0.0)
+        jacobian = np.hstack([white, self._white(self._raw_slopes(times)) * retarded])
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale = np.where(scale > 0, scale, 1.0)
+        rest = self.measured - white @ solution
+        freedom = max(rest.size - jacobian.shape[1], 1)
+        chi2 = float(rest @ rest)
+        _, s, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
+        half = (vt.T / np.maximum(s, 1e-9 * s[0])) / scale[:, None]
+        covariance = half @ half.T * max(chi2 / freedom, 1.0)
+        scaled = np.concatenate([np.zeros(nuisance), solution[nuisance:], np.zeros(times.size)])
+        covariance += self.record.drive_error**2 * np.outer(scaled, scaled)
+        flow = float(max(solution[-1], 0.0)) if candidate.c > 0 else 0.0
+        found = Compliance(float(solution[nuisance]), tuple(retarded.tolist()), tuple(times.tolist()), flow)
+        warnings = []
+        if times.size + (candidate.c > 0) < order:
+            warnings.append(f"only {times.size + (candidate.c > 0)} of {order} retardations resolved")
+        parameters = np.concatenate([solution, candidate.log_tau[used]])
+        return RetardationFit(
+            order, found, parameters, covariance, nuisance, self.drifts, chi2, freedom, p_value, tuple(warnings)
+        )

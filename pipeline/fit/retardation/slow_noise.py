@@ -1,0 +1,114 @@
+"""How far a displacement wanders by itself: noise of the samples and a random walk, told apart by likelihood.
+
+A wandering zero looks like creep. Whoever takes the residuals for independent finds one retardation time too many, and intervals
+that are too narrow; so both variances are estimated first, and everything after is weighted by them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import minimize
+
+from pipeline.transform.holds import HeldRecord
+from schemas.arrays import Bool, Float
+
+_FLOOR = 1e-6
+"""Least share of the displacement's range that a sample's noise is taken for: a curve without noise has no likelihood."""
+_STARTS = (1e-6, 1e-3, 1.0)
+"""Shares of the samples' variance that the walk has over the whole record, from which the likelihood is climbed."""
+
+
+@dataclass(frozen=True)
+class SlowNoise:
+    """`sample_sd` mm of one sample, `walk` mm²/s of the random walk: its variance grows by so much a second."""
+
+    sample_sd: float
+    walk: float
+
+    def covariance(self, record: HeldRecord) -> Float:
+        """(n, n) mm² of the windows' means; within a window of the width w the walk is a sixth of w older than at its middle."""
+        since = record.time_s - min(record.time_s[0], record.history_s[0])
+        total = self.walk * np.minimum(since[:, None], since[None, :])
+        own = -self.walk * record.width_s / 6 + self.sample_sd**2 / record.count + record.step**2 + record.jump**2
+        total[np.diag_indices_from(total)] += own
+        return np.asarray(total)
+
+
+def estimate_noise(record: HeldRecord, basis: Float, near: SlowNoise | None = None) -> SlowNoise:
+    """Both variances by restricted maximum likelihood (Patterson and Thompson, Biometrika 58, 1971), climbed from `near` where given.
+
+    `basis` (n, p) are the columns that whatever the film does is made of; it takes its share of the freedom with it.
+    """
+    target, columns, rows = _prepare(record, basis)
+    span = float(np.ptp(target)) or 1.0
+    told = record.scatter[record.scatter > 0]
+    guess = max(float(np.median(told)) if told.size else 1e-3 * span, _FLOOR * span)
+    length = record.end_s - record.history_s[0]
+
+    def score(x: Float) -> float:
+        noise = SlowNoise(math.exp(x[0]), math.exp(x[1]))
+        return _score(noise.covariance(record)[np.ix_(rows, rows)], columns, target, restricted=True)
+
+    starts = (
+        [(guess, share * guess**2 / length) for share in _STARTS] if near is None else [(near.sample_sd, near.walk)]
+    )
+    lowest = (math.log(_FLOOR * span), math.log(1e-12 * guess**2 / length))
+    highest = (math.log(span), math.log(span**2 / length))
+    found = [
+        minimize(
+            score,
+            np.log(start),
+            method="Nelder-Mead",
+            bounds=list(zip(lowest, highest, strict=True)),
+            options={"xatol": 0.02, "fatol": 0.01, "maxiter": 120},
+        )
+        for start in starts
+    ]
+    best = min(found, key=lambda one: one.fun)
+    return SlowNoise(math.exp(best.x[0]), math.exp(best.x[1]))
+
+
+def best_score(record: HeldRecord, basis: Float, near: SlowNoise) -> float:
+    """−2 × the largest log-likelihood of a record over both variances, from `near` on, where `basis` (n, p) is fitted; constants left out."""
+    target, columns, rows = _prepare(record, basis)
+
+    def score(x: Float) -> float:
+        noise = SlowNoise(near.sample_sd * math.exp(x[0]), near.walk * math.exp(x[1]))
+        return _score(noise.covariance(record)[np.ix_(rows, rows)], columns, target, restricted=False)
+
+    simplex = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
+    options = {"xatol": 0.02, "fatol": 0.005, "maxiter": 80, "initial_simplex": simplex}
+    return float(minimize(score, np.zeros(2), method="Nelder-Mead", options=options).fun)
+
+
+def _prepare(record: HeldRecord, basis: Float) -> tuple[Float, Float, Bool]:
+    """Displacements and independent columns of the usable windows, and which these are."""
+    rows = record.usable
+    columns = basis[rows]
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns[:, size > 0] / size[size > 0]
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return record.displacement[rows], u[:, s > 1e-9 * s[0]], rows
+
+
+def _score(covariance: Float, columns: Float, target: Float, *, restricted: bool) -> float:
+    """−2 × the (restricted) log-likelihood, constants left out."""
+    try:
+        root = cholesky(covariance, lower=True)
+    except np.linalg.LinAlgError:
+        return math.inf
+    white = solve_triangular(root, np.column_stack([columns, target]), lower=True)
+    x, y = white[:, :-1], white[:, -1]
+    gram = x.T @ x
+    try:
+        factor = cho_factor(gram)
+    except np.linalg.LinAlgError:
+        return math.inf
+    rest = y - x @ cho_solve(factor, x.T @ y)
+    freedom = float(rest @ rest)
+    spent = 2 * float(np.log(np.diag(factor[0])).sum()) if restricted else 0.0
+    return 2 * float(np.log(np.diag(root)).sum()) + spent + freedom
