@@ -75,7 +75,7 @@ class _Integrating:
         step = own.integral_gain * error * self.interval_s
         free = own.bias_kv / own.gain_kv_per_v + own.proportional_gain * error + self.integral + step
         wanted = free * own.gain_kv_per_v
-        asked = np.clip(wanted, 0.0, own.largest_kv)
+        asked = np.minimum(np.maximum(wanted, 0.0), own.largest_kv)
         inside = ((wanted > 0) & (wanted < own.largest_kv)) | (step * free < 0)
         self.integral = np.where(inside, self.integral + step, self.integral)
         return np.asarray(np.sqrt(asked * own.largest_kv) if own.square_root_drive else asked)
@@ -148,7 +148,7 @@ class _Inverting:
     def decide(self, deviation_pf: Float, demand_pf: float) -> Float:
         own, trim = self.given, self.given.trim
         rest = demand_pf / float(own.film.gain_pf_per_kv2[0])
-        held = np.clip(own.film.hold(self.points, np.array([rest])), 0.0, own.force_limit * rest)
+        held = np.minimum(np.maximum(own.film.hold(self.points, np.array([rest])), 0.0), own.force_limit * rest)
         modelled = float((own.film.gain_pf_per_kv2 * own.film.extend(self.points, held))[0])
         self.seen_pf = self.keep * self.seen_pf + (1 - self.keep) * modelled
         scale = trim.gain_kv_per_v * trim.largest_kv
@@ -158,7 +158,7 @@ class _Inverting:
         gain = float(own.film.gain_pf_per_kv2[0])
         self.lasting_pf = self.slowest * self.lasting_pf + (1 - self.slowest) * (deviation_pf - self.modelled_pf)
         at_rest = np.maximum((demand_pf - self.lasting_pf) / gain, 0.0)
-        asked = np.clip(free, 0.0, np.minimum(trim.largest_kv**2, own.force_limit * at_rest))
+        asked = np.minimum(np.maximum(free, 0.0), np.minimum(trim.largest_kv**2, own.force_limit * at_rest))
         self.integral = np.where((free == asked) | (step * (free - asked) < 0), self.integral + step, self.integral)
         there = gain * own.film.extend(self.applied, asked)
         self.modelled_pf = self.keep * self.modelled_pf + (1 - self.keep) * there
@@ -252,10 +252,18 @@ class Plan:
         pull = (target[:, None] - points @ self.free.T) @ weighted
         high = most[:, None]
         x, u = np.clip(start, 0.0, high), np.zeros_like(start)
+        pulled, z = np.empty_like(u), np.empty_like(u)
         for _ in range(_ITERATIONS):
-            z = (pull + stiffness * (x - u)) @ solver
-            x = np.clip(z + u, 0.0, high)
-            u += z - x
+            # z = (pull + stiffness (x − u)) @ solver, x = z + u within its limits, u = u + z − x; in place, for there are many.
+            np.subtract(x, u, out=pulled)
+            pulled *= stiffness
+            pulled += pull
+            np.matmul(pulled, solver, out=z)
+            np.add(z, u, out=x)
+            np.maximum(x, 0.0, out=x)
+            np.minimum(x, high, out=x)
+            z -= x
+            u += z
         return np.asarray(x)
 
     @cached_property

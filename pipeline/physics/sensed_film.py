@@ -10,6 +10,7 @@ once. That is a film of one relaxation everywhere, small strains (thesis, eq 5.1
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,19 +54,24 @@ class SensedFilms:
         relative = 1 + np.sum(self.springs[..., None] * z / (1 + z), axis=1)
         return np.asarray(self.gain_pf_per_kv2[:, None] / relative)
 
+    @cached_property
+    def _instant(self) -> Float:
+        """(n,) stiffness at once over that at rest."""
+        return np.asarray(1 + self.springs.sum(axis=-1))
+
     def extend(self, points: Float, squared_kv2: Float) -> Float:
         """(…, n) extensions e in kV² for internal points (…, n, a) and V² (…, n)."""
-        return np.asarray((squared_kv2 + np.sum(self.springs * points, axis=-1)) / (1 + self.springs.sum(axis=-1)))
+        return np.asarray((squared_kv2 + (self.springs * points).sum(axis=-1)) / self._instant)
 
     def hold(self, points: Float, extension_kv2: Float) -> Float:
         """(…, n) V² that holds the films at these extensions just now."""
-        return np.asarray(extension_kv2 * (1 + self.springs.sum(axis=-1)) - np.sum(self.springs * points, axis=-1))
+        return np.asarray(extension_kv2 * self._instant - (self.springs * points).sum(axis=-1))
 
     def propagate(self, interval_s: float) -> tuple[Float, Float]:
         """Matrices (n, a, a), (n, a) that take the internal points over an interval of constant V²: q' = Φ q + Γ v."""
         n, a = self.springs.shape
         block = np.zeros((n, a + 1, a + 1))
-        rate, instant = 1 / self.tau_s, 1 + self.springs.sum(axis=1)
+        rate, instant = 1 / self.tau_s, self._instant
         block[:, :a, :a] = rate[:, :, None] * self.springs[:, None, :] / instant[:, None, None]
         block[:, range(a), range(a)] -= rate
         block[:, :a, a] = rate / instant[:, None]

@@ -256,8 +256,8 @@ def _one_amplitude(
     e[..., 1] = amplitude
     linear = k * e * scale.length_mm
     course = Course(
-        strain=_wave(e),
-        tension=_wave(linear),
+        strain=compose_wave(e),
+        tension=compose_wave(linear),
         periodic=True,
         rest_force_n=rest_force_n[..., None],
         largest_tension_n=loads.tension_n,
@@ -267,7 +267,7 @@ def _one_amplitude(
         interval_s=np.broadcast_to(1 / (PHASES * loop.frequency_hz[..., None]), (*amplitude.shape, 1)),
         scale=scale,
         cycles=loop.cycles,
-        carry=lambda strain: _wave(k * harmonics(strain) * scale.length_mm),
+        carry=lambda strain: compose_wave(k * harmonics(strain) * scale.length_mm),
     )
     found = harmonics(along(elements, course))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -283,7 +283,7 @@ def _one_amplitude(
     return factor, found, moved
 
 
-def _wave(coefficients: Complex) -> Float:
+def compose_wave(coefficients: Complex) -> Float:
     """(..., PHASES) wave of mean and harmonics 1 … 3 (..., 4)."""
     return _flat(np.ascontiguousarray(coefficients).view(np.float64), _WAVES)
 

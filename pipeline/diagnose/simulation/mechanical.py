@@ -8,13 +8,13 @@ Harmonics m of the tension reach the load cell as g T_m/(1 + (−Mω² + jωcL)/
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.diagnose.features.kinds import CYCLIC_HARMONIC, CYCLIC_LEVEL, CYCLIC_RESPONSE
-from pipeline.diagnose.simulation.describing import PHASES, Loads, Loop, along, describe, harmonics
+from pipeline.diagnose.simulation.describing import Loads, Loop, along, compose_wave, describe, harmonics
 from pipeline.diagnose.simulation.effects import NONE, Course, Effect, View, bent
 from pipeline.diagnose.simulation.families import Family, channel, dynamic, film_at, rig_of
 from pipeline.diagnose.simulation.nodes import carried
@@ -53,6 +53,29 @@ class _Harmonics:
     state: Int
     order: Int
     imaginary: Bool
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """Groups of cycles (g,) whose readings are asked over a period.
+
+    Parameters
+    ----------
+    state, rest_n, amplitude_mm : state, force at rest and amplitude of the driven end
+    real, imaginary : rows of the response
+    level : row of the mean force against a rest, -1 where there is none
+    harmonic : rows of the harmonics; their `state` is the number of the group
+    levels : rows of the mean forces, with numbers of groups in place of states; told against itself: against a rest
+    """
+
+    state: Int
+    rest_n: Float
+    amplitude_mm: Float
+    real: Int
+    imaginary: Int
+    level: Int
+    harmonic: _Harmonics
+    levels: _Levels
 
 
 class MechanicalFamily(Family, ABC):
@@ -139,10 +162,10 @@ class CyclicFamily(MechanicalFamily):
             if "mean_strain" in p.block.support:
                 self._mean_strain[state] = float(p.block.support["mean_strain"][0])
         self._own = replace(self.view, frequency_hz=f, strain=strain).overtones()
-        self._groups = self._cyclic_groups()
         self._cycles = self._group_cycles()
         self._against = self._find_references()
         self._added = self._find_added()
+        self._read_groups = self._find_groups()
 
     def predict(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family; `loads` where the effect has elements or readings."""
@@ -155,17 +178,49 @@ class CyclicFamily(MechanicalFamily):
             self._read(values, physical, effect, loads)
         return values
 
-    def _cyclic_groups(self) -> list[tuple[Place, Place, Place | None]]:
-        """Response, harmonics and level of each group of cycles; cycles that levels are told against have none."""
+    def _find_groups(self) -> _Groups:
+        """Groups of cycles with response and harmonics; cycles that levels are told against have no level."""
         found: dict[int, dict[str, Place]] = {}
         for p in self.places:
             found.setdefault(p.state, {})[p.block.kind] = p
-        needed = CYCLIC_RESPONSE, CYCLIC_HARMONIC
-        return [
-            (g[needed[0]], g[needed[1]], g.get(CYCLIC_LEVEL))
-            for g in found.values()
-            if all(kind in g for kind in needed)
+        groups = [g for g in found.values() if CYCLIC_RESPONSE in g and CYCLIC_HARMONIC in g]
+        responses = [g[CYCLIC_RESPONSE] for g in groups]
+        state = [self.state_of[id(p)] for p in responses]
+        number_of = {own: number for number, own in enumerate(state)}
+        level = np.full(len(groups), -1)
+        rows: list[tuple[int, int, int]] = []
+        for number, (group, response) in enumerate(zip(groups, responses, strict=True)):
+            if CYCLIC_LEVEL not in group:
+                continue
+            own, against = self.spans[id(group[CYCLIC_LEVEL])], self._against.get(response.recording)
+            if against is None:
+                level[number] = own.start
+            reference = number if against is None else number_of.get(against, number)
+            rows += [(row, number, reference) for row in range(own.start, own.stop)]
+        begins = np.array([self.spans[id(p)].start for p in responses], dtype=np.int64)
+        harmonic = self._list_harmonics(dict(enumerate(g[CYCLIC_HARMONIC] for g in groups)))
+        return _Groups(
+            np.array(state, dtype=np.int64),
+            np.array([self.rest_of(p) for p in responses]),
+            np.array([float(p.block.amplitude[0]) * self.session.scale.length_mm for p in responses]),
+            begins,
+            begins + 1,
+            level,
+            harmonic,
+            _Levels(*np.array(rows, dtype=np.int64).reshape(-1, 3).T),
+        )
+
+    def _list_harmonics(self, places: Mapping[int, Place]) -> _Harmonics:
+        """Rows of the harmonics at some places, by the numbers that these have."""
+        found = [
+            (self.spans[id(p)].start + i, number, *part)
+            for number, p in places.items()
+            for i, part in enumerate(
+                (int(m), imaginary) for imaginary in (False, True) for m in p.block.support["order"]
+            )
         ]
+        rows, number, order, imaginary = np.array(found, dtype=np.int64).reshape(-1, 4).T
+        return _Harmonics(rows, number, order, imaginary.astype(bool))
 
     def _find_references(self) -> dict[int, int]:
         """Recording → the state of the cycles that its levels are told against, for recordings that begin with their cycles: these have
@@ -182,7 +237,7 @@ class CyclicFamily(MechanicalFamily):
         """Rows to which elements add: levels against a rest, levels against other cycles, harmonics."""
         at_rest: list[tuple[int, int, int]] = []
         told_against: list[tuple[int, int, int]] = []
-        harmonic: list[tuple[int, int, int, bool]] = []
+        harmonic: dict[int, Place] = {}
         for p in self.places:
             state, own = self.state_of[id(p)], self.spans[id(p)]
             if p.block.kind == CYCLIC_LEVEL:
@@ -190,11 +245,9 @@ class CyclicFamily(MechanicalFamily):
                 found = at_rest if against is None else told_against
                 found += [(row, state, state if against is None else against) for row in range(own.start, own.stop)]
             elif p.block.kind == CYCLIC_HARMONIC:
-                parts = [(int(m), imaginary) for imaginary in (False, True) for m in p.block.support["order"]]
-                harmonic += [(own.start + i, state, *part) for i, part in enumerate(parts)]
+                harmonic[state] = p
         levels = [np.array(rows, dtype=np.int64).reshape(-1, 3).T for rows in (at_rest, told_against)]
-        rows, state, order, imaginary = np.array(harmonic, dtype=np.int64).reshape(-1, 4).T
-        return _Levels(*levels[0]), _Levels(*levels[1]), _Harmonics(rows, state, order, imaginary.astype(bool))
+        return _Levels(*levels[0]), _Levels(*levels[1]), self._list_harmonics(harmonic)
 
     def _group_cycles(self) -> tuple[Float, Float]:
         """First and last cycle of each state, (S, 1) each: the groups of a recording follow each other from the first on."""
@@ -238,35 +291,24 @@ class CyclicFamily(MechanicalFamily):
 
     def _read(self, values: Float, physical: Physical, effect: Effect, loads: Loads) -> None:
         """Readings of sinusoids: of the waves that mean, fundamental and harmonics of each group make."""
+        of, harmonic = self._read_groups, self._read_groups.harmonic
         still = rig_of(physical, self.rig, effect).at_rest(physical.film.k0).item()
-        shifts: dict[int, float] = {}
-        levels: list[tuple[Place, slice]] = []
-        for group in self._groups:
-            response, harmonic = (self.spans[id(p)] for p in group[:2])
-            state, amplitude = (
-                self.state_of[id(group[0])],
-                float(group[0].block.amplitude[0]) * self.session.scale.length_mm,
-            )
-            rest = self.rest_of(group[0])
-            if group[2] is None or group[0].recording in self._against:
-                level = physical.film.k0 / still * float(self._mean_strain[state, 0]) * self.session.scale.length_mm
-            else:
-                level = float(values[self.spans[id(group[2])]][0])
-            orders = np.concatenate([[1], group[1].block.support["order"]]).astype(np.int64)
-            parts = [np.array([complex(*values[response])]) * amplitude]
-            both = values[harmonic]
-            parts.append(both[: both.size // 2] + 1j * both[both.size // 2 :])
-            turned = np.exp(2j * np.pi / PHASES * np.outer(orders, np.arange(PHASES)))
-            wave = rest + level + (np.concatenate(parts) @ turned).real
-            change = harmonics(bent(wave, loads.reading_n, effect.reading))
-            shifts[state] = float(change[0].real - bent(np.array([rest]), loads.reading_n, effect.reading)[0])
-            if group[2] is not None:
-                levels.append((group[2], self.spans[id(group[2])]))
-            values[response] += np.array([change[1].real, change[1].imag]) / amplitude
-            values[harmonic] += np.concatenate([change[orders[1:]].real, change[orders[1:]].imag])
-        for p, own in levels:
-            against = self._against.get(p.recording)
-            values[own] += shifts[self.state_of[id(p)]] - (0.0 if against is None else shifts[against])
+        level = physical.film.k0 / still * self._mean_strain[of.state, 0] * self.session.scale.length_mm
+        waves = np.zeros((of.state.size, 4), dtype=complex)
+        waves[:, 0] = of.rest_n + np.where(of.level >= 0, values[of.level], level)
+        waves[:, 1] = (values[of.real] + 1j * values[of.imaginary]) * of.amplitude_mm
+        part = np.where(harmonic.imaginary, 1j, 1.0) * values[harmonic.rows]
+        np.add.at(waves, (harmonic.state, harmonic.order), part)
+        change = harmonics(bent(compose_wave(waves), loads.reading_n, effect.reading))
+        shift = change[:, 0].real - bent(of.rest_n[:, None], loads.reading_n, effect.reading)[:, 0]
+        values[of.real] += change[:, 1].real / of.amplitude_mm
+        values[of.imaginary] += change[:, 1].imag / of.amplitude_mm
+        seen = change[harmonic.state, harmonic.order]
+        values[harmonic.rows] += np.where(harmonic.imaginary, seen.imag, seen.real)
+        levels = of.levels
+        values[levels.rows] += shift[levels.state] - np.where(
+            levels.state == levels.reference, 0.0, shift[levels.reference]
+        )
 
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the family as the plain film has them: what onsets are measured against."""

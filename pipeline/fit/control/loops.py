@@ -105,7 +105,7 @@ def simulate_loops(
         capacitance = films.gain_pf_per_kv2 * extension
         courses[:, tick] = voltage, capacitance, films.force_n_per_kv2 * voltage**2
         seen = keep * seen + (1 - keep) * capacitance
-        wanted = np.clip(loop.decide(seen, demand_pf), 0.0, own.largest_kv)
+        wanted = np.minimum(np.maximum(loop.decide(seen, demand_pf), 0.0), own.largest_kv)
         gap = voltage - wanted
         # Mean of V² over the interval, with V = wanted + gap e^(-t/τ).
         squared = wanted**2 + (2 * wanted * gap * (1 - stay) + gap**2 * (1 - stay**2) / 2) * tau / h
