@@ -8,7 +8,9 @@ and times are (`ingest.draft_columns`, `ingest.draft_times`).
 
 from __future__ import annotations
 
+import hashlib
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -40,6 +42,7 @@ from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
 from ingest.trios_reader import STEP
 from schemas.errors import DealabError
+from schemas.metadata import RECORDING_ID
 from schemas.protocols import PROTOCOLS
 from schemas.quantities import QUANTITIES
 from schemas.units import conversion
@@ -51,6 +54,8 @@ _FEWEST_FREQUENCIES = 3
 """Different frequencies of a step that goes over them."""
 _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
+_LONGEST_NAME = 60
+"""Characters of a name made from that of a file: what tells its parts apart follows."""
 _EVEN = 1e-3
 """Largest spread of the steps of a column of times, in steps, which no column of samples has."""
 
@@ -140,7 +145,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
             if not column.unit and name != TAN_DELTA:
                 questions.append(ask_unit(f"columns.{name}", column, usual[name]))
         columns[name] = entry
-    about: dict[str, Any] = {"recording_id": "{stem}"}
+    about: dict[str, Any] = {"recording_id": _own_name(opened.path)}
     each = _several(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else None
     _take(opened.facts, about, remarks, ("operator", "material"))
     if kind != LIFETIMES:
@@ -160,10 +165,20 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     if selections:
         content["select"] = selections
     if each is not None:
-        about["recording_id"] = "{stem}-{each}"
+        about["recording_id"] = about["recording_id"] + "-{each}"
         remarks["recording.specimen_id"] = "all temperatures of one specimen make a master curve"
     unmapped = tuple(c for c in opened.columns if c not in chosen.values())
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about)
+
+
+def _own_name(path: Path) -> str:
+    """`{stem}` where a file's name can be that of a recording; else the name with all else in it as hyphens."""
+    stem = find_stem(path)
+    if RECORDING_ID.fullmatch(stem):
+        return "{stem}"
+    plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode()
+    kept = re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip("-._")[:_LONGEST_NAME]
+    return kept or f"recording-{hashlib.sha256(stem.encode()).hexdigest()[:8]}"
 
 
 def _recording(opened: Opened) -> Draft:
@@ -175,7 +190,7 @@ def _recording(opened: Opened) -> Draft:
     content: dict[str, Any] = {"kind": RECORDING, **make_format_keys(opened)}
     rate = opened.facts.get(SAMPLE_RATE)
     counts = time_of is not None and time_of.column in ("X", "x") and rate is not None
-    about: dict[str, Any] = {"recording_id": "{stem}"}
+    about: dict[str, Any] = {"recording_id": _own_name(opened.path)}
     has_dates = False
     if time_of is not None and not counts:
         content["time"] = make_place(time_of) | make_time_keys(time_of, opened, questions)

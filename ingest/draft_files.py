@@ -16,6 +16,7 @@ from ingest.arrays import ArrayFile
 from ingest.columns import ColumnFile
 from ingest.compressed import TEXTS, find_held_suffix, is_compressed, read_plain_content
 from ingest.encodings import guess_encoding
+from ingest.formats import list_formats
 from ingest.harvest import Fact, by_key, harvest_hdf5, harvest_lines, harvest_rows
 from ingest.mapping import FileMapping, format_of, format_of_suffix
 from ingest.mapping_keys import RECORDING
@@ -29,6 +30,8 @@ _MOST_MATRIX_COLUMNS = 12
 _FIRST_CELLS = 2000
 _TABBED = ("lvm", "trios")
 _BEGINNING = 1 << 17
+_PACKED = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""How workbooks begin, new and old ones."""
 """Bytes in which a text shows what wrote it: heads of TRIOS take some 20 kB."""
 
 
@@ -82,7 +85,14 @@ def open_file(path: Path, said: Mapping[str, str]) -> Opened:
         return _open_tabbed(path, found, said)
     if found == "mcap":
         raise RefusedError("no channel can be guessed", where=path.name, expected="topics mapped by hand in a TOML")
-    return _open_arrays(path, found or "", said)
+    if found is None:
+        raise RefusedError(
+            "neither its ending nor its content tells its format",
+            where=path.name,
+            expected=", ".join(list_formats()),
+            remedy='Write format = "..." into a TOML beside it, or export the data as text',
+        )
+    return _open_arrays(path, found, said)
 
 
 def _true_format(path: Path) -> str | None:
@@ -94,11 +104,13 @@ def _true_format(path: Path) -> str | None:
         return (_tell_text(read_plain_content(path).content[:_BEGINNING]) or held) if held == "csv" else held
     with path.open("rb") as file:
         start = file.read(_BEGINNING)
+    if found is None and start and b"\x00" not in start and not start.startswith(_PACKED):
+        found = "csv"  # machines name their texts after themselves: .TRA, .rdat, none at all
     if found == "csv" and (told := _tell_text(start)) is not None:
         return told
     start = start[:4096]
-    is_workbook = start.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0"))
-    if found == "csv" and is_workbook:
+    is_workbook = start.startswith(_PACKED)
+    if found in ("csv", None) and is_workbook:
         return "excel"
     if found == "excel" and not is_workbook and start and b"\x00" not in start:
         return "csv"

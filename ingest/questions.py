@@ -29,6 +29,12 @@ class Question:
     choices: tuple[str, ...] = ()
 
 
+_STRAIN = r"strain|dehnung|déformation|deformacion|应变"
+"""Names of columns that count from 0 where a stretch is 1."""
+_NO_STRAIN = {"%": 100.0, "‰": 1000.0}
+"""A stretch of 1 in units of strain; 1 in all others."""
+
+
 def label_column(column: GuessedColumn) -> str:
     """A column's name in small letters without what stands in brackets."""
     return re.sub(r"\s*[\[(/].*$", "", str(column.column)).strip().lower()
@@ -51,6 +57,8 @@ def make_unit_keys(column: GuessedColumn, questions: list[Question]) -> dict[str
         return {"unit": usual, "scale": None}
     if column.unit is None:
         questions.append(ask_unit(label, column, usual))
+    if name == "stretch" and column.unit is not None and re.search(_STRAIN, label_column(column)):
+        return {"unit": column.unit, "offset": _NO_STRAIN.get(column.unit, 1.0)}
     return {"unit": column.unit or usual}
 
 

@@ -107,6 +107,12 @@ def _electrical(traces: Mapping[str, Trace]) -> Shape:
     if "leakage_current" in traces and drive.held > _HELD and len(drive.crossings_s) <= 1:
         known = {"voltage_setpoint_kv": _rounded(_plateau(traces["voltage"].values))}
         return Shape("lifetime", "electrical", SURE, f"one voltage held for {drive.duration_s:.3g} s", known)
+    if "displacement" in traces and drive.held > _HELD and _follows(traces["displacement"], traces["voltage"]):
+        seen = f"levels of voltage up to {drive.high:.3g} kV while a displacement is recorded"
+        if "force" not in traces or _is_constant(traces["force"]):
+            return Shape(
+                "isotonic", "electrical", SURE, seen, {"drive_kv": _rounded(_plateau(traces["voltage"].values))}
+            )
     if drive.held > _HELD:
         times = max(1, len(drive.crossings_s))
         return Shape("step", "electrical", SURE, f"{times} steps of voltage up to {drive.high:.3g} kV", steps)
@@ -136,13 +142,28 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
         return _one_cycle(name, answer, drive, traces)
     if drive.turns.size >= 3 and _is_even(drive):
         frequency = 0.5 / float(np.mean(drive.halves_s))
-        known: dict[str, float | str] = {"frequency_hz": _rounded(frequency)}
+        known: dict[str, float | str] = {"frequency_hz": float(f"{frequency:.5g}")}
         return Shape("cyclic", "mechanical", SURE, f"a sinusoid of {frequency:.4g} Hz", known)
     if crossings >= _FEWEST_CROSSINGS and _is_smooth(drive):
         return _sweep("mechanical", drive)
     if crossings >= _FEWEST_CROSSINGS:
         return Shape("chirp", "mechanical", UNSURE, "a broad band of frequencies that is no sweep")
     return Shape("cycle", "mechanical", LIKELY, f"{drive.turns.size} turning points")
+
+
+def _is_constant(load: Trace) -> bool:
+    """Whether a load is one that a weight or a controller keeps."""
+    return float(np.ptp(np.quantile(load.values, (0.02, 0.98)))) < 0.1 * abs(float(np.median(load.values)))
+
+
+def _follows(moved: Trace, voltage: Trace) -> bool:
+    """Whether a displacement is another one while the voltage is on, beyond its noise."""
+    level = np.interp(moved.time_s, voltage.time_s, np.abs(voltage.values))
+    on = level > 0.5 * float(np.max(level))
+    if on.all() or not on.any():
+        return False
+    noise = float(np.median(np.abs(np.diff(moved.values, 2))))
+    return abs(float(np.median(moved.values[on]) - np.median(moved.values[~on]))) > 5 * noise
 
 
 def _find_creep(drive: Trace, answer: Trace) -> float | None:

@@ -37,6 +37,7 @@ _PROTOCOLS = {
     ("step", "electrical"): "voltage steps",
     ("step", "mechanical"): "stress relaxation",
     ("lifetime", "electrical"): "life under voltage",
+    ("isotonic", "electrical"): "strokes at constant load",
     ("force_map", "electrical"): "static force",
     ("cycle", "mechanical"): "large load–unload cycle",
     ("creep", "mechanical"): "creep and recovery",

@@ -52,6 +52,13 @@ _ALL = (
     Protocol("step", MECHANICAL, _DRIVEN, (), "step and hold: stress relaxation"),
     Protocol("step", OTHER, _IN_OUT, (), "step of a system of another kind"),
     Protocol(
+        "isotonic",
+        ELECTRICAL,
+        (("voltage", "displacement"),),
+        ("force", "command", "capacitance", "leakage_current", "temperature"),
+        "strokes at constant load under levels of voltage",
+    ),
+    Protocol(
         "lifetime",
         ELECTRICAL,
         (("voltage",),),

@@ -16,6 +16,8 @@ from pipeline.analyse.creep import NOT_ASKED as CREEP_NOT_ASKED
 from pipeline.analyse.creep import creep_tables
 from pipeline.analyse.cycle import cycle_fits, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
+from pipeline.analyse.isotonic import NOT_ASKED as ISOTONIC_NOT_ASKED
+from pipeline.analyse.isotonic import isotonic_tables
 from pipeline.analyse.pull import NOT_ASKED, analyse_pull, pull_tables
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
@@ -24,6 +26,7 @@ from pipeline.analyse.temperatures import TEMPERATURE
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
 from pipeline.fit.retardation.creep import measure_creep
+from pipeline.fit.retardation.isotonic import measure_isotonic
 from pipeline.fit.sensing.migration import migration
 from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.calibration import Calibration, TapCalibration, calibrate
@@ -96,6 +99,8 @@ def analyse_recording(recording: Recording) -> Analysis:
         _cycle(analysis, recording)
     elif about.protocol == "creep":
         _creep(analysis, recording)
+    elif about.protocol == "isotonic":
+        _isotonic(analysis, recording)
     elif about.protocol == "pull":
         _pull(analysis, recording)
     elif about.protocol == "coverage":
@@ -256,6 +261,14 @@ def _creep(analysis: Analysis, recording: Recording) -> None:
     if found is not None:
         analysis.note((*found.warnings, CREEP_NOT_ASKED))
         analysis.add(creep_tables(about.recording_id, about.specimen_id, found))
+
+
+def _isotonic(analysis: Analysis, recording: Recording) -> None:
+    about = recording.metadata
+    found = analysis.attempt("strokes at constant load", measure_isotonic, recording)
+    if found is not None:
+        analysis.note((*found.warnings, ISOTONIC_NOT_ASKED))
+        analysis.add(isotonic_tables(about.recording_id, about.specimen_id, found))
 
 
 def _responses(analysis: Analysis, recording: Recording) -> None:

@@ -17,7 +17,7 @@
     [specimens.PA-1.effects.rig_constants] a hidden effect: mechanism → parameters (see `effects`)
     [[recordings]]
     test = "chirp"                         chirp, sphs, cyclic, cycle, pull, creep, step_mechanical, step_electrical,
-                                           step_closed_loop, force_map, coating, tap, weight; parameters as the classes
+                                           step_closed_loop, isotonic, force_map, coating, tap, weight; parameters as the classes
                                            there have
     specimens = ["PA-1"]                   or rigs = ["shaker"] for tap and weight
     id = "{specimen}-chirp-{amplitude_mm}" braces hold a parameter, specimen, rig, test or n (number within the entry)
@@ -68,6 +68,7 @@ TESTS: Mapping[str, type[Procedure]] = {
     "step_mechanical": mechanical.Relaxation,
     "step_electrical": electrical.VoltageSteps,
     "step_closed_loop": ClosedLoop,
+    "isotonic": electrical.Isotonic,
     "force_map": electrical.ForceMap,
     "coating": electrical.Coating,
     "tap": calibration.Tap,

@@ -16,7 +16,8 @@ from scipy.sparse import csr_matrix
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 
-PER_DECADE = 16
+PER_DECADE, _FEWEST_PER_DECADE, _HOLDS = 16, 5, 3
+"""Windows to a decade of time; fewer where there are more holds than a rest, a load and a recovery."""
 FEWEST_WINDOWS = 8
 _REST_WINDOWS = 6
 _PER_WINDOW = 24
@@ -26,9 +27,12 @@ _LOOKED_AT = 20_000
 """Samples of the drive that are looked at for levels."""
 _LEVEL, _CLEARLY = 0.02, 6.0
 """Share of the largest change, and standard deviations of its noise, within which a drive is held."""
-_FEWEST_HELD = 6
+_FEWEST_HELD, _GAP = 6, 3
+"""Samples that a level has at least, and samples off it that do not end it."""
 _MIDDLE = 0.1
 """Share of a ramp at each end that is not taken for its straight part."""
+_MOSTLY = 0.5
+"""Share of a record over which the drive is held: a sinusoid stays near its turning points for a fifth of its time."""
 _NEAR = 0.65
 """Share of the samples of a level within the inner half of its width: along a ramp it is a half."""
 _WANDERS = 4.0
@@ -103,11 +107,16 @@ def find_holds(time_s: Float, drive: Float, *, where: str = "", name: str = "loa
     parts = [part for part in _split(u, 2 * width) if _stands(u[part[0] : part[1]], width)]
     merged: list[tuple[int, int]] = []
     for low, high in parts:
-        if merged and abs(np.median(u[slice(*merged[-1])]) - np.median(u[low:high])) < width:
+        if (
+            merged
+            and low - merged[-1][1] <= _GAP
+            and abs(np.median(u[slice(*merged[-1])]) - np.median(u[low:high])) < width
+        ):
             merged[-1] = (merged[-1][0], high)
         else:
             merged.append((low, high))
-    if not merged:
+    held_s = sum(t[high - 1] - t[low] for low, high in merged)
+    if held_s < _MOSTLY * (t[-1] - t[0]) or not merged:
         raise NotIdentifiableError(
             f"the {name} is held nowhere", where=where, expected=f"a {name} that steps to a level and stays there"
         )
@@ -173,6 +182,7 @@ def reduce_record(
     zero = holds[0].level if rests else 0.0
     if max(abs(hold.level - zero) for hold in holds) <= _CLEARLY * _noise(drive):
         raise NotIdentifiableError("the drive does not change", where=where, expected="a drive that is put on and held")
+    per_decade = max(_FEWEST_PER_DECADE, PER_DECADE * _HOLDS // max(len(holds), _HOLDS))
     starts: list[int] = []
     stops: list[int] = []
     numbers: list[int] = []
@@ -181,7 +191,7 @@ def reduce_record(
         if not inside.size:
             continue
         first, last = int(inside[0]), int(inside[-1]) + 1
-        edges = _edges(time_s[first:last], None if rests and number == 0 else hold)
+        edges = _edges(time_s[first:last], None if rests and number == 0 else hold, per_decade)
         starts += [first + int(e) for e in edges]
         stops += [first + int(e) for e in edges[1:]] + [last]
         numbers += [number] * len(edges)
@@ -243,7 +253,7 @@ def _check_order(drive_s: Float, time_s: Float, where: str) -> None:
             )
 
 
-def _edges(time_s: Float, hold: Hold | None) -> Int:
+def _edges(time_s: Float, hold: Hold | None, per_decade: int) -> Int:
     """First sample of each window of a hold: equally wide in log time since the drive began to change, of a rest in time."""
     if hold is None:
         edges = np.linspace(time_s[0], time_s[-1], _REST_WINDOWS + 1)[:-1]
@@ -253,7 +263,7 @@ def _edges(time_s: Float, hold: Hold | None) -> Int:
         if time_s[0] <= zero and time_s.size > 1:
             first = max(first, time_s[1] - zero)
         decades = max(0.0, float(np.log10(max(time_s[-1] - zero, first) / first)))
-        edges = zero + first * 10 ** np.linspace(0, decades, int(np.ceil(decades * PER_DECADE)) + 1)[:-1]
+        edges = zero + first * 10 ** np.linspace(0, decades, int(np.ceil(decades * per_decade)) + 1)[:-1]
         edges = np.append(time_s[0], edges[1:])
     return np.unique(np.searchsorted(time_s, edges * (1 - 1e-12)).clip(0, time_s.size - 1))
 

@@ -1,4 +1,4 @@
-"""Films under a load that is held: creep and its recovery."""
+"""Films whose displacement is free: creep under a load that is held and its recovery, strokes at constant load under voltage."""
 
 from __future__ import annotations
 
@@ -82,6 +82,66 @@ TABLES = (
             real("load_n", "N", "change of the load from its first level"),
             real("displacement_mm", "mm", "as recorded"),
             real("modelled_mm", "mm", "by the selected order, offset and drift included"),
+            truth("usable", "false where the window rings"),
+        ),
+        key=("recording_id", "time_s"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "isotonic_tests",
+        "what a film does that moves a constant load under levels of voltage",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            real("load_n", "N", "the load, by the force channel or the metadata; NULL where neither says"),
+            real("load_change_n", "N", "what it changes by while the voltage is on; NULL without a force channel"),
+            *with_bounds("mm_per_kv2", "mm/kV²", "stroke at the end of a level over V²"),
+            *with_bounds("exponent", "", "power of the voltage that strokes follow; NULL for one level"),
+            real("p_value", "", "of strokes that go with V²; NULL for one level"),
+            *with_bounds("free_strain", "", "largest stroke over the length of the film; NULL where that is not known"),
+            *with_bounds(
+                "strain_per_field_squared_m2_per_mv2",
+                "(m/MV)²",
+                "electromechanical coefficient: strain over the squared field; NULL without sizes",
+            ),
+            real("instant_within_s", "s", "what is faster than this counts as at once"),
+            *with_bounds("drift_mm_per_h", "mm/h", "constant drift of the displacement; NULL where it counts as creep"),
+            whole("model_order", "retardation times that the record asks for"),
+            text("warnings", "what limits the numbers"),
+        ),
+        key=("recording_id",),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "isotonic_strokes",
+        "stroke of a film at constant load by level of the voltage; extension positive",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            real("voltage_kv", "kV", "level of the voltage"),
+            whole("repeats", "how often it was on"),
+            real("on_s", "s", "how long it was on"),
+            *with_bounds("stroke_mm", "mm", "stroke at the end of the level"),
+            *with_bounds("instant_mm", "mm", "part of it that came at once"),
+            *with_bounds("slow_mm", "mm", "part of it that came slowly: creep under voltage"),
+        ),
+        key=("recording_id", "voltage_kv"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "isotonic_curves",
+        "displacement at constant load under levels of voltage, means over windows in log time, and the fit through them",
+        (
+            RECORDING_ID,
+            whole("hold", "number of the level, from 0"),
+            real("time_s", "s", "since the recording's first sample"),
+            real("since_s", "s", "since the voltage changed to this level"),
+            real("voltage_squared_kv2", "kV²", "change of the squared voltage from its first level"),
+            real("displacement_mm", "mm", "as recorded"),
+            real("modelled_mm", "mm", "by the fit with parts of its own for each level, offset and drift included"),
             truth("usable", "false where the window rings"),
         ),
         key=("recording_id", "time_s"),

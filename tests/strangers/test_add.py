@@ -219,3 +219,45 @@ def test_drafts_of_our_own_files_of_strangers() -> None:
     assert len(judged) >= 8
     assert not [(j.name, j.wrong_units, j.lost) for j in judged if j.wrong_units or j.lost]
     assert sum(bool(j.protocol) for j in judged) >= len(judged) - 1
+
+
+def test_a_text_with_the_ending_of_its_machine_is_read_as_text(tmp_path: Path) -> None:
+    path = write_relaxation(tmp_path / "EL-03 Relaxation.TRA")
+    draft = make_draft(path)
+    assert draft.content["format"] == "csv"
+    assert draft.content["recording"]["protocol"] == "step"
+    assert main(["add", str(path), "--yes", "zone=Europe/Berlin"]) == 0
+    assert inspect(path).verdict == FITS, inspect(path).as_text()
+
+
+def test_a_file_that_nothing_tells_is_refused_with_the_formats(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run.zzz"
+    path.write_bytes(b"\x01\x02\x00\x03" * 100)
+    assert main(["add", str(path)]) == 1
+    said = capsys.readouterr().err
+    assert "neither its ending nor its content tells its format" in said
+    assert "csv" in said
+
+
+@pytest.mark.parametrize(("unit", "per", "offset"), [("%", 1.0, 100.0), ("mm/mm", 0.01, 1.0)])
+def test_a_strain_is_a_stretch_that_counts_from_0(tmp_path: Path, unit: str, per: float, offset: float) -> None:
+    t = np.arange(0, 60, 0.1)
+    strain = np.minimum(t * 10, 20.0)
+    rows = [f"{a:.1f};{b * per:.5f};{3 + b * np.exp(-a / 9):.4f}" for a, b in zip(t, strain, strict=True)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["Zeit;Dehnung;Spannung", f"s;{unit};kPa", *rows, ""]), encoding="utf-8")
+    assert make_draft(path).content["columns"]["stretch"] == {"column": "Dehnung", "unit": unit, "offset": offset}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("EL-03 Relaxation.csv", "EL-03-Relaxation"),
+        ("Prüfung №7 (neu).csv", "Prufung-No7-neu"),
+        ("run_7.csv", "{stem}"),
+    ],
+)
+def test_a_recording_has_a_name_that_it_may_have(tmp_path: Path, name: str, expected: str) -> None:
+    assert make_draft(write_relaxation(tmp_path / name)).content["recording"]["recording_id"] == expected

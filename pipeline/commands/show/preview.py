@@ -28,6 +28,7 @@ _GIVES = {
     ("step", "mechanical"): "a relaxation fit of order 1 to 3",
     ("step", "electrical"): "the force of each voltage step, and its drift",
     ("lifetime", "electrical"): "the life of this film, and a survival curve with others of its configuration",
+    ("isotonic", "electrical"): "the stroke of each level of the voltage, at once and slowly, and its law",
     ("force_map", "electrical"): "static force in two directions at this pre-stretch",
     ("coverage", "electrical"): "capacitance over coats of electrode",
     ("cycle", "mechanical"): "hysteresis and the stiffness of a large cycle",

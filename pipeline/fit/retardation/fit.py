@@ -35,6 +35,7 @@ slower one a flow."""
 _PER_DECADE = 8
 _ROUNDS = 2
 _ACTIVE = 1e-6
+_STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -76,13 +77,17 @@ class RetardationFit:
 
 @dataclass(frozen=True)
 class Retardation:
-    """All orders of one record, which of them the data ask for, and the noise that they were weighed by."""
+    """All orders of one record, which of them the data ask for, and the noise that they were weighed by.
+
+    `sign` is −1 for a film that contracts under the drive; `fastest_log_s` the logarithm of the least retardation time that was looked for.
+    """
 
     record: HeldRecord
     noise: SlowNoise
     fits: tuple[RetardationFit, ...]
     selected_order: int
     sign: float
+    fastest_log_s: float
 
     @property
     def selected(self) -> RetardationFit:
@@ -92,7 +97,7 @@ class Retardation:
         """Displacement (n,) of the windows by one order, offset and drift included."""
         record = self.record
         film = record.mean @ fit.compliance.response(record.history_s, record.drive)
-        return np.asarray(self.sign * (film + _nuisance(record, fit.drifts) @ fit.parameters[: fit.nuisance]))
+        return np.asarray(self.sign * (film + nuisance_columns(record, fit.drifts) @ fit.parameters[: fit.nuisance]))
 
 
 def fit_retardation(record: HeldRecord, *, drifts: bool, orders: Sequence[int] = ORDERS) -> Retardation:
@@ -119,7 +124,7 @@ def fit_retardation(record: HeldRecord, *, drifts: bool, orders: Sequence[int] =
             p_value = problem.test(candidate, found[i + 1][1], noise)
         fits.append(problem.report(order, candidate, p_value))
     selected = next(f.order for f in fits if f.p_value is None or f.p_value > LEVEL)
-    return Retardation(record, noise, tuple(fits), selected, sign)
+    return Retardation(record, noise, tuple(fits), selected, sign, problem.low)
 
 
 def _sign_of(record: HeldRecord) -> float:
@@ -134,12 +139,24 @@ def _first_noise(record: HeldRecord) -> SlowNoise:
     return SlowNoise(max(float(np.median(told)) if told.size else 0.0, 1e-3 * span), 0.0)
 
 
-def _nuisance(record: HeldRecord, drifts: bool) -> Float:
+def nuisance_columns(record: HeldRecord, drifts: bool) -> Float:
     """Columns (n, 0 to 2) of what the displacement does by itself: its offset, where there is a rest, and its drift."""
     since = record.time_s - record.history_s[0]
     parts = [np.ones(since.size)] if record.rests else []
     parts += [since] if drifts else []
     return np.column_stack(parts) if parts else np.zeros((since.size, 0))
+
+
+def columns_of(record: HeldRecord, tau: Float) -> Float:
+    """(n, k) mm per unit of the compliance that is retarded by `tau` (k,) s."""
+    arms = record.drive[:, None] - integrate_arms(record.history_s, record.drive, tau)
+    return np.asarray(record.mean @ arms)
+
+
+def slopes_by_log_time(record: HeldRecord, tau: Float) -> Float:
+    """Derivatives (n, k) of `columns_of` by the logarithms of the times."""
+    later, earlier = columns_of(record, tau * math.exp(_STEP)), columns_of(record, tau * math.exp(-_STEP))
+    return np.asarray((later - earlier) / (2 * _STEP))
 
 
 class _Problem:
@@ -149,7 +166,7 @@ class _Problem:
         self.record, self.rows, self.drifts = record, record.usable, drifts
         covariance = noise.covariance(record)[np.ix_(self.rows, self.rows)]
         self.root = cholesky(covariance, lower=True)
-        self.nuisance = _nuisance(record, drifts)
+        self.nuisance = nuisance_columns(record, drifts)
         self.basis, _ = np.linalg.qr(self._white(self.nuisance))
         self.measured = self._white(sign * record.displacement)
         self.target = self._left(self.measured)
@@ -167,12 +184,6 @@ class _Problem:
     def _left(self, rows: Float) -> Float:
         return np.asarray(rows - self.basis @ (self.basis.T @ rows))
 
-    def raw_columns(self, tau: Float) -> Float:
-        """(n, k) mm per unit of J."""
-        record = self.record
-        arms = record.drive[:, None] - integrate_arms(record.history_s, record.drive, tau)
-        return np.asarray(record.mean @ arms)
-
     def raw_ends(self) -> Float:
         """(n, 2) of J0 and φ."""
         record = self.record
@@ -180,7 +191,7 @@ class _Problem:
         return np.asarray(record.mean @ both)
 
     def columns(self, tau: Float) -> Float:
-        return self._left(self._white(self.raw_columns(tau)))
+        return self._left(self._white(columns_of(self.record, tau)))
 
     def ends(self) -> Float:
         return self._left(self._white(self.raw_ends()))
@@ -188,7 +199,7 @@ class _Problem:
     def spectrum(self) -> tuple[tuple[Float, Float], Float]:
         """Log times and weights of the best retardation of any number of times, and the columns (n, p) that it uses."""
         grid = np.linspace(self.low, self.high, int((self.high - self.low) / math.log(10) * _PER_DECADE) + 2)
-        raw = np.column_stack([self.raw_ends(), self.raw_columns(np.exp(grid))])
+        raw = np.column_stack([self.raw_ends(), columns_of(self.record, np.exp(grid))])
         white = self._left(self._white(raw))
         size = np.linalg.norm(white, axis=0)
         size[size == 0] = 1.0
@@ -213,7 +224,12 @@ class _Problem:
         times = np.exp(candidate.log_tau[candidate.k > 0])
         ends = self.raw_ends()
         return np.hstack(
-            [self.nuisance, ends[:, :1], self.raw_columns(times), ends[:, 1:] if candidate.c > 0 else ends[:, :0]]
+            [
+                self.nuisance,
+                ends[:, :1],
+                columns_of(self.record, times),
+                ends[:, 1:] if candidate.c > 0 else ends[:, :0],
+            ]
         )
 
     def _jacobian(self, candidate: Candidate) -> Float:
@@ -226,11 +242,7 @@ class _Problem:
         return np.hstack(parts)
 
     def _slopes(self, times: Float) -> Float:
-        return self._left(self._white(self._raw_slopes(times)))
-
-    def _raw_slopes(self, times: Float) -> Float:
-        step = 1e-4
-        return (self.raw_columns(times * math.exp(step)) - self.raw_columns(times * math.exp(-step))) / (2 * step)
+        return self._left(self._white(slopes_by_log_time(self.record, times)))
 
     def report(self, order: int, candidate: Candidate, p_value: float | None) -> RetardationFit:
         used = candidate.k > 0
@@ -239,7 +251,7 @@ class _Problem:
         solution = np.linalg.lstsq(white, self.measured, rcond=None)[0]
         nuisance = self.nuisance.shape[1]
         retarded = np.maximum(solution[nuisance + 1 : nuisance + 1 + times.size], 0.0)
-        jacobian = np.hstack([white, self._white(self._raw_slopes(times)) * retarded])
+        jacobian = np.hstack([white, self._white(slopes_by_log_time(self.record, times)) * retarded])
         scale = np.linalg.norm(jacobian, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
         rest = self.measured - white @ solution

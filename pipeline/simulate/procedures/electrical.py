@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pipeline.physics import excitation
+from pipeline.physics.compliance import Compliance
 from pipeline.simulate.bench import Bench, Film, Signals
 from pipeline.simulate.procedures.base import INTERVALS_PER_CYCLE, Clock, amplifier_interval_s
 from pipeline.simulate.specimen import EPSILON_0_N_PER_KV2, Specimen
@@ -229,3 +230,33 @@ class Coating:
         painted = covered * (1 + self.coat_sd * rng.standard_normal())
         level = np.full(clock.samples, bench.film.rest_capacitance_pf * painted)
         return bench.run_stage("drift", bench.run_stage("sensor", Signals(clock.interval_s, {"capacitance": level})))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Isotonic(VoltageSteps):
+    """Steps of voltage on a film that moves a constant load, its pretension; `drift_mm_per_h` of the sensor of the stroke."""
+
+    protocol: ClassVar[str] = "isotonic"
+    quantities: ClassVar[tuple[str, ...]] = ("command", "voltage", "displacement", "force")
+    drift_mm_per_h: float = number(0.0)
+
+    def metadata(self, specimen: Specimen | None) -> dict[str, Any]:
+        return {key: value for key, value in super().metadata(specimen).items() if key != "controller"}
+
+    def check(self, specimen: Specimen | None, where: str) -> None:
+        super().check(specimen, where)
+        if specimen is not None and specimen.model.c_inf:
+            raise UsageError("a film with a pure dashpot does not move a load at once", where=where)
+
+    def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
+        command = bench.amplifier.command_for(self.voltage(clock, rng))
+        signals = Signals(clock.interval_s, {"command": command})
+        for stage in ("drive", "actuation"):
+            signals = bench.run_stage(stage, signals)
+        active = bench.film.parts[bench.film.active or 0]
+        stroke = Compliance.of(active).response(clock.time_s, signals["actuation"])
+        signals = signals.with_values(displacement=stroke)
+        for stage in ("mechanics", "sensor", "drift"):
+            signals = bench.run_stage(stage, signals)
+        drift = self.drift_mm_per_h / 3600 * clock.time_s
+        return signals.with_values(displacement=signals["displacement"] + drift)

@@ -24,6 +24,7 @@ from reports.pages.specimen import (
     film,
     force,
     ladder,
+    lifting,
     loops,
     models,
     permittivity,
@@ -154,6 +155,8 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
             candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
     if recorded("creep_tests"):
         candidates.append(creeping.of_specimen(draft))
+    if recorded("isotonic_tests"):
+        candidates.append(lifting.of_specimen(draft))
     if recorded("pull_tests"):
         candidates.append(pulls.of_specimen(draft))
     if has("order_ladders"):

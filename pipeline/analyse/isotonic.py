@@ -1,0 +1,76 @@
+"""A film that moves a constant load under voltage, as rows: the test, its strokes by level, and the curve."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.fit.retardation.creep import Estimate
+from pipeline.fit.retardation.isotonic import Isotonic, Stroke
+from schemas.tables import TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+NOT_ASKED = "the diagnosis does not simulate strokes at constant load: it does not ask this recording"
+
+
+def isotonic_tables(recording_id: str, specimen_id: str, found: Isotonic) -> dict[str, pa.Table]:
+    """Tables `isotonic_tests`, `isotonic_strokes` and `isotonic_curves` of one recording."""
+    about = {"recording_id": recording_id, "specimen_id": specimen_id}
+    return {
+        "isotonic_tests": TABLES["isotonic_tests"].rows([{**about, **_test(found)}]),
+        "isotonic_strokes": TABLES["isotonic_strokes"].rows({**about, **_stroke(one)} for one in found.strokes),
+        "isotonic_curves": _curve(recording_id, found),
+    }
+
+
+def _test(found: Isotonic) -> dict[str, Any]:
+    return {
+        "load_n": found.load_n,
+        "load_change_n": found.load_change_n,
+        **spread("mm_per_kv2", found.mm_per_kv2),
+        **spread("exponent", found.exponent),
+        "p_value": found.p_value,
+        **spread("free_strain", found.free_strain),
+        **spread("strain_per_field_squared_m2_per_mv2", found.strain_per_field_squared),
+        "instant_within_s": found.instant_within_s,
+        **spread("drift_mm_per_h", found.drift_mm_per_h),
+        "model_order": found.retardation.selected_order,
+        "warnings": "; ".join(found.warnings) or None,
+    }
+
+
+def _stroke(one: Stroke) -> dict[str, Any]:
+    return {
+        "voltage_kv": one.voltage_kv,
+        "repeats": one.repeats,
+        "on_s": one.on_s,
+        **spread("stroke_mm", one.stroke_mm),
+        **spread("instant_mm", one.instant_mm),
+        **spread("slow_mm", one.slow_mm),
+    }
+
+
+def spread(name: str, estimate: Estimate | None) -> dict[str, float]:
+    """A number and its limits as columns; none where there is no number."""
+    if estimate is None:
+        return {}
+    return {name: estimate.value, f"{name}_lower": estimate.lower, f"{name}_upper": estimate.upper}
+
+
+def _curve(recording_id: str, found: Isotonic) -> pa.Table:
+    record = found.retardation.record
+    begins = np.array([hold.begins_s for hold in record.holds])
+    return TABLES["isotonic_curves"].arrays(
+        record.time_s.size,
+        recording_id=recording_id,
+        hold=record.hold,
+        time_s=record.time_s,
+        since_s=record.time_s - begins[record.hold],
+        voltage_squared_kv2=record.mean @ record.drive,
+        displacement_mm=record.displacement,
+        modelled_mm=found.modelled,
+        usable=record.usable,
+    )

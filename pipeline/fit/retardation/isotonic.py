@@ -1,0 +1,284 @@
+"""A film that moves a constant load under a voltage: stroke by level, at once and slowly, and the law that strokes follow.
+
+Every level of the voltage has an elastic and retarded parts of its own; the retardation times are those of the whole record, driven by
+V². So the slow part of one level does not count as the rest of the next, and a stroke that does not go with V² shows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.stats import chi2 as chi2_distribution
+
+from pipeline.fit.retardation.creep import Estimate, bounds
+from pipeline.fit.retardation.fit import Retardation, fit_retardation, nuisance_columns, slopes_by_log_time
+from pipeline.physics.compliance import integral
+from pipeline.physics.film import integrate_arms
+from pipeline.transform.channels import stretched_length
+from pipeline.transform.holds import HeldRecord, Hold, find_holds, reduce_record
+from pipeline.transform.sampling import seconds
+from schemas.arrays import Float, Int
+from schemas.errors import NotIdentifiableError
+from schemas.metadata import RecordingMetadata
+from schemas.recording import Recording
+
+_OFF = 0.05
+"""Share of the largest voltage below which it is off."""
+_ALIKE = 0.02
+"""Share of the largest voltage within which two levels are one."""
+_CONSTANT = 0.05
+"""Share of the load by which it may change with the voltage and still be called constant."""
+_LAW = 0.01
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One level: voltage in kV, strokes in mm (extension positive), how often and how long it was on."""
+
+    voltage_kv: float
+    repeats: int
+    on_s: float
+    stroke_mm: Estimate
+    instant_mm: Estimate
+    slow_mm: Estimate
+
+
+@dataclass(frozen=True)
+class Isotonic:
+    """What one test tells.
+
+    Parameters
+    ----------
+    strokes : by level, lowest voltage first
+    mm_per_kv2 : stroke at the end of a level over V², `exponent` the power of V that strokes follow (None for one level)
+    p_value : of strokes that go with V²; None for one level
+    load_n : constant load and what it changes by while the voltage is on; None where neither channel nor metadata say
+    free_strain : largest stroke over the length of the film; None where that is not known
+    strain_per_field_squared : (m/MV)², by `mm_per_kv2`, length and thickness under load; None without sizes
+    instant_within_s : what is faster than this counts as at once
+    """
+
+    retardation: Retardation
+    strokes: tuple[Stroke, ...]
+    mm_per_kv2: Estimate
+    exponent: Estimate | None
+    p_value: float | None
+    load_n: float | None
+    load_change_n: float | None
+    free_strain: Estimate | None
+    strain_per_field_squared: Estimate | None
+    instant_within_s: float
+    drift_mm_per_h: Estimate | None
+    modelled: Float
+    warnings: tuple[str, ...] = ()
+
+
+def measure_isotonic(recording: Recording) -> Isotonic:
+    """Strokes by level of the voltage.
+
+    Raises `NotIdentifiableError` where the voltage is held nowhere, or for too short a time.
+    """
+    about, where = recording.metadata, recording.metadata.recording_id
+    v_s, voltage = seconds(recording.channels["voltage"], recording.start_ns)
+    moved = recording.channels["displacement"]
+    x_s, x = seconds(moved, recording.start_ns)
+    holds = find_holds(v_s, voltage, where=where, name="voltage")
+    top = max(abs(h.level) for h in holds)
+    rests = len(holds) > 1 and abs(holds[0].level) <= _OFF * top
+    record = reduce_record(
+        v_s,
+        voltage,
+        x_s,
+        x,
+        holds,
+        rests=rests,
+        squared=True,
+        step=(moved.resolution or 0.0) / math.sqrt(12),
+        where=where,
+    )
+    first_on = 1 if rests else 0
+    goes_off = any(abs(h.level) <= _OFF * top for h in holds[first_on + 1 :])
+    found = fit_retardation(record, drifts=goes_off)
+    levels, level_of = _group(holds, top)
+    if not levels:
+        raise NotIdentifiableError("the voltage stays off", where=where, expected="levels of voltage that are held")
+    values, covariance, modelled = _fit_levels(found, levels, level_of)
+    strokes = tuple(
+        Stroke(
+            level,
+            *_duration(holds, level_of, i),
+            *(bounds(float(v), math.sqrt(c)) for v, c in _parts(values, covariance, i)),
+        )
+        for i, level in enumerate(levels)
+    )
+    total = values[0::3]
+    spread = covariance[np.ix_(np.arange(0, values.size, 3), np.arange(0, values.size, 3))]
+    warnings = list(found.selected.warnings)
+    squares = np.array(levels) ** 2
+    coefficient, misfit = _proportional(squares, total, spread)
+    p_value = float(chi2_distribution.sf(misfit, len(levels) - 1)) if len(levels) > 1 else None
+    exponent = _exponent(np.array(levels), total, spread)
+    if p_value is not None and p_value < _LAW and exponent is not None:
+        warnings.append(f"the strokes do not go with V² but with V^{exponent.value:.2f}")
+    if not goes_off:
+        warnings.append(
+            "the voltage is not taken off: a drift of the displacement cannot be told from creep, and counts as creep"
+        )
+    load, change = _load(recording, v_s, voltage, top)
+    if load is None:
+        warnings.append("neither a force channel nor load_n in the metadata says which load the film moves")
+    elif change is not None and abs(change) > _CONSTANT * abs(load):
+        warnings.append(f"the load changes by {change:.3g} N while the voltage is on: it is not constant")
+    length, thickness = stretched_length(about), _thickness(about)
+    largest = strokes[-1].stroke_mm
+    drift, drift_sd = found.selected.drift
+    return Isotonic(
+        retardation=found,
+        strokes=strokes,
+        mm_per_kv2=coefficient,
+        exponent=exponent,
+        p_value=p_value,
+        load_n=load,
+        load_change_n=change,
+        free_strain=None if length is None else _scaled(largest, 1 / length),
+        strain_per_field_squared=None
+        if length is None or thickness is None
+        else _scaled(coefficient, thickness**2 / length),
+        instant_within_s=math.exp(found.fastest_log_s),
+        drift_mm_per_h=bounds(3600 * found.sign * drift, 3600 * drift_sd) if goes_off else None,
+        modelled=modelled,
+        warnings=tuple(warnings),
+    )
+
+
+def _group(holds: tuple[Hold, ...], top: float) -> tuple[list[float], Int]:
+    """Levels in kV, lowest first, and the one of each hold; −1 where the voltage is off."""
+    groups: list[list[int]] = []
+    for i in sorted(range(len(holds)), key=lambda i: abs(holds[i].level)):
+        size = abs(holds[i].level)
+        if size <= _OFF * top:
+            continue
+        if groups and size - abs(holds[groups[-1][0]].level) <= _ALIKE * top:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    level_of = np.full(len(holds), -1, dtype=np.int64)
+    for number, members in enumerate(groups):
+        level_of[members] = number
+    return [float(np.sqrt(np.mean([holds[i].level ** 2 for i in g]))) for g in groups], level_of
+
+
+def _split(record: HeldRecord, levels: int, level_of: Int) -> Float:
+    """The drive (m, levels) of each level alone; a ramp belongs to the higher of the levels between which it is."""
+    holds, t = record.holds, record.history_s
+    after = np.searchsorted([h.start_s for h in holds], t, side="right") - 1
+    inside = (after >= 0) & (t <= np.array([h.end_s for h in holds])[np.maximum(after, 0)])
+    size = np.array([abs(h.level) for h in holds])
+    following = np.minimum(after + 1, len(holds) - 1)
+    owner = np.where(inside | (size[np.maximum(after, 0)] >= size[following]), np.maximum(after, 0), following)
+    parts = np.zeros((t.size, levels))
+    of = level_of[owner]
+    rows = np.flatnonzero(of >= 0)
+    parts[rows, of[rows]] = record.drive[rows]
+    return parts
+
+
+def _fit_levels(found: Retardation, levels: list[float], level_of: Int) -> tuple[Float, Float, Float]:
+    """Stroke, instantaneous and slow part of each level one after the other (3 L,), their covariance, and the course (n,) mm."""
+    record, fit = found.record, found.selected
+    times = np.array(fit.compliance.times_s)
+    parts = _split(record, len(levels), level_of) / np.array(levels) ** 2
+    columns = [nuisance_columns(record, fit.drifts)]
+    weights = np.zeros((3 * len(levels), 0))
+    weights = np.zeros((3 * len(levels), columns[0].shape[1]))
+    for i in range(len(levels)):
+        u = parts[:, i]
+        slow = [u[:, None] - integrate_arms(record.history_s, u, times)] if times.size else []
+        slow += [integral(record.history_s, u)[:, None]] if fit.compliance.flow else []
+        own = np.hstack([u[:, None], *slow])
+        columns.append(record.mean @ own)
+        on_s = _duration(record.holds, level_of, i)[1]
+        grown = np.concatenate([-np.expm1(-on_s / times), [on_s] if fit.compliance.flow else []])
+        more = np.zeros((3 * len(levels), own.shape[1]))
+        more[3 * i] = [1.0, *grown]
+        more[3 * i + 1, 0] = 1.0
+        more[3 * i + 2, 1:] = grown
+        weights = np.hstack([weights, more])
+    columns.append(slopes_by_log_time(record, times) * np.array(fit.compliance.retarded))
+    weights = np.hstack([weights, np.zeros((weights.shape[0], times.size))])
+    design, rows = np.hstack(columns), record.usable
+    root = cholesky(found.noise.covariance(record)[np.ix_(rows, rows)], lower=True)
+    white = solve_triangular(root, np.column_stack([design, record.displacement])[rows], lower=True)
+    a, y = white[:, :-1], white[:, -1]
+    scale = np.where((size := np.linalg.norm(a, axis=0)) > 0, size, 1.0)
+    u_, s, vt = np.linalg.svd(a / scale, full_matrices=False)
+    keep = s > 1e-9 * s[0]
+    half = (vt.T[:, keep] / s[keep]) / scale[:, None]
+    solution = half @ (u_.T[keep] @ y)
+    rest = y - a @ solution
+    dispersion = max(float(rest @ rest) / max(y.size - int(keep.sum()), 1), 1.0)
+    covariance = weights @ half @ half.T @ weights.T * dispersion
+    values = weights @ solution
+    covariance += record.drive_error**2 * np.outer(values, values)
+    return values, covariance, np.asarray(design @ solution)
+
+
+def _parts(values: Float, covariance: Float, level: int) -> list[tuple[float, float]]:
+    return [(float(values[3 * level + i]), max(float(covariance[3 * level + i, 3 * level + i]), 0.0)) for i in range(3)]
+
+
+def _duration(holds: tuple[Hold, ...], level_of: Int, level: int) -> tuple[int, float]:
+    """How often a level was on, and how long (s, the median)."""
+    own = [holds[i] for i in np.flatnonzero(level_of == level)]
+    return len(own), float(np.median([h.end_s - h.begins_s for h in own]))
+
+
+def _proportional(squares: Float, strokes: Float, covariance: Float) -> tuple[Estimate, float]:
+    """Stroke over V² in mm/kV², and the χ² that strokes leave about it."""
+    weight = np.linalg.pinv(covariance)
+    information = float(squares @ weight @ squares)
+    slope = float(squares @ weight @ strokes) / information
+    rest = strokes - slope * squares
+    misfit = float(rest @ weight @ rest)
+    widened = max(misfit / max(strokes.size - 1, 1), 1.0)
+    return bounds(slope, math.sqrt(widened / information)), misfit
+
+
+def _exponent(levels: Float, strokes: Float, covariance: Float) -> Estimate | None:
+    """Power of V that strokes follow, from their logarithms; None for one level or strokes that are lost in their errors."""
+    clear = np.abs(strokes) > 3 * np.sqrt(np.diag(covariance))
+    if clear.sum() < 2 or np.ptp(np.sign(strokes[clear])) > 0:
+        return None
+    s, v = strokes[clear], levels[clear]
+    weight = np.linalg.pinv(covariance[np.ix_(clear, clear)] / np.outer(s, s))
+    design = np.column_stack([np.ones(v.size), np.log(v)])
+    inverse = np.linalg.inv(design.T @ weight @ design)
+    solution = inverse @ design.T @ weight @ np.log(np.abs(s))
+    rest = np.log(np.abs(s)) - design @ solution
+    widened = max(float(rest @ weight @ rest) / max(v.size - 2, 1), 1.0)
+    return bounds(float(solution[1]), math.sqrt(widened * float(inverse[1, 1])))
+
+
+def _load(recording: Recording, v_s: Float, voltage: Float, top: float) -> tuple[float | None, float | None]:
+    """The load in N, by the force channel or the metadata, and what it changes by while the voltage is on."""
+    if "force" not in recording.channels:
+        return recording.metadata.load_n, None
+    f_s, force = seconds(recording.channels["force"], recording.start_ns)
+    on = np.abs(np.interp(f_s, v_s, voltage)) > _OFF * top
+    off = float(np.median(force[~on])) if (~on).any() else float(np.median(force))
+    return off, float(np.median(force[on])) - off if on.any() and (~on).any() else None
+
+
+def _thickness(about: RecordingMetadata) -> float | None:
+    """Thickness of one layer under the load in mm, None where sizes or stretches are not known."""
+    along, across = about.pre_stretch, about.lateral_stretch
+    if about.layer_thickness_mm is None or along is None or across is None:
+        return None
+    return about.layer_thickness_mm / (along * across)
+
+
+def _scaled(estimate: Estimate, factor: float) -> Estimate:
+    return Estimate(factor * estimate.value, factor * estimate.lower, factor * estimate.upper)
