@@ -23,7 +23,7 @@ settings.load_profile(os.environ.get("DEALAB_HYPOTHESIS", "same"))
 
 
 _QUICK = {"unit", "readers", "physics"}
-"""Folders whose tests are quick unless they are marked `slow`."""
+"""Folders whose tests are quick unless they are marked `slow` or `study`."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -31,7 +31,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         folder = item.path.relative_to(ROOT / "tests").parts[0]
         item.add_marker(folder)
-        if folder in _QUICK and item.get_closest_marker("slow") is None:
+        if folder in _QUICK and not any(item.get_closest_marker(name) for name in ("slow", "study")):
             item.add_marker("quick")
 
 

@@ -62,7 +62,7 @@ class Rig:
         """mm/N, 1/kL; 0 for a rigid load cell."""
         return 1 / self.stiffness
 
-    @property
+    @cached_property
     def numbers(self) -> tuple[float, float, float, float]:
         """M, kL, cL, g of one rig."""
         return (

@@ -129,9 +129,9 @@ def _following(target: Float, interval_s: float, rise_s: float, fall_s: float) -
     for _ in range(_BALANCE):
         held = held + change(held, target, whole) / max(up, down)
     trail = np.empty((states, count))
-    parts = [(np.ascontiguousarray(cells[:, i]), cells[:, i].mean(axis=1)) for i in range(count)]
+    parts, means = np.ascontiguousarray(cells.transpose(1, 0, 2)), np.ascontiguousarray(cells.mean(axis=2).T)
     for _ in range(_PERIODS):
-        for i, (within, mean) in enumerate(parts):
+        for i, (within, mean) in enumerate(zip(parts, means, strict=True)):
             held = held + change(held, within, mean)
             trail[:, i] = held
     middle = (np.arange(count) + 0.5) * size

@@ -173,7 +173,7 @@ class BaseModel:
             else:
                 rigs.append(rig_of_constants(prior.values(theta[at : at + prior.size])))
                 at += prior.size
-        rigs = [replace(rigs[of], extra=extra) for of, extra in self.loaded]
+        rigs = [replace(rigs[of], extra=extra) if extra else rigs[of] for of, extra in self.loaded]
         named = dict(zip(self.names[at:], theta[at:].tolist(), strict=True))
         return Physical(
             film=self.shape.model(theta),
