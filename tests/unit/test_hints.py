@@ -27,6 +27,8 @@ _TYPED = re.compile(r"(?:(?<=`)|^)(?:dealab|pip|\{shlex.quote\(sys.executable\)\
 """Commands are between backticks, or lines of their own."""
 _SPELLERS = {"code": "", "spell_command": "dealab "}
 """Functions that put a command between backticks, and what they put before it."""
+_MAY_TELL = re.compile(rf"dealab|pip install|\b(?:{'|'.join(_SPELLERS)})\(")
+"""What stands in every module that names a command: no other is read, for every run of tests waits for it."""
 _NOT_TYPED = ("pipeline/cli.py", "pipeline/commands/completion.py", "ingest/extras.py")
 """Epilogs, whose examples `test_cli.py` parses; comments in generated scripts; `pip`, see below."""
 FILL = {
@@ -61,19 +63,24 @@ def spell(node: ast.expr) -> str | None:
     )
 
 
-def list_texts(file: Path) -> Iterator[str]:
+def name_called(node: ast.Call) -> str:
+    """The last name of what is called, empty where that is no name."""
+    return str(getattr(node.func, "attr", getattr(node.func, "id", "")))
+
+
+def list_texts(source: str) -> Iterator[str]:
     """The texts in a module without docstrings; words of `code` and `spell_command` as the commands that they become."""
     seen: set[int] = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(source)):
         if id(node) in seen:
             continue
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             seen.add(id(node.value))
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in _SPELLERS:
+        elif isinstance(node, ast.Call) and name_called(node) in _SPELLERS:
             word = spell(node.args[0])
             seen |= {id(part) for part in ast.walk(node)}
             if word is not None:
-                yield f"`{_SPELLERS[ast.unparse(node.func).rpartition('.')[2]]}{word}`"
+                yield f"`{_SPELLERS[name_called(node)]}{word}`"
         elif isinstance(node, ast.expr) and (text := spell(node)) is not None:
             seen |= {id(part) for part in ast.walk(node) if not isinstance(part, ast.Call)}
             yield text
@@ -84,10 +91,10 @@ def list_hints() -> dict[str, str]:
     found: dict[str, str] = {}
     for folder in _OURS:
         for file in sorted((ROOT / folder).rglob("*.py")):
-            name = file.relative_to(ROOT).as_posix()
-            if name in _NOT_TYPED:
+            name, source = file.relative_to(ROOT).as_posix(), file.read_text(encoding="utf-8")
+            if name in _NOT_TYPED or not _MAY_TELL.search(source):
                 continue
-            for text in list_texts(file):
+            for text in list_texts(source):
                 found |= {typed: name for typed in _TYPED.findall(text) if _COMMAND.search(typed)}
                 rest = _TYPED.sub("", text)
                 assert not _COMMAND.search(rest), f"{name}: a command that is not between backticks: {text}"
