@@ -25,6 +25,7 @@ from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, order_causes, settle_outliers
 from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
 from pipeline.diagnose.search.held_out import predict_by_function, predict_left_out
+from pipeline.diagnose.search.likelihood import measure_quiet
 from pipeline.diagnose.search.named_regions import name_regions
 from pipeline.diagnose.search.patterns import test_patterns
 from pipeline.diagnose.search.plain_fit import PlainFit, add_arm
@@ -150,8 +151,12 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         return replace(nothing, p_value=signatures.compute_p(fall)) if singles else nothing
 
     # 5. All hypotheses under one likelihood: single causes, further ones beside the best, regions without a name.
+    quiet = measure_quiet([plain, *singles])
+    plain, noise_fit, *singles = (f.allow_quiet(quiet) for f in (plain, noise_fit, *singles))
     agreed = find_consensus([plain, noise_fit], mechanical)
-    kept = [h for h in earlier if h.model.of.model.names == plain.of.model.names]
+    kept = [
+        weigh_fit(h.model.allow_quiet(quiet)) for h in earlier if h.model.of.model.names == plain.of.model.names
+    ]
     hypotheses = settle_hypotheses([*map(weigh_fit, singles), *search_from_consensus(plain, agreed), *kept])
     hypotheses += add_causes(hypotheses, changes)
     noise = max(
@@ -176,7 +181,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         nothing,
         p_value=min(p_value, patterns.p_value if by_pattern else 1.0),
         plain=plain,
-        singles=singles,
+        singles=tuple(singles),
         posterior=posterior,
         final=final,
         patterns_after=test_patterns(plain if final is None else final),

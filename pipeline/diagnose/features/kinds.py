@@ -59,6 +59,8 @@ TAP_RING = "tap.ring"
 """Logarithm of the clamp-alone frequency in Hz, and its damping ratio."""
 WEIGHT_GAIN = "weight.gain"
 """Recorded force over the weight that was hung."""
+CALIBRATIONS = frozenset({TAP_RING, WEIGHT_GAIN})
+"""Kinds in which there is no film: what contradicts the rig's file there is the rig or the sensor itself."""
 
 AMPLIFIER = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
 """Kinds that show what the amplifier makes of the command: no film and no rig changes them."""

@@ -170,7 +170,7 @@ PASSIVE_STRIP = Mechanism(
     equation="k k_P/(k + k_P), F_A k_P/(k + k_P), k_P = k_P0 (1 + r jωτ/(1 + jωτ))",
     source="two films in series (thesis, section 5.2)",
     parameters=(
-        Parameter("compliance_share", "1", "1 − k_P/(k0 + k_P): share of the compliance that is the strip's", 0.02, 0.8, most=0.98),
+        Parameter("compliance_share", "1", "1 − k_P/(k0 + k_P): share of the compliance that is the strip's", 0.1, 0.8, most=0.98),
         Parameter("time_constant_s", "s", "relaxation time of the strip", 0.01, 10.0, SHAPE),
         Parameter("relaxing", "1", "spring of its arm over its k_P0", 0.3, 4.0, SHAPE),
     ),

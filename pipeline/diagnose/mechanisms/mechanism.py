@@ -94,6 +94,7 @@ class Mechanism:
     onset : its severity is (largest load)/(onset) − 1, and its first derivative vanishes there: a score at 0 does not see it
     absorbed : whether film and rig of the plain model can take its place, so that a screen sees next to nothing of a strong one; it is
         searched from several severities then, with film and rig fitted to each first
+    varies_with : what its size may change with beside that, where its formula has none of it
     relaxes : whether it is a relaxation of the film, of which another arm of the plain model could take a part
     softening : parameters → share of the film's static stiffness that stays; a fit starts with a film stiffer by its inverse
     as_arm : stiffness over k0, time constant s → parameters at which it is an arm as the plain model's; None: it never is one
@@ -115,11 +116,17 @@ class Mechanism:
     variants: tuple[str, ...] = ("",)
     onset: bool = False
     absorbed: bool = False
+    varies_with: tuple[str, ...] = ()
     relaxes: bool = False
     softening: Callable[[Values], float] | None = field(default=None)
     as_arm: Callable[[float, float], Values] | None = field(default=None)
     as_filed: Callable[[float, float], Values] | None = field(default=None)
     report: Callable[[Values, str, Context], Mapping[str, float | str]] | None = field(default=None)
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """What its form may be another function of."""
+        return self.depends_on + self.varies_with
 
     @property
     def severities(self) -> tuple[Parameter, ...]:

@@ -119,6 +119,7 @@ GAIN_ERROR = Mechanism(
     },
     effect=_gain,
     absorbed=True,
+    varies_with=("session_time", "amplitude"),
     variants=_CHANNELS,
     report=_channel_of,
 )

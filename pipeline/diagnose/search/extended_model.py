@@ -28,6 +28,8 @@ _SHAPE_BEYOND = np.log(4.0)
 """How far a shape is searched beyond its plausible range."""
 _LEAST_DENSITY = 1e-12
 """Least size of a severity in its prior's density."""
+_TAILS = 2.0
+"""Integral of both tails of that density over the logarithm, where it is 1 within the range."""
 _LARGEST_LOG = 600.0
 """An entry that the data do not hold may be anywhere."""
 
@@ -116,14 +118,15 @@ class Coordinate:
         return (low + high) / 2, max((high - low) / 2, 1e-6)
 
     def log_density(self, x: float) -> float:
-        """Logarithm of the prior density of a severity at an entry: uniform in the logarithm over its plausible range,
-        either sign alike."""
+        """Logarithm of the prior density of a severity at an entry, either sign alike: uniform in the logarithm over its plausible
+        range; below that uniform in the value, above it falling with its square."""
         p = self.parameter
-        width = np.log(p.high / p.low)
+        density = -np.log(np.log(p.high / p.low) + _TAILS)
         if self.logarithmic:
-            return float(-np.log(width))
-        size = max(abs(float(x)), p.low / self.scale)
-        return float(-np.log(2 * width) - np.log(max(size, _LEAST_DENSITY)))
+            return float(density - max(np.log(p.low) - float(x), float(x) - np.log(p.high), 0.0))
+        # Of a value with a sign the density is over the value itself: constant below the range.
+        size = max(abs(float(x)), p.low / self.scale, _LEAST_DENSITY)
+        return float(density - np.log(2 * size) - max(np.log(size * self.scale / p.high), 0.0))
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,7 @@ class Extended:
     model : the plain model, P₀ entries θ
     chosen : mechanisms in their variants; none: the plain model
     weight : (N,) of whitened residuals: 1 for the noise alone, smaller where the form may be wrong
+    quiet : (G,) sums of squares that are noise in the groups of features of `likelihood`; None: as many as are expected
     """
 
     session: Session
@@ -143,6 +147,7 @@ class Extended:
     model: BaseModel
     chosen: tuple[Chosen, ...]
     weight: Float
+    quiet: Float | None = None
 
     @property
     def mechanism_ids(self) -> tuple[str, ...]:
@@ -282,7 +287,8 @@ class Extended:
 
     def move_to(self, session: Session, simulation: Simulation, weight: Float) -> Extended:
         """The same model over another session."""
-        return replace(self, session=session, simulation=simulation, weight=weight)
+        quiet = self.quiet if session is self.session else None
+        return replace(self, session=session, simulation=simulation, weight=weight, quiet=quiet)
 
 
 @dataclass(frozen=True)
@@ -291,6 +297,10 @@ class ExtendedFit:
 
     of: Extended
     solution: Solution
+
+    def allow_quiet(self, quiet: Float) -> ExtendedFit:
+        """The fit in which as much of each group of features as (G,) `quiet` is noise."""
+        return replace(self, of=replace(self.of, quiet=quiet))
 
     @property
     def x(self) -> Float:

@@ -81,7 +81,7 @@ def weigh_regions(plain: ExtendedFit, changes: Sequence[RegionChange]) -> list[H
     plain : the plain model, with the film that most groups of features agree on
     changes : of all regions, about it
     """
-    groups, absorbed, about = Groups.of(plain.of.session), find_absorbed(plain), Linearised.of(plain)
+    groups, absorbed, about = Groups.of(plain.of.session, plain.of.quiet), find_absorbed(plain), Linearised.of(plain)
     prior = float(np.log(RULES.prior.unnamed / max(len(changes), 1)))
     return [_weigh_region(plain, groups, absorbed, about, change, prior) for change in changes]
 
@@ -143,13 +143,13 @@ def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange], *
     if len(fit.of.chosen) != 1:
         return hypothesis
     mechanism = fit.of.chosen[0].mechanism
-    own = [c for c in changes if c.region.stage == mechanism.stage and c.region.depends_on in mechanism.depends_on]
+    own = [c for c in changes if c.region.stage == mechanism.stage and c.region.depends_on in mechanism.covariates]
     if anew:
         absorbed = find_absorbed(fit)
         own = [change for c in own if (change := differentiate_region(fit, c.region, absorbed)).seen.any()]
     if not own:
         return hypothesis
-    groups, about = Groups.of(fit.of.session), Linearised.of(fit)
+    groups, about = Groups.of(fit.of.session, fit.of.quiet), Linearised.of(fit)
     trace = measure_trace_of_causes(fit, groups)
     size = float(np.sqrt(trace @ groups.size))
     columns = np.concatenate([c.columns[:, c.seen] * _scale_shapes(c, size) for c in own], axis=1)

@@ -8,21 +8,25 @@ now and then by anything, for reality is not listed. So the variance of the mode
 
 with r² the sum of squares of the group's n whitened residuals and m ≤ `form.modes` the number of modes: a group that is missed by ten
 thousand standard deviations says little more against a hypothesis than one that is missed by a thousand, and one within the noise
-counts in full. The noise of a test may also be louder than that of its rests: r² over a scale, for all n residuals. A scale mixture of normals: Andrews and Mallows 1974; a form error in proportion to the effect: Brynjarsdóttir and
-O'Hagan 2014.
+counts in full. (Not so a calibration: no film is in it, and what contradicts it is the sensor or the rig.) In place of n − m stands the least r² that any hypothesis leaves, where that is less: the noise of a test may be quieter
+than that of its rests, or quieter by chance, and what lies between the two is misfit of all others. It may also be louder: r² over a
+scale, for all n residuals. A scale mixture of normals: Andrews and Mallows 1974; a form error in proportion to the effect:
+Brynjarsdóttir and O'Hagan 2014.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
 
+from pipeline.diagnose.features.kinds import CALIBRATIONS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit, orthonormalise
 from pipeline.diagnose.simulation.session import Session
-from schemas.arrays import Float, Int
+from schemas.arrays import Bool, Float, Int
 
 _RIDGE = 1e-9
 """Share of a scaled normal matrix's diagonal that is added before it is inverted."""
@@ -34,6 +38,8 @@ _STEPS = 6
 """Linear steps to the optimum under the mixture at most."""
 _SETTLED = 1e-4
 """Rise of the log likelihood, twice as foreseen, below which a step is not taken any more."""
+_NEVER = 1e-300
+"""A probability that is none."""
 _LONGEST = 0.7
 """Longest step of one entry of film and rig: what is computed to first order holds about so far."""
 
@@ -46,17 +52,33 @@ class Groups:
     ----------
     number : (N,) group of each feature
     size : (G,) features of each group
+    quiet : (G,) sums of squares that are noise; None: as many as are expected beside the modes by which a form is wrong
+    calibration : (G,) whether it is a calibration, in which there is nothing that nobody has thought of; None: none is
     """
 
     number: Int
     size: Int
+    quiet: Float | None = None
+    calibration: Bool | None = None
 
     @classmethod
-    def of(cls, session: Session) -> Groups:
+    def of(cls, session: Session, quiet: Float | None = None) -> Groups:
         """The groups of a session."""
         _, kind = np.unique(session.kind, return_inverse=True)
-        _, number = np.unique(session.recording_of * (kind.max() + 1) + kind, return_inverse=True)
-        return cls(number, np.bincount(number))
+        _, first, number = np.unique(
+            session.recording_of * (kind.max() + 1) + kind, return_index=True, return_inverse=True
+        )
+        return cls(number, np.bincount(number), quiet, np.isin(np.asarray(session.kind)[first], sorted(CALIBRATIONS)))
+
+    @property
+    def modes(self) -> Float:
+        """(G,) modes by which a form is wrong."""
+        return np.minimum(self.size, RULES.form.modes)
+
+    @property
+    def noise(self) -> Float:
+        """(G,) sums of squares that are noise."""
+        return self.size - self.modes if self.quiet is None else self.quiet
 
     def sum_squares(self, values: Float) -> Float:
         """(G,) sums of squares of values (N,)."""
@@ -142,9 +164,9 @@ def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: 
     """
     rules = RULES.form
     n = groups.size
-    modes = np.minimum(n, rules.modes)
+    modes, noise = groups.modes, groups.noise
     squares = groups.sum_squares(residual)
-    beyond = np.maximum(squares - (n - modes), 0.0)
+    beyond = np.maximum(squares - noise, 0.0)
     shares, louder = np.array(rules.shares), np.array(rules.louder)[:, None] ** 2
     slow = np.geomspace(1.0, rules.widest_drift, _PLACES)
     other = np.geomspace(rules.widest_drift, rules.widest, _MORE_PLACES)
@@ -157,7 +179,10 @@ def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: 
     usual = (1 - rules.noisy - rules.drifting - rules.outlier) / (1 + shares.size)
     rare = [np.full(slow.size, rules.drifting / slow.size), np.full(other.size, rules.outlier / other.size)]
     prior = np.concatenate([np.full(1 + shares.size, usual), *rare[: 1 if noise_alone else 2]])
-    each = np.log(prior)[:, None] - 0.5 * (n - modes) - 0.5 * modes * np.log1p(variance) - 0.5 * beyond / (1 + variance)
+    believed = np.repeat(prior[:, None], n.size, axis=1)
+    if groups.calibration is not None:
+        believed[1 + shares.size :, groups.calibration] = _NEVER
+    each = np.log(believed) - 0.5 * noise - 0.5 * modes * np.log1p(variance) - 0.5 * beyond / (1 + variance)
     noisy = np.log(rules.noisy / louder.size) - 0.5 * n * np.log(louder) - 0.5 * squares / louder
     each = np.concatenate([each, noisy])
     slope = 1 / np.concatenate([1 + variance, np.broadcast_to(louder, noisy.shape)])
@@ -207,6 +232,17 @@ def _invert(of: Linearised, weight: Float) -> Float:
     return np.asarray(
         np.linalg.inv(normal / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)) / np.outer(scale, scale)
     )
+
+
+def measure_quiet(fits: Sequence[ExtendedFit]) -> Float:
+    """(G,) sums of squares that are noise in the groups of a session: what is expected, or the least that a fit leaves where that is less.
+
+    Parameters
+    ----------
+    fits : models of one session at their optima
+    """
+    groups = Groups.of(fits[0].of.session)
+    return np.min([groups.noise, *(groups.sum_squares(Linearised.of(f).residual) for f in fits)], axis=0)
 
 
 def measure_trace(groups: Groups, absorbed: Float, change: Float) -> Float:

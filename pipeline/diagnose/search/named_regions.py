@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logsumexp
 
+from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.likelihood import find_absorbed
@@ -52,7 +53,9 @@ def name_regions(
 
 def _may_be_a_form_of(region: Hypothesis, cause: Hypothesis) -> bool:
     """Whether a cause alone acts in the stage of a region, and depends on the same."""
-    return len(cause.causes) == 1 and region.stages == cause.stages and region.depends_on <= cause.depends_on
+    if len(cause.causes) != 1 or region.stages != cause.stages:
+        return False
+    return region.depends_on <= {*MECHANISMS[cause.causes[0]].covariates}
 
 
 def _is_near(region: Hypothesis, cause: Hypothesis, absorbed: Float) -> bool:

@@ -196,7 +196,7 @@ def weigh_fit(fit: ExtendedFit, *, noise_alone: bool = False) -> Hypothesis:
     fit : the plain model, or one with causes, at its optimum under any weights
     noise_alone : whether the plain model is believed to miss nothing but noise
     """
-    of, groups = fit.of, Groups.of(fit.of.session)
+    of, groups = fit.of, Groups.of(fit.of.session, fit.of.quiet)
     trace = measure_trace_of_causes(fit, groups) if of.chosen else np.zeros(groups.size.size)
     peak = find_peak(groups, Linearised.of(fit), trace, fit.x.size, noise_alone=noise_alone)
     return Hypothesis(

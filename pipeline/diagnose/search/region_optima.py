@@ -117,7 +117,8 @@ class _RegionSearch:
     def of(cls, start: RegionFit) -> _RegionSearch:
         scale = start.width * start.region.width
         free = np.diag(start.covariance) > 0
-        return cls(start, Groups.of(start.plain.of.session), find_absorbed(start.plain), scale, free)
+        of = start.plain.of
+        return cls(start, Groups.of(of.session, of.quiet), find_absorbed(start.plain), scale, free)
 
     @property
     def _of(self) -> Extended:
