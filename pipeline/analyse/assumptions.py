@@ -178,7 +178,10 @@ def _about_voltage(about: RecordingMetadata, rig: RigConstants, channels: Collec
         )
     if "command" in channels and rig.amplifier_gain_kv_per_v is None:
         yield Assumption(
-            "gain of the amplifier", "1.5 kV/V", "no amplifier_gain_kv_per_v in the rig file", "diagnoses of the drive"
+            "gain of the amplifier",
+            "the measured voltage over its command",
+            "no amplifier_gain_kv_per_v in the rig file",
+            "diagnoses of the drive",
         )
     if about.protocol == "lifetime":
         if about.voltage_setpoint_kv is None:

@@ -228,10 +228,6 @@ class VerdictRules:
     listed: float = _rule(
         0.5, "probability of all listed causes together below which the verdict is `unknown`", "given: 50 %"
     )
-    adequate: float = _rule(
-        0.01,
-        "probability of as many groups of features that are wrong by something else, below which nothing is named without doubt",
-    )
     told_pattern: float = _rule(1e-3, "probability of a pattern below which it is told")
     closest: float = _rule(
         0.5, "share of the misfit from which the listed cause that takes it away is told beside `unknown`"

@@ -90,7 +90,7 @@ def test_what_an_electrical_test_leaves_out() -> None:
     assert stack["film_thickness_mm of a stack"] == "that of all layers together"
     steps = assumed("step", "electrical", "voltage force command", **keys)
     assert steps["state of the film whose electrode was measured"] == "stretched"
-    assert steps["gain of the amplifier"] == "1.5 kV/V"
+    assert steps["gain of the amplifier"] == "the measured voltage over its command"
 
 
 def test_what_a_life_leaves_out() -> None:
@@ -109,6 +109,6 @@ def test_rest_is_assumed_where_no_key_says_it() -> None:
 
 def test_a_channel_that_no_analysis_uses_is_named() -> None:
     found = assumed("step", "electrical", "voltage force displacement temperature command", rest_before_s=1)
-    assert found == {"channel displacement": "not used", "gain of the amplifier": "1.5 kV/V"}
+    assert found == {"channel displacement": "not used", "gain of the amplifier": "the measured voltage over its command"}
     life = assumed("lifetime", "electrical", "voltage temperature", voltage_setpoint_kv=7, test_duration_s=60)
     assert life == {"channel temperature": "not used"}

@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
-from scipy.stats import binom
 
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
@@ -31,6 +30,7 @@ _ROUNDS = 6
 """Rounds in which weights and optimum follow from each other."""
 _SAME = 1.0
 """Log evidence within which two optima are one."""
+_MORE_PROBABLY_THAN_NOT = 0.5
 _WITHIN = 30.0
 """Log probability behind the best within which a hypothesis may come to the front at its own optimum."""
 
@@ -102,9 +102,8 @@ class Hypothesis:
 
     @property
     def is_adequate(self) -> bool:
-        """Whether it leaves no more groups of features to something else than happens now and then, with no severity at its limit."""
-        chance = binom.sf(round(self.odd.sum()) - 1, self.odd.size, RULES.form.outlier)
-        return bool(chance >= RULES.verdict.adequate) and not any(
+        """Whether it leaves no group of features that is more probably wrong by something else than not, with no severity at its limit."""
+        return not np.any(self.odd > _MORE_PROBABLY_THAN_NOT) and not any(
             p.is_at_limit(values[p.name])
             for chosen, values in zip(self.model.of.chosen, self.model.values, strict=True)
             for p in chosen.mechanism.severities

@@ -239,9 +239,7 @@ class Session:
                 entries.append(Entry(ACTUATION, float(np.log(1e-3))))
         for number, rig in enumerate(self.rigs):
             if any(p.block.kind in AMPLIFIER and self.rig[p.recording] == number for p in self.places):
-                gain = rig.amplifier_gain_kv_per_v or 1.5
-                sd = (rig.amplifier_gain_kv_per_v_sd or RULES.features.amplifier_sd * gain) / gain
-                entries.append(Entry(f"log amplifier {number}", float(np.log(gain)), sd))
+                entries.append(_amplifier_entry(f"log amplifier {number}", rig))
         if self.kinds & {SPHS_CAPACITANCE, STEP_CAPACITANCE}:
             entries.append(Entry("capacitance per force"))
         if CYCLIC_CAPACITANCE in self.kinds:
@@ -322,6 +320,14 @@ def make_session(
         loaded=tuple(loaded),
         unasked=unasked,
     )
+
+
+def _amplifier_entry(name: str, rig: RigConstants) -> Entry:
+    """Logarithm of the amplifier's gain in kV/V: as the rig's file has it, or anything where it says nothing."""
+    gain = rig.amplifier_gain_kv_per_v
+    if gain is None:
+        return Entry(name, 0.0)
+    return Entry(name, float(np.log(gain)), (rig.amplifier_gain_kv_per_v_sd or RULES.features.amplifier_sd * gain) / gain)
 
 
 def _mechanics(rig: RigConstants) -> RigConstants:
