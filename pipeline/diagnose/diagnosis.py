@@ -154,9 +154,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     quiet = measure_quiet([plain, *singles])
     plain, noise_fit, *singles = (f.allow_quiet(quiet) for f in (plain, noise_fit, *singles))
     agreed = find_consensus([plain, noise_fit], mechanical)
-    kept = [
-        weigh_fit(h.model.allow_quiet(quiet)) for h in earlier if h.model.of.model.names == plain.of.model.names
-    ]
+    kept = [weigh_fit(h.model.allow_quiet(quiet)) for h in earlier if h.model.of.model.names == plain.of.model.names]
     hypotheses = settle_hypotheses([*map(weigh_fit, singles), *search_from_consensus(plain, agreed), *kept])
     hypotheses += add_causes(hypotheses, changes)
     noise = max(

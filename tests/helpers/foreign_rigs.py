@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -97,12 +97,28 @@ def read_session(raw: Path) -> tuple[list[RecordingFeatures], list[str]]:
     return features, refused
 
 
+def is_within_file(told: Mapping[str, Any], features: Sequence[RecordingFeatures]) -> bool:
+    """Whether rig constants alone are hidden, off by no more than two of the standard deviations that the rig's own file states: such a
+    file is right."""
+    if list(told["listed"]) != ["rig_constants"] or not features:
+        return False
+    rig, severity = features[0].rig, told["severity"]
+    stated = {
+        "mass_error": (rig.clamp_mass_kg, rig.clamp_mass_kg_sd),
+        "stiffness_error": (rig.load_cell_stiffness_n_per_mm, rig.load_cell_stiffness_n_per_mm_sd),
+    }
+    return all(
+        value is not None and sd is not None and abs(float(severity.get(name, 0.0))) <= 2 * sd / value
+        for name, (value, sd) in stated.items()
+    )
+
+
 def answer_session(asked: Asked, folder: Path = FOLDER) -> Answer:
     """A session made, read and diagnosed."""
     with TemporaryDirectory() as place:
         told = write_session(asked, Path(place), folder)
         features, refused = read_session(Path(place))
-    truth = {name: told.get(name) for name in _TOLD}
+    truth = {name: told.get(name) for name in _TOLD} | {"within_file": is_within_file(told, features)}
     begin = time.process_time()
     try:
         found = diagnose(features)

@@ -52,3 +52,17 @@ def test_what_a_recording_says_of_a_cause_makes_it_dearer(softened: ExtendedFit)
     assert seen.measure_narrowing(np.zeros(of.session.size)) < -0.5
     wrong = seen.measure_narrowing(np.full(of.session.size, 1e4))
     assert wrong == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize("id", ["slack", "drive_offset", "field_dependent_permittivity", "passive_strip"])
+def test_the_prior_of_a_severity_is_a_density(id: str) -> None:
+    """It integrates to 1 over all sizes, and what is far below the plausible range is hardly believed."""
+    parameter = MECHANISMS[id].severities[0]
+    c = Coordinate(0, parameter)
+    size = np.geomspace(parameter.low * 1e-6, parameter.high * 1e6, 40_001)
+    x = np.array([c.entry(float(v)) for v in size])
+    density = np.exp([c.log_density(float(v)) for v in x]) * (2 if parameter.signed else 1)
+    assert np.trapezoid(density, x) == pytest.approx(1.0, abs=2e-3)
+    by_size = density * (1 if c.logarithmic else x)
+    at_low = np.interp(parameter.low, size, by_size)
+    assert np.interp(parameter.low / 100, size, by_size) == pytest.approx(at_low / 100, rel=0.02)

@@ -179,6 +179,8 @@ def make_rows(found: Sequence[Answer]) -> list[Row]:
     """The rates of some answers."""
     asked = [a for a in found if not a.failed]
     clean, single, unlisted, pairs, faults = ([a for a in asked if a.kind == kind] for kind in KINDS)
+    right_file = [a for a in single if a.truth.get("within_file")]
+    single = [a for a in single if a not in right_file]
     seen = [a for a in single if a.verdict != "none"]
     mended = [hit for a in faults if is_fault_named(a) and (hit := is_correction_right(a)) is not None]
     return [
@@ -191,6 +193,7 @@ def make_rows(found: Sequence[Answer]) -> list[Row]:
         Row("… named or possible, or its stage and dependence", [is_in_set(a) or is_place_right(a) for a in seen]),
         Row("… called unknown", [a.verdict == "unknown" for a in seen]),
         Row("… a wrong name without doubt", [is_wrong_name(a) for a in single]),
+        Row("rig constants off by less than two standard deviations of their file: named", [a.verdict != "none" for a in right_file]),
         Row("in no list: a wrong name without doubt", [is_wrong_name(a) for a in unlisted], "≤ 5 %"),
         Row("… detected", [a.verdict != "none" for a in unlisted]),
         Row("… stage and dependence right, of those called unknown", [is_place_right(a) for a in unlisted if a.verdict == "unknown"], "≥ 70 %"),

@@ -109,6 +109,9 @@ def test_rest_is_assumed_where_no_key_says_it() -> None:
 
 def test_a_channel_that_no_analysis_uses_is_named() -> None:
     found = assumed("step", "electrical", "voltage force displacement temperature command", rest_before_s=1)
-    assert found == {"channel displacement": "not used", "gain of the amplifier": "the measured voltage over its command"}
+    assert found == {
+        "channel displacement": "not used",
+        "gain of the amplifier": "the measured voltage over its command",
+    }
     life = assumed("lifetime", "electrical", "voltage temperature", voltage_setpoint_kv=7, test_duration_s=60)
     assert life == {"channel temperature": "not used"}

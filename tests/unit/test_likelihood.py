@@ -83,3 +83,28 @@ def test_the_peak_leaves_a_wrong_group_aside() -> None:
     assert 3.4 + peak.step[0] == pytest.approx(3.0, abs=0.5)
     assert peak.weight[-1] < 0.01 < 0.9 < peak.weight[0]
     assert peak.odd[2] > 0.99 > 0.05 > peak.odd[0]
+
+
+def test_what_the_best_hypothesis_leaves_is_the_noise_that_others_are_measured_against() -> None:
+    """A thousand values with noise 5 % quieter than its rest: to miss them by the noise of the rest is a misfit of 90."""
+    number, size = np.zeros(1000, dtype=np.int64), np.array([1000])
+    best, other = np.full(1000, 0.95), np.full(1000, 1.0)
+    alike, apart = (
+        score_groups(groups, best, np.zeros(1), noise_alone=False)[0][0]
+        - score_groups(groups, other, np.zeros(1), noise_alone=False)[0][0]
+        for groups in (Groups(number, size), Groups(number, size, np.array([float(best @ best)])))
+    )
+    assert alike < 4
+    assert apart > 10
+
+
+def test_a_calibration_holds_nothing_that_nobody_has_thought_of() -> None:
+    film, weight = (
+        Groups(np.zeros(1, dtype=np.int64), np.array([1]), kind=(kind,)) for kind in ("step.force", "weight.gain")
+    )
+    residual = np.array([44.0])
+    (forgiven,), _, (odd,) = score_groups(film, residual, np.zeros(1), noise_alone=False)
+    (condemned,), _, (never,) = score_groups(weight, residual, np.zeros(1), noise_alone=False)
+    assert forgiven > -15
+    assert condemned < -80
+    assert odd > 0.5 > 1e-6 > never

@@ -271,7 +271,7 @@ STRAIN_STIFFENING = Mechanism(
     source="leading terms of Gent and Ogden laws about the pre-stretch, of higher power the nearer the film is to locking; "
     "quasi-linear viscoelasticity, Fung 1972",
     parameters=(
-        Parameter("stiffening", "1", "rise of the tangent at the largest strain", 0.005, 0.6, signed=True, least=-0.9),
+        Parameter("stiffening", "1", "rise of the tangent at the largest strain", 0.005, 0.6),
         Parameter("asymmetry", "1", "share q that changes with the sign of the strain", 0.0, 1.0, SHAPE, log=False, most=1.0),
         Parameter("exponent", "1", "p", 1.0, 4.0, SHAPE, least=0.5, most=8.0),
     ),

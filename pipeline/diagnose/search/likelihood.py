@@ -16,7 +16,7 @@ Brynjarsdóttir and O'Hagan 2014.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,13 +53,13 @@ class Groups:
     number : (N,) group of each feature
     size : (G,) features of each group
     quiet : (G,) sums of squares that are noise; None: as many as are expected beside the modes by which a form is wrong
-    calibration : (G,) whether it is a calibration, in which there is nothing that nobody has thought of; None: none is
+    kind : (G,) kind of their features; empty: any
     """
 
     number: Int
     size: Int
     quiet: Float | None = None
-    calibration: Bool | None = None
+    kind: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, session: Session, quiet: Float | None = None) -> Groups:
@@ -68,7 +68,11 @@ class Groups:
         _, first, number = np.unique(
             session.recording_of * (kind.max() + 1) + kind, return_index=True, return_inverse=True
         )
-        return cls(number, np.bincount(number), quiet, np.isin(np.asarray(session.kind)[first], sorted(CALIBRATIONS)))
+        return cls(number, np.bincount(number), quiet, tuple(np.asarray(session.kind)[first].tolist()))
+
+    def are_of(self, kinds: Set[str]) -> Bool:
+        """(G,) whether a group is of one of some kinds."""
+        return np.array([kind in kinds for kind in self.kind] or [False] * self.size.size)
 
     @property
     def modes(self) -> Float:
@@ -180,8 +184,8 @@ def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: 
     rare = [np.full(slow.size, rules.drifting / slow.size), np.full(other.size, rules.outlier / other.size)]
     prior = np.concatenate([np.full(1 + shares.size, usual), *rare[: 1 if noise_alone else 2]])
     believed = np.repeat(prior[:, None], n.size, axis=1)
-    if groups.calibration is not None:
-        believed[1 + shares.size :, groups.calibration] = _NEVER
+    # In a calibration there is nothing that nobody has thought of.
+    believed[1 + shares.size :, groups.are_of(CALIBRATIONS)] = _NEVER
     each = np.log(believed) - 0.5 * noise - 0.5 * modes * np.log1p(variance) - 0.5 * beyond / (1 + variance)
     noisy = np.log(rules.noisy / louder.size) - 0.5 * n * np.log(louder) - 0.5 * squares / louder
     each = np.concatenate([each, noisy])

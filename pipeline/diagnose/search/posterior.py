@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
+from pipeline.diagnose.features.kinds import AMPLIFIER
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
@@ -102,8 +103,12 @@ class Hypothesis:
 
     @property
     def is_adequate(self) -> bool:
-        """Whether it leaves no group of features that is more probably wrong by something else than not, with no severity at its limit."""
-        return not np.any(self.odd > _MORE_PROBABLY_THAN_NOT) and not any(
+        """Whether it leaves no group of features that is more probably wrong by something else than not, with no severity at its limit.
+
+        What the amplifier makes of its command is not asked: the simulation is driven by the voltage that was measured.
+        """
+        asked = ~Groups.of(self.model.of.session).are_of(AMPLIFIER)
+        return not np.any(self.odd[asked] > _MORE_PROBABLY_THAN_NOT) and not any(
             p.is_at_limit(values[p.name])
             for chosen, values in zip(self.model.of.chosen, self.model.values, strict=True)
             for p in chosen.mechanism.severities

@@ -327,7 +327,9 @@ def _amplifier_entry(name: str, rig: RigConstants) -> Entry:
     gain = rig.amplifier_gain_kv_per_v
     if gain is None:
         return Entry(name, 0.0)
-    return Entry(name, float(np.log(gain)), (rig.amplifier_gain_kv_per_v_sd or RULES.features.amplifier_sd * gain) / gain)
+    return Entry(
+        name, float(np.log(gain)), (rig.amplifier_gain_kv_per_v_sd or RULES.features.amplifier_sd * gain) / gain
+    )
 
 
 def _mechanics(rig: RigConstants) -> RigConstants:
