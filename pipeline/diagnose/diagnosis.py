@@ -152,7 +152,8 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
 
     # 5. All hypotheses under one likelihood: single causes, further ones beside the best, regions without a name.
     quiet = measure_quiet([plain, *singles])
-    plain, noise_fit, *singles = (f.allow_quiet(quiet) for f in (plain, noise_fit, *singles))
+    plain, noise_fit = plain.allow_quiet(quiet), noise_fit.allow_quiet(quiet)
+    singles = tuple(f.allow_quiet(quiet) for f in singles)
     agreed = find_consensus([plain, noise_fit], mechanical)
     kept = [weigh_fit(h.model.allow_quiet(quiet)) for h in earlier if h.model.of.model.names == plain.of.model.names]
     hypotheses = settle_hypotheses([*map(weigh_fit, singles), *search_from_consensus(plain, agreed), *kept])
@@ -179,7 +180,7 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         nothing,
         p_value=min(p_value, patterns.p_value if by_pattern else 1.0),
         plain=plain,
-        singles=tuple(singles),
+        singles=singles,
         posterior=posterior,
         final=final,
         patterns_after=test_patterns(plain if final is None else final),

@@ -246,7 +246,8 @@ def measure_quiet(fits: Sequence[ExtendedFit]) -> Float:
     fits : models of one session at their optima
     """
     groups = Groups.of(fits[0].of.session)
-    return np.min([groups.noise, *(groups.sum_squares(Linearised.of(f).residual) for f in fits)], axis=0)
+    left = [groups.sum_squares(Linearised.of(f).residual) for f in fits]
+    return np.asarray(np.min([groups.noise, *left], axis=0))
 
 
 def measure_trace(groups: Groups, absorbed: Float, change: Float) -> Float:
