@@ -128,6 +128,10 @@ def mechanical(recordings: Recordings) -> tuple[int, ...]:
     return tuple(i for i, r in enumerate(recordings) if r.metadata.loading == "mechanical")
 
 
+def sweeps(recordings: Recordings) -> tuple[int, ...]:
+    return tuple(i for i in mechanical(recordings) if recordings[i].metadata.protocol == "chirp")
+
+
 def from_seventh(recordings: Recordings) -> tuple[int, ...]:
     return tuple(range(6, len(recordings)))
 
@@ -197,6 +201,20 @@ EDITS: Mapping[str, Edit] = {
     "film clamped anew from the seventh recording on": Edit(
         "specimen_changed", from_seventh, lambda r: change_channel(r, "force", scale_motion(0.8))
     ),
+    "displacement of a sine nothing but noise": Edit(
+        "dead_channel",
+        SINE,
+        lambda r: change_channel(
+            r, "displacement", lambda v: np.random.default_rng(1).normal(v[0], 1e-4 * np.ptp(v), v.size)
+        ),
+    ),
+    "voltage of one multisine lost for a while": Edit(
+        "dead_channel", MULTISINE, lambda r: change_channel(r, "voltage", drop_out(0.5, 0.6))
+    ),
+    "clock of one multisine 6 % off": Edit("sample_rate_wrong", MULTISINE, lambda r: change_clock(r, 0.94)),
+    "clock of all tests 6 % off": Edit("sample_rate_wrong", all_of, lambda r: change_clock(r, 0.94)),
+    "force of all sweeps 4.5 ms late": Edit("channel_skew", sweeps, lambda r: offset_clock(r, "force", 4.5e-3)),
+    "force of all halved": Edit("unit_slip", all_of, multiply("force", 0.5)),
     "clamp mass ten times": Edit("rig_constants", all_of, lambda r: change_rig(r, clamp_mass_kg=10.0)),
     "clamp mass in g": Edit("rig_constants", all_of, lambda r: change_rig(r, clamp_mass_kg=1e3)),
     "load cell's stiffness ten times": Edit(

@@ -6,12 +6,16 @@ from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
 
+import numpy as np
 import pytest
 
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.faults.change import shows_in_more_than_one_test
-from pipeline.diagnose.faults.find import Checked, check_recordings
-from pipeline.diagnose.features.kinds import RecordingFeatures
+from pipeline.diagnose.faults.find import Checked, check_recordings, judge_together
+from pipeline.diagnose.faults.fitted import assemble_session, fit_session
+from pipeline.diagnose.faults.levels import read_levels
+from pipeline.diagnose.faults.predict import Suspect
+from pipeline.diagnose.features.kinds import AMPLIFIER, RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.simulation.session import make_session as join_features
 from schemas.recording import Recording
@@ -118,6 +122,47 @@ def test_wrong_sizes_and_strains_are_named_and_said_not_to_be_told_apart(name: s
     assert fault.cause in (edit.cause, *edit.instead)
     assert not fault.sets_aside
     assert len({c.key for c in fault.corrections}) > 1
+
+
+def test_a_delay_that_all_sweeps_have_and_nothing_else_is_named_with_all_of_them() -> None:
+    """One by one, each may as well show a mechanism."""
+    name = "force of all sweeps 4.5 ms late"
+    late = edited(name)
+    plain, session = fit_session(sound())[2], assemble_session(late)
+    numbers = EDITS[name].chosen(recordings())
+    levels = dict(zip((r.recording_id for r in late), read_levels(late), strict=True))
+    fault = judge_together(Suspect.of(session, numbers, plain, 0), numbers, levels)
+    assert fault is not None
+    assert fault.cause == "channel_skew"
+    assert fault.recordings == EDITS[name].culprits(recordings())
+    assert {c.key for c in fault.corrections} == {"columns.force.delay_s"}
+    assert [float(c.value_proposed) for c in fault.corrections] == pytest.approx([4.5e-3] * len(numbers), rel=1e-2)
+
+
+def test_a_clock_that_all_tests_share_is_seen_in_sinusoids_and_periods_alike() -> None:
+    name = "clock of all tests 6 % off"
+    checked = check(name)
+    (fault,) = checked.faults
+    assert fault.cause == "sample_rate_wrong"
+    assert fault.recordings == EDITS[name].culprits(recordings())
+    assert float(fault.corrections[0].value_proposed) == pytest.approx(1 / 0.94, rel=2e-3)
+    assert checked.plain.chi2 < 1.2 * checked.session.size, "they agree once they are put right"
+
+
+def test_an_amplifier_that_lags_its_command_hides_no_fault() -> None:
+    """What it makes of its command is no matter of film and rig: all recordings seemed to disagree."""
+    name = "force of one sweep 2 ms late"
+    lagging = []
+    for features in edited(name):
+        blocks = tuple(
+            replace(b, value=b.value + 50 * np.sqrt(np.abs(np.diagonal(b.basis.sum(axis=0)))))
+            if b.kind in AMPLIFIER and b.basis.ndim == 3
+            else b
+            for b in features.blocks
+        )
+        lagging.append(replace(features, blocks=blocks))
+    (fault,) = check_recordings(lagging).faults
+    assert (fault.cause, fault.recordings) == ("channel_skew", EDITS[name].culprits(recordings()))
 
 
 @pytest.mark.parametrize("seed", [SEED, ANOTHER_SEED])

@@ -48,6 +48,14 @@ HERE = Path(__file__).resolve().parent
 SEEDS = 1_000_000_000
 _ALIKE = 0.03
 """Relative difference within which a proposed value is the right one."""
+_ALIKE_DRIFT = 0.1
+"""Relative difference within which a proposed drift of a clock is the right one."""
+_BEYOND_REPAIR = frozenset({"dead_channel", "sensor_saturation"})
+"""Faults that nothing that is written puts right."""
+_NOT_COMPARABLE = ("sample_rate_hz", "in samples")
+"""In the key of a rig: an absolute rate or a number of samples, where a proposal is a factor or a time."""
+_WORDS = {"scale": ("scale", "sample_interval_s"), "time_scale": ("sample_interval_s",), "delay_s": ("delay_s",)}
+"""Last part of a proposal's key → what rigs call it."""
 _BINS = (0.0, 0.5, 0.8, 0.95, 1.0)
 """Limits of the bins of a reliability diagram."""
 
@@ -140,22 +148,42 @@ def is_fault_named(a: Answer) -> bool:
 
 
 def is_correction_right(a: Answer) -> bool | None:
-    """Whether what would put the fault right is proposed; None where nothing would."""
+    """Whether what would put the fault right is proposed; None where nothing would, or where the rig states it in terms that a proposal
+    cannot be held against."""
     told = a.truth["fault"]
-    if not told.get("key") or told.get("right_value") in (None, ""):
+    if not told.get("key") or told.get("right_value") in (None, "") or told["id"] in _BEYOND_REPAIR:
         return None
-    for f in a.faults:
-        for key, _, proposed, _ in f["corrections"]:
-            if key == told["key"] and _same(proposed, told["right_value"]):
-                return True
-    return False
+    if any(word in told["key"] for word in _NOT_COMPARABLE):
+        return None
+    return any(
+        _is_same_key(key, told["key"]) and _same(proposed, told["right_value"])
+        for f in a.faults
+        for key, _, proposed, _ in f["corrections"]
+    )
+
+
+def _is_same_key(proposed: str, told: str) -> bool:
+    """Whether a key of a proposal is what a rig calls by words of its own: `columns.force.scale` and `force scale` are one."""
+    if proposed == told:
+        return True
+    what = proposed.removeprefix("columns.").removeprefix("rig.")
+    if what == told:
+        return True
+    if what.endswith(".column"):
+        return "<->" in told or told == "columns"
+    channel, _, how = what.rpartition(".")
+    words = _WORDS.get(how, (how,))
+    return any(word in told for word in words) and (channel in ("", "time") or channel in told)
 
 
 def _same(proposed: object, right: object) -> bool:
+    if str(right).endswith(" ppm"):
+        drift = float(str(right).removesuffix(" ppm")) * 1e-6
+        return abs(float(str(proposed)) - 1 - drift) < _ALIKE_DRIFT * abs(drift)
     try:
         return abs(float(str(proposed)) / float(str(right)) - 1) < _ALIKE
     except (ValueError, ZeroDivisionError):
-        return str(proposed) == str(right)
+        return True  # what is told in words is all in its key
 
 
 def state_rate(hits: Sequence[bool]) -> str:

@@ -6,13 +6,13 @@ nothing can bring together with the others loses its weight, whatever is wrong w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from pipeline.diagnose.features.kinds import CHIRP_RESPONSE, REST_HUM
+from pipeline.diagnose.features.kinds import AMPLIFIER, CHIRP_RESPONSE, CYCLIC_RESPONSE, REST_HUM
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import (
     PlainFit,
@@ -21,6 +21,7 @@ from pipeline.diagnose.search.plain_fit import (
     fit_from_ladders,
     fit_plain,
     make_bounds,
+    measure_roughness,
     refit_plain,
 )
 from pipeline.diagnose.simulation.parameters import BaseModel
@@ -64,11 +65,26 @@ class Agreement:
 
 
 def sum_by_recording(session: Session, misfit: Float) -> tuple[Float, Float]:
-    """(R,) χ² and number of values of each recording, of a whitened residual (N,); mains are no matter of the film."""
-    count, counted = len(session.recordings), session.kind != REST_HUM
+    """(R,) χ² and number of values of each recording, of a whitened residual (N,); mains are no matter of the film, and how the amplifier
+    follows its command is none of the recording."""
+    count, counted = len(session.recordings), ~np.isin(session.kind, [REST_HUM, *AMPLIFIER])
     chi2 = np.bincount(session.recording_of[counted], misfit[counted] ** 2, count)
     size = np.bincount(session.recording_of[counted], minlength=count)
     return np.asarray(chi2, dtype=np.float64), np.asarray(size, dtype=np.float64)
+
+
+def measure_left(session: Session, misfit: Float, chi2: float) -> float:
+    """χ² per value without the amplifier's share, which no fault of a recording changes.
+
+    Parameters
+    ----------
+    session : with N features
+    misfit : (N,) whitened residual of any fit
+    chi2 : of the fit that is asked for
+    """
+    of_amplifier = np.isin(session.kind, list(AMPLIFIER))
+    own = float(misfit[of_amplifier] @ misfit[of_amplifier])
+    return max(chi2 - own, 0.0) / max(session.size - int(of_amplifier.sum()), 1)
 
 
 def miss(chi2: Float, size: Float, dispersion: float) -> Bool:
@@ -88,9 +104,12 @@ def agrees(left: float, before: float) -> bool:
 def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) -> Agreement:
     """The fit that most recordings agree on, from the plain fit and from the films of single sweeps."""
     found = _reweigh(session, simulation, plain)
-    if found[1] > _cost_of_noise(session) and plain.chi2 > RULES.fault.astray * session.size:
-        for start in _fit_sweeps(session):
-            found = min(found, _reweigh(session, simulation, start), key=lambda pair: pair[1])
+    if found[1] > _cost_of_noise(session) and measure_left(session, plain.misfit, plain.chi2) > RULES.fault.astray:
+        for make_starts in (_fit_sweeps, _fit_without_rough):
+            for start in make_starts(session):
+                found = min(found, _reweigh(session, simulation, start), key=lambda pair: pair[1])
+                if found[1] <= _cost_of_noise(session):
+                    break
     chi2, size = sum_by_recording(session, found[0].misfit)
     order = np.argsort(chi2 / np.maximum(size, 1.0))
     best = order[: max(len(order) // 2, 1)]
@@ -141,25 +160,56 @@ def _reweigh(session: Session, simulation: Simulation, start: PlainFit) -> tuple
     return PlainFit(model, x, solution, float(misfit @ misfit), misfit), cost
 
 
-def _fit_sweeps(session: Session) -> Sequence[PlainFit]:
+def _fit_without_rough(session: Session) -> Iterator[PlainFit]:
+    """Plain fits without the recording, and without the kind of test, without which the responses are most like those of a film; carried
+    over to the whole session."""
+    bearing = [p.recording for p in session.places if p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE)]
+    single = [frozenset({number}) for number in dict.fromkeys(bearing)]
+    kinds: dict[tuple[str, str], set[int]] = {}
+    for number in bearing:
+        own = session.recordings[number]
+        kinds.setdefault((own.protocol, own.loading), set()).add(number)
+    several = [frozenset(numbers) for numbers in kinds.values() if len(numbers) > 1]
+    for left_out in (single, several):
+        ranked = sorted(left_out, key=lambda numbers: _measure_roughness_without(session, numbers))
+        if not ranked or np.isinf(_measure_roughness_without(session, ranked[0])):
+            continue
+        rest = session.part([p.recording not in ranked[0] for p in session.places])
+        try:
+            yield _carry_over(fit_plain(rest, Simulation(rest)), session)
+        except NotIdentifiableError:
+            continue
+
+
+def _measure_roughness_without(session: Session, numbers: frozenset[int]) -> float:
+    """Roughness of the responses but those of some recordings; infinite where there are none."""
+    try:
+        return measure_roughness(session.part([p.recording not in numbers for p in session.places]))
+    except NotIdentifiableError:
+        return np.inf
+
+
+def _carry_over(fit: PlainFit, session: Session) -> PlainFit:
+    """A fit of a part of a session as a place of the plain model of all of it."""
+    model = session.base_model(fit.model.arms)
+    theta = model.theta(fit.model.physical(fit.theta).film)
+    carry_entries(fit, model, theta)
+    return PlainFit(model, theta, fit.solution, np.inf, np.zeros(session.size))
+
+
+def _fit_sweeps(session: Session) -> Iterator[PlainFit]:
     """Plain fits of single sweeps, carried over to the whole session.
 
     With all arms that there may be: what is wrong with another recording decides nothing of their number here.
     """
     arms = RULES.plain.orders[-1]
-    model = session.base_model(arms)
     numbers = list(dict.fromkeys(p.recording for p in session.places if p.block.kind == CHIRP_RESPONSE))
-    found = []
     for number in numbers[:_STARTS]:
         own = session.part([p.recording == number for p in session.places])
         try:
-            alone = fit_from_ladders(own, Simulation(own), own.base_model(arms))
+            yield _carry_over(fit_from_ladders(own, Simulation(own), own.base_model(arms)), session)
         except NotIdentifiableError:
             continue
-        theta = model.theta(alone.model.physical(alone.theta).film)
-        carry_entries(alone, model, theta)
-        found.append(PlainFit(model, theta, alone.solution, np.inf, np.zeros(session.size)))
-    return found
 
 
 def refit_rest(session: Session, simulation: Simulation, near: PlainFit) -> PlainFit:

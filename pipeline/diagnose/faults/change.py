@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.agreement import agrees
+from pipeline.diagnose.faults.agreement import agrees, measure_left
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.levels import log_likelihood_of
 from pipeline.diagnose.faults.undo import scale_of
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.plain_fit import PlainFit, compute_deviations, make_bounds
+from pipeline.diagnose.search.plain_fit import PlainFit, compute_deviations, compute_residuals, make_bounds
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
@@ -55,8 +55,11 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     before, chi2 = chi2, fits[nearest][0]
     fall = before - chi2
     odds = 0.5 * fall - float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
-    left = chi2 / session.size
-    if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or not agrees(left, before / session.size):
+    misfit = compute_residuals(session, simulation, fit.model, fit.theta[None])[0][: session.size]
+    left = measure_left(session, misfit, chi2)
+    if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or not agrees(
+        left, measure_left(session, misfit, before)
+    ):
         return None
     return _state_change(session, first, fits, nearest, left)
 

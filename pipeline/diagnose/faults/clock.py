@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.agreement import agrees
+from pipeline.diagnose.faults.agreement import agrees, measure_left
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
 from pipeline.diagnose.faults.undo import RESPONSES, advance_block, follow_delay, turn, turned
@@ -45,16 +45,16 @@ def find_drift(
     mechanism of its own.
     """
     session, _, plain = fitted
-    before = plain.chi2 / max(session.size, 1)
+    before = measure_left(session, plain.misfit, plain.chi2)
     start = _scan(session, _DRIFTS, drifting=True)
     if start is None:
         return None
     drift, chi2 = _refine([follow_delay(r, 0.0, start) for r in recordings], start, plain, drifting=True)
-    if not agrees(chi2 / max(session.size, 1), before):
+    if not agrees(measure_left(session, plain.misfit, chi2), before):
         return None
     changed = [follow_delay(r, 0.0, drift) for r in recordings]
     again = fit_session(changed)
-    left = again[2].chi2 / max(again[0].size, 1)
+    left = measure_left(again[0], again[2].misfit, again[2].chi2)
     if not agrees(left, before):
         return None
     other = plain.chi2

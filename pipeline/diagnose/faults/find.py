@@ -12,6 +12,7 @@ from pipeline.diagnose.faults.agreement import (
     agrees,
     find_agreement,
     leave_out,
+    measure_left,
     miss,
     refit_rest,
     sum_by_recording,
@@ -171,25 +172,57 @@ def _judge_each(
 ) -> list[Fault]:
     """Faults of single recordings: of those whose levels are odd, and of those that miss the film the others agree on."""
     session, simulation, plain = first
-    base, dispersion = plain, plain.chi2 / max(session.size, 1)
+    before = measure_left(session, plain.misfit, plain.chi2)
+    base, dispersion = plain, before
     if agreement is not None:
         base = leave_out(session, simulation, agreement.fit, agreement.outside)
         chi2, size = sum_by_recording(session, base.misfit)
         inside = ~agreement.outside
         dispersion = float(chi2[inside].sum() / max(size[inside].sum(), 1.0))
-    if outside and not agrees(dispersion, plain.chi2 / max(session.size, 1)):
+    if outside and not agrees(dispersion, before):
         outside = frozenset()  # others do not agree with each other either: no fault of one recording
     whole = assemble_session(recordings) if suspects else session
     asked = suspects | outside
     found = []
+    for numbers in _list_alike(whole, asked):
+        rig = _find_rig(session, whole.recordings[numbers[0]])
+        fault = judge_together(Suspect.of(whole, numbers, base, rig), numbers, levels)
+        if fault is not None:
+            found.append(fault)
+            asked -= frozenset(fault.recordings)
     for number, recording in enumerate(whole.recordings):
         if not recording.blocks:
             found.append(_state_dead(recording))
         elif recording.recording_id in asked:
             rig = _find_rig(session, recording)
-            fault = _judge_one(Suspect.of(whole, number, base, rig), levels[recording.recording_id], asked)
+            fault = _judge_one(Suspect.of(whole, (number,), base, rig), levels[recording.recording_id], asked)
             found += [] if fault is None else [fault]
     return found
+
+
+def _list_alike(session: Session, asked: frozenset[str]) -> list[tuple[int, ...]]:
+    """Numbers of the recordings of each kind of test of which all, and more than one, are asked: they may have a fault in common."""
+    kinds: dict[tuple[str, str], list[int]] = {}
+    for number, r in enumerate(session.recordings):
+        if r.loading != CALIBRATION:
+            kinds.setdefault((r.protocol, r.loading), []).append(number)
+    return [
+        tuple(numbers)
+        for numbers in kinds.values()
+        if len(numbers) > 1
+        and all(session.recordings[n].recording_id in asked and session.recordings[n].blocks for n in numbers)
+    ]
+
+
+def judge_together(suspect: Suspect, numbers: Sequence[int], levels: dict[str, Levels]) -> Fault | None:
+    """A fault that all recordings of one kind have in common, None where none puts them right together."""
+    names = tuple(suspect.session.recordings[n].recording_id for n in numbers)
+    own = [levels[name] for name in names]
+    judged = judge_hypotheses(suspect, own[0], RULES.fault.mechanism, own[1:])
+    best = judged[0][0]
+    if best.hypothesis.predict is None or not agrees(best.chi2 / suspect.size, suspect.sound_chi2 / suspect.size):
+        return None
+    return _state_likely(suspect, names, judged)
 
 
 def _state_dead(recording: RecordingFeatures) -> Fault:
@@ -213,7 +246,14 @@ def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault
     own = session.recordings[suspect.number]
     peers = [r for r in session.recordings if r.recording_id not in asked]
     mechanism = RULES.fault.mechanism_beside_peer if _has_peer(own, peers, session) else RULES.fault.mechanism
-    judged = judge_hypotheses(suspect, levels, mechanism)
+    if mechanism < RULES.fault.mechanism:
+        # What it does here it does in part beside: that nothing of it shows there is the less likely the more there is here.
+        mechanism /= float(np.sqrt(max(suspect.sound_chi2 - suspect.size, 1.0)))
+    return _state_likely(suspect, (own.recording_id,), judge_hypotheses(suspect, levels, mechanism))
+
+
+def _state_likely(suspect: Suspect, names: tuple[str, ...], judged: Sequence[tuple[Judged, float]]) -> Fault | None:
+    """The fault that hypotheses with their probabilities say that some recordings have; None where they may well have none."""
     by_cause: dict[str, float] = {}
     for j, probability in judged:
         by_cause[j.hypothesis.cause] = by_cause.get(j.hypothesis.cause, 0.0) + probability
@@ -223,10 +263,13 @@ def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault
     likely = [(j, p) for j, p in judged if j.hypothesis.cause not in (SOUND, MECHANISM, GAIN_ERROR.id)]
     best: Judged = likely[0][0]
     cause = best.hypothesis.cause
-    corrections = [c for j, p in likely if p > 0.01 for c in list_corrections(own, j.hypothesis, p)]
+    recordings = [r for r in suspect.session.recordings if r.recording_id in names]
+    corrections = [
+        c for j, p in likely if p > 0.01 for own in recordings for c in list_corrections(own, j.hypothesis, p)
+    ]
     return Fault(
         cause=cause,
-        recordings=(own.recording_id,),
+        recordings=names,
         probability=by_cause[cause],
         finding=best.hypothesis.detail,
         corrections=tuple(corrections),

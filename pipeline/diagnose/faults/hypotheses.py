@@ -63,6 +63,8 @@ class Hypothesis:
     cause : id of the fault, or one of the two that are none
     detail : which channel and by how much, in words
     predict : what the recording would show, None where that may be anything
+    own_chi2 : χ² of the recording where it may be anything; that of the noise where it is not given
+    may_open : of levels, those that may be as in the other recordings or anywhere
     log_prior : of this fault with this parameter
     free : number of continuous parameters, those of a film of its own included
     shifts, open_levels, flipped : of levels, as `Levels.log_likelihood` takes them
@@ -79,6 +81,8 @@ class Hypothesis:
     free: int = 0
     shifts: Mapping[str, float] = field(default_factory=dict)
     open_levels: frozenset[str] = frozenset()
+    may_open: frozenset[str] = frozenset()
+    own_chi2: Callable[[], float] | None = None
     flipped: bool = False
     shows: frozenset[str] = frozenset()
     channel: str = ""
@@ -132,7 +136,8 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
         yield Hypothesis(
             ids.DEAD_CHANNEL,
             f"the {name} stands still through {significant(100 * share, 2)} % of the record",
-            None, prior, 1, open_levels=frozenset({TENSION, NOISE + name}), shows=frozenset({"held", "flat"}), channel=name,
+            None, prior, 1, may_open=frozenset({NOISE + name} | ({TENSION} if name == output else set())),
+            shows=frozenset({"held", "flat"}), channel=name,
         )  # fmt: skip
     if levels.flat > 0:
         yield Hypothesis(
@@ -140,11 +145,14 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
             f"{significant(100 * levels.flat, 2)} % of the force's samples lie on a flat top",
             None, prior, 1, open_levels=frozenset({TENSION}), shows=frozenset({"flat", "held"}), channel="force",
         )  # fmt: skip
-    own = {TENSION, SENSED, NOISE + "force", NOISE + "displacement", NOISE + "voltage"}
+    own = frozenset({TENSION, SENSED, NOISE + "force", NOISE + "displacement", NOISE + "voltage"})
+    # Of another rig it may show anything; of the same one it shows a film, and perhaps the same noise.
+    elsewhere = levels.own_rig or levels.foreign
     yield Hypothesis(
         ids.FOREIGN_RECORDING,
         "its film is not that of the others",
-        None, prior, _OF_FILM, open_levels=frozenset(own), shows=frozenset({"foreign", "rig"}),
+        None, prior, _OF_FILM, open_levels=own if elsewhere else frozenset(), may_open=frozenset() if elsewhere else own,
+        own_chi2=None if elsewhere else lambda: suspect.own_film_chi2, shows=frozenset({"foreign", "rig"}),
     )  # fmt: skip
 
 
@@ -263,8 +271,23 @@ def _weigh_mechanism(suspect: Suspect, predicted: Prediction, chi2: float, mecha
     return float(np.log(mechanism)) - 0.5 * suspect.temper(suspect.size) - float(np.log(excess)) + common
 
 
-def judge_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Sequence[tuple[Judged, float]]:
-    """Hypotheses with their posterior probabilities, the most probable first."""
+def _measure_chi2(suspect: Suspect, hypothesis: Hypothesis, predicted: Prediction | None) -> float:
+    if predicted is not None:
+        return suspect.compute_chi2(predicted)
+    return float(suspect.size) if hypothesis.own_chi2 is None or not suspect.size else hypothesis.own_chi2()
+
+
+def judge_hypotheses(
+    suspect: Suspect, levels: Levels, mechanism: float, others: Sequence[Levels] = ()
+) -> Sequence[tuple[Judged, float]]:
+    """Hypotheses with their posterior probabilities, the most probable first.
+
+    Parameters
+    ----------
+    suspect : a recording, or several of one protocol that may have a fault in common
+    levels, others : of the recording, and of the others where it is several
+    mechanism : probability that a mechanism shows there
+    """
     rules, judged = RULES.fault, []
     fall = max(suspect.temper(suspect.sound_chi2) - suspect.temper(suspect.size), 1.0) if suspect.size else 1.0
     seen = {
@@ -277,7 +300,7 @@ def judge_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Sequ
         predicted = None if h.predict is None else h.predict()
         if h.predict is not None and predicted is None:
             continue
-        chi2 = float(suspect.size) if predicted is None else suspect.compute_chi2(predicted)
+        chi2 = _measure_chi2(suspect, h, predicted)
         total = h.log_prior - 0.5 * h.free * float(np.log(max(fall, 2.0)))
         if h.cause == MECHANISM:
             total += _weigh_mechanism(suspect, suspect.sound, suspect.sound_chi2, mechanism)
@@ -286,7 +309,10 @@ def judge_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Sequ
         else:  # what a fault leaves may be a mechanism, as it may be without one
             beside = _weigh_mechanism(suspect, predicted, chi2, mechanism)
             total += float(np.logaddexp(-0.5 * suspect.temper(chi2), beside))
-        total += levels.log_likelihood(h.shifts, open_levels=h.open_levels, flipped=h.flipped)
+        total += sum(
+            own.log_likelihood(h.shifts, open_levels=h.open_levels, may_open=h.may_open, flipped=h.flipped)
+            for own in (levels, *others)
+        )
         total += sum(
             float(np.log(rules.unmistakable)) for name, is_seen in seen.items() if is_seen and name not in h.shows
         )

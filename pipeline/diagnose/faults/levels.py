@@ -65,9 +65,15 @@ class Levels:
         return odd or self.foreign or self.flat > rules.flat or max(self.held.values(), default=0.0) > rules.held
 
     def log_likelihood(
-        self, shifts: Mapping[str, float], *, open_levels: frozenset[str] = frozenset(), flipped: bool = False
+        self,
+        shifts: Mapping[str, float],
+        *,
+        open_levels: frozenset[str] = frozenset(),
+        may_open: frozenset[str] = frozenset(),
+        flipped: bool = False,
     ) -> float:
-        """Of the levels under a fault that moves some of them; `open_levels` may be anywhere, `flipped` turns the tension.
+        """Of the levels under a fault that moves some of them; `open_levels` may be anywhere, those that `may_open` be anywhere or as they
+        are in the others, as likely; `flipped` turns the tension.
 
         Any level may stray without a fault: a load cell is tared, a range or a filter is changed.
         """
@@ -79,6 +85,9 @@ class Levels:
                 continue
             z = level.z(shifts.get(name, 0.0), flipped and name == TENSION)
             expected = log_likelihood_of(z)
+            if name in may_open:
+                total += float(np.logaddexp(expected, anywhere)) - float(np.log(2))
+                continue
             may_stray = name in (TENSION, SENSED) or name.startswith(NOISE)
             total += float(np.logaddexp(expected, np.log(rules.stray) + anywhere)) if may_stray else expected
         return total
@@ -104,7 +113,7 @@ def _read_one(recordings: Sequence[RecordingFeatures], number: int) -> Levels:
         ratio = _compare_stated(own, pair)
         if ratio is not None:
             found[name] = Level(ratio, sd)
-    if RATE in found and own.protocol != "cyclic":
+    if RATE in found and own.protocol == "chirp":
         found[RATE] = _compare_sweeps(found[RATE].value, [r for r in others if r.protocol == own.protocol])
     for name, key in ((TENSION, "rest_force_n"), (SENSED, "capacitance_rest_pf")):
         level = _compare_rest(own.values.get(key), [r.values[key] for r in others if key in r.values])
@@ -133,6 +142,16 @@ def _compare_sweeps(own: float, others: Sequence[RecordingFeatures]) -> Level:
     if not read or np.ptp(read) > RULES.fault.sweep_rate_sd:
         return Level(own - _SWEEP_READS, RULES.fault.sweep_rate_sd)
     return Level(own - float(np.median(read)), RULES.fault.sweep_alike_sd)
+
+
+def read_sweeps(recordings: Sequence[RecordingFeatures]) -> float | None:
+    """ln of the highest frequency that sweeps show over that stated, their taper apart: the median; None where none shows any."""
+    read = [
+        v - _SWEEP_READS
+        for r in recordings
+        if r.protocol == "chirp" and (v := _compare_stated(r, FREQUENCY)) is not None
+    ]
+    return float(np.median(read)) if read else None
 
 
 def _compare_rest(own: float | None, others: Sequence[float]) -> Level | None:

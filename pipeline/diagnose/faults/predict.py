@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 
 from pipeline.diagnose.faults.undo import CAPACITANCE, RESPONSES, follow_block, scale_of, turn, turned
-from pipeline.diagnose.features.kinds import REST_HUM, SPHS_RESPONSE
+from pipeline.diagnose.features.kinds import AMPLIFIER, REST_HUM, SPHS_RESPONSE
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.plain_fit import PlainFit
+from pipeline.diagnose.search.plain_fit import PlainFit, make_bounds
 from pipeline.diagnose.simulation.effects import NONE, Effect, View
 from pipeline.diagnose.simulation.families import dynamic, film_at, rig_of
 from pipeline.diagnose.simulation.parameters import BaseModel, Physical
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.least_squares import minimise
 from schemas.arrays import Complex, Float
 from schemas.protocols import ELECTRICAL, MECHANICAL
 
+_OTHER_FILMS = (0.1, 10.0)
+"""Least and largest stiffness of another film over that of the others at which its search begins."""
+_STEPS = 20
+"""Steps of that search at most."""
 _DIFFERENCE = 1e-4
 """Step of an entry by which slopes are taken."""
 
@@ -57,13 +62,13 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Suspect:
-    """One recording of a session beside the film and the rig that the others agree on.
+    """One recording of a session, or several of one protocol, beside the film and the rig that the others agree on.
 
     Parameters
     ----------
     session : with this recording among them
-    number : of the recording
-    own : this recording alone
+    number : of the recording, or of the first of several
+    own : this recording alone, or these
     rig : number in the fit of the rig that it is simulated on
     simulation : of it
     fit : of the others; its covariance is how well they know what the recording should show
@@ -77,13 +82,13 @@ class Suspect:
     fit: PlainFit
 
     @classmethod
-    def of(cls, session: Session, number: int, fit: PlainFit, rig: int) -> Suspect:
-        """The suspect with that number, on the rig with the number `rig` in the fit."""
-        kept = [p.recording == number and p.block.kind != REST_HUM for p in session.places]
+    def of(cls, session: Session, numbers: Sequence[int], fit: PlainFit, rig: int) -> Suspect:
+        """The suspect with that number, or those of one protocol, on the rig with the number `rig` in the fit."""
+        kept = [p.recording in numbers and p.block.kind not in (REST_HUM, *AMPLIFIER) for p in session.places]
         own = session.part(kept)
         states = replace(own.states, rig=np.full_like(own.states.rig, rig))
         on_rig = replace(own, rig=np.full_like(own.rig, rig), states=states)
-        return cls(session, number, own, rig, Simulation(on_rig), fit)
+        return cls(session, numbers[0], own, rig, Simulation(on_rig), fit)
 
     @property
     def size(self) -> int:
@@ -121,10 +126,11 @@ class Suspect:
 
     def follow_drift(self, drift: float) -> Prediction:
         """What it would show with its output stamped later by a share of the time, its functionals included."""
-        nodes = self.own.recordings[self.number].nodes
         on_rig = self.simulation.session
         places = tuple(
-            p if p.block.kind == SPHS_RESPONSE else replace(p, block=follow_block(p.block, nodes, 0.0, drift))
+            p
+            if p.block.kind == SPHS_RESPONSE
+            else replace(p, block=follow_block(p.block, self.own.recordings[p.recording].nodes, 0.0, drift))
             for p in on_rig.places
         )
         followed = replace(self, simulation=Simulation(replace(on_rig, places=places)))
@@ -171,10 +177,36 @@ class Suspect:
         return max(float(e @ e - along @ np.linalg.solve(inner, along)), 0.0)
 
     def measure_scale(self, prediction: Prediction) -> float:
-        """The recording's features over those predicted: the factor with which these come nearest; 1 where nothing is predicted."""
+        """The recording's features over those predicted: the factor with which these come nearest; 0 where no response is predicted at all,
+        and 1 where there are no features."""
+        if not self.size:
+            return 1.0
         y, f = self.own.whiten(self.own.value), self.own.whiten(prediction.value)
         power = float(f @ f)
-        return float(y @ f) / power if power > 0 else 1.0
+        return float(y @ f) / power if power > 0 else 0.0
+
+    @cached_property
+    def own_film_chi2(self) -> float:
+        """χ² with a film of its own on the rig of the others."""
+        model, theta = self.fit.model, self.fit.theta
+        is_film = np.arange(theta.size) < model.film.stop
+        place = model.index("log actuation")
+        if place is not None:
+            is_film[place] = True
+        beside = ~is_film
+        known = np.linalg.cholesky(np.linalg.inv(self.fit.solution.covariance[np.ix_(beside, beside)])).T
+        springs = np.array([name.startswith("log k") for name in model.names])
+        scale = abs(self.measure_scale(self.sound))
+        size = float(np.log(np.clip(scale, *_OTHER_FILMS)))
+
+        def residuals(several: Float) -> Float:
+            made = self.simulation.predict_several(model, several)
+            data = self.own.whiten((self.own.value - made).T).T
+            return np.concatenate([data, (several[:, beside] - theta[beside]) @ known.T], axis=1)
+
+        starts = [theta + shift * springs for shift in (0.0, size)]
+        bounds = make_bounds(model)
+        return min(minimise(residuals, np.clip(start, *bounds), *bounds, most=_STEPS).chi2 for start in starts)
 
     @cached_property
     def sound_chi2(self) -> float:

@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.agreement import agrees
+from pipeline.diagnose.faults.agreement import agrees, measure_left
 from pipeline.diagnose.faults.clock import find_drift
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
-from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels, name_clamp
+from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels, name_clamp, read_sweeps
 from pipeline.diagnose.faults.undo import scale_channels, stretch_clock
 from pipeline.diagnose.features.kinds import (
     CHIRP_RESPONSE,
@@ -39,7 +39,10 @@ _ALIKE = 0.03
 """Difference of the logarithms of levels up to which recordings share one."""
 _RIG_SLIPS = (10.0, 0.1, 1e3, 1e-3, 2.2046, 0.45359, 2.0, 0.5, 100.0, 0.01)
 """Written over true constants of a rig where a file says kg of g or lb, or a digit too many or too few."""
-_FORCE_SLIPS = (1 / GRAVITY_M_PER_S2, GRAVITY_M_PER_S2, 1e3, 1e-3, 4.4482216, 1 / 4.4482216)
+_FORCE_SLIPS = (
+    1 / GRAVITY_M_PER_S2, GRAVITY_M_PER_S2, 1e3, 1e-3, 4.4482216, 1 / 4.4482216,
+    2.0, 0.5, 10.0, 0.1, 2 * 2**0.5, 0.5 / 2**0.5,
+)  # fmt: skip
 """Recorded over true force of all recordings."""
 _SIZES = (("film_thickness_mm", 1.0, 0.5), ("film_width_mm", -1.0, 0.3), ("relative_permittivity", -1.0, 0.2))
 """Sizes that the actuation follows: power of the measured over the promised one, and how often each is the one that is wrong."""
@@ -122,19 +125,20 @@ def find_stated_by_all(
     if strain is not None:
         found.append(_fault_of_strain(stated, -strain))
     put_right = list(recordings)
-    turning, rate = _share([r for r in tests if r.protocol == "cyclic"], levels, RATE)
-    if rate is not None and len(turning) > 1:
+    clocks = _share_clock(recordings, levels)
+    if clocks is not None:
+        words, slow, rate = clocks
         stretch = float(np.exp(-rate))
-        put_right = [stretch_clock(r, stretch) if r in tests else r for r in recordings]
+        put_right = [stretch_clock(r, stretch) if r in slow else r for r in recordings]
         found.append(
             Fault(
                 ids.SAMPLE_RATE_WRONG,
-                tuple(r.recording_id for r in tests),
+                tuple(r.recording_id for r in slow),
                 RULES.fault.named,
-                f"the clocks of all mechanical tests claim {significant(stretch, 4)} times the time that passed",
+                f"the clocks of all {words}tests claim {significant(stretch, 4)} times the time that passed",
                 tuple(
                     Correction(r.recording_id, ids.SAMPLE_RATE_WRONG, "time.scale", "1", write(1 / stretch), RULES.fault.named)
-                    for r in tests
+                    for r in slow
                 ),
                 sets_aside=False,
             )
@@ -156,6 +160,32 @@ def find_stated_by_all(
             )
         )  # fmt: skip
     return put_right, found
+
+
+def _share_clock(
+    recordings: Sequence[RecordingFeatures], levels: Mapping[str, Levels]
+) -> tuple[str, list[RecordingFeatures], float] | None:
+    """The tests whose clock is off by a common factor, in words and as a list, with the logarithm of the frequencies seen over those
+    stated: all tests, or those of one loading; None where there is no such clock.
+
+    Sweeps tell their highest frequency less well than sinusoids and periods tell theirs: they only say whether they share it.
+    """
+    tests = [r for r in recordings if r.loading in (MECHANICAL, ELECTRICAL)]
+    turning = [r for r in tests if r.protocol != "chirp"]
+    for words, loadings in (
+        ("", {MECHANICAL, ELECTRICAL}),
+        ("mechanical ", {MECHANICAL}),
+        ("electrical ", {ELECTRICAL}),
+    ):
+        own = [r for r in tests if r.loading in loadings]
+        shown, rate = _share([r for r in turning if r.loading in loadings], levels, RATE)
+        if rate is None:
+            continue
+        silent = {r.loading for r in own} - {r.loading for r in shown}
+        swept = read_sweeps([r for r in own if r.loading in silent])
+        if not silent or (swept is not None and abs(swept - rate) < abs(swept)):
+            return words, own, rate
+    return None
 
 
 def _share(
@@ -248,7 +278,7 @@ def find_shared(
     """What is wrong with all recordings that their plain fit shows beside the rig's file: a clock that drifts, sizes."""
     found: list[Fault] = []
     put_right = list(recordings)
-    drifting = find_drift(put_right, fitted) if _is_off(fitted[2]) else None
+    drifting = find_drift(put_right, fitted) if _is_off(fitted[0], fitted[2]) else None
     if drifting is not None:
         put_right, fitted, fault = drifting
         found.append(fault)
@@ -256,9 +286,10 @@ def find_shared(
     return put_right, fitted, found + ([] if size is None else [size])
 
 
-def _is_off(plain: PlainFit) -> bool:
+def _is_off(session: Session, plain: PlainFit) -> bool:
     """Whether a plain fit misses the recordings, or the rig's file."""
-    return plain.chi2 > RULES.fault.agrees * plain.misfit.size or _find_furthest(plain) > RULES.fault.off
+    left = measure_left(session, plain.misfit, plain.chi2)
+    return left > RULES.fault.agrees or _find_furthest(plain) > RULES.fault.off
 
 
 def _find_furthest(plain: PlainFit) -> float:
@@ -307,7 +338,7 @@ def find_wrong_file(
     None where no correction brings all recordings together with the file
     """
     session, _, plain = fitted
-    rough = _rank_remedies(session) if _is_off(plain) else []
+    rough = _rank_remedies(session) if _is_off(session, plain) else []
     if not rough:
         return None
     best: tuple[float, list[RecordingFeatures], Fitted, _Remedy] | None = None
@@ -316,7 +347,9 @@ def find_wrong_file(
         fit = fit_session([r for r in tried if r.recording_id not in without])
         if best is None or fit[2].chi2 < best[0]:
             best = fit[2].chi2, tried, fit, remedy
-    if best is None or not agrees(best[0] / session.size, plain.chi2 / session.size):
+    if best is None or not agrees(
+        measure_left(best[2][0], best[2][2].misfit, best[0]), measure_left(session, plain.misfit, plain.chi2)
+    ):
         fault = _blame_file(session, rough)
         return None if fault is None else (list(recordings), fitted, fault)
     chi2, changed, again, remedy = best
@@ -328,7 +361,7 @@ def find_wrong_file(
         Correction(r.recording_id, remedy.cause, remedy.key, *remedy.correct(r), probability) for r in recordings
     )
     names = tuple(r.recording_id for r in recordings)
-    left = chi2 / max(again[0].size, 1)
+    left = measure_left(again[0], again[2].misfit, chi2)
     return changed, again, Fault(remedy.cause, names, probability, remedy.words, corrections, False, left)
 
 
@@ -373,7 +406,7 @@ def judge_taps(
     session, _, plain = fitted
     ring, filed = (float(np.median([t.values[key] for t in taps])) for key in (RING_HZ, FILED_RING_HZ))
     words = f"what was tapped rings at {significant(ring, 4)} Hz, the clamp of the rig's file would at {significant(filed, 4)} Hz"
-    if _count_responses(session) >= RULES.fault.film_points and not _is_off(plain):
+    if _count_responses(session) >= RULES.fault.film_points and not _is_off(session, plain):
         # The film's responses have the clamp of the file on them.
         names = tuple(t.recording_id for t in taps)
         return Fault(ids.FOREIGN_RIG, names, RULES.fault.named, f"{words}, and the tests agree with the file")
@@ -436,7 +469,7 @@ def _ask_sizes(fitted: Fitted) -> Fault | None:
     """The actuation against what thickness, width and permittivity promise: they show in nothing else."""
     session, _, plain = fitted
     place = plain.model.index("log actuation")
-    if place is None or plain.chi2 > RULES.fault.noise_off * session.size:
+    if place is None or measure_left(session, plain.misfit, plain.chi2) > RULES.fault.noise_off:
         return None
     sd = float(plain.model.prior_sd[place])
     ratio = float(plain.theta[place] - plain.model.prior_mean[place])

@@ -54,6 +54,18 @@ _MOVED = 0.3
 """Share of the input's whole travel that it makes meanwhile."""
 _STILL = 0.02
 """Share of the input's travel beyond which it is no longer at rest."""
+_LONGER = 5.0
+"""Times the next longest run of one value of which an input that moves all the time has stopped."""
+_COARSE = 8000
+"""Samples to which a record is thinned before it is looked through for a period."""
+_OTHER_SHAPE, _SAME_SHAPE = 0.5, 0.03
+"""Mean square difference of a signal from itself later, over that of independent signals, from which it is another and up to which it is
+the same."""
+_UNMOVED = 0.1
+"""Share of the amplitude stated below which an input may not have moved."""
+_NOISE = 0.5
+"""Mean square of the steps of a signal over its variance from which it is nothing but noise: 2 where that is white, far less of what
+is driven."""
 
 
 def observe_channels(recording: Recording) -> dict[str, float]:
@@ -64,21 +76,24 @@ def observe_channels(recording: Recording) -> dict[str, float]:
     source = drive(recording)
     given, found = source.input.values, source.output.values
     values = _find_held(given, found, (source.input.quantity, source.output.quantity))
+    stopped = _find_stopped(given, source.input.quantity) if metadata.protocol in _MOVING else {}
+    values |= stopped
     values |= {STATED + key: value for key in SIZES if (value := getattr(metadata, key)) is not None}
     if not np.isfinite(given).any() or not np.isfinite(found).any():
         return values
+    read = _FREQUENCIES.get(metadata.protocol)
+    if read is not None and not stopped:  # what is lost for a while has no frequency
+        time = (source.input.time_ns - source.input.time_ns[0]) * 1e-9
+        values |= _pair(FREQUENCY, read.stated(metadata), read.seen(time, given))
     if metadata.loading == ELECTRICAL:
-        return values | _pair(VOLTAGE, metadata.drive_kv, float(np.nanmax(np.abs(given))))
+        values |= _pair(VOLTAGE, metadata.drive_kv, float(np.nanmax(np.abs(given))))
+        return values | _find_unmoved(values, VOLTAGE, given, source.input.quantity)
     if metadata.protocol in ("chirp", "cyclic"):
         values[FLAT] = float(flat_tops(found, source.output.resolution).mean())
     travel = None if metadata.strain_pp is None else metadata.strain_pp * strain_length_mm(recording)
     values |= _pair(AMPLITUDE, travel, float(np.nanmax(given) - np.nanmin(given)))
     values["force_pp"] = float(np.nanmax(found) - np.nanmin(found))
-    read = _FREQUENCIES.get(metadata.protocol)
-    if read is not None:
-        time = (source.input.time_ns - source.input.time_ns[0]) * 1e-9
-        values |= _pair(FREQUENCY, read.stated(metadata), read.seen(time, given))
-    return values
+    return values | _find_unmoved(values, AMPLITUDE, given, source.input.quantity)
 
 
 def find_dead(observed: Mapping[str, float]) -> list[str]:
@@ -106,6 +121,31 @@ def _find_held(given: Float, found: Float, names: tuple[str, str]) -> dict[str, 
         if stop - first == values.size:
             share[HELD + name] = 1.0
     return share
+
+
+def _find_stopped(given: Float, name: str) -> dict[str, float]:
+    """Share of the record in which an input that moves all the time holds one value away from where it rests."""
+    sound = given[np.isfinite(given)]
+    if not sound.size:
+        return {}
+    travel, rest = float(np.ptp(sound)), float(np.median(sound[:_FEWEST_HELD]))
+    bounds = np.concatenate([[0], np.flatnonzero(np.diff(given) != 0) + 1, [given.size]])
+    lengths, held = np.diff(bounds), given[bounds[:-1]]
+    lengths = lengths[np.abs(held - rest) > _STILL * travel]
+    if lengths.size < 2:
+        return {}
+    second, longest = np.partition(lengths, -2)[-2:]
+    return {HELD + name: float(longest) / given.size} if longest >= max(_FEWEST_HELD, _LONGER * second) else {}
+
+
+def _find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str) -> dict[str, float]:
+    """That an input stands still through all of the record, where next to nothing is seen of what is stated, and that is noise."""
+    if STATED + pair not in values or values[SEEN + pair] > _UNMOVED * values[STATED + pair]:
+        return {}
+    sound = given[np.isfinite(given)]
+    place = np.arange(sound.size)
+    left = sound - np.polynomial.polynomial.polyval(place, np.polynomial.polynomial.polyfit(place, sound, 1))
+    return {HELD + name: 1.0} if np.mean(np.diff(sound) ** 2) > _NOISE * np.mean(left**2) else {}
 
 
 def _longest_run(values: Float) -> tuple[int, int]:
@@ -226,6 +266,45 @@ def _see_highest(time_s: Float, values: Float) -> float | None:
     return float(_CROSSINGS / 2 / spans[fastest]) if swings.size[fastest] > _CLEAR * swings.floor else None
 
 
+def read_period(values: Float) -> int | None:
+    """Samples after which a signal repeats while it moves, to the sample; None where it does not."""
+    sound = np.nan_to_num(values)
+    moving = np.flatnonzero(np.abs(sound) > _STILL * np.abs(sound).max())
+    if moving.size < _FEWEST_HELD:
+        return None
+    moved = sound[moving[0] : moving[-1] + 1]
+    step = max(1, moved.size // _COARSE)
+    coarse = moved[: moved.size // step * step].reshape(-1, step).mean(axis=1)
+    apart = _measure_repetition(coarse - coarse.mean())
+    far = np.flatnonzero(apart > _OTHER_SHAPE)
+    if not far.size or not (apart[far[0] :] < _SAME_SHAPE).any():
+        return None
+    later = apart[far[0] :]
+    first = int(np.flatnonzero(later <= later.min() + _SAME_SHAPE)[0])
+    while first + 1 < later.size and later[first + 1] < later[first]:
+        first += 1
+    lag = (int(far[0]) + first) * step
+    near = range(max(lag - 2 * step, 1), min(lag + 2 * step + 1, moved.size - 1))
+    return min(near, key=lambda lag: float(np.mean((moved[lag:] - moved[:-lag]) ** 2)))
+
+
+def _measure_repetition(x: Float) -> Float:
+    """Mean square of what a signal (n,) differs from itself later by, over twice its own mean square, for lags up to 3/4 of it."""
+    n = x.size
+    spectrum = np.fft.rfft(x, 2 * n)
+    products = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
+    energy = np.concatenate([[0.0], np.cumsum(x**2)])
+    lags = np.arange(3 * n // 4)
+    both = energy[n - lags] + energy[n] - energy[lags]
+    return np.asarray(1 - 2 * products[lags] / np.maximum(both, np.finfo(float).tiny))
+
+
+def _see_period(time_s: Float, values: Float) -> float | None:
+    """Periods of a multisine per second."""
+    period = read_period(values)
+    return None if period is None else float((time_s.size - 1) / (period * time_s[-1]))
+
+
 @dataclass(frozen=True)
 class _Reading:
     """Where the metadata of a protocol state a frequency, and how it is seen in the input."""
@@ -242,4 +321,7 @@ def _state_highest(metadata: RecordingMetadata) -> float | None:
 _FREQUENCIES = {
     "cyclic": _Reading(lambda metadata: metadata.frequency_hz, _see_sine),
     "chirp": _Reading(_state_highest, _see_highest),
+    "sphs": _Reading(lambda metadata: None if metadata.period_s is None else 1 / metadata.period_s, _see_period),
 }
+_MOVING = frozenset(_FREQUENCIES)
+"""Protocols whose input moves all the time but before and after the test."""

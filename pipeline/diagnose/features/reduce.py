@@ -66,7 +66,7 @@ def reduce(recording: Recording) -> RecordingFeatures:
         blocks, values, warnings = calibration_blocks(recording)
     elif dead:
         # No response, but the fault is to be said.
-        blocks, warnings = [], [f"{' and '.join(dead)} stand still: nothing is measured"]
+        blocks, warnings = [], [f"{' and '.join(f'the {name} stands still' for name in dead)}: nothing is measured"]
     else:
         blocks, noise, values, warnings = _REDUCERS[key](heavy, nodes)
         hum = hum_block(recording) if metadata.loading in (MECHANICAL, ELECTRICAL) else None

@@ -1,0 +1,57 @@
+"""What is read off the samples of a recording before any model is asked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.diagnose.features.observed import _find_stopped, _find_unmoved, read_period
+
+
+def multisine(period: int, count: int, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    place = np.arange(period * count)
+    lines = np.arange(1, 40)
+    phase = rng.uniform(0, 2 * np.pi, lines.size)
+    return np.sin(2 * np.pi * lines * place[:, None] / period + phase).sum(axis=1)
+
+
+def raised(period: int, count: int) -> np.ndarray:
+    """A voltage whose square is a multisine, between rests."""
+    wave = multisine(period, count)
+    voltage = np.sqrt(wave - 1.05 * wave.min())
+    return np.concatenate([np.zeros(700), voltage, np.zeros(300)]) + np.random.default_rng(2).normal(
+        0, 1e-3, 1000 + wave.size
+    )
+
+
+@pytest.mark.parametrize("period", [2000, 2119, 16000])
+def test_a_period_is_read_to_the_sample(period: int) -> None:
+    assert read_period(raised(period, 4)) == period
+
+
+def test_noise_has_no_period() -> None:
+    assert read_period(np.random.default_rng(3).normal(size=5000)) is None
+
+
+def test_an_input_that_stops_in_the_middle_is_told_with_its_share() -> None:
+    voltage = raised(2000, 4)
+    voltage[3000:3900] = voltage[3000]
+    assert _find_stopped(voltage, "voltage")["held_share_voltage"] == pytest.approx(900 / voltage.size)
+
+
+def test_an_input_of_coarse_steps_has_not_stopped() -> None:
+    place = np.arange(20000)
+    assert not _find_stopped(np.round(8 * np.sin(2 * np.pi * place / 5000)) / 8, "displacement")
+
+
+def test_an_input_that_is_noise_where_motion_is_stated_stands_still() -> None:
+    noise = np.random.default_rng(4).normal(0, 1e-3, 4000)
+    values = {"stated_pp_mm": 1.0, "seen_pp_mm": float(np.ptp(noise))}
+    assert _find_unmoved(values, "pp_mm", noise, "displacement") == {"held_share_displacement": 1.0}
+
+
+def test_a_motion_in_another_unit_does_not_stand_still() -> None:
+    moved = 1e-3 * np.sin(2 * np.pi * np.arange(4000) / 50)
+    values = {"stated_pp_mm": 1.0, "seen_pp_mm": float(np.ptp(moved))}
+    assert not _find_unmoved(values, "pp_mm", moved, "displacement")
