@@ -136,7 +136,8 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
         yield Hypothesis(
             ids.DEAD_CHANNEL,
             f"the {name} stands still through {significant(100 * share, 2)} % of the record",
-            None, prior, 1, may_open=frozenset({NOISE + name} | ({TENSION} if name == output else set())),
+            None, prior, 1, open_levels=frozenset({TENSION, NOISE + name} if name == output else set()),
+            may_open=frozenset({NOISE + name} if name != output else set()),
             shows=frozenset({"held", "flat"}), channel=name,
         )  # fmt: skip
     if levels.flat > 0:
