@@ -186,6 +186,11 @@ EDITS: Mapping[str, Edit] = {
         "sensor_saturation", LARGEST_SINE, lambda r: change_channel(r, "force", clip(0.6))
     ),
     "one sweep clipped at 60 %": Edit("sensor_saturation", SWEEP, lambda r: change_channel(r, "force", clip(0.6))),
+    "displacement of one sine clipped at 60 %": Edit(
+        "sensor_saturation", LARGEST_SINE, lambda r: change_channel(r, "displacement", clip(0.6))
+    ),
+    "force of all with its sign flipped": Edit("sign_flipped", all_of, multiply("force", -1.0)),
+    "displacement of all with its sign flipped": Edit("sign_flipped", all_of, multiply("displacement", -1.0)),
     "force of one sweep drops out": Edit(
         "dead_channel", SWEEP, lambda r: change_channel(r, "force", drop_out(0.4, 0.45))
     ),

@@ -149,6 +149,13 @@ def test_a_clock_that_all_tests_share_is_seen_in_sinusoids_and_periods_alike() -
     assert checked.plain.chi2 < 1.2 * checked.session.size, "they agree once they are put right"
 
 
+@pytest.mark.parametrize("channel", ["force", "displacement"])
+def test_a_sign_that_is_the_opposite_one_in_all_tests_is_told_by_the_tension(channel: str) -> None:
+    (fault,) = check(f"{channel} of all with its sign flipped").faults
+    assert fault.cause == "sign_flipped"
+    assert {(c.key, c.value_proposed) for c in fault.corrections} == {(f"columns.{channel}.scale", "-1")}
+
+
 def test_an_amplifier_that_lags_its_command_hides_no_fault() -> None:
     """What it makes of its command is no matter of film and rig: all recordings seemed to disagree."""
     name = "force of one sweep 2 ms late"

@@ -73,18 +73,24 @@ def sum_by_recording(session: Session, misfit: Float) -> tuple[Float, Float]:
     return np.asarray(chi2, dtype=np.float64), np.asarray(size, dtype=np.float64)
 
 
-def measure_left(session: Session, misfit: Float, chi2: float) -> float:
-    """χ² per value without the amplifier's share, which no fault of a recording changes.
+def count_chi2(session: Session, residual: Float) -> float:
+    """χ² of a whitened residual, and of what deviates from the prior, without the amplifier's share, which no fault changes.
+
+    That share may be a million times the rest: what is left of a difference of the two is rounding.
 
     Parameters
     ----------
     session : with N features
-    misfit : (N,) whitened residual of any fit
-    chi2 : of the fit that is asked for
+    residual : (N,) or longer, by the deviations from the prior
     """
-    of_amplifier = np.isin(session.kind, list(AMPLIFIER))
-    own = float(misfit[of_amplifier] @ misfit[of_amplifier])
-    return max(chi2 - own, 0.0) / max(session.size - int(of_amplifier.sum()), 1)
+    counted = np.ones(residual.size, dtype=bool)
+    counted[: session.size] = ~np.isin(session.kind, list(AMPLIFIER))
+    return float(np.sum(residual[counted] ** 2))
+
+
+def measure_left(session: Session, chi2: float) -> float:
+    """χ² per value, of one without the amplifier's share."""
+    return chi2 / max(int((~np.isin(session.kind, list(AMPLIFIER))).sum()), 1)
 
 
 def miss(chi2: Float, size: Float, dispersion: float) -> Bool:
@@ -104,7 +110,10 @@ def agrees(left: float, before: float) -> bool:
 def find_agreement(session: Session, simulation: Simulation, plain: PlainFit) -> Agreement:
     """The fit that most recordings agree on, from the plain fit and from the films of single sweeps."""
     found = _reweigh(session, simulation, plain)
-    if found[1] > _cost_of_noise(session) and measure_left(session, plain.misfit, plain.chi2) > RULES.fault.astray:
+    if (
+        found[1] > _cost_of_noise(session)
+        and measure_left(session, count_chi2(session, plain.misfit)) > RULES.fault.astray
+    ):
         for make_starts in (_fit_sweeps, _fit_without_rough):
             for start in make_starts(session):
                 found = min(found, _reweigh(session, simulation, start), key=lambda pair: pair[1])

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.agreement import agrees, measure_left
+from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.levels import log_likelihood_of
 from pipeline.diagnose.faults.undo import scale_of
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.plain_fit import PlainFit, compute_deviations, compute_residuals, make_bounds
+from pipeline.diagnose.search.plain_fit import PlainFit, compute_deviations, make_bounds
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
@@ -40,7 +40,7 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     Parameters
     ----------
     fit : film and rig that most recordings agree on
-    chi2 : of the session without a change
+    chi2 : of the session without a change, without the amplifier's share
     """
     place = _find_step(session, simulation, fit)
     if place is None or not shows_in_more_than_one_test(session, place[0]):
@@ -55,11 +55,8 @@ def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: f
     before, chi2 = chi2, fits[nearest][0]
     fall = before - chi2
     odds = 0.5 * fall - float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
-    misfit = compute_residuals(session, simulation, fit.model, fit.theta[None])[0][: session.size]
-    left = measure_left(session, misfit, chi2)
-    if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or not agrees(
-        left, measure_left(session, misfit, before)
-    ):
+    left = measure_left(session, chi2)
+    if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or not agrees(left, measure_left(session, before)):
         return None
     return _state_change(session, first, fits, nearest, left)
 
@@ -215,4 +212,4 @@ def _fit_change(
 
     low, high = make_bounds(fit.model)
     found = minimise(residuals, np.append(fit.theta, start), np.append(low, -_LARGEST), np.append(high, _LARGEST))
-    return found.chi2, float(found.x[-1])
+    return count_chi2(session, found.residual), float(found.x[-1])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.agreement import agrees, measure_left
+from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
 from pipeline.diagnose.faults.undo import RESPONSES, advance_block, follow_delay, turn, turned
@@ -45,24 +45,26 @@ def find_drift(
     mechanism of its own.
     """
     session, _, plain = fitted
-    before = measure_left(session, plain.misfit, plain.chi2)
+    off = count_chi2(session, plain.misfit)
+    before = measure_left(session, off)
     start = _scan(session, _DRIFTS, drifting=True)
     if start is None:
         return None
     drift, chi2 = _refine([follow_delay(r, 0.0, start) for r in recordings], start, plain, drifting=True)
-    if not agrees(measure_left(session, plain.misfit, chi2), before):
+    if not agrees(measure_left(session, chi2), before):
         return None
     changed = [follow_delay(r, 0.0, drift) for r in recordings]
     again = fit_session(changed)
-    left = measure_left(again[0], again[2].misfit, again[2].chi2)
+    whole = count_chi2(again[0], again[2].misfit)
+    left = measure_left(again[0], whole)
     if not agrees(left, before):
         return None
-    other = plain.chi2
+    other = off
     delay = _scan(session, _DELAYS, drifting=False)
     if delay is not None:
         late = _refine([follow_delay(r, delay, 0.0) for r in recordings], delay, again[2], drifting=False)
         other = min(other, late[1])
-    odds = 0.5 * (other - again[2].chi2) - 0.5 * float(np.log(max(plain.chi2 - again[2].chi2, 2.0)))
+    odds = 0.5 * (other - whole) - 0.5 * float(np.log(max(off - whole, 2.0)))
     probability = float(1 / (1 + np.exp(-np.clip(odds + np.log(RULES.fault.prior), -50, 50))))
     if probability < RULES.fault.named:
         return None
@@ -119,4 +121,4 @@ def _refine(
     low, high = make_bounds(plain.model)
     widest = abs(start) / unit
     found = minimise(residuals, np.append(plain.theta, 0.0), np.append(low, -widest), np.append(high, widest))
-    return start + unit * float(found.x[-1]), found.chi2
+    return start + unit * float(found.x[-1]), count_chi2(session, found.residual)

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.diagnose.faults.agreement import (
     Agreement,
     agrees,
+    count_chi2,
     find_agreement,
     leave_out,
     measure_left,
@@ -158,7 +159,7 @@ def _ask_change(
             return None
         simulation = Simulation(session)
     misfit = compute_residuals(session, simulation, near.model, near.theta[None])[0]
-    chi2 = min(float(misfit @ misfit), np.inf if suspects else plain.chi2)
+    chi2 = min(count_chi2(session, m) for m in ([misfit] if suspects else [misfit, plain.misfit]))
     return find_change(session, simulation, near, chi2)
 
 
@@ -172,7 +173,7 @@ def _judge_each(
 ) -> list[Fault]:
     """Faults of single recordings: of those whose levels are odd, and of those that miss the film the others agree on."""
     session, simulation, plain = first
-    before = measure_left(session, plain.misfit, plain.chi2)
+    before = measure_left(session, count_chi2(session, plain.misfit))
     base, dispersion = plain, before
     if agreement is not None:
         base = leave_out(session, simulation, agreement.fit, agreement.outside)

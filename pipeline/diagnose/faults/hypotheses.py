@@ -144,7 +144,8 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
         yield Hypothesis(
             SENSOR_SATURATION.id,
             f"{significant(100 * levels.flat, 2)} % of the force's samples lie on a flat top",
-            None, prior, 1, open_levels=frozenset({TENSION}), shows=frozenset({"flat", "held"}), channel="force",
+            None, prior, 1, open_levels=frozenset({TENSION if levels.clipped == output else STRAIN}),
+            shows=frozenset({"flat", "held"}), channel=levels.clipped,
         )  # fmt: skip
     own = frozenset({TENSION, SENSED, NOISE + "force", NOISE + "displacement", NOISE + "voltage"})
     # Of another rig it may show anything; of the same one it shows a film, and perhaps the same noise.

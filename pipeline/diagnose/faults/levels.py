@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.diagnose.features.kinds import RecordingFeatures
-from pipeline.diagnose.features.observed import AMPLITUDE, FLAT, FREQUENCY, HELD, SEEN, STATED, VOLTAGE
+from pipeline.diagnose.features.observed import AMPLITUDE, FLAT, FLAT_INPUT, FREQUENCY, HELD, SEEN, STATED, VOLTAGE
 from pipeline.diagnose.rules import RULES
 from schemas.metadata import RigConstants
 
@@ -49,6 +49,7 @@ class Levels:
     foreign : whether its sizes are none of those of the other recordings, which have one film
     own_rig : whether its rig is by its constants none of that of the others, which have one
     flat, held : share of its samples on a flat top; quantity → share of the record in which it stands still
+    clipped : the channel with the flat tops
     """
 
     by_name: Mapping[str, Level]
@@ -56,6 +57,7 @@ class Levels:
     flat: float
     held: Mapping[str, float]
     own_rig: bool = False
+    clipped: str = "force"
 
     @property
     def is_suspect(self) -> bool:
@@ -120,12 +122,14 @@ def _read_one(recordings: Sequence[RecordingFeatures], number: int) -> Levels:
         if level is not None:
             found[name] = level
     found |= _compare_noise(own, others)
+    flat = {"force": own.values.get(FLAT, 0.0), "displacement": own.values.get(FLAT_INPUT, 0.0)}
     return Levels(
         found,
         _is_foreign(own, others),
-        own.values.get(FLAT, 0.0),
+        max(flat.values()),
         {k.removeprefix(HELD): v for k, v in own.values.items() if k.startswith(HELD)},
         _has_own_rig(own, others),
+        max(flat, key=lambda name: flat[name]),
     )
 
 

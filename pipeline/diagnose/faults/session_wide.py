@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
-from pipeline.diagnose.faults.agreement import agrees, measure_left
+from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
 from pipeline.diagnose.faults.clock import find_drift
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
@@ -48,8 +48,8 @@ _SIZES = (("film_thickness_mm", 1.0, 0.5), ("film_width_mm", -1.0, 0.3), ("relat
 """Sizes that the actuation follows: power of the measured over the promised one, and how often each is the one that is wrong."""
 _SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
 """Slips of a size: of layers, halves and digits."""
-_WAYS = 2 * len(_RIG_SLIPS) + len(_FORCE_SLIPS)
-"""Ways in which a rig's file or the unit of all forces may be wrong."""
+_WAYS = 2 * len(_RIG_SLIPS) + len(_FORCE_SLIPS) + 1
+"""Ways in which a rig's file, or the unit or sign of all forces or displacements may be wrong."""
 _FILED_SD, _ANYWHERE = 0.1, 10.0
 """Deviation of the logarithm of k/M from a slip's, which constants of a file have; range of that of another thing that was tapped."""
 _WORTH_SAYING = 0.05
@@ -254,6 +254,14 @@ def _list_remedies(session: Session) -> Iterator[_Remedy]:
                     f"the {words} in the rig's file is {significant(factor, 4)} times that of the rig",
                     partial(_correct_rig, key, factor),
                 )  # fmt: skip
+    tension = [r.values["rest_force_n"] for r in session.recordings if "rest_force_n" in r.values]
+    if tension:
+        # A film pulls: the tension at rest says which of the two has the opposite sign.
+        channel = "force" if np.median(tension) < 0 else "displacement"
+        yield _Remedy(
+            ids.SIGN_FLIPPED, f"columns.{channel}.scale", -1.0, f"the {channel} of all tests has the opposite sign",
+            partial(scale_channels, factors={channel: -1.0}),
+        )  # fmt: skip
     for factor in _FORCE_SLIPS:
         yield _Remedy(
             ids.UNIT_SLIP, "columns.force.scale", factor, f"the force of all tests is recorded {significant(factor, 3)} times too large",
@@ -288,7 +296,7 @@ def find_shared(
 
 def _is_off(session: Session, plain: PlainFit) -> bool:
     """Whether a plain fit misses the recordings, or the rig's file."""
-    left = measure_left(session, plain.misfit, plain.chi2)
+    left = measure_left(session, count_chi2(session, plain.misfit))
     return left > RULES.fault.agrees or _find_furthest(plain) > RULES.fault.off
 
 
@@ -345,15 +353,16 @@ def find_wrong_file(
     for _, remedy in rough[:_TRIED]:
         tried = [remedy.apply(r) for r in recordings]
         fit = fit_session([r for r in tried if r.recording_id not in without])
-        if best is None or fit[2].chi2 < best[0]:
-            best = fit[2].chi2, tried, fit, remedy
+        chi2 = count_chi2(fit[0], fit[2].misfit)
+        if best is None or chi2 < best[0]:
+            best = chi2, tried, fit, remedy
     if best is None or not agrees(
-        measure_left(best[2][0], best[2][2].misfit, best[0]), measure_left(session, plain.misfit, plain.chi2)
+        measure_left(best[2][0], best[0]), measure_left(session, count_chi2(session, plain.misfit))
     ):
         fault = _blame_file(session, rough)
         return None if fault is None else (list(recordings), fitted, fault)
     chi2, changed, again, remedy = best
-    odds = 0.5 * (plain.chi2 - chi2) + float(np.log(RULES.fault.prior / _WAYS))
+    odds = 0.5 * (count_chi2(session, plain.misfit) - chi2) + float(np.log(RULES.fault.prior / _WAYS))
     probability = float(1 / (1 + np.exp(-np.clip(odds, -50, 50))))
     if probability < RULES.fault.named or _find_furthest(again[2]) > RULES.fault.off:
         return None
@@ -361,7 +370,7 @@ def find_wrong_file(
         Correction(r.recording_id, remedy.cause, remedy.key, *remedy.correct(r), probability) for r in recordings
     )
     names = tuple(r.recording_id for r in recordings)
-    left = measure_left(again[0], again[2].misfit, chi2)
+    left = measure_left(again[0], chi2)
     return changed, again, Fault(remedy.cause, names, probability, remedy.words, corrections, False, left)
 
 
@@ -469,7 +478,7 @@ def _ask_sizes(fitted: Fitted) -> Fault | None:
     """The actuation against what thickness, width and permittivity promise: they show in nothing else."""
     session, _, plain = fitted
     place = plain.model.index("log actuation")
-    if place is None or measure_left(session, plain.misfit, plain.chi2) > RULES.fault.noise_off:
+    if place is None or measure_left(session, count_chi2(session, plain.misfit)) > RULES.fault.noise_off:
         return None
     sd = float(plain.model.prior_sd[place])
     ratio = float(plain.theta[place] - plain.model.prior_mean[place])

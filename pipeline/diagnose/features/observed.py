@@ -32,8 +32,8 @@ SIZES = (
     "relative_permittivity",
 )
 """Keys of the metadata whose values are kept under `STATED`."""
-FLAT, HELD = "flat_share", "held_share_"
-"""Share of the force's samples on a flat top; share of the record in which a channel holds one value, by quantity."""
+FLAT, FLAT_INPUT, HELD = "flat_share", "flat_share_input", "held_share_"
+"""Share of the force's samples on a flat top, and of the input's; share of the record in which a channel holds one value, by quantity."""
 _CROSSINGS = 10
 """Neighbouring half turns of a sweep that one frequency is read of."""
 _FEWEST_CROSSINGS = 24
@@ -90,6 +90,7 @@ def observe_channels(recording: Recording) -> dict[str, float]:
         return values | _find_unmoved(values, VOLTAGE, given, source.input.quantity)
     if metadata.protocol in ("chirp", "cyclic"):
         values[FLAT] = float(flat_tops(found, source.output.resolution).mean())
+        values[FLAT_INPUT] = float(flat_tops(given, source.input.resolution).mean())
     travel = None if metadata.strain_pp is None else metadata.strain_pp * strain_length_mm(recording)
     values |= _pair(AMPLITUDE, travel, float(np.nanmax(given) - np.nanmin(given)))
     values["force_pp"] = float(np.nanmax(found) - np.nanmin(found))
