@@ -139,7 +139,8 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         entry: dict[str, Any] = make_place(column)
         if name in ("failed", "censored"):
             entry |= find_meanings(column, opened)
-            questions.append(Question(f"columns.{name}.failed_values", "which values mean failed, which censored", []))
+            text = f"which values mean failed (as it stands {entry['censored_values']} mean censored)"
+            questions.append(Question(f"columns.{name}.failed_values", text, entry["failed_values"]))
         elif name not in _WORDS:
             entry["unit"] = column.unit or usual[name]
             if not column.unit and name != TAN_DELTA:

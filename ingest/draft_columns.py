@@ -127,11 +127,20 @@ def _first(columns: Sequence[GuessedColumn], pattern: str) -> GuessedColumn | No
     return next((c for c in columns if re.search(pattern, label_column(c))), None)
 
 
+_NOWHERE = r"[-–—/]+|none|no|nein|kein[er]*|aucune?|n/?a"
+"""Places of a failure that there was not."""
+
+
 def find_meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
     """The values of a column of failures, as they seem to be meant: which ones depends on the table."""
     cells = opened.cells(failed)
-    values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in cells))[:8] or [1, 0]
+    filled = [c for c in cells if str(c).strip()]
+    values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in filled))[:8] or [1, 0]
     plain = [v if isinstance(v, int) and not isinstance(v, bool) else str(v) for v in values]
     turned = re.search("cens|runout|surv", str(failed.column).lower()) is not None
+    if not any(re.match(_YES, str(v).strip().lower()) or isinstance(v, int) for v in plain):
+        alive = [v for v in plain if re.fullmatch(_NOWHERE, str(v).strip().lower())]
+        if alive and len(alive) < len(plain):  # places of failure, and a dash where there was none
+            return {"failed_values": [v for v in plain if v not in alive], "censored_values": alive}
     yes = [v for v in plain if (re.match(_YES, str(v).strip().lower()) is not None) != turned]
     return {"failed_values": yes, "censored_values": [v for v in plain if v not in yes]}

@@ -22,6 +22,7 @@ from schemas.arrays import Bool, Float
 from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
 from schemas.lifetimes import OTHER, classify_failure_mode
+from schemas.numbers import counted
 from schemas.units import conversion
 
 
@@ -41,6 +42,7 @@ class Lives:
 def read_lives(table: TableRows) -> Lives:
     """Lives and failures of a table. Raises `RefusedError` with the row that cannot be read, or contradicts itself."""
     table.require("lifetime")
+    _leave_out_no_specimens(table)
     numbers, unit = table.written("lifetime", "s")
     seconds = conversion(unit, "s", where=f"{table.where}: lifetime").apply(numbers.values)[table.rows]
     rows = table.row_numbers - 1
@@ -114,6 +116,35 @@ def read_lives(table: TableRows) -> Lives:
         because = "no column says which specimens failed"
         table.assumptions.append(Assumption("lives that are not written as survived", "failures", because, "survival"))
     return Lives(lives, failed, alive, entered)
+
+
+def _leave_out_no_specimens(table: TableRows) -> None:
+    """Leaves out the rows of a sheet that are no test of a specimen, each kind with a note.
+
+    Such are rows with neither a life nor an outcome (torn when it was mounted), and rows without a voltage and without a specimen or an
+    outcome, where the table has such columns (a largest value, a mean below the table).
+    """
+    columns = table.mapping.columns
+    outcome = next((name for name in ("failed", "censored") if name in columns), None)
+    says_blank = outcome is not None and any(
+        str(value).strip() == "" for key in columns[outcome].meanings.values() for value in key
+    )
+    pairs = [(("specimen_id", "voltage"), "without a specimen and without a voltage")]
+    if outcome is not None and not says_blank and "alive_at" not in columns:
+        pairs += [
+            (("lifetime", outcome), "without a life and without an outcome"),
+            (("voltage", outcome), "without a voltage and without an outcome"),
+        ]
+    for names, what in pairs:
+        if any(name not in columns or columns[name].column is None for name in names):
+            continue
+        cells = [[cell_text(cell) for cell in table.cells(name)] for name in names]
+        empty = np.array([not any(pair) for pair in zip(*cells, strict=True)], dtype=bool)
+        if empty.any() and not empty.all():
+            where = np.flatnonzero(table.rows)[empty]
+            numbers = ", ".join(str(int(row) + 1) for row in where[:8])
+            table.notes.append(f"{counted(int(empty.sum()), 'row')} {what}: left out as no tests (row {numbers})")
+            table.rows[where] = False
 
 
 def _last_seen_alive(

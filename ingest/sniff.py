@@ -74,7 +74,12 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     rows = tuple(tuple(_split(line, dialect)) for line in lines[start : start + _ROWS] if line.strip())
     facts = harvest_lines(lines[i] for i in above if i < first)
     interval = own_interval(header, units)
-    columns = guess_columns(header, [u if is_any_unit(u) else "" for u in units], fields, said)
+    labels, scope_units = _of_scope([lines[i] for i in above if i < first], dialect, header)
+    known = [u if is_any_unit(u) else "" for u in units or scope_units]
+    columns = guess_columns(header, known, fields, said)
+    if labels and not said and len(columns) == len(labels):
+        guessed = guess_columns(labels, known, fields)
+        columns = tuple(replace(g, column=c.column) for g, c in zip(guessed, columns, strict=True))
     return GuessedTable(dialect, columns, rows, facts if interval is None else (interval, *facts))
 
 
@@ -144,7 +149,7 @@ def _heads(
     lines: Sequence[str], above: Sequence[int], dialect: Dialect, fields: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Header and unit row above the rows of numbers; empty where there is none."""
-    rows = [tuple(" ".join(f.split()) for f in _split(lines[i], dialect)) for i in above[-2:]]
+    rows = [_without_end([" ".join(f.split()) for f in _split(lines[i], dialect)]) for i in above[-2:]]
     if len(rows) == 2 and len(rows[0]) == len(rows[1]) > fields and are_units(rows[1]):
         return rows[0], rows[1]
     rows = [row for row in rows if abs(len(row) - fields) <= 1]
@@ -153,6 +158,31 @@ def _heads(
     if len(rows) == 2 and are_units(rows[1]):
         return rows[0], rows[1]
     return rows[-1], ()
+
+
+def _without_end(cells: Sequence[str]) -> tuple[str, ...]:
+    """A row without the empty cells that delimiters at its end make."""
+    count = len(cells)
+    while count and not cells[count - 1]:
+        count -= 1
+    return tuple(cells[:count])
+
+
+def _of_scope(lines: Sequence[str], dialect: Dialect, header: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names and units of an oscilloscope's columns, as the lines above its table give them for each channel.
+
+    The time comes first in the table and has a line of its own. Empty where no such lines are.
+    """
+    said = {
+        cells[0].lower(): list(_without_end(cells[1:]))
+        for line in lines
+        if (cells := [c.strip() for c in _split(line, dialect)])
+    }
+    channels = len(header) - 1
+    labels, units = said.get("label", said.get("labels", [])), said.get("vertical units", [])
+    across = said.get("horizontal units", [])
+    names = [header[0], *labels] if channels > 0 and len(labels) == channels and all(labels) else []
+    return names, [across[0], *units] if channels > 0 and len(units) == channels and len(across) == 1 else []
 
 
 def is_number(text: str, decimal: str) -> bool:

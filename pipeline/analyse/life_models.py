@@ -135,7 +135,8 @@ def _factor(one: CampaignLives, coefficient: str, value: Estimate) -> dict[str, 
     """The effect of a coefficient over the contrast of its covariate, as a factor."""
     for contrast in one.contrasts:
         if contrast.coefficient == coefficient:
-            ends = sorted(np.exp(contrast.change * np.array([value.lower, value.upper])).tolist())
+            with np.errstate(over="ignore"):  # of a handful of lives a limit may be no number at all
+                ends = sorted(np.exp(contrast.change * np.array([value.lower, value.upper])).tolist())
             factor = Estimate(float(np.exp(contrast.change * value.value)), *ends)
             return {"contrast": contrast.words, **_bounded("factor", factor)}
     return {}

@@ -72,15 +72,22 @@ def _ready(
         print("\n".join(lines))
         return _ask_all(draft, ask), []
     if is_asked and draft.questions:
-        wanted = shlex.join(f"{q.key}={'…' if q.suggestion is None else q.suggestion}" for q in draft.questions)
+        wanted = shlex.join(f"{q.key}={_shown(q.suggestion)}" for q in draft.questions)
         lines += [f"  asks       {q.key}: {q.text}" for q in draft.questions]
         return None, [*lines, f"Answer with: `dealab add {shlex.quote(str(draft.path))} --yes {wanted}`"]
     draft, taken = as_suggested(draft)
     if draft.questions:
         lines += [f"  asks       {q.key}: {q.text}; it cannot be guessed" for q in draft.questions]
         return None, [*lines, "Answer with --yes " + " ".join(f"{q.key}=…" for q in draft.questions)]
-    lines += [f"  assumed    {q.key} = {q.suggestion}: {q.text}" for q in taken if q.suggestion != []]
+    lines += [f"  assumed    {q.key} = {_shown(q.suggestion)}: {q.text}" for q in taken if q.suggestion != []]
     return draft, lines
+
+
+def _shown(suggestion: Any) -> str:
+    """A suggestion as it can be typed after `--yes`."""
+    if isinstance(suggestion, list):
+        return "[" + ", ".join(str(part) for part in suggestion) + "]"
+    return "…" if suggestion is None else str(suggestion)
 
 
 def _ask_all(draft: Draft, ask: Callable[[str], str]) -> Draft:
