@@ -120,7 +120,7 @@ def _true_format(path: Path) -> str | None:
 def _tell_text(start: bytes) -> str | None:
     """The format of a text by its first lines, where it is one with a reader of its own."""
     text = start.decode(guess_encoding(start), "replace").removeprefix("\ufeff")
-    if text.startswith(lvm_reader.BEGINS):
+    if text.startswith(lvm_reader.BEGINS) and lvm_reader.ENDS in text:
         return "lvm"
     return "trios" if any(line.strip() in trios_reader.MARKS for line in text.splitlines()) else None
 

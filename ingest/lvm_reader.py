@@ -25,7 +25,7 @@ from schemas.units import conversion
 
 BEGINS = "LabVIEW Measurement"
 X_VALUE, COMMENT = "X_Value", "Comment"
-_END_OF_HEAD = "***End_of_Header***"
+ENDS = "***End_of_Header***"
 _SPECIAL = ("***Start_Special***", "***End_Special***")
 _NO_X, _ONE_X, _EACH_X = "no", "one", "multi"
 _SEPARATORS = {"tab": "\t", "comma": ","}
@@ -142,7 +142,7 @@ def _split(text: str, where: str) -> tuple[Mapping[str, tuple[str, ...]], list[_
             raise RefusedError(
                 "there is no head of a segment",
                 where=where,
-                expected=f"Channels … {_END_OF_HEAD} behind that of the file",
+                expected=f"Channels … {ENDS} behind that of the file",
             )
         end = at
         while end < len(lines) and lines[end].strip("\r\n \x00" if separator == "\t" else " ") != "":
@@ -160,14 +160,14 @@ def _head(lines: Sequence[str], at: int, where: str, separator: str = "\t") -> t
     special = False
     for i in range(at, len(lines)):
         line = lines[i].strip("\r\n")
-        if line.strip().strip(separator).startswith(_END_OF_HEAD):
+        if line.strip().strip(separator).startswith(ENDS):
             return found, i + 1
         if line.startswith(_SPECIAL):
             special = line.startswith(_SPECIAL[0])
         elif not special and line.strip():
             key, *values = line.split("," if separator == "," or line.startswith("Separator,") else "\t")
             found[key.strip()] = tuple(value.strip() for value in values)
-    raise RefusedError("a head does not end", where=where, expected=_END_OF_HEAD, remedy="Copy the file again")
+    raise RefusedError("a head does not end", where=where, expected=ENDS, remedy="Copy the file again")
 
 
 def _next_filled(lines: Sequence[str], at: int) -> int:

@@ -6,7 +6,7 @@ import functools
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from ingest.cell_units import name_and_unit
@@ -41,6 +41,8 @@ _NAMES: tuple[tuple[str, str], ...] = (
 )
 _BY_UNIT = (TIME, "force", "displacement", "voltage", "capacitance", "leakage_current", "temperature")
 """What a unit alone stands for; a pressure may be a stress, so neither is here."""
+_ELAPSED = ("s", "ms", "min", "h", "sec")
+"""Units in which a time has elapsed."""
 _OF_COUNTS = re.compile(r"^(no\.?|nr\.?|scan|index|sample|#|sequence|point|interval data:?|cycle count)$")
 """Names of columns that count rows."""
 _SUFFIXES = frozenset(
@@ -110,7 +112,18 @@ def guess_columns(
             if meaning is not None:
                 taken.add(meaning)
             found[i] = GuessedColumn(label, unit or None, meaning, raw)
-    return tuple(found[i] for i in sorted(found))
+    return _with_elapsed(tuple(found[i] for i in sorted(found)))
+
+
+def _with_elapsed(columns: tuple[GuessedColumn, ...]) -> tuple[GuessedColumn, ...]:
+    """Of a date, an hour and a time that has elapsed the last is the time: it alone is named with a unit."""
+    chosen = next((i for i, c in enumerate(columns) if c.meaning == TIME), None)
+    if chosen is None or columns[chosen].unit:
+        return columns
+    for i, column in enumerate(columns):
+        if column.meaning is None and column.unit in _ELAPSED and named_as(str(column.column)) == TIME:
+            return tuple(replace(c, meaning={chosen: None, i: TIME}.get(j, c.meaning)) for j, c in enumerate(columns))
+    return columns
 
 
 def is_scope(name: str) -> bool:

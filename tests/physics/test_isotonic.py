@@ -143,6 +143,33 @@ def test_strokes_that_do_not_go_with_the_square_are_told() -> None:
     assert any("do not go with V²" in w for w in found.warnings)
 
 
+def ringing(load: Float) -> Float:
+    """The same film with 1 kg hanging on it: rings at 3.5 Hz after each edge, for about two seconds."""
+    mass, damping, total = 1e-3, 5e-3, K0 + K.sum()
+    a = np.zeros((4, 4))
+    a[0, 1] = 1.0
+    a[1] = [-total / mass, -damping / mass, *(K / mass)]
+    a[2:, 0] = 1 / TAU
+    a[2:, 2:] = -np.diag(1 / TAU)
+    system = (a, np.array([[0.0], [1 / mass], [0.0], [0.0]]), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 1)))
+    return np.asarray(lsim(system, load, TIME, interp=False)[1])
+
+
+def test_a_load_that_rings_and_a_law_that_saturates_leave_the_strokes_right() -> None:
+    """As of a pouch that zips: with one law in V² for all levels the intervals were as wide as the strokes."""
+    drive = 0.1 * -np.expm1(-((voltage_of(TIME) / 1.5) ** 3))
+    found = measure_isotonic(recorded(stroke=ringing(drive)))
+    for one in found.strokes:
+        reached = 0.1 * -np.expm1(-((one.voltage_kv / 1.5) ** 3))
+        whole = truth(1.0)[0] * reached / PER_SQUARE
+        assert one.stroke_mm.lower < whole < one.stroke_mm.upper
+        assert one.stroke_mm.upper - one.stroke_mm.lower < 0.02 * whole + 0.004
+    assert found.p_value is not None
+    assert found.p_value < 0.01
+    assert any("rings with its load" in w for w in found.warnings)
+    assert 0.5 < found.instant_within_s < 6
+
+
 def test_the_load_is_that_of_the_channel_or_of_the_metadata() -> None:
     assert measure_isotonic(recorded(force=None, load_n=0.49)).load_n == 0.49
     without = measure_isotonic(recorded(force=None))

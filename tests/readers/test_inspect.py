@@ -80,6 +80,9 @@ def test_file_name_that_is_no_utf8(tmp_path: Path) -> None:
     draft = inspect(path).draft
     assert draft is not None
     Path(f"{path}.toml").write_text(draft, encoding="utf-8")
+    assert inspect(path).fits
+    named = draft.replace('recording_id = "run"', 'recording_id = "{stem}"')
+    Path(f"{path}.toml").write_text(named, encoding="utf-8")
     refused = inspect(path)
     assert refused.error is not None
     refused.as_text().encode()

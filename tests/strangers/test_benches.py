@@ -65,6 +65,31 @@ def test_rows_that_end_with_a_delimiter_have_no_further_column(tmp_path: Path) -
     assert draft.content["recording"]["protocol"] == "chirp"
 
 
+def test_of_a_date_an_hour_and_the_time_that_has_elapsed_the_last_is_the_time(tmp_path: Path) -> None:
+    rows = [
+        f"03/02/2026;14:{i // 60:02d}:{i % 60:02d};{i},5;{0.01 * i:.3f};{0.2 * i:.3f}".replace(".", ",")
+        for i in range(60)
+    ]
+    path = tmp_path / "essai.csv"
+    path.write_text(
+        "\n".join(["Date;Heure;Temps écoulé;Déplacement;Charge", ";;s;mm;N", *rows, ""]), encoding="latin-1"
+    )
+    draft = make_draft(path)
+    assert draft.content["time"] == {"column": "Temps écoulé", "unit": "s"}
+    assert {c.column for c in draft.unmapped} == {"Date", "Heure"}
+
+
+def test_a_text_that_only_begins_as_labview_does_is_a_table(tmp_path: Path) -> None:
+    rows = [f"{i / 50:.3f},{2000 * (i % 400 > 200):.1f},{0.5 * (i % 400 > 200):.4f}" for i in range(2000)]
+    path = tmp_path / "steps.csv"
+    path.write_text(
+        "\n".join(["LabVIEW Measurement", "Date,10/22/2026", "", "Time [s],Voltage [V],Stroke [mm]", *rows, ""])
+    )
+    draft = make_draft(path)
+    assert draft.content["recording"]["protocol"] == "isotonic"
+    assert set(draft.content["columns"]) == {"voltage", "displacement"}
+
+
 LIVES = """Lives of batch 3;;;;;
 No;Voltage [kV];Specimen;Time to breakdown [s];Failure site;Comment
 1;4;A1;> 3600;-;ended

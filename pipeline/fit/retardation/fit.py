@@ -170,9 +170,10 @@ class _Problem:
         self.basis, _ = np.linalg.qr(self._white(self.nuisance))
         self.measured = self._white(sign * record.displacement)
         self.target = self._left(self.measured)
-        first = float(np.min(np.diff(record.time_s)[np.diff(record.hold) == 0], initial=math.inf))
+        seen, of = record.time_s[self.rows], record.hold[self.rows]
+        first = float(np.min(np.diff(seen)[np.diff(of) == 0], initial=math.inf))
         for i, hold in enumerate(record.holds):
-            own = record.time_s[record.hold == i]
+            own = seen[of == i]
             if own.size and (i or not record.rests):
                 first = min(first, max(float(own[0]) - hold.begins_s, 1e-12))
         length = record.end_s - record.history_s[0]

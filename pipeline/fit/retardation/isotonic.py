@@ -1,13 +1,14 @@
 """A film that moves a constant load under a voltage: stroke by level, at once and slowly, and the law that strokes follow.
 
 Every level of the voltage has an elastic and retarded parts of its own; the retardation times are those of the whole record, driven by
-V². So the slow part of one level does not count as the rest of the next, and a stroke that does not go with V² shows.
+the strokes as they are read off, whatever law these follow. So the slow part of one level does not count as the rest of the next, and a
+stroke that does not go with V² shows. Windows in which the load rings after an edge are left out.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -32,6 +33,8 @@ _ALIKE = 0.02
 _CONSTANT = 0.05
 """Share of the load by which it may change with the voltage and still be called constant."""
 _LAW = 0.01
+_LATE, _RINGS = 0.2, 6.0
+"""Share of a level after which nothing rings any more, and times its noise by which a window is off while it does."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +104,17 @@ def measure_isotonic(recording: Recording) -> Isotonic:
     )
     first_on = 1 if rests else 0
     goes_off = any(abs(h.level) <= _OFF * top for h in holds[first_on + 1 :])
-    found = fit_retardation(record, drifts=goes_off)
     levels, level_of = _group(holds, top)
     if not levels:
         raise NotIdentifiableError("the voltage stays off", where=where, expected="levels of voltage that are held")
-    values, covariance, modelled = _fit_levels(found, levels, level_of)
+    parts = _split(record, len(levels), level_of) / np.array(levels) ** 2
+    driven = replace(record, drive=parts @ _rough_strokes(record, len(levels), level_of))
+    found = fit_retardation(driven, drifts=goes_off)
+    rings = _find_ringing(found)
+    if rings > 0:
+        settled = driven.usable & (_since_s(driven) > rings)
+        found = fit_retardation(replace(driven, usable=settled), drifts=goes_off)
+    values, covariance, modelled = _fit_levels(found, parts, level_of)
     strokes = tuple(
         Stroke(
             level,
@@ -123,6 +132,8 @@ def measure_isotonic(recording: Recording) -> Isotonic:
     exponent = _exponent(np.array(levels), total, spread)
     if p_value is not None and p_value < _LAW and exponent is not None:
         warnings.append(f"the strokes do not go with V² but with V^{exponent.value:.2f}")
+    if rings > 0:
+        warnings.append(f"the film rings with its load for {rings:.2g} s after an edge: that counts as at once")
     if not goes_off:
         warnings.append(
             "the voltage is not taken off: a drift of the displacement cannot be told from creep, and counts as creep"
@@ -147,7 +158,7 @@ def measure_isotonic(recording: Recording) -> Isotonic:
         strain_per_field_squared=None
         if length is None or thickness is None
         else _scaled(coefficient, thickness**2 / length),
-        instant_within_s=math.exp(found.fastest_log_s),
+        instant_within_s=max(rings, math.exp(found.fastest_log_s)),
         drift_mm_per_h=bounds(3600 * found.sign * drift, 3600 * drift_sd) if goes_off else None,
         modelled=modelled,
         warnings=tuple(warnings),
@@ -186,15 +197,63 @@ def _split(record: HeldRecord, levels: int, level_of: Int) -> Float:
     return parts
 
 
-def _fit_levels(found: Retardation, levels: list[float], level_of: Int) -> tuple[Float, Float, Float]:
-    """Stroke, instantaneous and slow part of each level one after the other (3 L,), their covariance, and the course (n,) mm."""
+def _since_s(record: HeldRecord) -> Float:
+    """(n,) s since the drive changed to the level of each window; infinite in the rest before the first."""
+    begins = np.array([-math.inf if record.rests and i == 0 else h.begins_s for i, h in enumerate(record.holds)])
+    return np.asarray(record.time_s - begins[record.hold])
+
+
+def _since(record: HeldRecord) -> Float:
+    """The same as share of the level's length."""
+    lengths = np.array([h.end_s - h.begins_s for h in record.holds])
+    return np.asarray(_since_s(record) / lengths[record.hold])
+
+
+def _rough_strokes(record: HeldRecord, levels: int, level_of: Int) -> Float:
+    """(L,) strokes in mm as read off the last windows: what makes the retardation of all levels one, whatever law they follow."""
+    last = np.array([np.flatnonzero(record.hold == i)[-1] for i in range(len(record.holds))])
+    ends = record.displacement[last]
+    strokes: list[list[float]] = [[] for _ in range(levels)]
+    for i, level in enumerate(level_of):
+        if level >= 0:
+            off = np.flatnonzero(level_of[:i] < 0)
+            rest = ends[off[-1]] if off.size else (0.0 if not record.rests else ends[0])
+            strokes[level].append(float(ends[i] - rest))
+    return np.array([np.mean(own) for own in strokes])
+
+
+def _find_ringing(found: Retardation) -> float:
+    """s after an edge until which a film with a load on it rings; 0 where it does not.
+
+    It rings where the windows soon after an edge are off to one side, to the other and to the first again, by more than noise could be.
+    """
+    record = found.record
+    off = record.displacement - found.modelled(found.selected)
+    since, share = _since_s(record), _since(record)
+    told = record.scatter[(record.scatter > 0) & (share > _LATE)]
+    noise = float(np.median(told)) if told.size else found.noise.sample_sd
+    wander = float(np.median(np.abs(off[share > _LATE])))
+    far = (share <= _LATE) & (np.abs(off) > _RINGS * noise / np.sqrt(record.count) + wander)
+    until = 0.0
+    for i in range(len(record.holds)):
+        rows = np.flatnonzero(far & (record.hold == i))
+        turns = np.flatnonzero(np.diff(np.sign(off[rows])) != 0)
+        if turns.size >= 2:
+            until = max(until, float(since[rows[turns[-1] + 1]]))
+    return until
+
+
+def _fit_levels(found: Retardation, parts: Float, level_of: Int) -> tuple[Float, Float, Float]:
+    """Stroke, instantaneous and slow part of each level one after the other (3 L,), their covariance, and the course (n,) mm.
+
+    `parts` (m, L) is the course of each level alone, 1 while it is on.
+    """
     record, fit = found.record, found.selected
     times = np.array(fit.compliance.times_s)
-    parts = _split(record, len(levels), level_of) / np.array(levels) ** 2
     columns = [nuisance_columns(record, fit.drifts)]
-    weights = np.zeros((3 * len(levels), 0))
+    levels = range(parts.shape[1])
     weights = np.zeros((3 * len(levels), columns[0].shape[1]))
-    for i in range(len(levels)):
+    for i in levels:
         u = parts[:, i]
         slow = [u[:, None] - integrate_arms(record.history_s, u, times)] if times.size else []
         slow += [integral(record.history_s, u)[:, None]] if fit.compliance.flow else []
