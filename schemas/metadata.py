@@ -93,9 +93,13 @@ def _count(value: Any) -> int:
     return int(number)
 
 
-def _positive_list(value: Any) -> tuple[float, ...]:
+def _masses(value: Any) -> tuple[float, ...]:
+    """Masses of which some are not 0: a level without any is often written as a mass of 0."""
     parts = value if isinstance(value, list | tuple) else str(value).split(",")
-    return tuple(_positive(part) for part in parts if str(part).strip())
+    masses = tuple(_not_negative(part) for part in parts if str(part).strip())
+    if not any(masses):
+        raise ValueError("masses of which one at least is above 0")
+    return masses
 
 
 def instant(value: Any) -> datetime:
@@ -194,7 +198,7 @@ class RecordingMetadata:
     proportional_gain: float | None = _key(_number, "proportional gain of the loop")
     integral_gain: float | None = _key(_number, "integral gain of the loop")
     masses_kg: tuple[float, ...] | None = _key(
-        _positive_list, "masses of a weight calibration in the order they were hung, comma-separated"
+        _masses, "masses of a weight calibration in the order they were hung, comma-separated"
     )
     extra_clamp_mass_kg: float | None = _key(_not_negative, "mass on the clamp beside its own in this recording")
     load_n: float | None = _key(

@@ -182,7 +182,7 @@ def weigh(recording: Recording) -> WeightCalibration:
     bad = quality.overloaded(recording.channels["force"], recording.rig.load_cell_range_n)
     if bad.any():
         warnings.append("the load cell was overloaded under some of the masses")
-    smallest = min(masses) * GRAVITY_M_PER_S2
+    smallest = min(m for m in masses if m > 0) * GRAVITY_M_PER_S2
     levels, errors = _plateaus(time, force, smallest, where)
     fitted = _best_reading(levels, errors, np.array(masses) * GRAVITY_M_PER_S2, where)
     gain, offset, covariance, freedom, cumulative = fitted

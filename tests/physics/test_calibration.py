@@ -172,6 +172,13 @@ def test_levels_that_do_not_go_with_the_masses(levels, masses, reason) -> None:
         calibrate(hung(levels, masses=masses))
 
 
+def test_a_level_without_a_mass_may_be_written_as_one_of_0() -> None:
+    levels = (0, 0.02, 0.05, 0.1, 0.15)
+    written, left_out = calibrate(hung(levels, masses=levels)), calibrate(hung(levels))
+    assert written.gain == left_out.gain
+    assert written.plateaus == 5
+
+
 def test_missing_masses_are_named() -> None:
     made = recording({"force": np.zeros(1000)}, 100.0, protocol="weight", loading="calibration")
     with pytest.raises(NotIdentifiableError, match="masses_kg"):
