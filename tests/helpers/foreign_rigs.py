@@ -46,7 +46,8 @@ class Answer:
     """What is hidden in a session, and what was said of it.
 
     `faults`: id, recordings, and the corrections proposed (key, value now, value proposed, probability) of the first of them.
-    `failed`: why it could not be diagnosed; `refused`: recordings of which no features can be made, with the reason.
+    `failed`: why it could not be diagnosed; `refused`: recordings of which no features can be made, with the reason. `study`: seed of the
+    study in which it was asked, 0 for those before seeds were kept.
     """
 
     rig: str
@@ -67,6 +68,7 @@ class Answer:
     seconds: float = 0.0
     failed: str = ""
     refused: tuple[str, ...] = ()
+    study: int = 0
 
     def as_line(self) -> dict[str, Any]:
         """For a file of JSON lines."""
