@@ -1,7 +1,7 @@
 """How often is the diagnosis right on rigs that were written apart from it and from each other?
 
     python -m tests.studies.study_foreign [--seed N] [--rigs NAME …] [--folder DIR] [--kinds KIND …] [--sessions N] [--minutes N]
-                                          [--jobs N] [--log FILE] [--again]
+                                          [--jobs N] [--log FILE] [--again [--of SEED …]]
 
 Every rig of `tests/foreign` makes sessions with nothing hidden, one cause, an effect that is in no list, two causes, or an everyday
 fault. They are written as raw files, read, and diagnosed. The seed is a fresh one where none is given: what is reported comes from sessions
@@ -66,8 +66,10 @@ def draw_sessions(seed: int, rigs: Sequence[str], kinds: Sequence[str], sessions
     return [Asked(rig, int(rng.integers(SEEDS)), kind) for _ in range(sessions) for kind in kinds for rig in rigs]
 
 
-def answer_all(asked: Sequence[Asked], folder: Path, jobs: int, minutes: float, log: Path) -> Iterator[Answer]:
-    """Answers in the order in which they come; each is a line of `log`."""
+def answer_all(
+    asked: Sequence[Asked], folder: Path, jobs: int, minutes: float, log: Path, study: int
+) -> Iterator[Answer]:
+    """Answers in the order in which they come; each is a line of `log`, with the seed `study`."""
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
     end, left = time.monotonic() + 60 * minutes, list(asked)[::-1]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -80,7 +82,7 @@ def answer_all(asked: Sequence[Asked], folder: Path, jobs: int, minutes: float, 
             done, running = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 try:
-                    answer = future.result()
+                    answer = replace(future.result(), study=study)
                 except ArithmeticError as error:
                     print(f"a rig could not make its session: {error}", file=sys.stderr)
                     continue
@@ -319,15 +321,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--log", type=Path, default=HERE / "foreign.jsonl")
     parser.add_argument("--again", action="store_true", help="report what is kept, ask nothing")
+    parser.add_argument("--of", type=int, nargs="*", help="with --again: of the studies with these seeds only")
     given = parser.parse_args(arguments)
     if given.again:
-        found = [leave_out_lag(a) for a in read_answers(given.log)]
+        kept = [a for a in read_answers(given.log) if not given.of or a.study in given.of]
+        found = [leave_out_lag(a) for a in kept]
         print(f"{len(found)} sessions, each with its seed in {given.log.name}.\n")
         print("\n".join(report(found)))
         return 0
     seed = int(np.random.default_rng().integers(SEEDS)) if given.seed is None else given.seed
     asked = draw_sessions(seed, given.rigs or find_rigs(given.folder), given.kinds, given.sessions)
-    found = [leave_out_lag(a) for a in answer_all(asked, given.folder, given.jobs, given.minutes, given.log)]
+    found = [leave_out_lag(a) for a in answer_all(asked, given.folder, given.jobs, given.minutes, given.log, seed)]
     print(f"{len(found)} of {len(asked)} sessions, seed {seed}.\n")
     print("\n".join(report(found)))
     return 0
