@@ -51,6 +51,17 @@ def study(name: str, *left_out: str) -> str:
     return text + "".join(f"\n\n**Missed**: {names}" for names in missed if names != "nothing.")
 
 
+def study_rates(name: str) -> str:
+    """The first table of a study's results."""
+    part = (
+        parts(RESULTS.read_text(encoding="utf-8")).get(about(HERE / f"study_{name}.py"), "")
+        if RESULTS.is_file()
+        else ""
+    )
+    found = re.search(r"(^\|.*\n)+", part, re.MULTILINE)
+    return found.group().strip() if found else "Not run yet."
+
+
 PARTS: Mapping[str, Mapping[str, Callable[[], str]]] = {
     "README.md": {
         "first file": functools.partial(shown, README),
@@ -67,6 +78,7 @@ PARTS: Mapping[str, Mapping[str, Callable[[], str]]] = {
     "pipeline/README.md": {"fit study": functools.partial(study, "fit", "- order test, ", "- likelihood ratio", "- …")},
     "pipeline/nightly/README.md": {"costs": measured.costs},
     "pipeline/diagnose/README.md": {
+        "foreign study": functools.partial(study_rates, "foreign"),
         "diagnosis study": functools.partial(study, "diagnosis"),
         "rules": write_table,
     },
