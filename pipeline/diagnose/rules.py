@@ -63,6 +63,11 @@ class FeatureRules:
     amplifier_sd: float = _rule(
         0.01, "relative standard deviation of the amplifier's gain where the rig file gives none"
     )
+    weight_sd: float = _rule(
+        7.6e-4,
+        "relative standard deviation of the force of a known mass, where standard gravity stands for the local one",
+        "theory: 9.793 to 9.819 m/s² between 30° and 60° of latitude (Somigliana's formula)",
+    )
     mains_level: float = _rule(1e-4, "probability of the rests under no mains below which mains are in the model")
 
 
@@ -229,6 +234,11 @@ class VerdictRules:
         0.5, "probability of all listed causes together below which the verdict is `unknown`", "given: 50 %"
     )
     told_pattern: float = _rule(1e-3, "probability of a pattern below which it is told")
+    something_else: float = _rule(
+        0.5,
+        "probability that a group of features is wrong by something else, above which nothing is named without doubt",
+        "more probable than not",
+    )
     closest: float = _rule(
         0.5, "share of the misfit from which the listed cause that takes it away is told beside `unknown`"
     )
@@ -329,7 +339,7 @@ class FaultRules:
     stray: float = _rule(
         0.05, "probability that a rest level or a noise is another than in the other recordings without a fault", CLEAN
     )
-    flat: float = _rule(0.003, "share of a force's samples on a flat top that is clipping", CLEAN)
+    flat: float = _rule(0.003, "share of a channel's samples on a flat top that is clipping", CLEAN)
     held: float = _rule(0.01, "share of a record in which a channel stands still that is a drop-out", CLEAN)
     unmistakable: float = _rule(1e-6, "probability of a flat top, a drop-out or another film's sizes without the fault")
     misses: float = _rule(6.0, "excess of a recording's χ² over the noise at which it misses the others", unit="SD")

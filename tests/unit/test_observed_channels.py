@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.diagnose.features.observed import _find_stopped, _find_unmoved, read_period
+from pipeline.diagnose.features.observed import find_stopped, find_unmoved, read_period
 
 
 def multisine(period: int, count: int, seed: int = 1) -> np.ndarray:
@@ -37,21 +37,33 @@ def test_noise_has_no_period() -> None:
 def test_an_input_that_stops_in_the_middle_is_told_with_its_share() -> None:
     voltage = raised(2000, 4)
     voltage[3000:3900] = voltage[3000]
-    assert _find_stopped(voltage, "voltage")["held_share_voltage"] == pytest.approx(900 / voltage.size)
+    assert find_stopped(voltage, "voltage")["held_share_voltage"] == pytest.approx(900 / voltage.size)
 
 
 def test_an_input_of_coarse_steps_has_not_stopped() -> None:
     place = np.arange(20000)
-    assert not _find_stopped(np.round(8 * np.sin(2 * np.pi * place / 5000)) / 8, "displacement")
+    assert not find_stopped(np.round(8 * np.sin(2 * np.pi * place / 5000)) / 8, "displacement")
+
+
+def test_an_input_that_rests_at_an_offset_has_not_stopped() -> None:
+    """Ramp to a pre-strain, hold, cycles about it to the end of the record; and a sweep that ends where it happens to be, and holds."""
+    place = np.arange(20000)
+    ramp = np.linspace(0.0, 1.0, 2000)
+    about = np.concatenate([np.zeros(500), ramp, np.ones(4000), 1 + 0.2 * np.sin(2 * np.pi * place / 500)])
+    wave = np.concatenate(
+        [np.zeros(500), np.sin(2 * np.pi * place / 5125), np.full(4000, np.sin(2 * np.pi * 19999 / 5125))]
+    )
+    for moved in (about, wave):
+        assert not find_stopped(np.round(moved * 1e4) / 1e4, "displacement")
 
 
 def test_an_input_that_is_noise_where_motion_is_stated_stands_still() -> None:
     noise = np.random.default_rng(4).normal(0, 1e-3, 4000)
     values = {"stated_pp_mm": 1.0, "seen_pp_mm": float(np.ptp(noise))}
-    assert _find_unmoved(values, "pp_mm", noise, "displacement") == {"held_share_displacement": 1.0}
+    assert find_unmoved(values, "pp_mm", noise, "displacement") == {"held_share_displacement": 1.0}
 
 
 def test_a_motion_in_another_unit_does_not_stand_still() -> None:
     moved = 1e-3 * np.sin(2 * np.pi * np.arange(4000) / 50)
     values = {"stated_pp_mm": 1.0, "seen_pp_mm": float(np.ptp(moved))}
-    assert not _find_unmoved(values, "pp_mm", moved, "displacement")
+    assert not find_unmoved(values, "pp_mm", moved, "displacement")

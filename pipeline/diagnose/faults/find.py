@@ -202,11 +202,11 @@ def _judge_each(
 
 
 def _list_alike(session: Session, asked: frozenset[str]) -> list[tuple[int, ...]]:
-    """Numbers of the recordings of each kind of test of which all, and more than one, are asked: they may have a fault in common."""
-    kinds: dict[tuple[str, str], list[int]] = {}
+    """Numbers of the recordings of each kind of test on one rig of which all, and more than one, are asked: they may have a fault in common."""
+    kinds: dict[tuple[str, str, int], list[int]] = {}
     for number, r in enumerate(session.recordings):
         if r.loading != CALIBRATION:
-            kinds.setdefault((r.protocol, r.loading), []).append(number)
+            kinds.setdefault((r.protocol, r.loading, int(session.rig[number])), []).append(number)
     return [
         tuple(numbers)
         for numbers in kinds.values()

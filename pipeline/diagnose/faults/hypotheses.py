@@ -143,7 +143,7 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
     if levels.flat > 0:
         yield Hypothesis(
             SENSOR_SATURATION.id,
-            f"{significant(100 * levels.flat, 2)} % of the force's samples lie on a flat top",
+            f"{significant(100 * levels.flat, 2)} % of the samples of the {levels.clipped} lie on a flat top",
             None, prior, 1, open_levels=frozenset({TENSION if levels.clipped == output else STRAIN}),
             shows=frozenset({"flat", "held"}), channel=levels.clipped,
         )  # fmt: skip

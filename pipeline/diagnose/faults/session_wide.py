@@ -255,9 +255,10 @@ def _list_remedies(session: Session) -> Iterator[_Remedy]:
                     partial(_correct_rig, key, factor),
                 )  # fmt: skip
     tension = [r.values["rest_force_n"] for r in session.recordings if "rest_force_n" in r.values]
-    if tension:
-        # A film pulls: the tension at rest says which of the two has the opposite sign.
-        channel = "force" if np.median(tension) < 0 else "displacement"
+    middle = float(np.median(tension)) if tension else 0.0
+    if tension and np.median(np.abs(np.array(tension) - middle)) < RULES.fault.rest_spread * abs(middle):
+        # A film pulls: the tension at rest says which of the two has the opposite sign, where the load cells are not zeroed under it.
+        channel = "force" if middle < 0 else "displacement"
         yield _Remedy(
             ids.SIGN_FLIPPED, f"columns.{channel}.scale", -1.0, f"the {channel} of all tests has the opposite sign",
             partial(scale_channels, factors={channel: -1.0}),

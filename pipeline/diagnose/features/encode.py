@@ -25,7 +25,7 @@ from schemas.metadata import RigConstants
 
 Array = NDArray[Any]
 
-_VERSION = 5
+_VERSION = 6
 """Of the format; features of another version are made again."""
 _LEVEL = 9
 """Of the compression: 9 is the densest that is quick."""

@@ -76,7 +76,7 @@ def observe_channels(recording: Recording) -> dict[str, float]:
     source = drive(recording)
     given, found = source.input.values, source.output.values
     values = _find_held(given, found, (source.input.quantity, source.output.quantity))
-    stopped = _find_stopped(given, source.input.quantity) if metadata.protocol in _MOVING else {}
+    stopped = find_stopped(given, source.input.quantity) if metadata.protocol in _MOVING else {}
     values |= stopped
     values |= {STATED + key: value for key in SIZES if (value := getattr(metadata, key)) is not None}
     if not np.isfinite(given).any() or not np.isfinite(found).any():
@@ -87,14 +87,14 @@ def observe_channels(recording: Recording) -> dict[str, float]:
         values |= _pair(FREQUENCY, read.stated(metadata), read.seen(time, given))
     if metadata.loading == ELECTRICAL:
         values |= _pair(VOLTAGE, metadata.drive_kv, float(np.nanmax(np.abs(given))))
-        return values | _find_unmoved(values, VOLTAGE, given, source.input.quantity)
+        return values | find_unmoved(values, VOLTAGE, given, source.input.quantity)
     if metadata.protocol in ("chirp", "cyclic"):
         values[FLAT] = float(flat_tops(found, source.output.resolution).mean())
         values[FLAT_INPUT] = float(flat_tops(given, source.input.resolution).mean())
     travel = None if metadata.strain_pp is None else metadata.strain_pp * strain_length_mm(recording)
     values |= _pair(AMPLITUDE, travel, float(np.nanmax(given) - np.nanmin(given)))
     values["force_pp"] = float(np.nanmax(found) - np.nanmin(found))
-    return values | _find_unmoved(values, AMPLITUDE, given, source.input.quantity)
+    return values | find_unmoved(values, AMPLITUDE, given, source.input.quantity)
 
 
 def find_dead(observed: Mapping[str, float]) -> list[str]:
@@ -124,22 +124,28 @@ def _find_held(given: Float, found: Float, names: tuple[str, str]) -> dict[str, 
     return share
 
 
-def _find_stopped(given: Float, name: str) -> dict[str, float]:
-    """Share of the record in which an input that moves all the time holds one value away from where it rests."""
+def find_stopped(given: Float, name: str) -> dict[str, float]:
+    """Share of the record in which an input that moves all the time holds one value away from where it rests, between its motions.
+
+    It may rest where it begins, in the middle of its motion, and where it ends.
+    """
     sound = given[np.isfinite(given)]
     if not sound.size:
         return {}
     travel, rest = float(np.ptp(sound)), float(np.median(sound[:_FEWEST_HELD]))
     bounds = np.concatenate([[0], np.flatnonzero(np.diff(given) != 0) + 1, [given.size]])
     lengths, held = np.diff(bounds), given[bounds[:-1]]
-    lengths = lengths[np.abs(held - rest) > _STILL * travel]
+    away = np.abs(held - rest) > _STILL * travel
+    away &= np.abs(held - float(np.median(sound))) > _STILL * travel
+    away[[0, -1]] = False
+    lengths = lengths[away]
     if lengths.size < 2:
         return {}
     second, longest = np.partition(lengths, -2)[-2:]
     return {HELD + name: float(longest) / given.size} if longest >= max(_FEWEST_HELD, _LONGER * second) else {}
 
 
-def _find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str) -> dict[str, float]:
+def find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str) -> dict[str, float]:
     """That an input stands still through all of the record, where next to nothing is seen of what is stated, and that is noise."""
     if STATED + pair not in values or values[SEEN + pair] > _UNMOVED * values[STATED + pair]:
         return {}

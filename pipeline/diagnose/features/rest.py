@@ -130,13 +130,10 @@ def calibration_blocks(recording: Recording) -> tuple[list[FeatureBlock], dict[s
         kind, label = TAP_RING, f"{found.taps} taps"
     else:
         weighed = weigh(recording)
-        value, variance = np.array([weighed.gain]), np.array([weighed.gain_sd**2 + _WEIGHTS**2])
+        value, variance = np.array([weighed.gain]), np.array([weighed.gain_sd**2 + RULES.features.weight_sd**2])
         kind, label = WEIGHT_GAIN, f"{weighed.plateaus} levels"
     return [assembled(kind, label, value, ("unit/0",), np.diag(variance)[None], is_complex=False)], values, []
 
 
 _REPEATABLE = 5e-4
 """Relative: how well the clamp's frequency repeats when a film is mounted, whose own mass moves with the clamp."""
-_WEIGHTS = 7e-4
-"""Relative: how well the force of a known mass is known. Standard gravity stands for the local one, which is 9.793 to 9.819 m/s² between
-30° and 60° of latitude (evenly: 7.6e-4 one standard deviation; Somigliana's formula)."""

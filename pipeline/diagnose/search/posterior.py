@@ -31,7 +31,6 @@ _ROUNDS = 6
 """Rounds in which weights and optimum follow from each other."""
 _SAME = 1.0
 """Log evidence within which two optima are one."""
-_MORE_PROBABLY_THAN_NOT = 0.5
 _WITHIN = 30.0
 """Log probability behind the best within which a hypothesis may come to the front at its own optimum."""
 
@@ -108,7 +107,7 @@ class Hypothesis:
         What the amplifier makes of its command is not asked: the simulation is driven by the voltage that was measured.
         """
         asked = ~Groups.of(self.model.of.session).are_of(AMPLIFIER)
-        return not np.any(self.odd[asked] > _MORE_PROBABLY_THAN_NOT) and not any(
+        return not np.any(self.odd[asked] > RULES.verdict.something_else) and not any(
             p.is_at_limit(values[p.name])
             for chosen, values in zip(self.model.of.chosen, self.model.values, strict=True)
             for p in chosen.mechanism.severities
