@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,17 +11,22 @@ from pathlib import Path
 from typing import Any
 
 from ingest.draft import Draft, make_draft
+from ingest.draft_text import toml_string
 from ingest.formats import list_options
 from ingest.mapping_keys import COLUMN, TABLE_COLUMN, TABLE_COLUMNS, TIME
 from ingest.meanings import NOTHING
 from ingest.meanings import TIME as TIMES
-from ingest.questions import Question
+from ingest.questions import Question, unstretched
+from ingest.select import same_cell
 from schemas.alike import ask_meant
 from schemas.errors import UsageError
 from schemas.metadata import RecordingMetadata, known_keys
 from schemas.quantities import QUANTITIES
 
 _INTEGER, _FLOAT = re.compile(r"[+-]?\d+"), re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_PART = re.compile(r'\s*("(?:[^"\\]|\\.)*"|\'[^\']*\'|[^,]*)\s*(?:,|$)')
+"""One value of a list, in quotation marks where it holds a comma."""
+_OUTCOMES = ("failed_values", "censored_values", "left_censored_values")
 _TEXTS = ("specimen_id", "recording_id", "operator", "configuration", "campaign", "material", "notes", "rig_id", "unit")
 SIZES = "film_sizes_mm"
 _SIZE_KEYS = ("film_length_mm", "film_width_mm", "film_thickness_mm")
@@ -76,7 +82,7 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
 
 
 def answered(draft: Draft, answers: Mapping[str, Any]) -> Draft:
-    """The draft with answers in their places; what is answered is no question any more."""
+    """The draft with answers in their places, and what follows from them; what is answered is no question any more."""
     content: dict[str, Any] = copy.deepcopy(dict(draft.content))
     remarks = dict(draft.remarks)
     for key, value in answers.items():
@@ -86,8 +92,38 @@ def answered(draft: Draft, answers: Mapping[str, Any]) -> Draft:
             place = place.setdefault(table, {})
         place[last] = value
         remarks.pop(key, None)
+    for name, column in content.get("columns", {}).items():
+        own = {key.rsplit(".", 1)[-1] for key in answers if key.startswith(f"columns.{name}.")}
+        if own & set(_OUTCOMES):
+            column |= _deal_outcomes(draft.content["columns"].get(name, {}), column, own)
+        if name == "stretch" and "unit" in own and "offset" in column and "offset" not in own:
+            column["offset"] = unstretched(str(column["unit"]))
     questions = tuple(q for q in draft.questions if q.key not in answers)
     return replace(draft, content=content, remarks=remarks, questions=questions)
+
+
+def _deal_outcomes(
+    before: Mapping[str, Any], column: Mapping[str, Any], answered_keys: set[str]
+) -> dict[str, list[Any]]:
+    """The lists of a column of outcomes that no answer gives, so that each value of the file stands in one list.
+
+    Values that an answer names leave all other lists. Those that an answer leaves out go from failed to censored, or from
+    censored to failed.
+    """
+    given = [v for key in _OUTCOMES if key in answered_keys for v in _as_list(column[key])]
+    left = {key: [v for v in _as_list(before.get(key, [])) if not _is_among(v, given)] for key in _OUTCOMES}
+    for here, there in (_OUTCOMES[:2], _OUTCOMES[1::-1]):
+        if here in answered_keys and there not in answered_keys:
+            left[there] += left[here]
+    return {key: values for key, values in left.items() if key not in answered_keys and (values or key in before)}
+
+
+def _as_list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _is_among(value: Any, others: list[Any]) -> bool:
+    return any(same_cell(value, other) for other in others)
 
 
 def as_suggested(draft: Draft) -> tuple[Draft, tuple[Question, ...]]:
@@ -102,7 +138,10 @@ def as_suggested(draft: Draft) -> tuple[Draft, tuple[Question, ...]]:
 
 
 def read_value(text: str) -> Any:
-    """A value as TOML has it: a number, true or false, a list of them between commas in brackets, else text."""
+    """A value as TOML has it: a number, true or false, a list of them between commas in brackets, else text.
+
+    In a list what stands in quotation marks is text, commas included.
+    """
     if _INTEGER.fullmatch(text):
         return int(text)
     if _FLOAT.fullmatch(text):
@@ -110,8 +149,27 @@ def read_value(text: str) -> Any:
     if text in ("true", "false"):
         return text == "true"
     if text.startswith("[") and text.endswith("]"):
-        return [read_value(part.strip().strip("\"'")) for part in text[1:-1].split(",") if part.strip()]
+        parts = [part.strip() for part in _PART.findall(text[1:-1])]
+        return [_read_part(part) for part in parts if part]
     return text
+
+
+def _read_part(part: str) -> Any:
+    if len(part) > 1 and part[0] == part[-1] == '"':
+        try:
+            return json.loads(part)
+        except ValueError:
+            return part[1:-1]
+    return part[1:-1] if len(part) > 1 and part[0] == part[-1] == "'" else read_value(part)
+
+
+def write_value(value: Any) -> str:
+    """A value as it can be typed for `read_value` to read it; texts of a list in quotation marks only where they need them."""
+    if not isinstance(value, list):
+        return str(value)
+    plain = [str(part) for part in value]
+    typed = [t if read_value(f"[{t}]") == [part] else toml_string(t) for t, part in zip(plain, value, strict=True)]
+    return "[" + ", ".join(typed) + "]"
 
 
 def _columns_of(draft: Draft) -> list[str | int]:

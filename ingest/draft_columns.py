@@ -129,14 +129,18 @@ def _first(columns: Sequence[GuessedColumn], pattern: str) -> GuessedColumn | No
 
 _NOWHERE = r"[-–—/]+|none|no|nein|kein[er]*|aucune?|n/?a"
 """Places of a failure that there was not."""
+_MOST_NUMBERS = 8
+"""Different numbers of a column of failures that are proposed; words are proposed all."""
 
 
 def find_meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
     """The values of a column of failures, as they seem to be meant: which ones depends on the table."""
     cells = opened.cells(failed)
     filled = [c for c in cells if str(c).strip()]
-    values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in filled))[:8] or [1, 0]
+    values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in filled)) or [1, 0]
     plain = [v if isinstance(v, int) and not isinstance(v, bool) else str(v) for v in values]
+    if not any(isinstance(v, str) for v in values):
+        plain = plain[:_MOST_NUMBERS]
     turned = re.search("cens|runout|surv", str(failed.column).lower()) is not None
     if not any(re.match(_YES, str(v).strip().lower()) or isinstance(v, int) for v in plain):
         alive = [v for v in plain if re.fullmatch(_NOWHERE, str(v).strip().lower())]

@@ -30,9 +30,9 @@ _MOST_MATRIX_COLUMNS = 12
 _FIRST_CELLS = 2000
 _TABBED = ("lvm", "trios")
 _BEGINNING = 1 << 17
+"""Bytes in which a text shows what wrote it: heads of TRIOS take some 20 kB."""
 _PACKED = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """How workbooks begin, new and old ones."""
-"""Bytes in which a text shows what wrote it: heads of TRIOS take some 20 kB."""
 
 
 @dataclass(frozen=True)

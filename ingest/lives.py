@@ -122,13 +122,15 @@ def _leave_out_no_specimens(table: TableRows) -> None:
     """Leaves out the rows of a sheet that are no test of a specimen, each kind with a note.
 
     Such are rows with neither a life nor an outcome (torn when it was mounted), and rows without a voltage and without a specimen or an
-    outcome, where the table has such columns (a largest value, a mean below the table).
+    outcome, where the table has such columns (a largest value, a mean below the table). A row with a life and an outcome is a test
+    whatever else it lacks: cells that are merged, or copied from a group's first row, are empty in all others.
     """
     columns = table.mapping.columns
     outcome = next((name for name in ("failed", "censored") if name in columns), None)
     says_blank = outcome is not None and any(
         str(value).strip() == "" for key in columns[outcome].meanings.values() for value in key
     )
+    tests = _have_life_and_outcome(table, outcome, says_blank=says_blank)
     pairs = [(("specimen_id", "voltage"), "without a specimen and without a voltage")]
     if outcome is not None and not says_blank and "alive_at" not in columns:
         pairs += [
@@ -139,12 +141,35 @@ def _leave_out_no_specimens(table: TableRows) -> None:
         if any(name not in columns or columns[name].column is None for name in names):
             continue
         cells = [[cell_text(cell) for cell in table.cells(name)] for name in names]
-        empty = np.array([not any(pair) for pair in zip(*cells, strict=True)], dtype=bool)
+        empty = np.array([not any(pair) for pair in zip(*cells, strict=True)], dtype=bool) & ~tests[table.rows]
         if empty.any() and not empty.all():
             where = np.flatnonzero(table.rows)[empty]
             numbers = ", ".join(str(int(row) + 1) for row in where[:8])
             table.notes.append(f"{counted(int(empty.sum()), 'row')} {what}: left out as no tests (row {numbers})")
             table.rows[where] = False
+
+
+def _have_life_and_outcome(table: TableRows, outcome: str | None, *, says_blank: bool) -> Bool:
+    """(N,) rows of the whole file that say how long a specimen lived and how it ended; `says_blank`: an empty cell says it.
+
+    A life that is written as a bound (`> 3600`) is its own outcome. What the mapping says of the duration of all tests is
+    the life of rows whose outcome is written.
+    """
+    columns = table.mapping.columns
+    found = np.zeros(table.rows.size, dtype=bool)
+    if outcome is None:
+        life = columns["lifetime"]
+        if life.column is not None:
+            found[list(table.file.numbers(life.column, life.index).bounds)] = True
+        return found
+    lived = np.zeros(int(table.rows.sum()), dtype=bool)
+    for name in ("lifetime", "alive_at", "test_duration"):
+        if name in columns and columns[name].column is not None:
+            lived |= np.array([cell_text(cell) is not None for cell in table.cells(name)], dtype=bool)
+    ended = np.array([cell_text(cell) is not None for cell in table.cells(outcome)], dtype=bool)
+    is_planned = table.metadata.test_duration_s is not None
+    found[table.rows] = (lived & (ended | says_blank)) | (ended & is_planned)
+    return found
 
 
 def _last_seen_alive(

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ingest.meanings import GuessedColumn
+from schemas.errors import RefusedError
 from schemas.quantities import QUANTITIES
-from schemas.units import ANY
+from schemas.units import ANY, conversion
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,6 @@ class Question:
 
 _STRAIN = r"strain|dehnung|déformation|deformacion|应变"
 """Names of columns that count from 0 where a stretch is 1."""
-_NO_STRAIN = {"%": 100.0, "‰": 1000.0}
-"""A stretch of 1 in units of strain; 1 in all others."""
 
 
 def label_column(column: GuessedColumn) -> str:
@@ -57,9 +56,17 @@ def make_unit_keys(column: GuessedColumn, questions: list[Question]) -> dict[str
         return {"unit": usual, "scale": None}
     if column.unit is None:
         questions.append(ask_unit(label, column, usual))
-    if name == "stretch" and column.unit is not None and re.search(_STRAIN, label_column(column)):
-        return {"unit": column.unit, "offset": _NO_STRAIN.get(column.unit, 1.0)}
+    if name == "stretch" and re.search(_STRAIN, label_column(column)):
+        return {"unit": column.unit or usual, "offset": unstretched(column.unit or usual)}
     return {"unit": column.unit or usual}
+
+
+def unstretched(unit: str) -> float:
+    """A stretch of 1 in a unit, which strains count from: 100 in %, 1e6 in µε; 1 where the unit is none."""
+    try:
+        return float(f"{1 / conversion(unit, QUANTITIES['stretch'].unit).scale:.12g}")
+    except RefusedError:
+        return 1.0
 
 
 def ask_unit(label: str, column: GuessedColumn, usual: str) -> Question:

@@ -149,21 +149,24 @@ def _heads(
     lines: Sequence[str], above: Sequence[int], dialect: Dialect, fields: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Header and unit row above the rows of numbers; empty where there is none."""
-    rows = [_without_end([" ".join(f.split()) for f in _split(lines[i], dialect)]) for i in above[-2:]]
+    rows = [_without_end([" ".join(f.split()) for f in _split(lines[i], dialect)], fields) for i in above[-2:]]
     if len(rows) == 2 and len(rows[0]) == len(rows[1]) > fields and are_units(rows[1]):
         return rows[0], rows[1]
     rows = [row for row in rows if abs(len(row) - fields) <= 1]
     if not rows:
         return (), ()
     if len(rows) == 2 and are_units(rows[1]):
-        return rows[0], rows[1]
-    return rows[-1], ()
+        return _without_end(rows[0]), rows[1]
+    return _without_end(rows[-1]), ()
 
 
-def _without_end(cells: Sequence[str]) -> tuple[str, ...]:
-    """A row without the empty cells that delimiters at its end make."""
+def _without_end(cells: Sequence[str], fields: int = 0) -> tuple[str, ...]:
+    """A row without the empty cells that delimiters at its end make; the first `fields` cells stay.
+
+    Columns at the end of a table may have no unit: their empty cells belong to the row of units.
+    """
     count = len(cells)
-    while count and not cells[count - 1]:
+    while count > fields and not cells[count - 1]:
         count -= 1
     return tuple(cells[:count])
 

@@ -85,9 +85,9 @@ def _ready(
 
 def _shown(suggestion: Any) -> str:
     """A suggestion as it can be typed after `--yes`."""
-    if isinstance(suggestion, list):
-        return "[" + ", ".join(str(part) for part in suggestion) + "]"
-    return "…" if suggestion is None else str(suggestion)
+    from ingest.answers import write_value
+
+    return "…" if suggestion is None else write_value(suggestion)
 
 
 def _ask_all(draft: Draft, ask: Callable[[str], str]) -> Draft:

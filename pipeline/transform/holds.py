@@ -98,7 +98,7 @@ class HeldRecord:
 def find_holds(time_s: Float, drive: Float, *, where: str = "", name: str = "load") -> tuple[Hold, ...]:
     """The levels at which a drive (m,) is held, first to last.
 
-    Raises `NotIdentifiableError` where it is held nowhere, or never changes and is 0.
+    A drive that never changes is one level. Raises `NotIdentifiableError` where it is held nowhere.
     """
     every = max(1, time_s.size // _LOOKED_AT)
     t, u = time_s[::every], drive[::every]

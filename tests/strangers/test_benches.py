@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ingest.answers import answered, draft_with, read_value, write_value
 from ingest.draft import make_draft
 from ingest.inspect import FITS, inspect
+from ingest.mapping import FileMapping
+from ingest.read import open_columns
+from ingest.tables import LifetimeTable, lifetime_table
 from pipeline import Lab
 from pipeline.cli import main
 from schemas.arrays import Float
@@ -129,3 +134,114 @@ def test_the_answers_that_are_proposed_can_be_typed(tmp_path: Path, capsys: pyte
     path.write_text(LIVES, encoding="utf-8")
     assert main(["add", str(path)]) == 1
     assert "'columns.failed.failed_values=[clamp, edge, middle]'" in capsys.readouterr().err
+
+
+def test_a_row_of_units_may_end_with_columns_that_have_none(tmp_path: Path) -> None:
+    rows = [f"{20 * i};{0.001 * i:.4f};{0.02 * i:.3f};{i // 50};0" for i in range(200)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["Time;Load;Position;Cycle;Flag", "ms;kN;mm;;", *rows, ""]), encoding="utf-8")
+    content = make_draft(path).content
+    assert content["csv"]["unit_row"] is True
+    assert content["time"]["unit"] == "ms"
+    assert {name: c["unit"] for name, c in content["columns"].items()} == {"force": "kN", "displacement": "mm"}
+
+
+MERGED = """Specimen;Voltage [kV];Time to breakdown [s];Outcome
+A1;4;357;failed
+;;450;failed
+A3;4;3095;failed
+;;3600;survived
+A5;5;94;failed
+A6;5;260;failed
+;;781;
+"""
+
+
+def read_merged(path: Path, text: str, columns: str, constants: str = "") -> LifetimeTable:
+    """Lives of a text with a mapping of its specimens, voltages and lives, and of more columns."""
+    path.write_text(text, encoding="utf-8")
+    toml = f"""
+        kind = "lifetimes"
+        [csv]
+        delimiter = ";"
+        [columns]
+        specimen_id = {{column = "Specimen"}}
+        voltage = {{column = "Voltage [kV]", unit = "kV"}}
+        lifetime = {{column = "Time to breakdown [s]", unit = "s"}}
+        {columns}
+        [recording]
+        recording_id = "lives"
+        {constants}
+    """
+    mapping = FileMapping.parse(tomllib.loads(toml), stem=path.stem, suffix=path.suffix, source="lives.csv.toml")
+    return lifetime_table(open_columns(path, "csv", mapping), mapping, stem=path.stem, where=path.name)
+
+
+def test_rows_with_a_life_and_an_outcome_are_tests_whatever_else_is_empty(tmp_path: Path) -> None:
+    outcome = 'failed = {column = "Outcome", failed_values = ["failed"], censored_values = ["survived"]}'
+    table = read_merged(tmp_path / "lives.csv", MERGED, outcome)
+    assert sorted(row.lifetime_s for row in table.rows) == [94, 260, 357, 450, 3095, 3600]
+    assert any("left out as no tests (row 7)" in note for note in table.notes)
+
+
+def test_a_survivor_without_a_specimen_lived_as_long_as_its_test_was_planned(tmp_path: Path) -> None:
+    outcome = 'failed = {column = "Outcome", failed_values = ["failed"], censored_values = ["survived"]}'
+    text = MERGED.replace(";;3600;survived", ";;;survived")
+    table = read_merged(tmp_path / "lives.csv", text, outcome, "test_duration_s = 7200")
+    assert sorted(row.lifetime_s for row in table.rows if not row.failed) == [7200]
+
+
+def test_a_blank_that_means_survived_and_a_bound_are_outcomes(tmp_path: Path) -> None:
+    blank = 'failed = {column = "Outcome", failed_values = ["failed"], censored_values = ["survived", ""]}'
+    table = read_merged(tmp_path / "blank.csv", MERGED + ";;;\n", blank)
+    assert sorted(row.lifetime_s for row in table.rows if not row.failed) == [781, 3600]
+    bounds = "\n".join(line.rsplit(";", 1)[0] for line in MERGED.replace(";3600", ";> 3600").splitlines())
+    table = read_merged(tmp_path / "bounds.csv", bounds, "")
+    assert [row.lifetime_s for row in table.rows if not row.failed] == [3600]
+
+
+PLACES = [f"place {i}" for i in range(10)]
+
+
+def write_places(path: Path, places: list[str]) -> Path:
+    rows = [f"S{i};{100 + 7 * i};{place}" for i, place in enumerate(places)]
+    path.write_text("\n".join(["Specimen;Life [s];Failure site", *rows, ""]), encoding="utf-8")
+    return path
+
+
+def test_a_dash_after_many_places_of_failure_is_a_survivor(tmp_path: Path) -> None:
+    failed = make_draft(write_places(tmp_path / "lives.csv", [*PLACES, "-"])).content["columns"]["failed"]
+    assert (failed["failed_values"], failed["censored_values"]) == (PLACES, ["-"])
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        ({"failed.failed_values": "[edge, rod]"}, (["edge", "rod"], ["-", "middle"])),
+        ({"failed.censored_values": "[rod, -]"}, (["edge", "middle"], ["rod", "-"])),
+        ({"failed.left_censored_values": "[rod]"}, (["edge", "middle"], ["-"])),
+        ({"failed.failed_values": "[rod]", "failed.censored_values": "[-]"}, (["rod"], ["-"])),
+    ],
+)
+def test_an_answer_about_outcomes_leaves_each_value_in_one_list(
+    tmp_path: Path, answer: dict[str, str], expected: tuple[list[str], list[str]]
+) -> None:
+    draft = answered(*draft_with(write_places(tmp_path / "lives.csv", ["edge", "rod", "middle", "-"]), answer))
+    failed = draft.content["columns"]["failed"]
+    assert (failed["failed_values"], failed["censored_values"]) == expected
+
+
+def test_what_is_proposed_is_read_back_as_it_was() -> None:
+    values = ["edge, left", "rod", 'a "b", c', "1", 2, "it's", "[x]", "true"]
+    assert read_value(write_value(values)) == values
+    assert write_value(["clamp", "edge, left"]) == '[clamp, "edge, left"]'
+
+
+@pytest.mark.parametrize(("header", "offset"), [("Strain", 1.0), ("Strain [µε]", 1e6), ("Strain [%]", 100.0)])
+def test_strain_in_any_unit_or_none_counts_from_0(tmp_path: Path, header: str, offset: float) -> None:
+    rows = [f"{i / 10};{min(i / 100, 0.2) * offset:.5f};{3 + np.exp(-i / 90):.4f}" for i in range(300)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([f"Time [s];{header};Stress [kPa]", *rows, ""]), encoding="utf-8")
+    assert make_draft(path).content["columns"]["stretch"]["offset"] == offset
+    draft = answered(*draft_with(path, {"stretch.unit": "%"}))
+    assert (draft.content["columns"]["stretch"]["unit"], draft.content["columns"]["stretch"]["offset"]) == ("%", 100.0)
