@@ -9,14 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.fit.retardation.creep import Creep, Estimate
+from pipeline.fit.retardation.creep import NOT_AT_ONCE, Creep, Estimate, measure_creep
 from pipeline.fit.retardation.fit import RESOLVED, RetardationFit
+from schemas.recording import Recording
 from schemas.tables import TABLES
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 NOT_ASKED = "the diagnosis does not simulate creep: it does not ask this recording"
+
+
+def analyse_creep(recording: Recording) -> tuple[tuple[str, ...], dict[str, pa.Table]]:
+    """What limits a creep test, and its rows."""
+    found, about = measure_creep(recording), recording.metadata
+    return found.warnings, creep_tables(about.recording_id, about.specimen_id, found)
 
 
 def creep_tables(recording_id: str, specimen_id: str, found: Creep) -> dict[str, pa.Table]:
@@ -36,19 +43,13 @@ def _test(found: Creep) -> dict[str, Any]:
             for x in (abs(found.end_mm.value), *sorted(map(abs, (found.end_mm.lower, found.end_mm.upper))))
         )
     )
-    estimates = {
-        "elastic_mm": found.elastic_mm,
-        "end_mm": found.end_mm,
-        "left_mm": found.left_mm,
-        "recovered_share": found.recovered_share,
-        "compliance_mm_per_n": compliance,
-        "drift_mm_per_h": found.drift_mm_per_h,
-    }
-    row: dict[str, Any] = {}
-    for name, estimate in estimates.items():
-        if estimate is not None:
-            row |= {name: estimate.value, f"{name}_lower": estimate.lower, f"{name}_upper": estimate.upper}
-    return row | {
+    return {
+        **spread("elastic_mm", found.elastic_mm),
+        **spread("end_mm", found.end_mm),
+        **spread("left_mm", found.left_mm),
+        **spread("recovered_share", found.recovered_share),
+        **spread("compliance_mm_per_n", compliance),
+        **spread("drift_mm_per_h", found.drift_mm_per_h),
         "load_n": found.load_n,
         "load_n_sd": found.load_n_sd,
         "hold_s": found.hold_s,
@@ -61,15 +62,22 @@ def _test(found: Creep) -> dict[str, Any]:
     }
 
 
+def spread(name: str, estimate: Estimate | None) -> dict[str, float]:
+    """A number and its limits as columns; none where there is no number."""
+    if estimate is None:
+        return {}
+    return {name: estimate.value, f"{name}_lower": estimate.lower, f"{name}_upper": estimate.upper}
+
+
 def _fit(found: Creep, fit: RetardationFit) -> dict[str, Any]:
     compliance, n, count = fit.compliance, fit.nuisance, len(fit.compliance.times_s)
     sd = np.sqrt(np.diag(fit.covariance))
-    instant = compliance.instant - found.cell_mm_per_n
+    instant, model = found.instant(fit), found.solid(fit)
+    warnings = list(fit.warnings) if instant is not None else [*fit.warnings, NOT_AT_ONCE]
     retarded = [
         _resolved(j, s / j if j > 0 else math.inf) for j, s in zip(compliance.retarded, sd[n + 1 :], strict=False)
     ]
     times = [_resolved(t, s) for t, s in zip(compliance.times_s, sd[sd.size - count :], strict=True)]
-    model = found.solid(fit)
     k0_sd, springs, relaxation = found.solid_sd(fit)
     return {
         "model_order": fit.order,
@@ -77,7 +85,7 @@ def _fit(found: Creep, fit: RetardationFit) -> dict[str, Any]:
         "p_value": fit.p_value,
         "reduced_chi2": fit.chi2 / fit.freedom,
         "instant_mm_per_n": instant,
-        "instant_mm_per_n_sd": _resolved(instant, float(sd[n]) / instant),
+        "instant_mm_per_n_sd": None if instant is None else _resolved(instant, float(sd[n]) / instant),
         "flow_mm_per_n_s": compliance.flow or None,
         "flow_mm_per_n_s_sd": _resolved(compliance.flow, float(sd[n + 1 + count]) / compliance.flow)
         if compliance.flow
@@ -85,10 +93,10 @@ def _fit(found: Creep, fit: RetardationFit) -> dict[str, Any]:
         "retardations": _written(
             ("compliance_mm_per_n", compliance.retarded, retarded), ("time_s", compliance.times_s, times)
         ),
-        "k0_n_per_mm": model.k0 or None,
+        "k0_n_per_mm": None if model is None else model.k0 or None,
         "k0_n_per_mm_sd": k0_sd,
-        "arms": _written(("k_n_per_mm", model.k, springs), ("tau_s", model.tau, relaxation)),
-        "warnings": "; ".join(fit.warnings) or None,
+        "arms": None if model is None else _written(("k_n_per_mm", model.k, springs), ("tau_s", model.tau, relaxation)),
+        "warnings": "; ".join(warnings) or None,
     }
 
 

@@ -6,14 +6,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.fit.retardation.creep import Estimate
-from pipeline.fit.retardation.isotonic import Isotonic, Stroke
+from pipeline.analyse.creep import spread
+from pipeline.fit.retardation.isotonic import Isotonic, Stroke, measure_isotonic
+from schemas.recording import Recording
 from schemas.tables import TABLES
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 NOT_ASKED = "the diagnosis does not simulate strokes at constant load: it does not ask this recording"
+
+
+def analyse_isotonic(recording: Recording) -> tuple[tuple[str, ...], dict[str, pa.Table]]:
+    """What limits a test at constant load, and its rows."""
+    found, about = measure_isotonic(recording), recording.metadata
+    return found.warnings, isotonic_tables(about.recording_id, about.specimen_id, found)
 
 
 def isotonic_tables(recording_id: str, specimen_id: str, found: Isotonic) -> dict[str, pa.Table]:
@@ -51,13 +58,6 @@ def _stroke(one: Stroke) -> dict[str, Any]:
         **spread("instant_mm", one.instant_mm),
         **spread("slow_mm", one.slow_mm),
     }
-
-
-def spread(name: str, estimate: Estimate | None) -> dict[str, float]:
-    """A number and its limits as columns; none where there is no number."""
-    if estimate is None:
-        return {}
-    return {name: estimate.value, f"{name}_lower": estimate.lower, f"{name}_upper": estimate.upper}
 
 
 def _curve(recording_id: str, found: Isotonic) -> pa.Table:

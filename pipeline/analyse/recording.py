@@ -13,11 +13,11 @@ from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
 from pipeline.analyse.creep import NOT_ASKED as CREEP_NOT_ASKED
-from pipeline.analyse.creep import creep_tables
+from pipeline.analyse.creep import analyse_creep
 from pipeline.analyse.cycle import cycle_fits, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.isotonic import NOT_ASKED as ISOTONIC_NOT_ASKED
-from pipeline.analyse.isotonic import isotonic_tables
+from pipeline.analyse.isotonic import analyse_isotonic
 from pipeline.analyse.pull import NOT_ASKED, analyse_pull, pull_tables
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
@@ -25,8 +25,6 @@ from pipeline.analyse.signs import find_negative, sign_table
 from pipeline.analyse.temperatures import TEMPERATURE
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
-from pipeline.fit.retardation.creep import measure_creep
-from pipeline.fit.retardation.isotonic import measure_isotonic
 from pipeline.fit.sensing.migration import migration
 from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.calibration import Calibration, TapCalibration, calibrate
@@ -256,19 +254,19 @@ def _pull(analysis: Analysis, recording: Recording) -> None:
 
 
 def _creep(analysis: Analysis, recording: Recording) -> None:
-    about = recording.metadata
-    found = analysis.attempt("creep", measure_creep, recording)
-    if found is not None:
-        analysis.note((*found.warnings, CREEP_NOT_ASKED))
-        analysis.add(creep_tables(about.recording_id, about.specimen_id, found))
+    made = analysis.attempt("creep", analyse_creep, recording)
+    if made is not None:
+        warnings, tables = made
+        analysis.note((*warnings, CREEP_NOT_ASKED))
+        analysis.add(tables)
 
 
 def _isotonic(analysis: Analysis, recording: Recording) -> None:
-    about = recording.metadata
-    found = analysis.attempt("strokes at constant load", measure_isotonic, recording)
-    if found is not None:
-        analysis.note((*found.warnings, ISOTONIC_NOT_ASKED))
-        analysis.add(isotonic_tables(about.recording_id, about.specimen_id, found))
+    made = analysis.attempt("strokes at constant load", analyse_isotonic, recording)
+    if made is not None:
+        warnings, tables = made
+        analysis.note((*warnings, ISOTONIC_NOT_ASKED))
+        analysis.add(tables)
 
 
 def _responses(analysis: Analysis, recording: Recording) -> None:

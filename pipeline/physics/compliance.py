@@ -63,6 +63,17 @@ class Compliance:
         rates, weights = rates[~flows], weights[~flows]
         return cls(1 / total, tuple((weights / rates).tolist()), tuple((1 / rates).tolist()), flow)
 
+    @property
+    def is_real(self) -> bool:
+        """Whether a film can have it, so that it has a solid: gives way at once, nothing is negative, no time is 0 or endless."""
+        times = np.array(self.times_s)
+        return (
+            self.instant > 0
+            and self.flow >= 0
+            and min(self.retarded, default=0.0) >= 0
+            and bool(((times > 0) & (times < np.inf)).all())
+        )
+
     def solid(self) -> RelaxationModel:
         """The Maxwell-Wiechert model of this compliance; its main spring is 0 where it flows.
 

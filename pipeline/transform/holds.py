@@ -68,8 +68,9 @@ class HeldRecord:
     usable : (n,)
     history_s, drive : (m,) course of the drive from rest, as change from its first level
     mean : (n, m) takes values at the instants of `history_s` to means over the windows
-    holds : in order
-    rests : the first hold is a rest before the first load; without it the record begins with the load
+    holds : in order, those in which the displacement has samples
+    rests : the first hold is a rest before the first load; without it the windows begin with the load on
+    offset : the displacement has a zero of its own; without it it counts from before the load
     step : one step of the converter over √12, mm; 0 where unknown
     drive_error : relative standard deviation of the levels of the drive, the same for all that is found
     """
@@ -87,8 +88,10 @@ class HeldRecord:
     mean: csr_matrix
     holds: tuple[Hold, ...]
     rests: bool
+    offset: bool
     step: float
     drive_error: float
+    warnings: tuple[str, ...] = ()
 
     @property
     def end_s(self) -> float:
@@ -175,7 +178,7 @@ def reduce_record(
     """Windows of a displacement (n,) mm at times (n,) s under a drive (m,) at times (m,) s.
 
     `squared`: it is the square of the drive that acts. Without a rest the drive is taken to be put on at the first sample, and the
-    displacement to count from before it.
+    displacement to count from before it. Holds in which the displacement has no samples are left out, with a warning.
     Raises `NotIdentifiableError` for holds too short to tell anything.
     """
     _check_order(drive_s, time_s, where)
@@ -186,17 +189,23 @@ def reduce_record(
     starts: list[int] = []
     stops: list[int] = []
     numbers: list[int] = []
-    for number, hold in enumerate(holds):
-        inside = np.flatnonzero((time_s >= hold.start_s) & (time_s <= hold.end_s))
-        if not inside.size:
-            continue
-        first, last = int(inside[0]), int(inside[-1]) + 1
-        edges = _edges(time_s[first:last], None if rests and number == 0 else hold, per_decade)
+    inside = [np.flatnonzero((time_s >= hold.start_s) & (time_s <= hold.end_s)) for hold in holds]
+    seen = tuple(hold for hold, rows in zip(holds, inside, strict=True) if rows.size)
+    seen_rest = rests and inside[0].size > 0
+    if rests and not seen_rest and len(seen) < 2:
+        raise NotIdentifiableError(
+            "the displacement is recorded at one level of the drive alone",
+            where=where,
+            expected="samples of it also before the drive is put on, or after it is taken off",
+        )
+    for number, (hold, rows) in enumerate(zip(seen, (r for r in inside if r.size), strict=True)):
+        first, last = int(rows[0]), int(rows[-1]) + 1
+        edges = _edges(time_s[first:last], None if seen_rest and number == 0 else hold, per_decade)
         starts += [first + int(e) for e in edges]
         stops += [first + int(e) for e in edges[1:]] + [last]
         numbers += [number] * len(edges)
     hold_of = np.array(numbers, dtype=np.int64)
-    loaded = int(np.sum(hold_of > 0)) if rests else len(numbers)
+    loaded = int(np.sum(hold_of > 0)) if seen_rest else len(numbers)
     if loaded < FEWEST_WINDOWS:
         raise NotIdentifiableError(
             f"{loaded} windows of the displacement while the drive is held",
@@ -219,6 +228,10 @@ def reduce_record(
         drive_s, drive, (time_s[begin], time_s[end - 1]), times, hold_of, instants, np.repeat(hold_of, sizes)
     )
     ramps_s, ramps = _ramps(drive_s, drive, holds)
+    for hold in holds:
+        if hold not in seen:
+            ramps_s = np.append(ramps_s, [hold.start_s, hold.end_s])
+            ramps = np.append(ramps, [hold.level, hold.level])
     if not rests:
         ramps_s, ramps = np.append(holds[0].start_s, ramps_s), np.append(0.0, ramps)
     all_s = np.concatenate([ramps_s, instants])
@@ -237,10 +250,16 @@ def reduce_record(
     usual = float(np.median(told)) if told.size else 0.0
     usable = scatter <= _RINGING * max(usual, step) if usual else np.ones(count.size, dtype=bool)
     return HeldRecord(
-        times, time_s[end - 1] - time_s[begin], means, count, scatter, _jump(time_s, times, means, holds, hold_of), hold_of, usable,
-        all_s[order], course, mean, holds, rests, step,
-        (2 if squared else 1) * _level_error(drive_s, drive, holds, rests),
+        times, time_s[end - 1] - time_s[begin], means, count, scatter, _jump(time_s, times, means, seen, hold_of), hold_of, usable,
+        all_s[order], course, mean, seen, seen_rest, rests, step,
+        (2 if squared else 1) * _level_error(drive_s, drive, holds, rests), _missed(len(holds), len(seen)),
     )  # fmt: skip
+
+
+def _missed(held: int, seen: int) -> tuple[str, ...]:
+    if held == seen:
+        return ()
+    return (f"the displacement has no sample in {held - seen} of the {held} levels of the drive: these are left out",)
 
 
 def _check_order(drive_s: Float, time_s: Float, where: str) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,11 +23,17 @@ from pipeline.transform.channels import drive, stretched_length
 from pipeline.transform.holds import FEWEST_WINDOWS, Hold, find_holds, reduce_record
 from pipeline.transform.sampling import seconds
 from schemas.arrays import Float
+from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
 
+NOT_AT_ONCE = "what the film gives way by at once is not resolved: all that is seen comes later than the first window"
 _NORMAL = 1.959964
 _TAKEN_OFF = 0.5
 """Share of the load that is still on, below which it counts as taken off."""
+_ALIKE = 0.05
+"""Share of the load within which two levels are one, and the load is the one that the metadata tell."""
+_TARED = 0.05
+"""Share of the load by which the load cell of a film at rest may be off zero without a word."""
 _DIFFERENCE = 1e-4
 _NOT_SOFTER = 0.95
 """Share of a film's compliance that the load cell may make up."""
@@ -49,9 +55,9 @@ class Creep:
     Parameters
     ----------
     retardation : all orders, of the film with the load cell in series
-    load_n : change of the load, with its standard deviation
+    load_n : change of the load to its first level, with its standard deviation
     hold_s, recovery_s : how long it was on and off; None where it was not taken off
-    elastic_mm, end_mm : displacement at once, and at the end of the load
+    elastic_mm, end_mm : displacement at once (None where it is not resolved), and at the end of the load
     left_mm : what was left at the end of the record; None without recovery
     recovered_share : of `end_mm`; None without recovery
     drift_mm_per_h : constant drift of the displacement; None where it cannot be told from creep
@@ -65,7 +71,7 @@ class Creep:
     load_n_sd: float
     hold_s: float
     recovery_s: float | None
-    elastic_mm: Estimate
+    elastic_mm: Estimate | None
     end_mm: Estimate
     left_mm: Estimate | None
     recovered_share: Estimate | None
@@ -75,19 +81,29 @@ class Creep:
     length_mm: float | None
     warnings: tuple[str, ...] = ()
 
-    def solid(self, fit: RetardationFit) -> RelaxationModel:
-        """The Maxwell-Wiechert model of the film alone, N/mm and s."""
-        return _solid(fit, self.cell_mm_per_n)
+    def instant(self, fit: RetardationFit) -> float | None:
+        """Compliance of the film alone at once, mm/N; None where the record does not resolve it."""
+        left = fit.compliance.instant - self.cell_mm_per_n
+        return left if left > 0 else None
+
+    def solid(self, fit: RetardationFit) -> RelaxationModel | None:
+        """The Maxwell-Wiechert model of the film alone, N/mm and s; None where its compliance at once is not resolved."""
+        return None if self.instant(fit) is None else fit.compliance.stiffer_by(self.cell_mm_per_n).solid()
 
     def solid_sd(self, fit: RetardationFit) -> tuple[float | None, tuple[float | None, ...], tuple[float | None, ...]]:
         """Standard deviations of k0, of the springs and of the relaxation times; None where one is not resolved."""
+        model = self.solid(fit)
+        if model is None:
+            return None, (), ()
 
         def numbers(parameters: Float) -> Float:
-            model = _solid(fit.with_parameters(parameters), self.cell_mm_per_n)
-            return np.log(np.maximum([model.k0, *model.k, *model.tau], 1e-300))
+            near = fit.with_parameters(parameters).compliance.stiffer_by(self.cell_mm_per_n)
+            if not near.is_real:
+                return np.full(1 + 2 * len(model.k), np.nan)
+            other = near.solid()
+            return np.log(np.maximum([other.k0, *other.k, *other.tau], 1e-300))
 
         sd = _propagate(numbers, fit)
-        model = self.solid(fit)
         values = np.array([model.k0, *model.k, *model.tau])
         shown = [float(v * s) if s <= RESOLVED else None for v, s in zip(values, sd, strict=True)]
         arms = len(model.k)
@@ -104,29 +120,46 @@ def measure_creep(recording: Recording) -> Creep:
     x_s, x = seconds(source.input, recording.start_ns)
     f_s, force = seconds(source.output, recording.start_ns)
     holds = find_holds(f_s, force, where=where)
-    rests = len(holds) > 1 and abs(holds[0].level) < abs(holds[1].level)
+    rests = _begins_at_rest(holds)
     zero = holds[0].level if rests else 0.0
-    held = holds[1 if rests else 0]
     record = reduce_record(
         f_s, force, x_s, x, holds, rests=rests, step=(source.input.resolution or 0.0) / math.sqrt(12), where=where
     )
-    off = next((h for h in holds[1:] if h.start_s > held.end_s and _is_off(h, held, zero)), None)
-    recovers = off is not None and int(np.sum(record.hold == holds.index(off))) >= FEWEST_WINDOWS
-    found = fit_retardation(record, drifts=recovers)
+    held, *later = _from_load_on(record.holds, zero, where)
+    change = held.level - zero
+    while later and abs(later[0].level - held.level) <= _ALIKE * abs(change):
+        held = replace(held, end_s=later.pop(0).end_s)
+    goes_on = bool(later) and not _is_off(later[0], held, zero)
+    off = None if goes_on or not later else later[0]
+    recovers = off is not None and int(np.sum(record.hold == record.holds.index(off))) >= FEWEST_WINDOWS
+    goes_off = recovers or (goes_on and any(_is_off(h, held, zero) for h in later))
+    found = fit_retardation(record, drifts=goes_off)
     fit = found.selected
-    warnings = list(fit.warnings)
+    warnings = [*fit.warnings, *record.warnings]
+    if rests and abs(zero) > _TARED * abs(change):
+        warnings.append(f"the load cell reads {zero:.3g} N before the load: that is taken for its zero")
+    if goes_on:
+        warnings.append(
+            f"the load goes on from {change:.3g} to {later[0].level - zero:.3g} N without being taken off: displacement and "
+            "compliance are those of the first level, retardation times those of all levels, and no recovery is told"
+        )
+    warnings += _contradict(recording, [h.level - zero for h in holds])
     if not rests:
         warnings.append(
             "the record begins with the load on: the displacement is taken to count from before it, and the load to come with the first sample"
         )
-    if not recovers:
+    if not goes_off:
         warnings.append(
             "the load is not taken off, or not for long: a drift of the displacement cannot be told from creep, and counts as creep"
         )
     cell = _cell_compliance(recording, fit.compliance.instant, warnings)
     end = held.end_s if off is None else min(off.begins_s, record.end_s)
-    change = held.level - zero
     drift, drift_sd = fit.drift
+    elastic = None
+    if fit.compliance.instant > 0:
+        elastic = _estimate(lambda p: found.sign * change * fit.with_parameters(p).compliance.instant, fit)
+    else:
+        warnings.append(NOT_AT_ONCE)
     last = holds[-1].end_s if off is None else off.end_s
     read = _Reading(found, end, last if recovers else None)
     per_hour = 3600 * found.sign
@@ -136,11 +169,11 @@ def measure_creep(recording: Recording) -> Creep:
         load_n_sd=abs(change) * record.drive_error,
         hold_s=end - held.begins_s,
         recovery_s=None if off is None else last - off.begins_s,
-        elastic_mm=_estimate(lambda p: found.sign * change * fit.with_parameters(p).compliance.instant, fit),
+        elastic_mm=elastic,
         end_mm=read.of(lambda moved, left: moved),
         left_mm=read.of(lambda moved, left: left) if recovers else None,
         recovered_share=read.of(lambda moved, left: 1 - left / moved) if recovers else None,
-        drift_mm_per_h=bounds(per_hour * drift, 3600 * drift_sd) if recovers else None,
+        drift_mm_per_h=bounds(per_hour * drift, 3600 * drift_sd) if goes_off else None,
         walk_mm_per_sqrt_h=math.sqrt(3600 * found.noise.walk),
         cell_mm_per_n=cell,
         length_mm=stretched_length(about),
@@ -173,6 +206,9 @@ class _Reading:
             since -= record.history_s[0]
         self.values = weights @ record.displacement + found.sign * nearer
         self.covariance = weights @ covariance @ weights.T
+        if record.offset and not record.rests:
+            self.values -= found.sign * fit.parameters[0]
+            self.covariance += fit.covariance[0, 0]
         drift, sd = fit.drift
         self.drift, self.drift_sd, self.since = found.sign * drift, sd, since
 
@@ -202,6 +238,41 @@ def film_at(found: Retardation, film: Compliance, time_s: float) -> float:
     return float(film.response(record.history_s[:place], record.drive[:place])[-1])
 
 
+def _begins_at_rest(holds: tuple[Hold, ...]) -> bool:
+    """Whether the first level is a rest: the drive comes back to it at the end, or else none is nearer to zero.
+
+    The load cell may read anything at rest: a change that is put on and undone tells the rest, not the sign or the size of a level.
+    """
+    levels = np.array([hold.level for hold in holds])
+    largest = float(np.abs(levels - levels[0]).max())
+    comes_back = levels.size > 2 and abs(levels[-1] - levels[0]) < _TAKEN_OFF * largest
+    return levels.size > 1 and (comes_back or bool(np.argmin(np.abs(levels)) == 0))
+
+
+def _from_load_on(holds: tuple[Hold, ...], zero: float, where: str) -> tuple[Hold, ...]:
+    """The holds from the first on in which the load is on."""
+    largest = max(abs(hold.level - zero) for hold in holds)
+    on = [i for i, hold in enumerate(holds) if abs(hold.level - zero) > _ALIKE * largest]
+    if not on or largest == 0:
+        raise NotIdentifiableError(
+            "the displacement has no sample while the load is on",
+            where=where,
+            expected="both channels over the whole test",
+        )
+    return holds[on[0] :]
+
+
+def _contradict(recording: Recording, changes: list[float]) -> list[str]:
+    """What there is to say where no level of the load is the one that the metadata tell."""
+    told = recording.metadata.load_n
+    if told is None or "force" not in recording.channels:
+        return []
+    nearest = min((abs(change) for change in changes), key=lambda change: abs(change - told))
+    if abs(nearest - told) <= _ALIKE * told:
+        return []
+    return [f"load_n in the metadata says {told:.3g} N, the force channel {nearest:.3g} N: the channel is taken"]
+
+
 def _is_off(hold: Hold, held: Hold, zero: float) -> bool:
     return abs(hold.level - zero) < _TAKEN_OFF * abs(held.level - zero)
 
@@ -216,10 +287,6 @@ def _cell_compliance(recording: Recording, instant: float, warnings: list[str]) 
         )
         return 0.0
     return 1 / stiffness
-
-
-def _solid(fit: RetardationFit, cell: float) -> RelaxationModel:
-    return fit.compliance.stiffer_by(cell).solid()
 
 
 def _propagate(function: Callable[[Float], Float], fit: RetardationFit) -> Float:

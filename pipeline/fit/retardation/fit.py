@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import nnls
+from scipy.optimize import lsq_linear, nnls
 
 from pipeline.fit.relaxation.order import LEVEL, arc_of, tail_probability
 from pipeline.fit.relaxation.starts import candidates
@@ -140,9 +140,9 @@ def _first_noise(record: HeldRecord) -> SlowNoise:
 
 
 def nuisance_columns(record: HeldRecord, drifts: bool) -> Float:
-    """Columns (n, 0 to 2) of what the displacement does by itself: its offset, where there is a rest, and its drift."""
+    """Columns (n, 0 to 2) of what the displacement does by itself: its offset, where it has one, and its drift."""
     since = record.time_s - record.history_s[0]
-    parts = [np.ones(since.size)] if record.rests else []
+    parts = [np.ones(since.size)] if record.offset else []
     parts += [since] if drifts else []
     return np.column_stack(parts) if parts else np.zeros((since.size, 0))
 
@@ -249,9 +249,9 @@ class _Problem:
         used = candidate.k > 0
         times = np.exp(candidate.log_tau[used])
         white = self._white(self._design(candidate))
-        solution = np.linalg.lstsq(white, self.measured, rcond=None)[0]
         nuisance = self.nuisance.shape[1]
-        retarded = np.maximum(solution[nuisance + 1 : nuisance + 1 + times.size], 0.0)
+        solution = _solve_within(white, self.measured, free=nuisance)
+        retarded = solution[nuisance + 1 : nuisance + 1 + times.size]
         jacobian = np.hstack([white, self._white(slopes_by_log_time(self.record, times)) * retarded])
         scale = np.linalg.norm(jacobian, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
@@ -263,7 +263,7 @@ class _Problem:
         covariance = half @ half.T * max(chi2 / freedom, 1.0)
         scaled = np.concatenate([np.zeros(nuisance), solution[nuisance:], np.zeros(times.size)])
         covariance += self.record.drive_error**2 * np.outer(scaled, scaled)
-        flow = float(max(solution[-1], 0.0)) if candidate.c > 0 else 0.0
+        flow = float(solution[-1]) if candidate.c > 0 else 0.0
         found = Compliance(float(solution[nuisance]), tuple(retarded.tolist()), tuple(times.tolist()), flow)
         warnings = []
         if times.size + (candidate.c > 0) < order:
@@ -272,3 +272,15 @@ class _Problem:
         return RetardationFit(
             order, found, parameters, covariance, nuisance, self.drifts, chi2, freedom, p_value, tuple(warnings)
         )
+
+
+def _solve_within(columns: Float, target: Float, *, free: int) -> Float:
+    """Least squares in which all but the first `free` coefficients stay at 0 or above."""
+    solution = np.asarray(np.linalg.lstsq(columns, target, rcond=None)[0])
+    if (solution[free:] >= 0).all():
+        return solution
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+    least = np.where(np.arange(size.size) < free, -np.inf, 0.0)
+    found = lsq_linear(columns / size, target, (least, np.inf), method="bvls")
+    return np.asarray(np.maximum(found.x, least) / size)

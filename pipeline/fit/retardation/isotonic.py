@@ -102,36 +102,49 @@ def measure_isotonic(recording: Recording) -> Isotonic:
         step=(moved.resolution or 0.0) / math.sqrt(12),
         where=where,
     )
-    first_on = 1 if rests else 0
-    goes_off = any(abs(h.level) <= _OFF * top for h in holds[first_on + 1 :])
     levels, level_of = _group(holds, top)
-    if not levels:
-        raise NotIdentifiableError("the voltage stays off", where=where, expected="levels of voltage that are held")
-    parts = _split(record, len(levels), level_of) / np.array(levels) ** 2
-    driven = replace(record, drive=parts @ _rough_strokes(record, len(levels), level_of))
+    parts = _split(record.history_s, record.drive, holds, len(levels), level_of) / np.array(levels) ** 2
+    lasting = [_duration(holds, level_of, i) for i in range(len(levels))]
+    level_of = level_of[[holds.index(hold) for hold in record.holds]]
+    _check_recorded(record, level_of, where)
+    goes_off = bool((level_of[np.argmax(level_of >= 0) :] < 0).any())
+    driven = replace(record, drive=parts @ _rough_strokes(record, levels, level_of))
+    usable = driven.usable
     found = fit_retardation(driven, drifts=goes_off)
     rings = _find_ringing(found)
     if rings > 0:
-        settled = driven.usable & (_since_s(driven) > rings)
-        found = fit_retardation(replace(driven, usable=settled), drifts=goes_off)
-    values, covariance, modelled = _fit_levels(found, parts, level_of)
+        usable = driven.usable & (_since_s(driven) > rings)
+    shown = sorted(set(level_of[np.unique(record.hold[usable])].tolist()) - {-1})
+    if not shown:
+        raise NotIdentifiableError(
+            f"the film rings with its load for {rings:.2g} s after an edge, or is not recorded: no level is seen at rest",
+            where=where,
+            expected="levels of voltage that last until the film has come to rest",
+        )
+    if rings > 0:
+        found = fit_retardation(replace(driven, usable=usable), drifts=goes_off)
+    values, covariance, modelled = _fit_levels(found, parts, [on_s for _, on_s in lasting])
     strokes = tuple(
         Stroke(
-            level,
-            *_duration(holds, level_of, i),
+            levels[i],
+            *lasting[i],
             *(bounds(float(v), math.sqrt(c)) for v, c in _parts(values, covariance, i)),
         )
-        for i, level in enumerate(levels)
+        for i in shown
     )
-    total = values[0::3]
-    spread = covariance[np.ix_(np.arange(0, values.size, 3), np.arange(0, values.size, 3))]
-    warnings = list(found.selected.warnings)
-    squares = np.array(levels) ** 2
-    coefficient, misfit = _proportional(squares, total, spread)
-    p_value = float(chi2_distribution.sf(misfit, len(levels) - 1)) if len(levels) > 1 else None
-    exponent = _exponent(np.array(levels), total, spread)
+    seen = np.array([levels[i] for i in shown])
+    total = values[0::3][shown]
+    spread = covariance[0::3, 0::3][np.ix_(shown, shown)]
+    warnings = [*found.selected.warnings, *record.warnings]
+    coefficient, misfit = _proportional(seen**2, total, spread)
+    p_value = float(chi2_distribution.sf(misfit, seen.size - 1)) if seen.size > 1 else None
+    exponent = _exponent(seen, total, spread)
     if p_value is not None and p_value < _LAW and exponent is not None:
-        warnings.append(f"the strokes do not go with V² but with V^{exponent.value:.2f}")
+        warnings.append(
+            f"the strokes do not go with V² but with V^{exponent.value:.2f} (95 %: {exponent.lower:.2f} to {exponent.upper:.2f})"
+        )
+    if lost := [f"{level:.3g}" for i, level in enumerate(levels) if i not in shown]:
+        warnings.append(f"no window in which the film is at rest at {', '.join(lost)} kV: no stroke is told there")
     if rings > 0:
         warnings.append(f"the film rings with its load for {rings:.2g} s after an edge: that counts as at once")
     if not goes_off:
@@ -139,6 +152,11 @@ def measure_isotonic(recording: Recording) -> Isotonic:
             "the voltage is not taken off: a drift of the displacement cannot be told from creep, and counts as creep"
         )
     load, change = _load(recording, v_s, voltage, top)
+    told = about.load_n
+    if load is not None and change is not None and told is not None and abs(abs(load) - told) > _CONSTANT * told:
+        warnings.append(
+            f"load_n in the metadata says {told:.3g} N, the force channel {load:.3g} N: the channel is taken"
+        )
     if load is None:
         warnings.append("neither a force channel nor load_n in the metadata says which load the film moves")
     elif change is not None and abs(change) > _CONSTANT * abs(load):
@@ -182,9 +200,19 @@ def _group(holds: tuple[Hold, ...], top: float) -> tuple[list[float], Int]:
     return [float(np.sqrt(np.mean([holds[i].level ** 2 for i in g]))) for g in groups], level_of
 
 
-def _split(record: HeldRecord, levels: int, level_of: Int) -> Float:
+def _check_recorded(record: HeldRecord, level_of: Int, where: str) -> None:
+    """The displacement has to be recorded while the voltage is on, and while it is off, if its zero is its own."""
+    on = level_of >= 0
+    if not on.any() or (record.offset and on.all()):
+        raise NotIdentifiableError(
+            f"the displacement has no sample while the voltage is {'off' if on.any() else 'on'}",
+            where=where,
+            expected="samples of it with and without voltage",
+        )
+
+
+def _split(t: Float, drive: Float, holds: tuple[Hold, ...], levels: int, level_of: Int) -> Float:
     """The drive (m, levels) of each level alone; a ramp belongs to the higher of the levels between which it is."""
-    holds, t = record.holds, record.history_s
     after = np.searchsorted([h.start_s for h in holds], t, side="right") - 1
     inside = (after >= 0) & (t <= np.array([h.end_s for h in holds])[np.maximum(after, 0)])
     size = np.array([abs(h.level) for h in holds])
@@ -193,7 +221,7 @@ def _split(record: HeldRecord, levels: int, level_of: Int) -> Float:
     parts = np.zeros((t.size, levels))
     of = level_of[owner]
     rows = np.flatnonzero(of >= 0)
-    parts[rows, of[rows]] = record.drive[rows]
+    parts[rows, of[rows]] = drive[rows]
     return parts
 
 
@@ -209,17 +237,22 @@ def _since(record: HeldRecord) -> Float:
     return np.asarray(_since_s(record) / lengths[record.hold])
 
 
-def _rough_strokes(record: HeldRecord, levels: int, level_of: Int) -> Float:
-    """(L,) strokes in mm as read off the last windows: what makes the retardation of all levels one, whatever law they follow."""
+def _rough_strokes(record: HeldRecord, levels: list[float], level_of: Int) -> Float:
+    """(L,) strokes in mm as read off the last windows: what makes the retardation of all levels one, whatever law they follow.
+
+    A level without samples of the displacement has the one that is usual by V².
+    """
     last = np.array([np.flatnonzero(record.hold == i)[-1] for i in range(len(record.holds))])
     ends = record.displacement[last]
-    strokes: list[list[float]] = [[] for _ in range(levels)]
+    strokes: list[list[float]] = [[] for _ in levels]
+    rests = np.flatnonzero(level_of < 0)
     for i, level in enumerate(level_of):
         if level >= 0:
-            off = np.flatnonzero(level_of[:i] < 0)
-            rest = ends[off[-1]] if off.size else (0.0 if not record.rests else ends[0])
-            strokes[level].append(float(ends[i] - rest))
-    return np.array([np.mean(own) for own in strokes])
+            before = rests[rests < i]
+            zero = ends[before[-1] if before.size else rests[0]] if before.size or record.offset else 0.0
+            strokes[level].append(float(ends[i] - zero))
+    usual = float(np.mean([np.mean(own) / v**2 for own, v in zip(strokes, levels, strict=True) if own]))
+    return np.array([np.mean(own) if own else usual * v**2 for own, v in zip(strokes, levels, strict=True)])
 
 
 def _find_ringing(found: Retardation) -> float:
@@ -243,10 +276,10 @@ def _find_ringing(found: Retardation) -> float:
     return until
 
 
-def _fit_levels(found: Retardation, parts: Float, level_of: Int) -> tuple[Float, Float, Float]:
+def _fit_levels(found: Retardation, parts: Float, lasting_s: list[float]) -> tuple[Float, Float, Float]:
     """Stroke, instantaneous and slow part of each level one after the other (3 L,), their covariance, and the course (n,) mm.
 
-    `parts` (m, L) is the course of each level alone, 1 while it is on.
+    `parts` (m, L) is the course of each level alone, 1 while it is on; `lasting_s` (L,) how long that is.
     """
     record, fit = found.record, found.selected
     times = np.array(fit.compliance.times_s)
@@ -259,7 +292,7 @@ def _fit_levels(found: Retardation, parts: Float, level_of: Int) -> tuple[Float,
         slow += [integral(record.history_s, u)[:, None]] if fit.compliance.flow else []
         own = np.hstack([u[:, None], *slow])
         columns.append(record.mean @ own)
-        on_s = _duration(record.holds, level_of, i)[1]
+        on_s = lasting_s[i]
         grown = np.concatenate([-np.expm1(-on_s / times), [on_s] if fit.compliance.flow else []])
         more = np.zeros((3 * len(levels), own.shape[1]))
         more[3 * i] = [1.0, *grown]
