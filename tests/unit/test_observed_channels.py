@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.diagnose.features.observed import find_stopped, find_unmoved, read_period
+from pipeline.diagnose.features.observed import find_stopped, find_unmoved, read_period, repeats_after
 
 
 def multisine(period: int, count: int, seed: int = 1) -> np.ndarray:
@@ -28,6 +28,14 @@ def raised(period: int, count: int) -> np.ndarray:
 @pytest.mark.parametrize("period", [2000, 2119, 16000])
 def test_a_period_is_read_to_the_sample(period: int) -> None:
     assert read_period(raised(period, 4)) == period
+
+
+def test_a_signal_whose_periods_differ_a_little_repeats_after_one_of_them() -> None:
+    """Whatever repeats best later: what repeats after the period that is stated has that period."""
+    voltage = raised(2000, 6)
+    assert repeats_after(voltage, 2000)
+    assert not repeats_after(voltage, 1000)
+    assert not repeats_after(voltage, 20_000)
 
 
 def test_noise_has_no_period() -> None:

@@ -84,7 +84,14 @@ def observe_channels(recording: Recording) -> dict[str, float]:
     read = _FREQUENCIES.get(metadata.protocol)
     if read is not None and not stopped:  # what is lost for a while has no frequency
         time = (source.input.time_ns - source.input.time_ns[0]) * 1e-9
-        values |= _pair(FREQUENCY, read.stated(metadata), read.seen(time, given))
+        stated, seen = read.stated(metadata), read.seen(time, given)
+        if (
+            metadata.protocol == "sphs"
+            and stated
+            and repeats_after(given, round((time.size - 1) / (stated * time[-1])))
+        ):
+            seen = stated  # what repeats after that repeats after several of it as well
+        values |= _pair(FREQUENCY, stated, seen)
     if metadata.loading == ELECTRICAL:
         values |= _pair(VOLTAGE, metadata.drive_kv, float(np.nanmax(np.abs(given))))
         return values | find_unmoved(values, VOLTAGE, given, source.input.quantity)
@@ -293,6 +300,16 @@ def read_period(values: Float) -> int | None:
     lag = (int(far[0]) + first) * step
     near = range(max(lag - 2 * step, 1), min(lag + 2 * step + 1, moved.size - 1))
     return min(near, key=lambda lag: float(np.mean((moved[lag:] - moved[:-lag]) ** 2)))
+
+
+def repeats_after(values: Float, lag: int) -> bool:
+    """Whether a signal, while it moves, is so many samples later more like itself than another."""
+    sound = np.nan_to_num(values)
+    moving = np.flatnonzero(np.abs(sound) > _STILL * np.abs(sound).max())
+    if moving.size < _FEWEST_HELD or not 0 < lag < moving[-1] - moving[0]:
+        return False
+    moved = sound[moving[0] : moving[-1] + 1]
+    return bool(np.mean((moved[lag:] - moved[:-lag]) ** 2) < 2 * _OTHER_SHAPE * np.var(moved))
 
 
 def _measure_repetition(x: Float) -> Float:
