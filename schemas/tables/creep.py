@@ -146,6 +146,6 @@ TABLES = (
         ),
         key=("recording_id", "time_s"),
         made_by=(MadeBy("recording"),),
-        pages=("specimen",),
+        pages=(),
     ),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -207,6 +208,34 @@ def test_a_record_that_begins_with_the_load_is_taken_from_zero() -> None:
     found = measure_creep(recorded(TIMES[part], EXTENSION[part] - 0.7))
     assert any("begins with the load on" in w for w in found.warnings)
     assert film(found).k0 == pytest.approx(SOLID.k0, rel=0.02)
+
+
+def with_force(record: Recording, force: Float) -> Recording:
+    """The record with another force."""
+    return replace(record, channels={**record.channels, "force": replace(record.channels["force"], values=force)})
+
+
+@pytest.mark.parametrize("offset", [-0.5, 0.5])
+def test_a_load_cell_that_is_not_tared_is_read_from_its_rest(offset: float) -> None:
+    record = recorded()
+    tared, untared = measure_creep(record), measure_creep(with_force(record, record.channels["force"].values + offset))
+    assert untared.load_n == pytest.approx(tared.load_n, rel=1e-6)
+    assert untared.end_mm.value == pytest.approx(tared.end_mm.value, rel=1e-6)
+    assert untared.recovered_share.value == pytest.approx(tared.recovered_share.value, rel=1e-6)
+    assert any("taken for its zero" in w for w in untared.warnings)
+
+
+def test_a_second_level_of_load_is_no_creep_under_the_first() -> None:
+    """0.3 N from 10 s, 0.6 N from 310 s on: by superposition."""
+    second = 300.0
+    time_s = np.sort(np.concatenate([TIMES[TIMES < OFF_S - 10], second + TIMES[(TIMES > ON_S) & (TIMES < 200)]]))
+    later = np.where(time_s >= second, np.interp(time_s - second, TIMES, EXTENSION), 0.0)
+    load = load_of(time_s) + np.where(time_s >= second, load_of(time_s - second), 0.0)
+    found = measure_creep(with_force(recorded(time_s, extension_of(time_s) + later), load))
+    assert found.load_n == pytest.approx(0.3, rel=0.01)
+    assert found.end_mm.value == pytest.approx(float(np.interp(second + ON_S, TIMES, EXTENSION)), rel=0.01)
+    assert found.recovered_share is None
+    assert any("goes on from" in w for w in found.warnings)
 
 
 def test_a_load_that_is_not_held_is_refused() -> None:
