@@ -1,4 +1,4 @@
-"""Where a database file is, in words that DuckDB takes for a file and nothing else.
+"""Opening a database file: in words that DuckDB takes for a file and nothing else, and so that Ctrl-C ends what runs on it.
 
 For DuckDB a path that begins with `md:`, `s3:` or `http:` is a service, which it fetches an extension for, and `:memory:` is
 no file; an absolute path is always a file.
@@ -7,6 +7,8 @@ no file; an absolute path is always a file.
 from __future__ import annotations
 
 import os
+from typing import Any
+from weakref import WeakSet
 
 from schemas.errors import LabError
 
@@ -25,3 +27,32 @@ def spell_database(path: str | os.PathLike[str]) -> str:
             remedy="Choose another folder with --lab",
         )
     return text
+
+
+def connect(path: str | os.PathLike[str] | None = None, **config: str) -> Any:
+    """A DuckDB connection to a database file, to read it; to one in memory where there is no path.
+
+    Raises `LabError` for a path that DuckDB would take for another, and what DuckDB raises.
+    """
+    import duckdb
+
+    if path is None:
+        connection = duckdb.connect(config=dict(config))
+    else:
+        connection = duckdb.connect(spell_database(path), read_only=True, config=dict(config))
+    _OPEN.add(connection)
+    return connection
+
+
+def interrupt_queries() -> None:
+    """Ends what runs on the connections of this process, which raises `duckdb.InterruptException` there.
+
+    A thread of DuckDB does not look up from its part of a query at an exception of Python's alone: an interrupt waited until
+    that was done.
+    """
+    for connection in tuple(_OPEN):
+        connection.interrupt()
+
+
+_OPEN: WeakSet[Any] = WeakSet()
+"""What `connect` has opened and somebody still holds."""

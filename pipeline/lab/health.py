@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from ingest.quarantine import entries as quarantine_entries
@@ -13,7 +14,7 @@ from pipeline.lab.installation import Finding, tell
 from pipeline.lab.lab import Lab
 from pipeline.lab.lock import is_busy
 from pipeline.lab.settings import load_settings
-from schemas.database import REBUILD, spell_database
+from schemas.database import REBUILD, connect
 from schemas.errors import DealabError
 from schemas.views import fingerprint
 
@@ -50,15 +51,12 @@ def _check_readable(lab: Lab) -> Iterator[Finding]:
 def _check_database(lab: Lab) -> Iterator[Finding]:
     import duckdb
 
-    def connect() -> Any:
-        return duckdb.connect(spell_database(lab.database), read_only=True)
-
     try:
-        damage = list(find_damage(connect))
+        damage = list(find_damage(partial(connect, lab.database)))
         yield tell("all of the database can be read", damage, REBUILD[0].lower() + REBUILD[1:])
         if damage:
             return
-        with connect() as connection:
+        with connect(lab.database) as connection:
             found = connection.execute("SELECT value FROM lab WHERE key = 'schema'").fetchone()
             current = found is not None and found[0] == fingerprint()
             yield Finding(

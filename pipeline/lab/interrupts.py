@@ -7,6 +7,8 @@ import signal
 from collections.abc import Iterator
 from types import FrameType
 
+from schemas.database import interrupt_queries
+
 _TOLD_BY = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -21,6 +23,7 @@ def end_when_told() -> Iterator[None]:
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
         told.append(number)
+        interrupt_queries()
         raise KeyboardInterrupt
 
     before = {}

@@ -23,7 +23,7 @@ from typing import Any, Self
 import pyarrow as pa
 
 from pipeline.lab.lab import Lab
-from schemas.database import spell_database
+from schemas.database import connect
 from schemas.errors import DealabError, LabError, UsageError
 
 _READING_NODES = frozenset({"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"})
@@ -68,7 +68,7 @@ class Query:
 
         database = self._lab.require_database()
         try:
-            self._connection = duckdb.connect(spell_database(database), read_only=True, config=_LOCKED)
+            self._connection = connect(database, **_LOCKED)
             self._connection.execute("SET TimeZone = 'UTC'")
             self._connection.execute("SET temp_directory = ''")
             if self._limits.memory_mb:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from schemas.database import REBUILD, spell_database
+from schemas.database import REBUILD, connect
 from schemas.errors import LabError
 from schemas.tables import TABLES, Column
 
@@ -41,7 +41,7 @@ class Reader:
         import duckdb
 
         try:
-            self._connection = duckdb.connect(spell_database(self._database), read_only=True)
+            self._connection = connect(self._database)
             if self._memory is not None:
                 self._connection.execute("SET threads = 1")
                 self._connection.execute(f"SET memory_limit = '{self._memory}'")

@@ -22,7 +22,7 @@ from pipeline.lab.checks import find_damage, find_edits, find_violations, is_sho
 from pipeline.lab.lab import Lab
 from schemas import without_result
 from schemas.control import REMEMBER
-from schemas.database import REBUILD, spell_database
+from schemas.database import REBUILD, connect, spell_database
 from schemas.errors import LabError
 from schemas.tables import TABLES, Table
 from schemas.views import VIEWS, fingerprint
@@ -208,9 +208,7 @@ def _open_base(published: Path, building: Path, memory: str) -> Any:
 
 def _open(database: Path, memory: str) -> Any:
     """A writable connection to the file."""
-    import duckdb
-
-    connection = _bound(duckdb.connect(), database, memory)
+    connection = _bound(connect(), database, memory)
     new = f", STORAGE_VERSION '{READABLE_FROM['storage_compatibility_version']}'"
     options = f"ROW_GROUP_SIZE {_ROW_GROUP}{'' if database.exists() else new}"
     connection.execute(f"ATTACH '{_quote(spell_database(database))}' AS building ({options})")
@@ -361,9 +359,7 @@ def _finish(connection: Any) -> dict[str, int]:
 
 def _open_to_read(database: Path, memory: str) -> Any:
     """A connection to the file as readers will have it."""
-    import duckdb
-
-    return _bound(duckdb.connect(spell_database(database), read_only=True), database, memory)
+    return _bound(connect(database), database, memory)
 
 
 def _check_database(database: Path, rows: Mapping[str, int], memory: str) -> None:
