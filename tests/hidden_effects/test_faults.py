@@ -172,6 +172,19 @@ def test_an_amplifier_that_lags_its_command_hides_no_fault() -> None:
     assert (fault.cause, fault.recordings) == ("channel_skew", EDITS[name].culprits(recordings()))
 
 
+def test_a_recording_of_which_only_the_amplifier_is_left_ends_no_diagnosis() -> None:
+    """Its film and hum are left out of what is asked of a suspect, which then was empty."""
+    number = next(n for n, f in enumerate(sound()) if f.protocol == "sphs")
+    bare = replace(sound()[number], blocks=tuple(b for b in sound()[number].blocks if b.kind in AMPLIFIER))
+    features = [*sound()[:number], bare, *sound()[number + 1 :]]
+    session, _, plain = fit_session(features)
+    levels = dict(zip((r.recording_id for r in features), read_levels(features), strict=True))
+    suspect = Suspect.of(session, [number], plain, 0)
+    assert suspect.size == sum(b.size for b in bare.blocks)
+    assert judge_together(suspect, [number], levels) is None
+    assert not check_recordings(features).faults
+
+
 @pytest.mark.parametrize("seed", [SEED, ANOTHER_SEED])
 def test_a_sound_session_has_no_fault(seed: int) -> None:
     checked = check_recordings(sound(seed))

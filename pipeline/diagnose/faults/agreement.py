@@ -67,7 +67,7 @@ class Agreement:
 def sum_by_recording(session: Session, misfit: Float) -> tuple[Float, Float]:
     """(R,) χ² and number of values of each recording, of a whitened residual (N,); mains are no matter of the film, and how the amplifier
     follows its command is none of the recording."""
-    count, counted = len(session.recordings), ~np.isin(session.kind, [REST_HUM, *AMPLIFIER])
+    count, counted = len(session.recordings), _is_asked(session) & (session.kind != REST_HUM)
     chi2 = np.bincount(session.recording_of[counted], misfit[counted] ** 2, count)
     size = np.bincount(session.recording_of[counted], minlength=count)
     return np.asarray(chi2, dtype=np.float64), np.asarray(size, dtype=np.float64)
@@ -83,14 +83,18 @@ def count_chi2(session: Session, residual: Float) -> float:
     session : with N features
     residual : (N,) or longer, by the deviations from the prior
     """
-    counted = np.ones(residual.size, dtype=bool)
-    counted[: session.size] = ~np.isin(session.kind, list(AMPLIFIER))
-    return float(np.sum(residual[counted] ** 2))
+    beside = float(np.sum(residual[session.size :] ** 2))
+    return float(np.sum(residual[: session.size][_is_asked(session)] ** 2)) + beside
 
 
 def measure_left(session: Session, chi2: float) -> float:
     """χ² per value, of one without the amplifier's share."""
-    return chi2 / max(int((~np.isin(session.kind, list(AMPLIFIER))).sum()), 1)
+    return chi2 / max(int(_is_asked(session).sum()), 1)
+
+
+def _is_asked(session: Session) -> Bool:
+    """(N,) features that are no matter of the amplifier."""
+    return ~np.isin(session.kind, list(AMPLIFIER))
 
 
 def miss(chi2: Float, size: Float, dispersion: float) -> Bool:
@@ -180,10 +184,11 @@ def _fit_without_rough(session: Session) -> Iterator[PlainFit]:
         kinds.setdefault((own.protocol, own.loading), set()).add(number)
     several = [frozenset(numbers) for numbers in kinds.values() if len(numbers) > 1]
     for left_out in (single, several):
-        ranked = sorted(left_out, key=lambda numbers: _measure_roughness_without(session, numbers))
-        if not ranked or np.isinf(_measure_roughness_without(session, ranked[0])):
+        rough = [_measure_roughness_without(session, numbers) for numbers in left_out]
+        if not np.isfinite(rough).any():
             continue
-        rest = session.part([p.recording not in ranked[0] for p in session.places])
+        without = left_out[int(np.argmin(rough))]
+        rest = session.part([p.recording not in without for p in session.places])
         try:
             yield _carry_over(fit_plain(rest, Simulation(rest)), session)
         except NotIdentifiableError:

@@ -83,9 +83,15 @@ class Suspect:
 
     @classmethod
     def of(cls, session: Session, numbers: Sequence[int], fit: PlainFit, rig: int) -> Suspect:
-        """The suspect with that number, or those of one protocol, on the rig with the number `rig` in the fit."""
-        kept = [p.recording in numbers and p.block.kind not in (REST_HUM, *AMPLIFIER) for p in session.places]
-        own = session.part(kept)
+        """The suspect with that number, or those of one protocol, on the rig with the number `rig` in the fit.
+
+        With what shows the film; where there is nothing of that, with what there is.
+        """
+        theirs = [p.recording in numbers for p in session.places]
+        shows = [
+            own and p.block.kind not in (REST_HUM, *AMPLIFIER) for own, p in zip(theirs, session.places, strict=True)
+        ]
+        own = session.part(shows if any(shows) else theirs)
         states = replace(own.states, rig=np.full_like(own.states.rig, rig))
         on_rig = replace(own, rig=np.full_like(own.rig, rig), states=states)
         return cls(session, numbers[0], own, rig, Simulation(on_rig), fit)

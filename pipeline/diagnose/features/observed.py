@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from pipeline.diagnose.features.records import strain_length_mm
 from pipeline.transform.channels import drive
 from pipeline.transform.quality import flat_tops
-from schemas.arrays import Float
+from schemas.arrays import Float, Int
 from schemas.metadata import RecordingMetadata
 from schemas.protocols import ELECTRICAL, MECHANICAL
 from schemas.recording import Recording
@@ -140,7 +140,7 @@ def find_stopped(given: Float, name: str) -> dict[str, float]:
     if not sound.size:
         return {}
     travel, rest = float(np.ptp(sound)), float(np.median(sound[:_FEWEST_HELD]))
-    bounds = np.concatenate([[0], np.flatnonzero(np.diff(given) != 0) + 1, [given.size]])
+    bounds = _split_runs(given)
     lengths, held = np.diff(bounds), given[bounds[:-1]]
     away = np.abs(held - rest) > _STILL * travel
     away &= np.abs(held - float(np.median(sound))) > _STILL * travel
@@ -162,10 +162,14 @@ def find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str
     return {HELD + name: 1.0} if np.mean(np.diff(sound) ** 2) > _NOISE * np.mean(left**2) else {}
 
 
+def _split_runs(values: Float) -> Int:
+    """First samples of the runs of one value, and the number of samples."""
+    return np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1, [values.size]])
+
+
 def _longest_run(values: Float) -> tuple[int, int]:
     """First sample and stop of the longest run of one value."""
-    edges = np.flatnonzero(np.diff(values) != 0) + 1
-    bounds = np.concatenate([[0], edges, [values.size]])
+    bounds = _split_runs(values)
     longest = int(np.argmax(np.diff(bounds)))
     return int(bounds[longest]), int(bounds[longest + 1])
 
@@ -282,11 +286,9 @@ def _see_highest(time_s: Float, values: Float) -> float | None:
 
 def read_period(values: Float) -> int | None:
     """Samples after which a signal repeats while it moves, to the sample; None where it does not."""
-    sound = np.nan_to_num(values)
-    moving = np.flatnonzero(np.abs(sound) > _STILL * np.abs(sound).max())
-    if moving.size < _FEWEST_HELD:
+    moved = _cut_moving(values)
+    if moved is None:
         return None
-    moved = sound[moving[0] : moving[-1] + 1]
     step = max(1, moved.size // _COARSE)
     coarse = moved[: moved.size // step * step].reshape(-1, step).mean(axis=1)
     apart = _measure_repetition(coarse - coarse.mean())
@@ -302,13 +304,18 @@ def read_period(values: Float) -> int | None:
     return min(near, key=lambda lag: float(np.mean((moved[lag:] - moved[:-lag]) ** 2)))
 
 
-def repeats_after(values: Float, lag: int) -> bool:
-    """Whether a signal, while it moves, is so many samples later more like itself than another."""
+def _cut_moving(values: Float) -> Float | None:
+    """A signal from where it begins to move to where it ends; None where it hardly does."""
     sound = np.nan_to_num(values)
     moving = np.flatnonzero(np.abs(sound) > _STILL * np.abs(sound).max())
-    if moving.size < _FEWEST_HELD or not 0 < lag < moving[-1] - moving[0]:
+    return sound[moving[0] : moving[-1] + 1] if moving.size >= _FEWEST_HELD else None
+
+
+def repeats_after(values: Float, lag: int) -> bool:
+    """Whether a signal, while it moves, is so many samples later more like itself than another."""
+    moved = _cut_moving(values)
+    if moved is None or not 0 < lag < moved.size - 1:
         return False
-    moved = sound[moving[0] : moving[-1] + 1]
     return bool(np.mean((moved[lag:] - moved[:-lag]) ** 2) < 2 * _OTHER_SHAPE * np.var(moved))
 
 
