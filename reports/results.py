@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from reports.ledger import AT_ONCE, Ledger
 from reports.names import Verbatim, seen
-from schemas.database import spell_database
+from schemas.database import connect
 from schemas.errors import LabError
+from schemas.numbers import bounds
 from schemas.tables import TABLES
 from schemas.views import VIEWS
 
@@ -33,6 +34,11 @@ MEMORY = ("32MB", "128MB", "512MB", "2GB")
 """What DuckDB may use, however many rows there are: what it has read it would keep, up to most of the machine's memory. The
 first is enough but for very long texts; sorts that need more go to files beside the database."""
 _OUT_OF_MEMORY = ("failed to allocate", "failed to pin")
+
+
+def write_bounds(row: Row, column: str, scale: float = 1.0) -> str:
+    """A column of a row with its 95 % limits, in words for a cell."""
+    return bounds(row[column], row[f"{column}_lower"], row[f"{column}_upper"], scale)
 
 
 def short_of_memory(error: Exception) -> bool:
@@ -85,7 +91,7 @@ class Results:
                 remedy=f"Run `dealab nightly RAW --lab {shlex.quote(str(lab))}` first",
             )
         try:
-            self._connection = duckdb.connect(spell_database(self.path), read_only=True)
+            self._connection = connect(self.path)
             for setting in ("TimeZone = 'UTC'", "threads = 1", f"memory_limit = '{memory}'"):
                 self._connection.execute(f"SET {setting}")
             named = "SELECT table_name FROM duckdb_tables() UNION ALL SELECT view_name FROM duckdb_views()"

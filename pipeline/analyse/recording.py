@@ -254,18 +254,19 @@ def _pull(analysis: Analysis, recording: Recording) -> None:
 
 
 def _creep(analysis: Analysis, recording: Recording) -> None:
-    made = analysis.attempt("creep", analyse_creep, recording)
-    if made is not None:
-        warnings, tables = made
-        analysis.note((*warnings, CREEP_NOT_ASKED))
-        analysis.add(tables)
+    _note_and_add(analysis, analysis.attempt("creep", analyse_creep, recording), CREEP_NOT_ASKED)
 
 
 def _isotonic(analysis: Analysis, recording: Recording) -> None:
     made = analysis.attempt("strokes at constant load", analyse_isotonic, recording)
+    _note_and_add(analysis, made, ISOTONIC_NOT_ASKED)
+
+
+def _note_and_add(analysis: Analysis, made: tuple[tuple[str, ...], dict[str, pa.Table]] | None, not_asked: str) -> None:
+    """Warnings and tables of a test that the diagnosis does not ask; nothing where none could be made."""
     if made is not None:
         warnings, tables = made
-        analysis.note((*warnings, ISOTONIC_NOT_ASKED))
+        analysis.note((*warnings, not_asked))
         analysis.add(tables)
 
 

@@ -143,7 +143,8 @@ def measure_creep(recording: Recording) -> Creep:
             f"the load goes on from {change:.3g} to {later[0].level - zero:.3g} N without being taken off: displacement and "
             "compliance are those of the first level, retardation times those of all levels, and no recovery is told"
         )
-    warnings += _contradict(recording, [h.level - zero for h in holds])
+    if "force" in recording.channels:
+        warnings += contradict_load(about.load_n, [h.level - zero for h in holds])
     if not rests:
         warnings.append(
             "the record begins with the load on: the displacement is taken to count from before it, and the load to come with the first sample"
@@ -262,12 +263,11 @@ def _from_load_on(holds: tuple[Hold, ...], zero: float, where: str) -> tuple[Hol
     return holds[on[0] :]
 
 
-def _contradict(recording: Recording, changes: list[float]) -> list[str]:
-    """What there is to say where no level of the load is the one that the metadata tell."""
-    told = recording.metadata.load_n
-    if told is None or "force" not in recording.channels:
+def contradict_load(told: float | None, seen: list[float]) -> list[str]:
+    """What there is to say where the load that the metadata tell, in N, is none of those that the force channel shows."""
+    if told is None:
         return []
-    nearest = min((abs(change) for change in changes), key=lambda change: abs(change - told))
+    nearest = min(map(abs, seen), key=lambda load: abs(load - told))
     if abs(nearest - told) <= _ALIKE * told:
         return []
     return [f"load_n in the metadata says {told:.3g} N, the force channel {nearest:.3g} N: the channel is taken"]

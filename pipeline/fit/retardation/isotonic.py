@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi2 as chi2_distribution
 
-from pipeline.fit.retardation.creep import Estimate, bounds
+from pipeline.fit.retardation.creep import Estimate, bounds, contradict_load
 from pipeline.fit.retardation.fit import Retardation, fit_retardation, nuisance_columns, slopes_by_log_time
 from pipeline.physics.compliance import integral
 from pipeline.physics.film import integrate_arms
@@ -139,10 +139,11 @@ def measure_isotonic(recording: Recording) -> Isotonic:
     coefficient, misfit = _proportional(seen**2, total, spread)
     p_value = float(chi2_distribution.sf(misfit, seen.size - 1)) if seen.size > 1 else None
     exponent = _exponent(seen, total, spread)
-    if p_value is not None and p_value < _LAW and exponent is not None:
-        warnings.append(
-            f"the strokes do not go with V² but with V^{exponent.value:.2f} (95 %: {exponent.lower:.2f} to {exponent.upper:.2f})"
-        )
+    if p_value is not None and p_value < _LAW:
+        instead = "" if exponent is None else (
+            f" but with V^{exponent.value:.2f} (95 %: {exponent.lower:.2f} to {exponent.upper:.2f})"
+        )  # fmt: skip
+        warnings.append(f"the strokes do not go with V²{instead}")
     if lost := [f"{level:.3g}" for i, level in enumerate(levels) if i not in shown]:
         warnings.append(f"no window in which the film is at rest at {', '.join(lost)} kV: no stroke is told there")
     if rings > 0:
@@ -152,11 +153,8 @@ def measure_isotonic(recording: Recording) -> Isotonic:
             "the voltage is not taken off: a drift of the displacement cannot be told from creep, and counts as creep"
         )
     load, change = _load(recording, v_s, voltage, top)
-    told = about.load_n
-    if load is not None and change is not None and told is not None and abs(abs(load) - told) > _CONSTANT * told:
-        warnings.append(
-            f"load_n in the metadata says {told:.3g} N, the force channel {load:.3g} N: the channel is taken"
-        )
+    if load is not None and change is not None:
+        warnings += contradict_load(about.load_n, [load])
     if load is None:
         warnings.append("neither a force channel nor load_n in the metadata says which load the film moves")
     elif change is not None and abs(change) > _CONSTANT * abs(load):

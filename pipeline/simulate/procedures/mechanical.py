@@ -19,19 +19,26 @@ from schemas.errors import UsageError
 
 
 class Mechanical(ABC):
-    """Shared by the tests that move the driven end."""
+    """Shared by the tests without voltage."""
 
     loading: ClassVar[str] = "mechanical"
     quantities: ClassVar[tuple[str, ...]] = ("displacement", "force")
-
-    @abstractmethod
-    def displacement(self, time_s: Float, specimen: Specimen | None) -> Float: ...
 
     def check(self, specimen: Specimen | None, where: str) -> None:
         film_length_mm(specimen, where)
 
     def film(self, specimen: Specimen | None) -> Film:
         return Film() if specimen is None else specimen.film(electrical=False)
+
+    @abstractmethod
+    def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals: ...
+
+
+class Driven(Mechanical):
+    """Shared by the tests that move the driven end."""
+
+    @abstractmethod
+    def displacement(self, time_s: Float, specimen: Specimen | None) -> Float: ...
 
     def run(self, bench: Bench, specimen: Specimen | None, clock: Clock, rng: np.random.Generator) -> Signals:
         return bench.run(Signals(clock.interval_s, {"displacement": self.displacement(clock.time_s, specimen)}))
@@ -43,7 +50,7 @@ sampled record folds that back onto the test's frequency (0.35 % with 250 lines 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chirp(Mechanical):
+class Chirp(Driven):
     """Sweeps of the driven end, each followed by a rest; the record begins with a rest.
 
     `amplitude_mm` at the start frequency, falling or rising as frequency^`amplitude_exponent`.
@@ -109,7 +116,7 @@ class Chirp(Mechanical):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cyclic(Mechanical):
+class Cyclic(Driven):
     """Sinusoid from 0 to `strain_pp` of the stretched length and back, after a short rest."""
 
     protocol: ClassVar[str] = "cyclic"
@@ -139,7 +146,7 @@ class Cyclic(Mechanical):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relaxation(Mechanical):
+class Relaxation(Driven):
     """Step of the driven end, held: stress relaxation."""
 
     protocol: ClassVar[str] = "step"
@@ -163,7 +170,7 @@ class Relaxation(Mechanical):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Triangle(Mechanical):
+class Triangle(Driven):
     """One load–unload cycle at constant rate."""
 
     protocol: ClassVar[str] = "cycle"
@@ -190,7 +197,7 @@ class Triangle(Mechanical):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pull(Mechanical):
+class Pull(Driven):
     """A pull at constant rate until the film breaks at `break_mm`; the machine stops a little later."""
 
     protocol: ClassVar[str] = "pull"
@@ -243,9 +250,6 @@ class Creep(Mechanical):
         super().check(specimen, where)
         if specimen is not None and specimen.model.c_inf:
             raise UsageError("a film with a pure dashpot does not give way to a load at once", where=where)
-
-    def displacement(self, time_s: Float, specimen: Specimen | None) -> Float:
-        raise NotImplementedError("the displacement follows from the load")
 
     def load(self, time_s: Float) -> Float:
         """The load (n,) N above that of the pre-stretch."""

@@ -21,13 +21,12 @@ from reports.names import short, visible
 from reports.pages import listing
 from reports.pages.campaign import causes, laws
 from reports.pages.draft import Draft
-from reports.results import Query
+from reports.results import Query, write_bounds
 from reports.results import Row as Record
 from schemas.arrays import Float, Int
 from schemas.numbers import (
     ABSENT,
     NBSP,
-    bounds,
     capital,
     compact,
     digits,
@@ -181,7 +180,7 @@ def support(lives: Lives) -> str:
             s["configuration"] in (best["configuration_a"], best["configuration_b"])
             and s["voltage_kv"] == best["voltage_kv"]
         ):
-            mean = _bounded(s, "restricted_mean_s", lives.unit[0])
+            mean = write_bounds(s, "restricted_mean_s", lives.unit[0])
             parts.append(f"“{short(s['configuration'] or '', 40)}” {mean}{NBSP}{lives.unit[1]}")
     to = next((s["restricted_to_s"] for s in lives.summaries if s["restricted_to_s"]), None)
     until = f" to {with_unit(compact(to * lives.unit[0]), lives.unit[1])}" if to else ""
@@ -329,11 +328,11 @@ def groups(draft: Draft, lives: Lives) -> Section | None:
             Row(
                 (
                     marked(i, lives.label(key)), str(s["specimens"]), str(s["failures"]),
-                    f"{compact(s['restricted_mean_s'] * factor)} (no failure)" if none else _bounded(s, "restricted_mean_s", factor),
-                    "not reached" if s["median_s"] is None else _bounded(s, "median_s", factor),
-                    ABSENT if s["weibull_shape"] is None else _bounded(s, "weibull_shape"),
-                    ABSENT if s["weibull_scale_s"] is None else _bounded(s, "weibull_scale_s", factor),
-                    _bounded(s, "survival_at_end", 100.0),
+                    f"{compact(s['restricted_mean_s'] * factor)} (no failure)" if none else write_bounds(s, "restricted_mean_s", factor),
+                    "not reached" if s["median_s"] is None else write_bounds(s, "median_s", factor),
+                    ABSENT if s["weibull_shape"] is None else write_bounds(s, "weibull_shape"),
+                    ABSENT if s["weibull_scale_s"] is None else write_bounds(s, "weibull_scale_s", factor),
+                    write_bounds(s, "survival_at_end", 100.0),
                 )
             )
         )  # fmt: skip
@@ -384,10 +383,6 @@ def _notes(lives: Lives) -> list[Block | Fold]:
     return [Table(caption, heads, rows, lives.queries["notes"].shown())]
 
 
-def _bounded(row: Record, column: str, scale: float = 1.0) -> str:
-    return bounds(row[column], row[f"{column}_lower"], row[f"{column}_upper"], scale)
-
-
 def _comparisons(lives: Lives) -> list[Block | Fold]:
     """The test that is trusted most and the effect size of each pair; all other tests folded."""
     if not lives.comparisons:
@@ -415,7 +410,7 @@ def _comparison_table(lives: Lives, shown: Sequence[Record], query: Query, capti
         pair = f"{short(c['configuration_a'] or '', 44)} – {short(c['configuration_b'] or '', 44)}"
         if c["voltage_kv"] is not None and len({v for _, v in lives.groups}) > 1:
             pair += f", {with_unit(compact(c['voltage_kv']), 'kV')}"
-        statistic = bounds(c["statistic"], c["statistic_lower"], c["statistic_upper"])
+        statistic = write_bounds(c, "statistic")
         cells = (pair, words.test(c["test"]), statistic, p_value(c["p_value"]), p_value(c["p_value_holm"]))
         rows.append(Row((*cells, visible(c["warnings"] or ""))))
     heads = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 
 import numpy as np
 
@@ -11,9 +10,9 @@ from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold,
 from reports.figures.creep import HeldCurve, creep
 from reports.names import short, visible
 from reports.pages.draft import Draft
-from reports.results import Query
+from reports.results import Query, write_bounds
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, bounds, compact, percent, pm, significant, with_unit
+from schemas.numbers import ABSENT, NBSP, compact, percent, pm, significant, with_unit
 
 _TESTS_SQL = """SELECT t.*
 FROM creep_tests AS t JOIN recordings AS r USING (recording_id)
@@ -95,12 +94,12 @@ def _tests(draft: Draft, query: Query, found: list[Record]) -> Table:
                 draft.site.recording(r["recording_id"]),
                 pm(r["load_n"], r["load_n_sd"], "N"),
                 _times(r),
-                _between(r, "elastic_mm"),
-                _between(r, "end_mm"),
-                _between(r, "compliance_mm_per_n"),
-                _between(r, "left_mm"),
-                _between(r, "recovered_share"),
-                _between(r, "drift_mm_per_h"),
+                write_bounds(r, "elastic_mm"),
+                write_bounds(r, "end_mm"),
+                write_bounds(r, "compliance_mm_per_n"),
+                write_bounds(r, "left_mm"),
+                write_bounds(r, "recovered_share"),
+                write_bounds(r, "drift_mm_per_h"),
             )
         )
         for r in found
@@ -122,13 +121,6 @@ def _tests(draft: Draft, query: Query, found: list[Record]) -> Table:
 def _times(row: Record) -> str:
     off = "not taken off" if row["recovery_s"] is None else compact(row["recovery_s"])
     return f"{compact(row['hold_s'])}, {off}"
-
-
-def _between(row: Record, name: str) -> str:
-    value = row[name]
-    if value is None or not math.isfinite(value):
-        return ABSENT
-    return bounds(value, row[f"{name}_lower"], row[f"{name}_upper"])
 
 
 def _orders(draft: Draft, query: Query, found: list[Record]) -> Table:

@@ -10,9 +10,9 @@ from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold,
 from reports.figures.isotonic import StrokeCurve, isotonic
 from reports.names import short, visible
 from reports.pages.draft import Draft
-from reports.results import Query
+from reports.results import Query, write_bounds
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, bounds, compact, percent, significant, with_unit
+from schemas.numbers import ABSENT, compact, percent, significant, with_unit
 
 _TESTS_SQL = """SELECT t.*
 FROM isotonic_tests AS t JOIN recordings AS r USING (recording_id)
@@ -62,7 +62,7 @@ def _draw(draft: Draft, row: Record, strokes: list[Record]) -> Figure:
         np.array([[s["instant_mm_lower"], s["instant_mm_upper"]] for s in strokes]),
         row["mm_per_kv2"],
     )
-    law = with_unit(bounds(row["mm_per_kv2"], row["mm_per_kv2_lower"], row["mm_per_kv2_upper"]), "mm/kV²")
+    law = with_unit(write_bounds(row, "mm_per_kv2"), "mm/kV²")
     alt = f"Strokes of {short(recording, 60)} over the squared voltage, {law}."
     caption = flow(
         bold(draft.site.recording(recording)),
@@ -78,12 +78,12 @@ def _tests(draft: Draft, query: Query, found: list[Record]) -> Table:
             (
                 draft.site.recording(r["recording_id"]),
                 ABSENT if r["load_n"] is None else significant(r["load_n"], 3),
-                _between(r, "mm_per_kv2"),
-                _between(r, "exponent"),
+                write_bounds(r, "mm_per_kv2"),
+                write_bounds(r, "exponent"),
                 ABSENT if r["p_value"] is None else significant(r["p_value"], 2),
-                _between(r, "free_strain"),
-                _between(r, "strain_per_field_squared_m2_per_mv2"),
-                _between(r, "drift_mm_per_h"),
+                write_bounds(r, "free_strain"),
+                write_bounds(r, "strain_per_field_squared_m2_per_mv2"),
+                write_bounds(r, "drift_mm_per_h"),
             )
         )
         for r in found
@@ -107,9 +107,9 @@ def _strokes(draft: Draft, query: Query, found: list[Record]) -> Table:
                 compact(r["voltage_kv"]),
                 str(r["repeats"]),
                 compact(r["on_s"]),
-                _between(r, "stroke_mm"),
-                _between(r, "instant_mm"),
-                _between(r, "slow_mm"),
+                write_bounds(r, "stroke_mm"),
+                write_bounds(r, "instant_mm"),
+                write_bounds(r, "slow_mm"),
             )
         )
         for r in found
@@ -123,10 +123,3 @@ def _strokes(draft: Draft, query: Query, found: list[Record]) -> Table:
         " retardation times of the whole record, so that what is left of one level does not count for the next."
     )
     return Table("Strokes by level", heads, tuple(rows), query.shown(), below=below, kind="narrow")
-
-
-def _between(row: Record, name: str) -> str:
-    value = row[name]
-    if value is None or not math.isfinite(value):
-        return ABSENT
-    return bounds(value, row[f"{name}_lower"], row[f"{name}_upper"])
