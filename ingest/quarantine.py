@@ -17,6 +17,7 @@ import re
 import shutil
 import unicodedata
 import uuid
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -91,6 +92,28 @@ def release(path: Path | str, lab: Path) -> bool:
         return False
     _remove(folder)
     return True
+
+
+def release_strays(lab: Path, refused: Iterable[str], looked_at: Callable[[], Iterable[str]]) -> None:
+    """Removes entries of files that are not refused: left by a night that ended early, or of a database that was moved away.
+
+    Parameters
+    ----------
+    refused : where the files are that the database calls refused (`ingest.paths.spell_source`)
+    looked_at : gives the same of the files that this night saw; asked only when there is something to remove
+
+    The entry of a file that was not seen and is not there any more stays: it may hold the last copy.
+    """
+    folder = lab / FOLDER
+    if not folder.is_dir():
+        return
+    strays = {item.name for item in os.scandir(folder) if not item.name.startswith(".")} - set(map(entry_name, refused))
+    seen = set(map(entry_name, looked_at())) if strays else set()
+    for name in sorted(strays):
+        reason = _load(folder / name)
+        place = str((reason or {}).get("source_path"))
+        if reason is not None and (name in seen or (not is_url(place) and os.path.isfile(place))):
+            _remove(folder / name)
 
 
 def entries(lab: Path) -> tuple[QuarantineEntry, ...]:

@@ -19,7 +19,7 @@ from typing import Any
 from ingest.atomic import flush
 from ingest.discover import SourceFile
 from ingest.paths import is_below, spell_source
-from ingest.quarantine import quarantine, release
+from ingest.quarantine import quarantine, release, release_strays
 from ingest.remote import forget, staged
 from pipeline.analyse.description import as_json, recordings_rows
 from pipeline.lab.journal import (
@@ -162,6 +162,7 @@ def publish_night(night: Night, found: Found) -> None:
     _place_refused(night)
     publish(night.lab, Changes(Streamed(_list_deletions, night, found), Streamed(_list_insertions, night, found)))
     _remove_old_samples(night)
+    _release_strays(night)
 
 
 # --- what changes -----------------------------------------------------------------------------------------------------
@@ -358,6 +359,21 @@ def _remove_old_samples(night: Night) -> None:
         path = (night.lab.folder / relative).resolve()
         if root in path.parents:
             path.unlink(missing_ok=True)
+
+
+def _release_strays(night: Night) -> None:
+    """Removes copies in quarantine that a night left which ended before it published, or that a lost database spoke of."""
+
+    def looked_at() -> Iterator[str]:
+        looks = night.ledger.each(f"SELECT {SOURCE} FROM looks")
+        return (spell_source(make_source(*look)) for look in looks)
+
+    if not night.lab.quarantine.is_dir():
+        return
+    with open_published(night.lab.database) as reader:
+        assert reader is not None, "this night has published"
+        refused = reader.rows("recordings", ("source_path",), where="status = 'quarantined'")
+        release_strays(night.lab.folder, (row["source_path"] for row in refused), looked_at)
 
 
 def discard_work(night: Night) -> None:

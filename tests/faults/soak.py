@@ -26,6 +26,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import duckdb
+
 from pipeline import Lab
 from pipeline.lab.annotations import EXCLUDE, INCLUDE, annotate
 from tests.faults import strange_items
@@ -185,6 +187,21 @@ def damaged_database(scene: Scene) -> Iterator[None]:
             scene.lab.database.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def edited_database(scene: Scene) -> Iterator[None]:
+    """Somebody opens the published database for writing and changes its tables; it is moved away as the message says."""
+    there = scene.lab.database.exists()
+    if there:
+        edits = ("ALTER TABLE runs ADD COLUMN mine INTEGER", "DROP VIEW best_models", "CREATE TABLE notes (text VARCHAR)")
+        with duckdb.connect(str(scene.lab.database)) as connection:
+            connection.execute(scene.rng.choice(edits))
+    try:
+        yield
+    finally:
+        if there:
+            scene.lab.database.unlink(missing_ok=True)
+
+
 def _spoil(scene: Scene, file: Path) -> None:
     content = bytearray(file.read_bytes())
     kind = scene.rng.choice(("flip", "cut", "zeros", "other"))
@@ -274,6 +291,7 @@ ACCIDENTS: tuple[Accident, ...] = (
     lost_samples,
     damaged_samples,
     damaged_database,
+    edited_database,
     broken_annotations,
     linked_folder,
     litter,
@@ -281,8 +299,9 @@ ACCIDENTS: tuple[Accident, ...] = (
 )
 
 
-_LAST: dict[Accident, int] = {linked_folder: 1, closed_files: 2}
-"""Accidents that come after the others, and are put right before them: they close the lab to whoever mends the rest."""
+_ORDER: dict[Accident, int] = {edited_database: -1, linked_folder: 1, closed_files: 2}
+"""Accidents that come before or after the others: who edits opens a whole database, and the last two, which are put right
+first, close the lab to whoever mends the rest."""
 
 
 def start(scene: Scene, **options: Any) -> subprocess.Popen[str]:
@@ -381,7 +400,7 @@ def spend_night(scene: Scene, number: int) -> Night:
     """A new recording, accidents, a night among them; then what people mend."""
     life(scene.raw / f"L-{20 + number}.mcap", 20 + number)
     chosen = scene.rng.sample(ACCIDENTS, scene.rng.randint(1, 4))
-    chosen.sort(key=lambda accident: _LAST.get(accident, 0))
+    chosen.sort(key=lambda accident: _ORDER.get(accident, 0))
     night = scene.rng.choice(NIGHTS)
     names = [accident.__name__ for accident in chosen]
     wrong: list[str] = []

@@ -10,14 +10,16 @@ from pathlib import Path
 import pytest
 
 import pipeline.nightly.night
+from ingest.paths import spell_path
+from ingest.quarantine import quarantine
 from pipeline import Lab
 from pipeline.cli import main
 from pipeline.lab.annotations import annotate
 from pipeline.lab.retention import Rule, prune
 from pipeline.nightly.night import nightly
-from schemas.errors import LabError
+from schemas.errors import LabError, RefusedError
 from tests.faults.lab_state import content, healthy, left_over, samples, select
-from tests.helpers.small_lab import life, make_lab_of_one_life
+from tests.helpers.small_lab import copy_night, life, make_lab_of_one_life
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
@@ -149,3 +151,23 @@ def test_quarantine_is_as_readable_as_the_lab_and_holds_nothing_behind_links(tmp
     usual = stat.S_IMODE(lab.samples_folder.stat().st_mode)
     assert {stat.S_IMODE(path.stat().st_mode) for path in lab.quarantine.iterdir()} == {usual}
     assert healthy(lab) == []
+
+
+def test_copies_of_refused_files_that_no_row_speaks_of_go_unless_they_may_be_the_last(
+    made: tuple[Path, Lab], tmp_path: Path
+) -> None:
+    """A night that ended before it published leaves them, and so does a database that was moved away."""
+    raw, lab = copy_night(made[0], made[1].folder, tmp_path)
+    for name in ("mended.mcap", "gone.mcap", os.fsdecode(b"no-utf8-\xff.mcap")):
+        (raw / name).write_bytes(b"half a copy")
+        quarantine(raw / name, lab.folder, RefusedError("too short"), sha256="0" * 64, place=spell_path(raw / name))
+        (raw / name).unlink()
+    life(raw / "mended.mcap", 2)
+    life(raw / "L-3.mcap", 3).rename(raw / os.fsdecode(b"no-utf8-\xff.mcap"))
+    (raw / "refused.mcap").write_bytes(b"no recording")
+    os.utime(raw / "refused.mcap", (0, 0))
+    for _ in range(2):
+        nightly([raw], lab, jobs=0)
+        assert sorted(entry.name.rpartition("-")[0] for entry in lab.quarantine.iterdir()) == ["gone", "refused"]
+    (finding,) = healthy(lab)
+    assert "gone-" in finding
