@@ -1,7 +1,7 @@
 """Parsers of compiled code at arm's length: in a child process, which alone dies of a damaged file.
 
-HDF5's library and scipy's MATLAB reader trust lengths and addresses in the file; some damaged files make them crash or go
-round for ever, which no exception can catch. Does not belong here: the parsers, and limits of a whole item (the nightly
+HDF5's library, scipy's MATLAB reader and calamine trust lengths and addresses in the file; some damaged files make them
+crash or go round for ever, which no exception can catch. Does not belong here: the parsers, and limits of a whole item (the nightly
 has its own).
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import math
 import os
 import pickle
 import signal
@@ -36,12 +37,20 @@ def apart(path: Path, call: Callable[Given, Value], *args: Given.args, **options
     return Apart(path)(call, *args, **options)
 
 
-class Apart:
-    """Calls that parse one file, each made in a child process; they share the processor time that the file may take."""
+def shield(path: Path, call: Callable[Given, Value], *args: Given.args, **options: Given.kwargs) -> Value:
+    """The value of a call that may take as long as it likes, but costs nobody else anything when it crashes; see `Apart`."""
+    return Apart(path, bytes_per_s=None)(call, *args, **options)
 
-    def __init__(self, path: Path) -> None:
+
+class Apart:
+    """Calls that parse one file, each made in a child process; they share the processor time that the file may take.
+
+    `bytes_per_s` is what sound files of the format are parsed with at least, None for any time.
+    """
+
+    def __init__(self, path: Path, *, bytes_per_s: float | None = _BYTES_PER_S) -> None:
         self._path = path
-        self._left_s = _SHORTEST_S + path.stat().st_size / _BYTES_PER_S
+        self._left_s = math.inf if bytes_per_s is None else _SHORTEST_S + path.stat().st_size / bytes_per_s
 
     def __call__(self, call: Callable[Given, Value], *args: Given.args, **options: Given.kwargs) -> Value:
         """The value of a call; errors that it raises are raised here.
@@ -106,7 +115,8 @@ def _answer(writing: int, parent: int, seconds: float, call: Callable[[], Any]) 
         faulthandler.disable()  # the parent says what happened
         for number in (signal.SIGPROF, signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        signal.setitimer(signal.ITIMER_PROF, seconds)
+        if seconds < math.inf:
+            signal.setitimer(signal.ITIMER_PROF, seconds)
         try:
             answer = pickle.dumps((True, call()), protocol=5)
         except Exception as error:

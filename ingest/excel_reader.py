@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ingest.apart import Apart
 from ingest.clocks import seconds_of_day
 from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column
 from ingest.mapping import ColumnName, FileMapping
@@ -29,6 +30,8 @@ _INFLATED_LIMIT = 1 << 29
 
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
 """What reading a damaged archive raises."""
+_BYTES_PER_S = 2e5
+"""Slowest parsing of a sound workbook: a million cells, 4 MB, take two seconds."""
 _PIECE = 1 << 20
 _PLACE = re.compile(rb"""\sr=["']([A-Z]{0,3})([0-9]{1,7})["']""")
 """Where a cell or a row of a sheet's XML says that it stands."""
@@ -131,11 +134,25 @@ def _is_plain(text: str, decimal: str) -> bool:
 
 def sheet_names(path: Path) -> tuple[str, ...]:
     """Names of the sheets of a workbook."""
+    return _open_apart(path)(_list_sheets, path)
+
+
+def _list_sheets(path: Path) -> tuple[str, ...]:
     return tuple(_workbook(path).sheet_names)
 
 
 def sheet_rows(path: Path, sheet: str | int | None) -> list[list[Any]]:
     """All rows of a sheet, by name or number from 0; the only sheet where `sheet` is None."""
+    return _open_apart(path)(_read_rows, path, sheet)
+
+
+def _open_apart(path: Path) -> Apart:
+    import python_calamine  # noqa: F401 - in this process, so that no child has to
+
+    return Apart(path, bytes_per_s=_BYTES_PER_S)
+
+
+def _read_rows(path: Path, sheet: str | int | None) -> list[list[Any]]:
     where = path.name
     book = _workbook(path)
     names = list(book.sheet_names)

@@ -11,21 +11,37 @@ from pipeline.commands import add
 from pipeline.commands.command import ATTENTION, DONE, RIGS, Command, argument, parse_path
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ingest.inspect import Inspection
 
 
 def run(arguments: Namespace) -> int:
-    from ingest.inspect import FITS, inspect
+    from ingest.inspect import FITS
 
     if arguments.write:
         return add.run(arguments)
-    found = [inspect(path, rigs=arguments.rigs) for path in arguments.file]
+    found = [_inspect(path, arguments.rigs) for path in arguments.file]
     if len(found) == 1 and _goes_to_mapping(found[0]):
         print(found[0].as_text(with_draft=False), file=sys.stderr)
         print(found[0].draft or "", end="")
     else:
         print("\n\n".join(inspection.as_text() for inspection in found))
     return DONE if all(inspection.verdict == FITS for inspection in found) else ATTENTION
+
+
+def _inspect(path: Path, rigs: Path | None) -> Inspection:
+    """The findings about a file; a reader that crashes costs this file and not those after it."""
+    from ingest.apart import shield
+    from ingest.inspect import REFUSED, Inspection, inspect
+    from schemas.errors import RefusedError
+
+    if not path.is_file():
+        return inspect(path, rigs=rigs)  # which says so
+    try:
+        return shield(path, inspect, path, rigs=rigs)
+    except RefusedError as error:
+        return Inspection(path, path.suffix.lstrip(".") or None, path.stat().st_size, REFUSED, error=error)
 
 
 def _goes_to_mapping(inspection: Inspection) -> bool:

@@ -18,6 +18,8 @@ from schemas.tables import TABLES, Column
 NIGHT_MEMORY = "64MB"
 """What DuckDB may use to read for a night."""
 _AT_ONCE = 500
+_IN_ALL = "recordings"
+"""The table that databases of all releases have."""
 
 
 def open_published(database: Path) -> contextlib.AbstractContextManager[Reader | None]:
@@ -50,9 +52,12 @@ class Reader:
             raise self._explain(error) from None
         for table, column in found:
             self._columns.setdefault(table, set()).add(column)
+        if _IN_ALL not in self._columns:
+            self._connection.close()
+            raise self._explain(f"it has no table {_IN_ALL}")
         return self
 
-    def _explain(self, error: Exception) -> LabError:
+    def _explain(self, error: Exception | str) -> LabError:
         return LabError(
             f"the published database cannot be read: {str(error).splitlines()[0][:300]}",
             where=str(self._database),

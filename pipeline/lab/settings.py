@@ -25,12 +25,12 @@ class Settings:
     Parameters
     ----------
     deadline_s : longest time that one item may take
-    memory_mb : most memory that one worker may take; 0 leaves it to the machine
+    memory_mb : most memory that one worker may take; 0 leaves it to the machine, None is a share of the machine's
     orders : orders of the relaxation models that are fitted
     """
 
     deadline_s: float = 900.0
-    memory_mb: int = 0
+    memory_mb: int | None = None
     orders: tuple[int, ...] = (1, 2, 3)
 
     def choose(self, names: Sequence[str]) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def load_settings(lab: Lab) -> Settings:
     usual = Settings()
     return Settings(
         deadline_s=float(_read_number(lab, content, "deadline_s", usual.deadline_s, low=1)),
-        memory_mb=int(_read_number(lab, content, "memory_mb", usual.memory_mb, low=0)),
+        memory_mb=int(_read_number(lab, content, "memory_mb", 0, low=0)) if "memory_mb" in content else None,
         orders=_read_orders(lab, content.get("orders", list(usual.orders))),
     )
 

@@ -42,6 +42,10 @@ Track: TypeAlias = Callable[[Iterable[Any], int, str], Iterable[Any]]
 _MORTAL = "pipeline.mortal"
 _RESTARTS = 20
 """How often a pool that broke as a whole is opened again before the night gives up."""
+_CONTAINER = "/sys/fs/cgroup/memory.max"
+"""Where Linux tells what memory a container may have."""
+_LEAST_MB = 1024
+"""Fewer MB do not hold what a worker loads and a usual recording."""
 _CONNECT_S = "20s"
 """How long a cluster has to answer."""
 
@@ -100,7 +104,8 @@ class Workers:
         def open_local(count: int) -> Executor:
             if count == 0 or jobs == 0:
                 return SerialExecutor()
-            return LocalPool(count, deadline_s=settings.deadline_s, memory_mb=settings.memory_mb, preload=preload)
+            memory_mb = share_memory(count) if settings.memory_mb is None else settings.memory_mb
+            return LocalPool(count, deadline_s=settings.deadline_s, memory_mb=memory_mb, preload=preload)
 
         self._open, self.jobs = (open_local, jobs) if cluster is None else connect_cluster(cluster)
         self._pool = KeptPool(self._open, jobs if self.local else 0)
@@ -243,6 +248,22 @@ def prepare_workers(preload: Sequence[str]) -> Any:
     with start_without_working_folder():
         ensure_running()
     return context
+
+
+def share_memory(workers: int) -> int:
+    """What each of so many workers may take, MB: an equal part of three quarters of the memory that this account has.
+
+    Without a limit one recording that needs too much has the kernel end whatever is largest. 0, no limit, on systems that
+    know none.
+    """
+    try:
+        import resource  # noqa: F401 - what limits are set with
+    except ImportError:
+        return 0
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with contextlib.suppress(OSError, ValueError), open(_CONTAINER) as file:  # "max" where the container has no limit
+        there = min(there, int(file.read()))
+    return max(_LEAST_MB, int(0.75 * there / workers) >> 20)
 
 
 class LocalPool(Executor):

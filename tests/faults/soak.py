@@ -192,7 +192,11 @@ def edited_database(scene: Scene) -> Iterator[None]:
     """Somebody opens the published database for writing and changes its tables; it is moved away as the message says."""
     there = scene.lab.database.exists()
     if there:
-        edits = ("ALTER TABLE runs ADD COLUMN mine INTEGER", "DROP VIEW best_models", "CREATE TABLE notes (text VARCHAR)")
+        edits = (
+            "ALTER TABLE runs ADD COLUMN mine INTEGER",
+            "DROP VIEW best_models",
+            "CREATE TABLE notes (text VARCHAR)",
+        )
         with duckdb.connect(str(scene.lab.database)) as connection:
             connection.execute(scene.rng.choice(edits))
     try:

@@ -10,6 +10,7 @@ import pytest
 
 import pipeline.nightly.night
 from pipeline import Lab
+from pipeline.cli import main
 from pipeline.lab import snapshot
 from pipeline.lab.checks import find_damage
 from pipeline.nightly.night import nightly
@@ -148,3 +149,17 @@ def test_a_database_that_somebody_edited_is_told_and_left(
     lab.database.rename(tmp_path / "away.duckdb")
     assert nightly([made[0]], lab, jobs=0).exit_status == 0, "the remedy helps"
     assert content(lab) == whole
+
+
+def test_a_database_without_recordings_is_told_and_not_called_empty(
+    lab: Lab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with duckdb.connect(str(lab.database)) as connection:
+        for (view,) in connection.execute("SELECT view_name FROM duckdb_views() WHERE NOT internal").fetchall():
+            connection.execute(f"DROP VIEW {view}")
+        connection.execute("DROP TABLE recordings")
+    assert main(["status", "--lab", str(lab.folder)]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "has no table recordings" in said.err
+    assert "Move it away" in said.err

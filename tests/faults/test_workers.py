@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from pipeline.lab.settings import Settings
+from pipeline.nightly import workers
 from pipeline.nightly.workers import Casualty, KeptPool, LocalPool, SerialExecutor, run_all
 from schemas.errors import LabError
 
@@ -140,3 +142,22 @@ def converted(value: float) -> tuple[list[float | None], bool]:
     import pyarrow as pa
 
     return pa.array([value, None], pa.float64()).to_pylist(), "pandas" in sys.modules
+
+
+def test_workers_share_the_memory_of_the_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    container = tmp_path / "memory.max"
+    monkeypatch.setattr(workers, "_CONTAINER", str(container))
+    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    assert workers.share_memory(1) == max(1024, int(0.75 * there) >> 20)
+    container.write_text("max\n")
+    assert workers.share_memory(1) == max(1024, int(0.75 * there) >> 20)
+    container.write_text(f"{6000 << 20}\n")
+    assert [workers.share_memory(number) for number in (1, 2, 100)] == [4500, 2250, 1024]
+
+
+def test_a_worker_has_a_limit_unless_the_lab_has_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = []
+    monkeypatch.setattr(workers, "LocalPool", lambda _count, **options: given.append(options["memory_mb"]))
+    for settings in (Settings(), Settings(memory_mb=0), Settings(memory_mb=300)):
+        workers.Workers(settings, 2, None, (), lambda items, _count, _what: items).lend()
+    assert given == [workers.share_memory(2), 0, 300]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -171,4 +173,14 @@ def test_texts_of_two_byte_letters_are_without_zero_bytes(tmp_path: Path, monkey
             return Sheet()
 
     monkeypatch.setattr(excel_reader, "_workbook", lambda path: Book())
+    (tmp_path / "old.xls").touch()
     assert excel_reader.sheet_rows(tmp_path / "old.xls", None) == [["t", "Force"], [0.0, 1.5]]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes that can be forked")
+def test_a_workbook_that_crashes_the_library_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_xlsx(tmp_path / "run.xlsx", {"run": [["t", "F"], [0.0, 1.5]]})
+    monkeypatch.setattr("python_calamine.load_workbook", lambda _: os.kill(os.getpid(), signal.SIGSEGV))
+    for read in (lambda: excel_reader.sheet_rows(path, None), lambda: excel_reader.sheet_names(path)):
+        with pytest.raises(RefusedError, match=r"crashed \(SIGSEGV\)"):
+            read()

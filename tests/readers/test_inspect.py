@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import os
+import signal
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from ingest.csv_reader import read_csv
 from ingest.draft_text import toml_string
 from ingest.encodings import guess_encoding
 from ingest.inspect import DAMAGED, FITS, REFUSED, UNMAPPED, inspect
 from ingest.mapping import FileMapping
 from ingest.meanings import guess_meaning
 from ingest.sniff import guess_text
+from pipeline.cli import main
 from tests.helpers.xlsx_files import write_xlsx
 
 N = 50
@@ -212,3 +216,32 @@ def test_lists_of_lives_are_drafted_as_such(tmp_path: Path) -> None:
     )
     failed = tomllib.loads(inspect(path).draft or "")["columns"]["failed"]
     assert failed == {"column": "broke", "failed_values": ["yes"], "censored_values": ["no"]}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes that can be forked")
+def test_a_reader_that_crashes_costs_its_own_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.csv").write_text("t,F,x\n" + "".join(f"{i / 100},{i},{-i}\n" for i in range(20)))
+        (tmp_path / f"{name}.csv.toml").write_text(_MAPPING)
+
+    def crash_once(path: Path, mapping: FileMapping) -> Any:
+        if path.stem == "first":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        return read_csv(path, mapping)
+
+    monkeypatch.setattr("ingest.read.find_reader", lambda _: crash_once)
+    assert main(["inspect", str(tmp_path / "first.csv"), str(tmp_path / "second.csv")]) == 3
+    first, second = capsys.readouterr().out.split("\n\n")
+    assert "first.csv: refused" in first
+    assert "its parser crashed (SIGSEGV)" in first
+    assert "second.csv: fits" in second
+
+
+_MAPPING = """
+recording = {recording_id = "{stem}", protocol = "chirp", loading = "mechanical", specimen_id = "S", started_at = "2026-03-01T14:00:00Z"}
+time = {column = "t", unit = "s"}
+columns.force = {column = "F", unit = "N"}
+columns.displacement = {column = "x", unit = "mm"}
+"""
