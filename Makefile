@@ -5,8 +5,8 @@
 # make study   the long statistical studies that the READMEs quote; writes tests/studies/results.md
 # make fuzz    the property tests with cases drawn anew, mutated input files for every reader and a search guided by
 #              coverage; writes tests/bad_files/results.md
-# make faults  kills, full disks, readers and rivals of the nightly, many times, and a month of nights with accidents of
-#              all kinds; writes tests/faults/results.md and soak.md
+# make faults  kills, full disks, readers and rivals of the nightly, many times, a month of nights with accidents of
+#              all kinds, and a lab in older DuckDBs (from PyPI); writes tests/faults/results.md, soak.md and old_duckdb.md
 # make docs    renews the generated parts of the READMEs and the pictures (those with Chromium, from the demonstration)
 # make lint    formatting, lint, types, the import rule
 # make audit   asks the advisories of PyPI about every pinned release (needs a network)
@@ -68,6 +68,7 @@ fuzz: $(DEVELOPMENT) $(FUZZ)/.ready
 faults: $(DEVELOPMENT)
 	$(BIN)/python -m tests.faults.harness
 	$(BIN)/python -m tests.faults.soak
+	$(BIN)/python -m tests.faults.old_duckdb
 
 docs: $(DEVELOPMENT)
 	$(BIN)/python -m tests.tools.docs --pictures $(wildcard $(DEMO)/lab)

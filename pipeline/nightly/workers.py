@@ -14,6 +14,7 @@ workers: the lab's own `deadline_s` and `memory_mb` are for local ones.
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib
 import multiprocessing
 import os
@@ -315,10 +316,11 @@ def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
         raise LabError(
             f"the cluster does not answer: {error}", where=address, expected="the address of a dask scheduler"
         ) from None
+    here = describe_software()
     try:
         # Those that are being started again have no software to speak of yet, and are not to be trusted unasked.
         client.wait_for_workers(1, timeout=_CONNECT_S)
-        refuse_other_software(describe_software(), client.run(describe_software, on_error="return"))
+        refuse_other_software(here, client.run(describe_software, on_error="return"))
     except LabError:
         client.close()
         raise
@@ -327,7 +329,7 @@ def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
         raise LabError(
             "the cluster has no worker", where=address, expected="at least one `dask worker` of that scheduler"
         ) from None
-    return lambda _jobs: _ClusterExecutor(client), max(1, sum(client.ncores().values()))
+    return lambda _jobs: _ClusterExecutor(client, here), max(1, sum(client.ncores().values()))
 
 
 _REFUSED = 5
@@ -356,14 +358,27 @@ def refuse_other_software(here: Mapping[str, str], there: Mapping[str, Mapping[s
         )
 
 
-class _ClusterExecutor(Executor):
-    """dask's own executor with the whole interface of the standard library's."""
+def _perform_with(here: Mapping[str, str], function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    """Calls a function on a worker that has the software `here`; others may have come since the night asked. Raises `LabError`."""
+    from distributed import get_worker
 
-    def __init__(self, client: Any) -> None:
-        self._executor = client.get_executor(pure=False, retries=0)
+    refuse_other_software(here, {get_worker().address: _describe_once()})
+    return function(*args, **kwargs)
+
+
+@functools.cache
+def _describe_once() -> Mapping[str, str]:
+    return describe_software()
+
+
+class _ClusterExecutor(Executor):
+    """dask's own executor with the whole interface of the standard library's; `here` is the software of the night."""
+
+    def __init__(self, client: Any, here: Mapping[str, str]) -> None:
+        self._executor, self._here = client.get_executor(pure=False, retries=0), here
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = self._executor.submit(fn, *args, **kwargs)
+        future: Future[Any] = self._executor.submit(_perform_with, self._here, fn, *args, **kwargs)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:

@@ -16,6 +16,7 @@ import pytest
 import pipeline.nightly.night
 import pipeline.nightly.workers
 from pipeline import Lab
+from pipeline.nightly import workers
 from pipeline.nightly.night import nightly
 from pipeline.nightly.workers import refuse_other_software as refuse
 from schemas.errors import LabError
@@ -118,6 +119,21 @@ def test_what_a_worker_has_is_held_against_the_nights() -> None:
     with pytest.raises(LabError, match=r"tcp://b has numpy 2\.3; tcp://c cannot say") as refused:
         refuse(here, there)
     assert "dealab 0.1.0 (aa), numpy 2.4" in str(refused.value)
+
+
+def test_a_worker_that_joins_during_the_night_is_asked_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    from distributed import LocalCluster, default_client
+
+    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:  # type: ignore[no-untyped-call]
+        open_executor, _ = workers.connect_cluster(cluster.scheduler_address)
+        other = describe_software() | {"numpy": "0.1"}
+        monkeypatch.setattr(workers, "_describe_once", lambda: other)  # the cluster's worker is a thread of ours
+        with pytest.raises(LabError, match=r"has numpy 0\.1") as told:
+            list(workers.run_all([1], str, open_executor, jobs=1))
+        assert describe_software()["numpy"] in str(told.value)
+        monkeypatch.undo()
+        assert list(workers.run_all([1], str, open_executor, jobs=1)) == [(1, "1")]
+        default_client().close()
 
 
 def test_a_cluster_without_workers_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
