@@ -118,6 +118,8 @@ def _inflate(content: bytes, suffix: str, path: Path) -> Plain:
         if end is None:
             whole = inflated.rfind(b"\n") + 1
             whole += inflated[whole : whole + 1] == b"\x00"  # the second byte of a line end in UTF-16
+            if not whole:
+                raise _damaged(path, EOFError("it ends before its first line does"))
             return Plain(bytes(inflated[:whole]), ("the compressed file ends too early: what comes after is lost",))
         found = _FILLED.search(content, end)
         if found is None:
@@ -161,10 +163,16 @@ _DAMAGED = (
     OverflowError, LookupError,
 )  # fmt: skip
 """What the decompressors raise for damaged files."""
+_MEMBER = struct.Struct("<4s2xHH4xL8xHH")
+"""What stands before a file in an archive: mark, flags, compression, checksum, lengths of its name and of what follows."""
+_CHECKSUM_BEHIND = 8
+"""Flag of a file whose checksum stands behind it."""
 _BEGINNINGS = {".gz": b"\x1f\x8b", ".bz2": b"BZh", ".xz": b"\xfd7zXZ\x00"}
 
 
 def _read_archive(path: Path) -> Plain:
+    if not zipfile.is_zipfile(path):  # the list of its files, at the end, is lost
+        return _read_cut_archive(path)
     with _refused(path), zipfile.ZipFile(path) as archive:
         member = _only_member(archive, path)
         limit = _limit(path.stat().st_size)
@@ -179,6 +187,30 @@ def _read_archive(path: Path) -> Plain:
             )
         with archive.open(member) as file:
             return Plain(file.read(limit + 1))
+
+
+def _read_cut_archive(path: Path) -> Plain:
+    """The one file of an archive without its end, as far as it goes. Raises `RefusedError` where there is none."""
+    content = path.read_bytes()
+    with _refused(path):
+        at = 0
+        while True:
+            mark, flags, how, checksum, names, extra = _MEMBER.unpack_from(content, at)
+            at += _MEMBER.size + names + extra
+            if content[at - extra - 1 : at - extra] != b"/":  # a folder has no content
+                break
+        if mark != b"PK\x03\x04" or flags & 1 or how != zipfile.ZIP_DEFLATED:
+            raise zipfile.BadZipFile("it is no archive, or its end is missing")
+        inflated = bytearray()
+        end = _inflate_stream(zlib.decompressobj(wbits=-15), content, at, inflated, _limit(len(content)), path)
+    if end is not None and not flags & _CHECKSUM_BEHIND and zlib.crc32(inflated) != checksum:
+        raise _damaged(path, zipfile.BadZipFile("its end is missing, and its checksum does not agree"))
+    if end is not None and b"PK\x03\x04" in content[end:]:
+        raise _damaged(path, zipfile.BadZipFile("its end is missing, and it holds several files"))
+    whole = len(inflated) if end is not None else inflated.rfind(b"\n") + 1
+    if not whole:
+        raise _damaged(path, EOFError("it ends before its first line does"))
+    return Plain(bytes(inflated[:whole]), ("the compressed file ends too early: what comes after is lost",))
 
 
 def _only_member(archive: zipfile.ZipFile, path: Path) -> zipfile.ZipInfo:

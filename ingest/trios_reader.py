@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -18,6 +18,7 @@ from ingest.columns import plain_name
 from ingest.compressed import read_plain_content
 from ingest.csv_dialect import Dialect, as_utf8
 from ingest.csv_reader import CsvFile
+from ingest.csv_rows import cut_reason
 from ingest.mapping import FileMapping
 from schemas.errors import RefusedError
 
@@ -43,8 +44,8 @@ def read_trios(path: Path, mapping: FileMapping) -> CsvFile:
     where = path.name
     encoding = mapping.options.get("encoding", "utf-8")
     text, notes = as_utf8(plain.content, Dialect(encoding=encoding), where)
-    steps = list_steps(text.decode("utf-8", "replace"), where)
-    problems = [
+    steps, problems = _check_end(list_steps(text.decode("utf-8", "replace"), where), text)
+    problems += [
         f'step "{one.name}" has {len(one.rows)} of {one.said} rows: the file is cut'
         for one in steps
         if one.said is not None and len(one.rows) < one.said
@@ -76,6 +77,23 @@ def read_trios(path: Path, mapping: FileMapping) -> CsvFile:
     table = pa.table({str(i): pa.array(column, pa.string()) for i, column in enumerate(columns)})
     dialect = Dialect(delimiter="\t", encoding=encoding, decimal=_find_decimal(fit))
     return CsvFile(where, dialect, (STEP, *names), ("", *units), table, (*plain.problems, *problems), tuple(notes))
+
+
+def _check_end(steps: Sequence[_Step], text: bytes) -> tuple[list[_Step], list[str]]:
+    """The steps without a last row that may be cut: of text without a line end at its end, as `ingest.csv_rows` says."""
+    last = steps[-1]
+    if not last.rows or text.endswith((b"\n", b"\r")):
+        return list(steps), []
+    line = text[max(text.rfind(b"\n"), text.rfind(b"\r")) + 1 :].decode("utf-8", "replace")
+    found = len(line.split("\t")) - line.startswith(_ROW)
+    if found < len(last.names):
+        why = f"ends in the middle of a line ({found} of {len(last.names)} cells)"
+    elif found == len(last.names) and (reason := cut_reason(pa.array([row[-1] for row in last.rows]))):
+        why = f"has no line end behind its last line and {reason}"
+    else:
+        return list(steps), []
+    whole = replace(last, rows=last.rows[:-1])
+    return [*steps[:-1], whole], [f'the file {why}: that row of step "{last.name}" is left out']
 
 
 def list_steps(text: str, where: str) -> list[_Step]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import io
 import lzma
 import zipfile
 from collections.abc import Callable
@@ -100,13 +101,15 @@ def test_a_universal_file_may_be_compressed(tmp_path: Path) -> None:
     assert inspect(path).verdict == FITS
 
 
-@pytest.mark.parametrize("name", ["run.csv.gz", "run.csv.bz2", "run.csv.xz"])
+@pytest.mark.parametrize("name", ["run.csv.gz", "run.csv.bz2", "run.csv.xz", "run.csv.zip"])
 def test_a_cut_file_is_read_as_far_as_it_goes(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     rng = np.random.default_rng(7)  # digits that do not shrink, so that bz2 and xz make more than one block
     rows = [f"{i / 1000:.3f};{a:.9f};{b:.9f}\n" for i, (a, b) in enumerate(rng.random((40_000, 2)))]
     content = ("t;F;x\ns;N;mm\n" + "".join(rows)).encode()
-    whole = {"gz": gzip.compress, "bz2": bz2.compress, "xz": lambda c: lzma.compress(c, preset=0)}[name[8:]](content)
+    whole = {"gz": gzip.compress, "bz2": bz2.compress, "xz": lambda c: lzma.compress(c, preset=0), "zip": archived}[
+        name[8:]
+    ](content)
     path.write_bytes(whole[: int(0.9 * len(whole))])
     path.with_name(name + ".toml").write_text(MAPPING, encoding="utf-8")
     found = inspect(path)
@@ -210,3 +213,32 @@ def test_an_archive_has_an_end(tmp_path: Path) -> None:
     assert not lacks_end(path, "csv")
     path.write_bytes(path.read_bytes()[:-30])
     assert lacks_end(path, "csv")
+
+
+def archived(content: bytes) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.mkdir("deep")
+        archive.writestr("deep/run.csv", content)
+    return stream.getvalue()
+
+
+def test_an_archive_that_lacks_its_end_only_is_read_whole_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv.zip"
+    whole = bytearray(archived(CONTENT))
+    path.write_bytes(whole[:-30])
+    found = read_plain_content(path)
+    assert found.content == CONTENT
+    assert found.problems == ("the compressed file ends too early: what comes after is lost",)
+    whole[whole.index(b"PK\x03\x04", 4) + 14] ^= 1  # of the checksum before the file
+    path.write_bytes(whole[:-30])
+    with pytest.raises(RefusedError, match="checksum does not agree"):
+        read_plain_content(path)
+
+
+def test_a_file_that_ends_in_its_first_block_is_told_as_cut(tmp_path: Path) -> None:
+    for name, make in (("run.csv.bz2", bz2.compress), ("run.csv.gz", gzip.compress)):
+        path = tmp_path / name
+        path.write_bytes(make(CONTENT)[:20])
+        with pytest.raises(RefusedError, match="ends before its first line does"):
+            read_plain_content(path)

@@ -260,3 +260,18 @@ def test_a_response_of_a_universal_file_is_drafted(tmp_path: Path) -> None:
     found = inspect(path)
     assert found.verdict == FITS, found.as_text()
     assert next(c.low for c in found.channels if c.name == "storage") == pytest.approx(data.real.min())
+
+
+@pytest.mark.parametrize("layout", ["[step]\nHold\n{names}\n{units}\n", "[Step]\nVariables\t{names}\nUnits\t{units}\n"])
+@pytest.mark.parametrize(("cut", "why"), [(4, "is not written like"), (12, "in the middle of a line"), (0, "")])
+def test_an_export_cut_in_its_last_line_keeps_the_rows_before_it(
+    tmp_path: Path, layout: str, cut: int, why: str
+) -> None:
+    rows = [(f"{i / 100:.2f}", f"{20 + i / 7:.5f}", f"{i / 3:.5f}") for i in range(400)]
+    label = "Data point\t" if "Variables" in layout else ""
+    body = "\n".join(label + "\t".join(row) for row in rows)
+    path = tmp_path / "hold.txt"
+    path.write_text((layout.format(names="Time\tForce\tGap", units="s\tN\tmm") + body)[: -cut or None])
+    file = read_trios(path, ALL)
+    assert list(file.cells("Gap")) == [gap for _, _, gap in rows[: -1 if why else None]]
+    assert [why in problem for problem in file.problems] == ([True] if why else [])
