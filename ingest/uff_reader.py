@@ -7,8 +7,11 @@ complex, as e^{jωt}. Data sets of other types (meshes, modes) are left out.
 
 from __future__ import annotations
 
+import contextlib
+import re
+import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +37,12 @@ _TYPES = {
 }  # fmt: skip
 """Function types of the standard's record 6."""
 _ACCELERATION = 12
+_MARK = re.compile(rb"(?m)^ {4}-1[ ]*\r?$")
+"""The line before and behind each data set."""
+_BINARY = re.compile(rb"[^\n]*\n *58b")
+_END = b"    -1\n"
+_HEAD = 14
+"""Lines of a set of type 58 up to its first values: the mark, the type, eleven lines of what it is."""
 _NO_LABEL = ("", "NONE")
 
 
@@ -119,9 +128,10 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with plain_file(path) as (plain, lost):
-                file = pyuff.UFF(str(plain))
-                kinds = [int(kind) for kind in file.get_set_types()]
-                sets = tuple(file.read_sets(i) for i, kind in enumerate(kinds) if kind == _FUNCTION)
+                with _ended(plain) as (whole, cut):
+                    file = pyuff.UFF(str(whole))
+                    kinds = [int(kind) for kind in file.get_set_types()]
+                    sets = tuple(file.read_sets(i) for i, kind in enumerate(kinds) if kind == _FUNCTION)
     except DealabError:
         raise
     except Exception as error:  # pyuff raises bare Exception and whatever its parser meets in a damaged file
@@ -143,9 +153,32 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
     return UffFile(
         path.name,
         tuple(found for found, _ in read),
-        lost + tuple(problem for _, problem in read if problem),
+        lost + cut + tuple(problem for _, problem in read if problem),
         (f"data sets of type {shown} are left out",) if others else (),
     )
+
+
+@contextlib.contextmanager
+def _ended(path: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
+    """The file; where it ends within a data set, a copy in which that set ends behind its last whole line; and its problems.
+
+    The parser passes over a set without an end. Of one in binary numbers nobody knows where a line ends: it is left as it is.
+    """
+    content = path.read_bytes()
+    marks = [match.start() for match in _MARK.finditer(content)]
+    begin = marks[-1] if len(marks) % 2 else len(content)
+    if _BINARY.match(content, begin) or begin == len(content):
+        yield path, ()
+        return
+    whole = content[: content.rfind(b"\n") + 1]
+    if whole.count(b"\n", begin) < _HEAD:
+        whole, end, lost = content[:begin], b"", "the file ends in the head of a data set, which is lost"
+    else:
+        end, lost = _END, "the last data set has no end"
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "ended.uff"
+        copy.write_bytes(whole + end)
+        yield copy, (lost,)
 
 
 def _checked(found: Mapping[str, Any], number: int) -> tuple[Mapping[str, Any], str]:

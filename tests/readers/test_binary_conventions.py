@@ -380,6 +380,30 @@ def test_uff_sets_of_the_wrong_kind_and_cut_ones_are_named(tmp_path: Path) -> No
     assert "set 0 has 5 of 9 values: it is cut" in cut.problems
 
 
+@pytest.mark.parametrize(
+    ("lines", "left", "told"),
+    [
+        (1, 40, "the last data set has no end"),
+        (4, 28, "set 1 has 28 of 40 values: it is cut"),
+        (12, 0, "the file ends in the head of a data set, which is lost"),
+    ],
+)
+def test_uff_is_read_as_far_as_it_goes(tmp_path: Path, lines: int, left: int, told: str) -> None:
+    values, times = np.arange(40.0), np.arange(40.0)
+    path = write_uff(tmp_path / "h.uff", uff_set(values, times), uff_set(values, times))
+    text = path.read_text()
+    path.write_text("".join(text.splitlines(keepends=True)[:-lines]) + text[-200:-190])
+    for column, expected in ((0, 40), (1, left)):
+        found = mapping(".uff", {"force": {"column": column, "unit": "N", "overrule_unit": True}})
+        if expected:
+            raw = read(path, found)
+            assert raw.channels[0].values.tolist() == list(range(expected))
+            assert told in raw.problems
+        else:
+            with pytest.raises(RefusedError, match="no such column|is not in the file"):
+                read(path, found)
+
+
 def messages(path: Path, rows: list[tuple[int, Any]], **more: Any) -> RawRecording:
     """Rows of (log time from the start in ns, value) through an MCAP file."""
     written = [("/rig", START + at, json.dumps({"f": value}).encode()) for at, value in rows]
