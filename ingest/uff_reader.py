@@ -127,11 +127,10 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with plain_file(path) as (plain, lost):
-                with _ended(plain) as (whole, cut):
-                    file = pyuff.UFF(str(whole))
-                    kinds = [int(kind) for kind in file.get_set_types()]
-                    sets = tuple(file.read_sets(i) for i, kind in enumerate(kinds) if kind == _FUNCTION)
+            with plain_file(path) as (plain, lost), _ended(plain) as (whole, cut):
+                file = pyuff.UFF(str(whole))
+                kinds = [int(kind) for kind in file.get_set_types()]
+                sets = tuple(file.read_sets(i) for i, kind in enumerate(kinds) if kind == _FUNCTION)
     except DealabError:
         raise
     except Exception as error:  # pyuff raises bare Exception and whatever its parser meets in a damaged file

@@ -362,7 +362,7 @@ def _remove_old_samples(night: Night) -> None:
 
 
 def _release_strays(night: Night) -> None:
-    """Removes copies in quarantine that a night left which ended before it published, or that a lost database spoke of."""
+    """Removes copies in quarantine of a night that ended before it published, or of a database that was moved away."""
 
     def looked_at() -> Iterator[str]:
         looks = night.ledger.each(f"SELECT {SOURCE} FROM looks")

@@ -254,8 +254,8 @@ def prepare_workers(preload: Sequence[str]) -> Any:
 def share_memory(workers: int) -> int:
     """What each of so many workers may take, MB: an equal part of three quarters of the memory that this account has.
 
-    Without a limit one recording that needs too much has the kernel end whatever is largest. 0, no limit, on systems that
-    know none.
+    Without a limit one recording that needs too much has the kernel end whatever is largest. 0, which is no limit, on
+    systems that know none.
     """
     try:
         import resource  # noqa: F401 - what limits are set with
@@ -359,7 +359,10 @@ def refuse_other_software(here: Mapping[str, str], there: Mapping[str, Mapping[s
 
 
 def _perform_with(here: Mapping[str, str], function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-    """Calls a function on a worker that has the software `here`; others may have come since the night asked. Raises `LabError`."""
+    """Calls a function on a worker that has the software `here`; others may have come since the night asked.
+
+    Raises `LabError` where it has other.
+    """
     from distributed import get_worker
 
     refuse_other_software(here, {get_worker().address: _describe_once()})

@@ -400,7 +400,7 @@ def test_uff_is_read_as_far_as_it_goes(tmp_path: Path, lines: int, left: int, to
             assert raw.channels[0].values.tolist() == list(range(expected))
             assert told in raw.problems
         else:
-            with pytest.raises(RefusedError, match="no such column|is not in the file"):
+            with pytest.raises(RefusedError, match="is not in the file"):
                 read(path, found)
 
 
