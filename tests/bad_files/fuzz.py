@@ -29,6 +29,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tests.bad_files.beside import crowded, relinked
 from tests.bad_files.mutate import mutated, resealed
 from tests.bad_files.promises import (
     DAMAGED,
@@ -54,6 +55,9 @@ _BATCH = 250
 _STUCK_S = 30.0
 """A reader that has not come back after this is killed and counts as hung."""
 _DATA_LIMIT = 1 << 30
+_LINKED, _CROWDED = 0.2, 0.2
+"""Shares of cases that have a link to another file in them, where the format has links, and that are read once more among
+files that lie beside them."""
 
 
 @dataclass
@@ -64,6 +68,7 @@ class Tally:
     outcomes: Counter[str] = field(default_factory=Counter)
     slowest_s: float = 0.0
     peak_mb: float = 0.0
+    crowded: int = 0
     findings: list[tuple[int, str]] = field(default_factory=list)
 
     def add(self, number: int, verdict: Verdict) -> None:
@@ -78,11 +83,18 @@ class Tally:
         elif before <= LARGEST_MB < self.peak_mb:
             self.findings.append((number, f"memory: {self.peak_mb:.0f} MB"))
 
+    def compare(self, number: int, alone: Verdict, crowded: Verdict) -> None:
+        """Books a case that was read once more among other files, where it has to be the same."""
+        self.crowded += 1
+        if crowded.found != alone.found or crowded.outcome != alone.outcome:
+            self.findings.append((number, f"wrong: beside other files {crowded.outcome}, alone {alone.outcome}"))
+
     def join(self, other: Tally) -> None:
         self.cases += other.cases
         self.outcomes += other.outcomes
         self.slowest_s = max(self.slowest_s, other.slowest_s)
         self.peak_mb = max(self.peak_mb, other.peak_mb)
+        self.crowded += other.crowded
         self.findings += other.findings
 
 
@@ -102,6 +114,8 @@ def case(seeds: Sequence[Seed], run: int, number: int) -> Case:
         content = resealed(seed.content, rng)
         if content is not None:
             return Case(Seed(seed.reader, seed.name, seed.suffix, content, seed.mapping), content)
+    if rng.random() < _LINKED and (content := relinked(seed.content, rng)) is not None:
+        return Case(seed, mutated(content, rng) if rng.random() < 0.5 else content)
     return Case(seed, mutated(seed.content, rng))
 
 
@@ -113,7 +127,14 @@ def batch(reader: str, run: int, numbers: Sequence[int], folder: Path) -> Tally:
         made = case(seeds, run, number)
         path = folder / f"{number}{made.seed.suffix}"
         path.write_bytes(made.content)
-        tally.add(number, _timed(made.seed, truths[number % len(seeds)], path))
+        original = truths[number % len(seeds)]
+        verdict = _timed(made.seed, original, path)
+        tally.add(number, verdict)
+        rng = random.Random(f"beside {run}:{number}")
+        if rng.random() < _CROWDED and verdict.broken is None:
+            with crowded(path, rng, made.seed.content) as place:
+                among_others = _timed(made.seed, original, place)
+            tally.compare(number, verdict, among_others)
         path.unlink()
     return tally
 
@@ -173,7 +194,10 @@ def _round(reader: str, run: int, waiting: list[range], folder: Path, jobs: int,
 def _left(folder: Path) -> list[int]:
     found = [int(path.stem) for path in folder.iterdir() if path.stem.isdigit()]
     for path in folder.iterdir():
-        path.unlink()
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
     return sorted(found)
 
 
@@ -259,12 +283,12 @@ def row(reader: str, tally: Tally) -> str:
     whole = tally.outcomes[OK] + tally.outcomes[TABLE]
     return (
         f"| {reader} | {tally.cases} | {tally.outcomes[REFUSED]} | {tally.outcomes[DAMAGED]} | {whole} "
-        f"| {tally.slowest_s:.2f} | {tally.peak_mb:.0f} | {crashes} | {hangs} | {memory} | {wrong} |"
+        f"| {tally.crowded} | {tally.slowest_s:.2f} | {tally.peak_mb:.0f} | {crashes} | {hangs} | {memory} | {wrong} |"
     )
 
 
-HEAD = """| reader | cases | refused | damaged | read as whole | slowest, s | peak, MB | crashes | hangs | memory | wrong |
-|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"""
+HEAD = """| reader | cases | refused | damaged | read as whole | beside others | slowest, s | peak, MB | crashes | hangs | memory | wrong |
+|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"""
 GUIDED_HEAD = """| reader | executions | seconds | covered branches | findings |
 |---|---:|---:|---:|---:|"""
 
@@ -325,8 +349,10 @@ def _again(arguments: argparse.Namespace) -> int:
 _ABOUT = (
     "Made by `make fuzz`; not edited by hand. A case is a valid file with one to four mutations; `slowest` is processor "
     "time, a hang more than a second of it. `wrong`: something was "
-    "reported as whole that the seed does not hold, or times and values that no recording may have. Files without "
-    "checksums (text, arrays) cannot show that a digit has changed: for them `wrong` means the second only."
+    "reported as whole that the seed does not hold, times and values that no recording may have, or something of another "
+    "file: HDF5 and MATLAB v7.3 also get links to one, and cases that count as `beside others` are read once more behind a "
+    "link or among indexes, heads, earlier copies, pipes and devices, where they have to be the same. Files without "
+    "checksums (text, arrays) cannot show that a digit has changed: for them that part of `wrong` is not asked."
 )
 
 

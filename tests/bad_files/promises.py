@@ -2,7 +2,7 @@
 
 A file is refused with a reason, or read. What is read has ordered times and finite or lost values. What was made from a
 file with checksums and is called `ok` is that file's content to the last bit; what is called damaged is a part of it
-where each part has its own checksum.
+where each part has its own checksum. No value comes from another file.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ingest.canonical import canonical
 from ingest.read import read_raw
 from schemas.errors import DealabError
 from schemas.recording import RawRecording, Recording
+from tests.bad_files.beside import SECRET
 from tests.bad_files.seeds import NOTHING, PARTS, Seed
 
 REFUSED, DAMAGED, OK, TABLE = "refused", "damaged", "ok", "table"
@@ -45,6 +46,12 @@ class Verdict:
     outcome: str
     seconds: float
     broken: str | None = None
+    found: str = ""
+    """What was read or why not, to compare."""
+
+
+class _AnotherFileError(Exception):
+    """What was read is not of the file, whatever becomes of it later."""
 
 
 def truth(seed: Seed, path: Path) -> Truth:
@@ -65,16 +72,24 @@ def examined(seed: Seed, original: Truth, path: Path) -> Verdict:
     except DealabError as error:
         seconds = _processor_s() - started
         too_long = None if len(str(error)) < 4000 else f"a reason of {len(str(error))} characters"
-        return Verdict(REFUSED, seconds, too_long)
+        return Verdict(REFUSED, seconds, too_long, str(error))
+    except _AnotherFileError as error:
+        return Verdict(OK, _processor_s() - started, str(error))
     except Exception:
         return Verdict("crash", _processor_s() - started, "crash: " + traceback.format_exc(limit=-4))
     seconds = _processor_s() - started
     if not isinstance(found, Recording):
-        return Verdict(TABLE, seconds)
+        return Verdict(TABLE, seconds, None, repr(found))
     broken = _disorder(found)
     if broken is None and seed.sealed != NOTHING:
         broken = _difference(found, original, seed.sealed)
-    return Verdict(found.status, seconds, broken)
+    return Verdict(found.status, seconds, broken, _describe(found))
+
+
+def _describe(recording: Recording) -> str:
+    """All of a recording, to the last bit, as a text to compare."""
+    channels = {n: (c.time_ns.tobytes(), c.values.tobytes()) for n, c in recording.channels.items()}
+    return repr((sorted(channels.items()), recording.metadata, recording.problems))
 
 
 def _processor_s() -> float:
@@ -85,6 +100,9 @@ def _processor_s() -> float:
 
 def _read(seed: Seed, path: Path) -> Any:
     raw = read_raw(path, seed.mapping)
+    leaked = [c.quantity for c in raw.channels if np.any(c.values == SECRET)] if isinstance(raw, RawRecording) else []
+    if leaked:
+        raise _AnotherFileError(f"values of another file in {', '.join(leaked)}")
     return canonical(raw, where=path.name) if isinstance(raw, RawRecording) else raw
 
 
