@@ -16,6 +16,7 @@ from ingest.apart import Apart
 from ingest.arrays import ArrayFile, Held
 from ingest.columns import CELL_LIMIT
 from ingest.extras import advise_install
+from ingest.hdf5_cut import find_declared_size
 from ingest.mapping import FileMapping
 from schemas.errors import MissingExtraError, RefusedError
 
@@ -36,6 +37,7 @@ def read_hdf5(path: Path, mapping: FileMapping, *, matlab: bool = False) -> Arra
             where=path.name,
             remedy=advise_install("hdf5"),
         ) from None
+    declared, there = find_declared_size(path), path.stat().st_size
     parsed = Apart(path)
     found = parsed(_listed, path)
     separator = "." if matlab else "/"
@@ -55,24 +57,23 @@ def read_hdf5(path: Path, mapping: FileMapping, *, matlab: bool = False) -> Arra
         separator=separator,
         root=mapping.options.get("root", ""),
         transpose=mapping.options.get("transpose", False),
+        problems=() if declared is None else (f"the file is cut: {there} of {declared} bytes are there",),
     )
 
 
 def _listed(path: Path) -> dict[str, Listed]:
-    import h5py
-
+    from ingest.hdf5_cut import open_left
     from ingest.hdf5_tree import list_arrays
 
     try:
-        with h5py.File(path, "r") as file:
+        with open_left(path) as (file, _):
             return list_arrays(file)
     except _DAMAGED as error:
         raise _unreadable(path, error) from None
 
 
 def _read(path: Path, name: str, listed: Listed, matlab: bool) -> Any:
-    import h5py
-
+    from ingest.hdf5_cut import open_left
     from ingest.hdf5_tree import read_array
 
     if math.prod(listed.shape) > CELL_LIMIT:
@@ -80,8 +81,8 @@ def _read(path: Path, name: str, listed: Listed, matlab: bool) -> Any:
             f"dataset {name} has {math.prod(listed.shape)} values", where=path.name, expected=f"at most {CELL_LIMIT}"
         )
     try:
-        with h5py.File(path, "r") as file:
-            return read_array(file, listed, matlab=matlab)
+        with open_left(path) as (file, there):
+            return read_array(file, listed, matlab=matlab, there=there)
     except _DAMAGED as error:
         raise _unreadable(path, error) from None
 

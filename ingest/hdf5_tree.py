@@ -14,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from ingest.hdf5_cut import read_left, without_lost
 from ingest.packing import Packing, packing_of
 
 _DEPTH = 16
@@ -52,17 +53,28 @@ def list_arrays(file: Any) -> dict[str, Listed]:
     return found
 
 
-def read_array(file: Any, listed: Listed, *, matlab: bool) -> Any:
-    """The values of an entry, matrices as MATLAB shows them where `matlab`."""
+def read_array(file: Any, listed: Listed, *, matlab: bool, there: int | None = None) -> Any:
+    """The values of an entry, matrices as MATLAB shows them where `matlab`; of a cut file `there` is how many bytes are left.
+
+    Raises `ValueError` where texts are lost; lost numbers are NaN.
+    """
     dataset = file[listed.address]
     if h5py.check_string_dtype(dataset.dtype) and not listed.fields:
+        if there is not None and read_left(dataset, there)[1].any():
+            raise ValueError("part of it is lost, and it holds no numbers")
         return np.asarray(dataset.asstr(errors="replace")[()])
-    values = dataset[listed.fields[0]] if listed.fields else dataset[()]
+    lost = None
+    if there is None:
+        values = dataset[listed.fields[0]] if listed.fields else dataset[()]
+    else:
+        values, lost = read_left(dataset, there)
+        values = values[listed.fields[0]] if listed.fields else values
     for name in listed.fields[1:]:
         values = values[name]
     if values.dtype.names is not None:
         real, imaginary = values.dtype.names
         values = values[real] + 1j * values[imaginary]
+    values = values if lost is None else without_lost(values, lost)
     if matlab and not listed.fields:
         values = values.T
     return np.array(["".join(map(chr, row)) for row in np.atleast_2d(values)]) if listed.is_text else values

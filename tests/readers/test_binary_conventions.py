@@ -497,3 +497,48 @@ def test_hdf5_times_since_a_date(tmp_path: Path) -> None:
         assert from_start.channels[0].time_ns[0] == START_NS
         with pytest.raises(RefusedError, match='the mapping says "s" for time'):
             read(path, mapping(".h5", columns, {"column": "t", "unit": "s"}))
+
+
+def write_hdf5(path: Path, *, chunked: bool) -> np.ndarray:
+    """Three arrays of 20 000 numbers, the last of which stands last; the head of each stands before all numbers."""
+    values = np.arange(20_000) / 1000
+    with h5py.File(path, "w") as file:
+        layout: dict[str, Any] = {"chunks": (1000,), "compression": "gzip"} if chunked else {}
+        for name in ("t", "F", "x"):
+            file.create_dataset(name, values.shape, "f8", **layout)
+        file.flush()
+        for name in ("t", "F", "x"):
+            file[name][:] = values + np.random.default_rng(1).random(values.size) * 1e-4
+    return values
+
+
+_T = {"column": "t", "unit": "s"}
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+@pytest.mark.parametrize("left", [0.97, 0.8])
+def test_hdf5_that_is_cut_gives_what_is_there(tmp_path: Path, left: float, chunked: bool) -> None:
+    path = tmp_path / "run.h5"
+    write_hdf5(path, chunked=chunked)
+    found = mapping(".h5", {"force": {"column": "F", "unit": "N"}, "displacement": {"column": "x", "unit": "mm"}}, _T)
+    whole = read(path, found)
+    with path.open("r+b") as file:
+        file.truncate(int(left * path.stat().st_size))
+    raw = read(path, found)
+    assert any("the file is cut" in problem for problem in raw.problems)
+    force, travel = (np.asarray(channel.values) for channel in raw.channels)
+    assert np.array_equal(force, whole.channels[0].values)
+    lost = np.isnan(travel)
+    assert 500 < lost.sum() < 19_000
+    assert np.array_equal(travel[~lost], whole.channels[1].values[~lost])
+    assert lost[-1]
+    assert not lost[0]
+
+
+def test_hdf5_that_is_cut_in_its_structure_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    write_hdf5(path, chunked=False)
+    with path.open("r+b") as file:
+        file.truncate(700)
+    with pytest.raises(RefusedError, match="cannot be read as HDF5"):
+        read(path, mapping(".h5", {"force": {"column": "F", "unit": "N"}}, _T))
