@@ -104,3 +104,53 @@ OVARIAN = np.array(
 )  # fmt: skip
 """Days, died, age, treatment, performance status: J. Edmonson and others, Cancer Treat. Rep. 63 (1979) 241, as R's survival
 package has them."""
+
+CAPACITORS = {
+    (170, 200): "439 904 1092 1105 4x1105+",
+    (170, 250): "572 690 904 1090 4x1090+",
+    (170, 300): "315 315 439 628 4x628+",
+    (170, 350): "258 258 347 588 4x588+",
+    (180, 200): "959 1065 1065 1087 4x1087+",
+    (180, 250): "216 315 455 473 4x473+",
+    (180, 300): "241 315 332 380 4x380+",
+    (180, 350): "241 241 435 455 4x455+",
+}
+"""Hours of glass capacitors at (°C, V): M. Zelen, Technometrics 1 (1959) 269, as R's survival package has them."""
+
+MOTORETTES = _by_stress(
+    {
+        170: "1764 2772 3444 3542 3780 4860 5196 3x5448+",
+        190: "408 408 1344 1344 1440 5x1680+",
+        220: "408 408 504 504 504 5x528+",
+    }
+)
+"""Hours of motor insulation at °C, without the lowest temperature: W. Nelson, G. Hahn, Technometrics 14 (1972) 247, as R's
+survival package has them."""
+
+THERNEAU_SIX = (np.array([9.0, 1, 1, 6, 6, 8]), np.array([1, 1, 0, 1, 1, 0]) > 0, np.array([0.0, 1, 1, 1, 0, 0]))
+"""Time, failed, x: T. Therneau, P. Grambsch, Modeling Survival Data (2000), appendix E."""
+
+TURNBULL_DRIVERS = {1: (12, 3, 2), 2: (6, 2, 4), 3: (2, 0, 2), 4: (3, 3, 5)}
+"""Failed, right-censored, left-censored at each time: B. Turnbull, J. Am. Stat. Assoc. 69 (1974) 169."""
+
+LEUKAEMIA_AML = (
+    _limits("9 13 13+ 18 23 28+ 31 34 45+ 48 161+"),
+    _limits("5 5 8 8 12 16+ 23 27 30 33 43 45"),
+)
+"""Weeks of remission with and without chemotherapy: R. Miller, Survival Analysis (1981), p. 49."""
+
+DYESTUFF = np.array(
+    [
+        [1545, 1440, 1440, 1520, 1580], [1540, 1555, 1490, 1560, 1495], [1595, 1550, 1605, 1510, 1560],
+        [1445, 1440, 1595, 1465, 1545], [1595, 1630, 1515, 1635, 1625], [1520, 1455, 1450, 1480, 1445],
+    ]
+)  # fmt: skip
+"""Grams of six batches: O. Davies, P. Goldsmith, Statistical Methods in Research and Production (1972), table 6.1."""
+
+
+def capacitors() -> tuple[Float, Float, tuple[Float, Float]]:
+    """(n,) temperature in °C, (n,) V, and limits of all lives."""
+    parts = [(*key, *_by_stress({0: text})[1]) for key, text in CAPACITORS.items()]
+    sizes = [lower.size for *_, lower, _ in parts]
+    celsius, volts = (np.repeat([float(part[i]) for part in parts], sizes) for i in (0, 1))
+    return celsius, volts, (np.concatenate([p[2] for p in parts]), np.concatenate([p[3] for p in parts]))

@@ -13,16 +13,10 @@ from pipeline.fit.survival.covariates import CATEGORY, INVERSE_POWER, Covariate
 from pipeline.fit.survival.lifetime_distributions import Lives
 from pipeline.fit.survival.profile_likelihood import LARGE_SAMPLE_DROP
 from schemas.errors import DealabError
+from tests.physics.published_lives import DYESTUFF
 
 pytestmark = pytest.mark.quick
 
-DYESTUFF = np.array(
-    [
-        [1545, 1440, 1440, 1520, 1580], [1540, 1555, 1490, 1560, 1495], [1595, 1550, 1605, 1510, 1560],
-        [1445, 1440, 1595, 1465, 1545], [1595, 1630, 1515, 1635, 1625], [1520, 1455, 1450, 1480, 1445],
-    ]
-)  # fmt: skip
-"""Grams of six batches: O. Davies, P. Goldsmith, Statistical Methods in Research and Production (1972), table 6.1."""
 KILO = 1000.0
 
 

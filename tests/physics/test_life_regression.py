@@ -12,7 +12,6 @@ from pipeline.analyse.survival import analyse_survival
 from pipeline.fit.survival import life_regression
 from pipeline.fit.survival.cause_regression import fit_cause_regression, fit_fine_gray
 from pipeline.fit.survival.covariates import (
-    ARRHENIUS,
     CATEGORY,
     EXPONENTIAL_LAW,
     INVERSE_POWER,
@@ -28,9 +27,7 @@ from schemas.errors import DealabError
 from schemas.lifetimes import LifetimeRow
 from tests.physics.published_lives import (
     BALL_BEARINGS,
-    DEVICE_A,
     INSULATING_FLUID,
-    MYLAR,
     SHOCK_ABSORBERS,
 )
 
@@ -55,22 +52,6 @@ def test_insulating_fluid() -> None:
     assert (own.degrees_of_freedom, own.p_value > 0.5) == (5, True)
     assert all(group.p_value > 0.05 for group in fit.groups)
     assert fit.cox_snell.sum() == pytest.approx(76, rel=1e-6)
-
-
-def test_device_a() -> None:
-    """Meeker and Escobar (1998), example 19.2: log-normal, Arrhenius with 0.63 eV; table 19.3 and the 10 % life at 10 °C."""
-    celsius, limits = DEVICE_A
-    fit = fit_life_regression(Lives(*limits), [Covariate("temperature", ARRHENIUS, celsius, "°C")], "log-normal")
-    assert shown(fit, 1, 2, 2, 1) == ["-13.5", "0.63", "0.98", "-321.7"]
-    assert [f"{c.standard_error:.2g}" for c in fit.coefficients] == ["2.9", "0.083"]
-
-
-def test_mylar() -> None:
-    """Meeker and Escobar (1998), table 19.2: log-normal, inverse power of the field."""
-    field, limits = MYLAR
-    fit = fit_life_regression(Lives(*limits), [Covariate("field", INVERSE_POWER, field, "kV/mm")], "log-normal")
-    assert shown(fit, 1, 2, 2, 1) == ["27.5", "-4.29", "1.05", "-271.4"]
-    assert [f"{c.standard_error:.2f}" for c in fit.coefficients] == ["3.00", "0.60"]
 
 
 def test_ball_bearings() -> None:

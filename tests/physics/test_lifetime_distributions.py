@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
+from pipeline.fit.survival import lifetime_distributions
 from pipeline.fit.survival.lifetime_distributions import (
     DISTRIBUTIONS,
     EXPONENTIAL,
@@ -16,6 +17,7 @@ from pipeline.fit.survival.lifetime_distributions import (
 )
 from pipeline.fit.survival.log_location_scale import NORMAL, SMALLEST_EXTREME_VALUE, maximise
 from schemas.errors import NotIdentifiableError, RefusedError
+from tests.helpers.drawn_lives import KINDS, draw_samples
 from tests.physics.survival_data import TREATED
 
 
@@ -94,6 +96,24 @@ def test_profile_limits_are_where_the_likelihood_drops() -> None:
             options={"xatol": 1e-10},
         )
         assert fit.log_likelihood + profile.fun == pytest.approx(drop, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("distribution", [WEIBULL, LOG_NORMAL])
+def test_limits_by_newton_are_those_of_the_walk_along_the_profile(
+    distribution: str, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten lives, of which the intervals of some are open on a side."""
+    samples = [Lives(*limits) for limits in draw_samples(kind, samples=4, lives=10, family=distribution)]
+    quick = [fit_distribution(lives, distribution, goodness=False).parameters for lives in samples]
+    nowhere = (float("nan"), float("nan"))
+    monkeypatch.setattr(lifetime_distributions, "limits_at_drop", lambda *_: (nowhere, nowhere))
+    for lives, found in zip(samples, quick, strict=True):
+        walked = fit_distribution(lives, distribution, goodness=False).parameters
+        for name, estimate in walked.items():
+            assert [found[name].lower, found[name].upper] == pytest.approx(
+                [estimate.lower, estimate.upper], rel=1e-6, nan_ok=True
+            )
 
 
 def test_refusals_say_why() -> None:

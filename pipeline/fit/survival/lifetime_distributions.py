@@ -7,7 +7,7 @@ failures, fewer than two distinct failure times) is refused with the reason. Cur
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from pipeline.fit.survival.log_location_scale import (
     ErrorDistribution,
     LogLives,
     converged_single,
+    limits_at_drop,
     maximise,
 )
 from pipeline.fit.survival.profile_likelihood import critical_drop, profile_limits
@@ -213,19 +214,32 @@ def fit_distribution(lives: Lives, distribution: str, *, goodness: bool = True) 
     top, location, sigma = float(best.log_likelihood[0]), float(best.coefficients[0, 0]), float(best.sigma[0])
 
     def with_location(values: Float) -> Float:
-        return maximise(data.shifted(values[:, None]), ones[:, :0], error, sigma=fixed).log_likelihood
+        # Lives about another place scatter more about it: near where σ will be.
+        start = 1 / np.hypot(sigma, values - location)[:, None]
+        return maximise(data.shifted(values[:, None]), ones[:, :0], error, sigma=fixed, start=start).log_likelihood
 
     def with_log_sigma(values: Float) -> Float:
-        return maximise(data.shifted(0 * values[:, None]), ones, error, sigma=np.exp(values)).log_likelihood
+        start = np.column_stack((np.ones(values.size), np.full(values.size, location))) / np.exp(values)[:, None]
+        held = data.shifted(0 * values[:, None])
+        return maximise(held, ones, error, sigma=np.exp(values), start=start).log_likelihood
 
     drop = critical_drop(lives.failures)
     step = sigma / np.sqrt(lives.failures)
-    low, high = profile_limits(with_location, location, top, drop, step)
+    quick = ((np.nan, np.nan), (np.nan, np.nan))
+    if distribution != EXPONENTIAL:
+        quick = limits_at_drop(data, error, location, sigma, drop)
+
+    def find(
+        quickly: tuple[float, float], profile: Callable[[Float], Float], centre: float, near: float
+    ) -> tuple[float, float]:
+        return quickly if np.isfinite(quickly).all() else profile_limits(profile, centre, top, drop, near)
+
+    low, high = find(quick[0], with_location, location, step)
     central = Estimate(*(float(v) for v in np.exp([location, low, high])))
     if distribution == EXPONENTIAL:
         parameters = {"mean_s": central}
     else:
-        narrow, wide = profile_limits(with_log_sigma, np.log(sigma), top, drop, 1 / np.sqrt(lives.failures))
+        narrow, wide = find(quick[1], with_log_sigma, float(np.log(sigma)), 1 / float(np.sqrt(lives.failures)))
         if distribution == WEIBULL:
             shape = Estimate(1 / sigma, float(np.exp(-wide)), float(np.exp(-narrow)))
             parameters = {"shape": shape, "scale_s": central}

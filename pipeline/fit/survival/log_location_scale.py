@@ -22,6 +22,7 @@ from schemas.errors import NotIdentifiableError
 _ITERATIONS = 200
 _HALVINGS = 60
 _GRADIENT = 1e-10
+_LIMIT_STEPS, _LIMIT_TOLERANCE = 20, 1e-8
 _LARGEST = 700.0
 """Largest exponent that still is a float."""
 
@@ -225,7 +226,7 @@ def maximise(
 def _newton(
     lives: LogLives, design: Float, distribution: ErrorDistribution, start: Float, free: slice
 ) -> tuple[Float, Float, Bool]:
-    parameters = start
+    parameters = start.copy()
     value, gradient, hessian = differentiate(lives, design, distribution, parameters)
     size = parameters[:, free].shape[1]
     converged = np.zeros(parameters.shape[0], dtype=np.bool_)
@@ -238,8 +239,11 @@ def _newton(
         damping = 1e-12 * np.maximum(np.abs(np.trace(h, axis1=1, axis2=2)), 1e-12)[:, None, None] * np.eye(size)
         step = np.linalg.solve(damping - (h if lives.entered is None else _curved_down(h)), g[:, :, None])[:, :, 0]
         gain = np.einsum("bi,bi->b", g, step)
-        converged = (np.abs(g).max(axis=1) <= tolerance) | (gain <= 1e-14 * (1 + np.abs(value)))
+        unseen = gain <= 1e-14 * (1 + np.abs(value))
+        converged = (np.abs(g).max(axis=1) <= tolerance) | unseen
         if (converged | stuck).all():
+            # The value does not see this step any more; parameters do, by the root of that.
+            parameters[:, free] += np.where(unseen[:, None], step, 0.0)
             break
         length = np.where(converged | stuck, 0.0, 1.0)
         if free.start == 0:  # α stays positive
@@ -382,3 +386,66 @@ def converged_single(maximum: Maximum, what: str) -> Maximum:
     if not (maximum.converged[0] and np.isfinite(maximum.log_likelihood[0]) and 1e-6 < maximum.alpha[0] < 1e6):
         raise NotIdentifiableError(f"{what}: the likelihood has no maximum at finite parameters")
     return maximum
+
+
+def limits_at_drop(
+    lives: LogLives, distribution: ErrorDistribution, location: float, sigma: float, drop: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where the profiles of the location and of ln σ have fallen by `drop` on either side; NaN where no such place is found.
+
+    Parameters
+    ----------
+    lives : batch of one, without covariates
+    location, sigma : of the maximum
+
+    Notes
+    -----
+    The four places solve ℓ = top − drop with no slope along what the parameter leaves free, by Newton's method in (1/σ, c/σ), all
+    at a time (D. Venzon, S. Moolgavkar, Appl. Stat. 37 (1988) 87). A tenth of the work of walking along the profiles; where it does
+    not end at such a place, as with an interval that is open, the walk is left to `profile_likelihood.profile_limits`.
+    """
+    own = lives.scaled(location, sigma)
+    four = LogLives(
+        np.repeat(own.lower, 4, axis=0),
+        np.repeat(own.upper, 4, axis=0),
+        own.count,
+        None if own.entered is None else np.repeat(own.entered, 4, axis=0),
+    )
+    design = np.ones((own.lower.shape[1], 1))
+    best = np.array([[1.0, 0.0]])
+    top, _, hessian = differentiate(own, design, distribution, best)
+    sides = np.array([-1.0, 1.0, -1.0, 1.0])
+    of_location = np.array([True, True, False, False])
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        covariance = np.linalg.inv(-hessian[0])
+        along = np.where(of_location[:, None], covariance[1], -covariance[0])
+        length = np.sqrt(2 * drop / np.where(of_location, covariance[1, 1], covariance[0, 0]))
+        moved = (sides * length)[:, None] * along
+        at = np.column_stack((np.exp(moved[:, 0]), moved[:, 1]))
+        for _ in range(_LIMIT_STEPS):
+            value, gradient, hessian = differentiate(four, design, distribution, at)
+            # Along what is free: σ at a given location (the direction (1, c)), the location at a given σ.
+            free = np.where(of_location[:, None], np.column_stack((np.ones(4), at[:, 1] / at[:, 0])), [0.0, 1.0])
+            score = (free * gradient).sum(axis=1)
+            missing = np.column_stack((value - (top - drop), score))
+            bent = (free[:, None, :] @ hessian)[:, 0, :]
+            turning = (
+                gradient[:, 1:] * np.column_stack((-at[:, 1] / at[:, 0] ** 2, 1 / at[:, 0])) * of_location[:, None]
+            )
+            slopes = np.stack((gradient, bent + turning), axis=1)
+            (a, b), (c, d) = slopes[:, 0].T, slopes[:, 1].T
+            step = -np.column_stack((d * missing[:, 0] - b * missing[:, 1], a * missing[:, 1] - c * missing[:, 0]))
+            step /= (a * d - b * c)[:, None]
+            at = np.column_stack((np.maximum(at[:, 0] + step[:, 0], 0.2 * at[:, 0]), at[:, 1] + step[:, 1]))
+            if not (np.abs(step[np.isfinite(step)]) >= _LIMIT_TOLERANCE).any():  # each is there, or lost
+                break
+        value, gradient, hessian = differentiate(four, design, distribution, at)
+        place = np.where(of_location, at[:, 1] / at[:, 0], -np.log(at[:, 0]))
+        free = np.where(of_location[:, None], np.column_stack((np.ones(4), at[:, 1] / at[:, 0])), [0.0, 1.0])
+        good = (np.abs(value - (top - drop)) < _LIMIT_TOLERANCE) & (sides * place > 0)
+        good &= np.abs((free * gradient).sum(axis=1)) < _LIMIT_TOLERANCE * lives.specimens
+        good &= (free[:, None, :] @ hessian @ free[:, :, None])[
+            :, 0, 0
+        ] < 0  # late entry knows other places of no slope
+    low, high, narrow, wide = np.where(good, place, np.nan).tolist()
+    return (location + sigma * low, location + sigma * high), (np.log(sigma) + narrow, np.log(sigma) + wide)
