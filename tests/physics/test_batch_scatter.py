@@ -13,7 +13,7 @@ from pipeline.fit.survival.covariates import CATEGORY, INVERSE_POWER, Covariate
 from pipeline.fit.survival.lifetime_distributions import Lives
 from pipeline.fit.survival.profile_likelihood import LARGE_SAMPLE_DROP
 from schemas.errors import DealabError
-from tests.physics.published_lives import DYESTUFF
+from tests.helpers.published_lives import DYESTUFF
 
 pytestmark = pytest.mark.quick
 

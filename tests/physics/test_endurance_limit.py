@@ -9,7 +9,7 @@ from pipeline.fit.survival.covariates import INVERSE_POWER, Covariate
 from pipeline.fit.survival.endurance_limit import EnduranceLimit, find_endurance_limit
 from pipeline.fit.survival.lifetime_distributions import Lives
 from schemas.errors import DealabError
-from tests.physics.published_lives import INSULATING_FLUID
+from tests.helpers.published_lives import INSULATING_FLUID
 
 pytestmark = pytest.mark.quick
 

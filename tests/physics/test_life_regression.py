@@ -25,7 +25,7 @@ from pipeline.fit.survival.lifetime_distributions import Lives, estimate_quantil
 from pipeline.fit.survival.log_location_scale import NORMAL
 from schemas.errors import DealabError
 from schemas.lifetimes import LifetimeRow
-from tests.physics.published_lives import (
+from tests.helpers.published_lives import (
     BALL_BEARINGS,
     INSULATING_FLUID,
     SHOCK_ABSORBERS,

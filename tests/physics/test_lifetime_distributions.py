@@ -18,7 +18,7 @@ from pipeline.fit.survival.lifetime_distributions import (
 from pipeline.fit.survival.log_location_scale import NORMAL, SMALLEST_EXTREME_VALUE, maximise
 from schemas.errors import NotIdentifiableError, RefusedError
 from tests.helpers.drawn_lives import KINDS, draw_samples
-from tests.physics.survival_data import TREATED
+from tests.helpers.survival_data import TREATED
 
 
 def test_published_weibull() -> None:

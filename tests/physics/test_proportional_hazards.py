@@ -9,7 +9,7 @@ from pipeline.fit.survival.covariates import CATEGORY, EXPONENTIAL_LAW, Covariat
 from pipeline.fit.survival.cox_regression import fit_cox
 from pipeline.fit.survival.lifetime_distributions import Lives
 from pipeline.fit.survival.proportional_hazards import ALL_COVARIATES, ProportionalityTest, check_proportional_hazards
-from tests.physics.published_lives import OVARIAN
+from tests.helpers.published_lives import OVARIAN
 
 pytestmark = pytest.mark.quick
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.physics.published_analyses import ANALYSES, Published
+from tests.helpers.published_analyses import ANALYSES, Published
 
 pytestmark = pytest.mark.quick
 

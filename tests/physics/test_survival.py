@@ -12,7 +12,7 @@ from scipy import stats
 
 from pipeline.fit.survival.kaplan_meier import exact_lower_survival, exact_upper_survival, kaplan_meier
 from schemas.errors import NotIdentifiableError, RefusedError
-from tests.physics.survival_data import PLACEBO, TREATED, random_sample
+from tests.helpers.survival_data import PLACEBO, TREATED, random_sample
 from tests.studies.study_survival import DESIGNS, Design, coverage
 
 

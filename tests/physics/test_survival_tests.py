@@ -26,7 +26,7 @@ from pipeline.fit.survival.tests import (
     rank_test,
 )
 from schemas.errors import NotIdentifiableError
-from tests.physics.survival_data import PLACEBO, TREATED, random_sample
+from tests.helpers.survival_data import PLACEBO, TREATED, random_sample
 
 DEAD = (np.arange(1, 11) * 20.0, np.ones(10, dtype=bool))
 ALIVE = (np.full(10, 240.0), np.zeros(10, dtype=bool))

@@ -12,7 +12,7 @@ from pipeline.fit.survival.lifetime_distributions import Lives, fit_distribution
 from pipeline.fit.survival.turnbull import Turnbull, estimate_turnbull
 from schemas.errors import NotIdentifiableError, RefusedError
 from schemas.lifetimes import LifetimeRow
-from tests.physics.published_lives import BREAST_COSMESIS, TURBINE_WHEELS
+from tests.helpers.published_lives import BREAST_COSMESIS, TURBINE_WHEELS
 
 pytestmark = pytest.mark.quick
 

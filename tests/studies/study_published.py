@@ -2,7 +2,7 @@
 
     python -m tests.studies.study_published
 
-Datasets, sources and numbers are those of `tests.physics.published_analyses`.
+Datasets, sources and numbers are those of `tests.helpers.published_analyses`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from tests.physics.published_analyses import ANALYSES
+from tests.helpers.published_analyses import ANALYSES
 
 
 def main() -> int:

@@ -23,7 +23,7 @@ from pipeline.fit.survival.profile_likelihood import LARGE_SAMPLE_DROP
 from pipeline.fit.survival.proportional_hazards import ALL_COVARIATES, check_proportional_hazards
 from pipeline.fit.survival.tests import rank_test
 from pipeline.fit.survival.turnbull import estimate_turnbull
-from tests.physics.published_lives import (
+from tests.helpers.published_lives import (
     BALL_BEARINGS,
     DEVICE_A,
     DYESTUFF,
@@ -38,7 +38,7 @@ from tests.physics.published_lives import (
     TURNBULL_DRIVERS,
     capacitors,
 )
-from tests.physics.survival_data import PLACEBO, TREATED
+from tests.helpers.survival_data import PLACEBO, TREATED
 
 _KILO = 1000.0
 _BOLTZMANN_EV_PER_MK = 8.617333262e-5 * 1000
