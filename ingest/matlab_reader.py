@@ -7,6 +7,7 @@ Elements of structure arrays and cells are counted from 0 (`ch.1.data`), or from
 from __future__ import annotations
 
 import functools
+import io
 import warnings
 from collections.abc import Iterator, Sequence
 from numbers import Number
@@ -22,6 +23,7 @@ from ingest.apart import apart
 from ingest.arrays import ArrayFile, Held
 from ingest.hdf5_reader import read_hdf5
 from ingest.mapping import FileMapping
+from ingest.matlab_cut import complete
 from schemas.errors import RefusedError
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -38,7 +40,7 @@ def read_matlab(path: Path, mapping: FileMapping) -> ArrayFile:
     if start[512:520] == _HDF5_SIGNATURE or start.startswith(_HDF5_SIGNATURE):
         return read_hdf5(path, mapping, matlab=True)
     try:
-        found = apart(path, _found, path)
+        found, problems = apart(path, _found, path)
     except RefusedError:
         raise
     except Exception as error:  # scipy raises a dozen kinds for damaged files, zlib's and struct's among them
@@ -54,6 +56,7 @@ def read_matlab(path: Path, mapping: FileMapping) -> ArrayFile:
         separator=".",
         root=mapping.options.get("root", ""),
         transpose=mapping.options.get("transpose", False),
+        problems=problems,
     )
 
 
@@ -73,16 +76,17 @@ def _held(value: Any) -> Held:
     return Held(functools.partial(np.asarray, array), array.shape)
 
 
-def _found(path: Path) -> dict[str, Any]:
-    """Arrays, and what is none, by path."""
+def _found(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Arrays, and what is none, by path; and what is lost of a cut file."""
+    left = complete(path.read_bytes())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content = loadmat(path, squeeze_me=True, struct_as_record=True)
+        content = loadmat(io.BytesIO(left.content) if left.problems else path, squeeze_me=True, struct_as_record=True)
     found: dict[str, Any] = {}
     for name, value in content.items():
         if not name.startswith("__") or not isinstance(value, bytes | str | list):
             found.update(_leaves(name or "None", value, 0))
-    return found
+    return found, left.problems
 
 
 def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]:

@@ -542,3 +542,38 @@ def test_hdf5_that_is_cut_in_its_structure_is_refused(tmp_path: Path) -> None:
         file.truncate(700)
     with pytest.raises(RefusedError, match="cannot be read as HDF5"):
         read(path, mapping(".h5", {"force": {"column": "F", "unit": "N"}}, _T))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("values", [np.arange(4000) + 0.25, np.arange(4000), np.arange(4000, dtype=np.int16)])
+def test_matlab_that_is_cut_keeps_what_is_there(tmp_path: Path, values: np.ndarray, packed: bool) -> None:
+    """Also where MATLAB has packed whole numbers into fewer bytes, and where an element is so short that it has no tag."""
+    path = tmp_path / "run.mat"
+    noise = np.random.default_rng(2).integers(0, 20, values.size).astype(values.dtype)  # so that it cannot shrink away
+    scipy.io.savemat(
+        path, {"t": np.arange(4000) / 1000, "F": values + noise, "x": values * 2 + noise}, do_compression=packed
+    )
+    columns = {"force": {"column": "F", "unit": "N"}, "displacement": {"column": "x", "unit": "mm"}}
+    found = mapping(".mat", columns, _T)
+    whole = read(path, found)
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - path.stat().st_size // 10)
+    raw = read(path, found)
+    force, travel = (np.asarray(channel.values, dtype=np.float64) for channel in raw.channels)
+    assert np.array_equal(force, whole.channels[0].values)
+    lost = int(np.isnan(travel).sum())
+    assert 100 < lost < 3000
+    assert np.array_equal(travel[:-lost], whole.channels[1].values[:-lost])
+    assert f"the file is cut: x has {4000 - lost} of 4000 values" in raw.problems
+
+
+def test_matlab_that_is_cut_in_a_structure_leaves_that_out(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"t": np.arange(400) / 1000, "F": np.arange(400.0), "run": {"x": np.arange(400.0)}})
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - 100)
+    raw = read(path, mapping(".mat", {"force": {"column": "F", "unit": "N"}}, _T))
+    assert raw.channels[0].values.tolist() == list(range(400))
+    assert "the file is cut: the variable run is left out" in raw.problems
+    with pytest.raises(RefusedError, match="is not in the file"):
+        read(path, mapping(".mat", {"force": {"column": "run.x", "unit": "N"}}, _T))
