@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.fit.survival.comparisons import NO_TEST, Comparison, compare, corrected
 from pipeline.fit.survival.competing_causes import CompetingCauses, aalen_johansen
 from pipeline.fit.survival.kaplan_meier import UNKNOWN, Estimate, KaplanMeier, kaplan_meier
-from pipeline.fit.survival.life_models import CampaignLives, fit_life_models
+from pipeline.fit.survival.life_models import CONDITIONS, CampaignLives, fit_life_models
 from pipeline.fit.survival.lifetime_distributions import (
     DISTRIBUTIONS,
     EXPONENTIAL,
@@ -138,6 +138,12 @@ def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
             general.append(SurvivalNote(campaign, configuration, None, text))
             for level in levels:
                 notes[campaign, configuration, level].append(text)
+    for campaign in {key[0] for key in grouped}:
+        own = [key for key in grouped if key[0] == campaign]
+        if len(own) == 1 and not any(_varied(row, first) for first, *others in [grouped[own[0]]] for row in others):
+            notes[own[0]].append(
+                "all of its campaign under one condition: no comparison, no law of voltage, no regression"
+            )
     ends = _common_ends(grouped)
     groups = tuple(_group(key, rows, ends[key[0], key[2]], tuple(notes[key])) for key, rows in grouped.items())
     comparisons = corrected(
@@ -151,6 +157,11 @@ def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
     )
     laws, refused = _laws(groups)
     return SurvivalResults(groups, comparisons, laws, (*general, *refused), fit_life_models(usable))
+
+
+def _varied(row: LifetimeRow, other: LifetimeRow) -> bool:
+    """Whether two lives differ in anything that a life may depend on."""
+    return any(getattr(row, name) != getattr(other, name) for name in CONDITIONS)
 
 
 def usable_lives(lifetimes: Sequence[LifetimeRow]) -> list[LifetimeRow]:

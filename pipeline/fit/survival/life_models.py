@@ -45,6 +45,7 @@ _STRESSES = (
 """Humidity by a power law is Peck's, in ln of the relative humidity."""
 _CATEGORIES = ("configuration", "electrode", "batch")
 """A batch is also looked at as a random effect, which many batches of few specimens can carry."""
+CONDITIONS = (*(name for name, *_ in _STRESSES), *_CATEGORIES)
 _BATCH = "batch"
 _PER_COLUMN = 2
 """Distinct failures that a column of the design needs: with fewer, profiles of all coefficients are open."""
@@ -166,7 +167,7 @@ class _Campaign:
     refused: list[str] = field(default_factory=list)
 
     def fit(self) -> CampaignLives | None:
-        varied = [name for name in (*(s[0] for s in _STRESSES), *_CATEGORIES) if self._values(name) > 1]
+        varied = [name for name in CONDITIONS if self._values(name) > 1]
         if not varied:
             return None
         for name in varied:
