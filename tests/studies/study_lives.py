@@ -2,7 +2,8 @@
 
     python -m tests.studies.study_lives [--draws N] [--seed N]
 
-Batches are drawn with a scatter of their own, and lives with and without a voltage below which nothing fails.
+Batches are drawn with a scatter of their own, and lives with and without a voltage below which nothing fails. Where limits are those
+of the information of few failures, or of the likelihood of ten per group, those by simulation stand beside them.
 
 Lives are drawn at three voltages by each family, and fitted by the family that they were drawn by; the shares of draws whose
 interval contains the truth are printed for the exponent, the scatter, the shape, and the median life at a voltage below the
@@ -39,6 +40,7 @@ from pipeline.fit.survival.log_location_scale import (
     differentiate,
     maximise,
 )
+from pipeline.fit.survival.resampling import CORRECTED, PIVOTS, simulate_limits
 from schemas.arrays import Float
 from schemas.errors import DealabError
 
@@ -69,6 +71,10 @@ class Design:
 
 BATCHES = ((0.0, 8), (0.5, 5), (0.5, 8), (0.5, 20))
 LIMITS_KV = (0.0, 3.0)
+SLOW_SHARE = 0.1
+"""Of the draws that are fitted alone, for those with batches or a limit, and for limits by simulation of generalised gammas."""
+SIMULATED = {False: 400, True: 100}
+"""Tests by which limits are simulated, without and with a shape to be fitted."""
 DESIGNS = (Design(10, 0.0), Design(10, 0.3), Design(10, 0.3, inspected=True), Design(40, 0.3))
 
 
@@ -160,6 +166,36 @@ def judge_together(family: str, design: Design, draws: int, seed: int) -> tuple[
     return {name: float(one[fitted].mean()) for name, one in held.items()}, int((~fitted).sum()), "profile likelihood"
 
 
+def judge_simulated(
+    family: str, design: Design, draws: int, simulated: int, seed: int
+) -> tuple[dict[str, float], int, str]:
+    """As `judge`, for limits by simulation of `simulated` tests each."""
+    rng = np.random.default_rng((seed, FAMILIES.index(family), DESIGNS.index(design), 1))
+    sigma = 1.0 if family == EXPONENTIAL else SIGMA
+    w = float(ERRORS[family].quantile_of_survival(np.array(0.5)))
+    truth = (EXPONENT, sigma, SHAPE, float(np.exp(INTERCEPT + EXPONENT * np.log(USE_KV) + sigma * w)))
+    held: Counter[str] = Counter()
+    counted: Counter[str] = Counter()
+    refused = 0
+    for number in range(draws):
+        lives, voltage, _ = draw(family, design, rng)
+        covariates = [Covariate("voltage", INVERSE_POWER, voltage, "kV")]
+        try:
+            found = simulate_limits(lives, covariates, family, at=np.log([USE_KV]), draws=simulated, seed=number)
+        except (DealabError, np.linalg.LinAlgError):
+            refused += 1
+            continue
+        estimates = (
+            found.coefficients["voltage"], None if family == EXPONENTIAL else found.sigma, found.shape, found.median_s,
+        )  # fmt: skip
+        for name, one, value in zip(ESTIMATES, estimates, truth, strict=True):
+            if one is not None:
+                counted[name] += 1
+                held[name] += one.lower <= value <= one.upper
+    method = CORRECTED if family == GENERALISED_GAMMA else PIVOTS
+    return {name: held[name] / number for name, number in counted.items()}, refused, f"{method}, {simulated} each"
+
+
 def judge_cox(design: Design, draws: int, seed: int) -> tuple[int, int, int]:
     """(held, counted, refused) of the logarithm of Cox's hazard ratio between two electrodes, of Weibull lives."""
     rng = np.random.default_rng((seed, len(FAMILIES), DESIGNS.index(design)))
@@ -245,24 +281,37 @@ def main() -> int:
     print(
         f"| family | specimens | {' | '.join(ESTIMATES)} | not fitted | method |\n|---|---|{'---:|' * (len(ESTIMATES) + 1)}---|"
     )
-    few = arguments.draws // 4
+    few, slow = arguments.draws // 4, round(SLOW_SHARE * arguments.draws / 4)
     for family in FAMILIES:
         for design in DESIGNS:
-            how, draws = (judge, few) if family == GENERALISED_GAMMA else (judge_together, arguments.draws)
-            shares, refused, method = how(family, design, draws, arguments.seed)
-            cells = (f"{100 * shares[name]:.1f} %" if name in shares else "" for name in ESTIMATES)
-            print(f"| {family} | {design} | {' | '.join(cells)} | {refused} of {draws} | {method} |", flush=True)
+            has_shape = family == GENERALISED_GAMMA
+            if has_shape and design.inspected:
+                continue  # its limits are those of the information whatever is known of the lives
+            how, draws = (judge, few) if has_shape else (judge_together, arguments.draws)
+            print_row(family, design, draws, *how(family, design, draws, arguments.seed))
+        # With shapes a tenth, else a half of the draws that are fitted alone.
+        draws = slow if family == GENERALISED_GAMMA else few // 2
+        tests = SIMULATED[family == GENERALISED_GAMMA]
+        print_row(family, DESIGNS[1], draws, *judge_simulated(family, DESIGNS[1], draws, tests, arguments.seed))
     for design in DESIGNS:
         if not design.inspected:
             held, counted, refused = judge_cox(design, few, arguments.seed)
             share = f"{100 * held / counted:.1f} %"
             print(f"| Cox, ln hazard ratio | {design} | {share} | | | | {refused} of {few} | information |", flush=True)
+    print()
     for tau, batches in BATCHES:
-        print(judge_batches(tau, batches, few, arguments.seed), flush=True)
+        print(judge_batches(tau, batches, slow, arguments.seed), flush=True)
     for limit in LIMITS_KV:
-        print(judge_limit(limit, few, arguments.seed), flush=True)
-    print("\nShares of the draws that were fitted. Limits of the median life are those of the information.")
+        print(judge_limit(limit, slow, arguments.seed), flush=True)
+    print(
+        "\nShares of the draws that were fitted. Limits of the median life are those of the information, where they are not simulated."
+    )
     return 0
+
+
+def print_row(family: str, design: Design, draws: int, shares: dict[str, float], refused: int, method: str) -> None:
+    cells = (f"{100 * shares[name]:.1f} %" if name in shares else "" for name in ESTIMATES)
+    print(f"| {family} | {design} | {' | '.join(cells)} | {refused} of {draws} | {method} |", flush=True)
 
 
 if __name__ == "__main__":

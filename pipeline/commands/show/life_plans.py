@@ -69,7 +69,7 @@ def plan_lifetimes(asked: Asked, lab: Lab | None, *, as_json: bool) -> str:
     UsageError, NotIdentifiableError, LabError
         An argument is missing or has no meaning, the lives carry no plan, or there is no database.
     """
-    known = None if lab is None else know_lives(_choose(_read_lives(lab), asked))
+    known = None if lab is None else know_lives(_choose(read_lives(lab), asked))
     assumed = _assume(asked) if known is None else known.assumed
     if asked.ratio is not None:
         sized = _size(asked, assumed, known)
@@ -87,7 +87,8 @@ def plan_lifetimes(asked: Asked, lab: Lab | None, *, as_json: bool) -> str:
     return in_plain("\n".join(_describe_plans(assumed, rig, budget, plans, known)))
 
 
-def _read_lives(lab: Lab) -> list[LifetimeRow]:
+def read_lives(lab: Lab) -> list[LifetimeRow]:
+    """All lives of the lab's database."""
     lab.require_database()
     names = set(LifetimeRow.__dataclass_fields__) - {"warnings", "staircase"}
     with Reader(lab.database) as reader:

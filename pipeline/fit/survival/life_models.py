@@ -101,7 +101,7 @@ class CampaignLives:
 
     `rows` are the lives that were used, in the order of the residuals; `refused` says what could not be had, and why.
     `proportionality` tests what Cox's model assumes, `limit` is the voltage below which nothing may ever fail,
-    `batches` the scatter between batches beside all other covariates.
+    `batches` the scatter between batches beside all other covariates. `covariates` are those of the chosen model.
     """
 
     campaign: str | None
@@ -116,6 +116,12 @@ class CampaignLives:
     proportionality: tuple[ProportionalityTest, ...] = ()
     limit: EnduranceLimit | None = None
     batches: BatchScatter | None = None
+    covariates: tuple[Covariate, ...] = ()
+
+    @property
+    def lives(self) -> Lives:
+        """What the regressions were fitted to."""
+        return _limits(self.rows)
 
     @property
     def observed_hazards(self) -> Float:
@@ -200,6 +206,7 @@ class _Campaign:
             proportionality,
             limit,
             batches,
+            tuple(covariates),
         )
 
     def _without(self, *reasons: str, batches: BatchScatter | None = None) -> CampaignLives:

@@ -20,6 +20,7 @@ from pipeline.fit.survival.log_location_scale import (
     NORMAL,
     SMALLEST_EXTREME_VALUE,
     ErrorDistribution,
+    LogLives,
     converged_single,
     differentiate,
     maximise,
@@ -52,7 +53,8 @@ _SHAPE_STEP, _SMALL_STEP = 1e-3, 1e-4
 """Differences over the shape, and the step of Newton's after which the next one would not be seen."""
 PROFILE, INFORMATION = "profile likelihood", "observed information"
 WIDE_INFORMATION = (
-    f"{INFORMATION}; of few failures the limits of scatter and shape are wide (they hold the truth in 98 %)"
+    f"{INFORMATION}; of few failures the limits of scatter and shape are wide (they hold the truth in 98 %): dealab lives"
+    " has those of a bootstrap"
 )
 _FEW = 50
 """Failures below which that was seen: studies/results.md, 30 lives of which 21 failed."""
@@ -132,7 +134,11 @@ class LifeRegression:
 
     @property
     def error(self) -> ErrorDistribution:
-        return log_gamma(self.shape.value) if self.shape else ERRORS[self.family]
+        return self.error_of(self.shape.value if self.shape else float("nan"))
+
+    def error_of(self, shape: float) -> ErrorDistribution:
+        """Of the family, with this shape where it has one."""
+        return ERRORS.get(self.family) or log_gamma(shape)
 
     def life_at(self, x: Float, failed_share: float = 0.5) -> Estimate:
         """Time in s by which a share has failed at conditions `x` (p,) of the design, with 95 % limits by the delta method.
@@ -242,6 +248,32 @@ def log_likelihood_of(lives: Lives, x: Float, family: str) -> tuple[float, Float
     """
     best = _Model(lives, x, family).maximum()
     return best.log_likelihood - lives.log_jacobian, best.coefficients
+
+
+def refit(log_limits: tuple[Float, Float], x: Float, family: str) -> Float:
+    """Maxima for many sets of lives under the same conditions: (sets, 1 + p + 2) coefficients, ln σ and shape; NaN: none.
+
+    Parameters
+    ----------
+    log_limits : (sets, n) lower and upper limits of ln t
+    x : (n, p) columns beside the intercept
+    """
+    lower, upper = log_limits
+    found = np.full((lower.shape[0], x.shape[1] + 3), np.nan)
+    if family == GENERALISED_GAMMA:
+        for i in range(lower.shape[0]):
+            try:
+                best = _Model(Lives(np.exp(lower[i]), np.exp(upper[i])), x, family).maximum()
+            except (NotIdentifiableError, np.linalg.LinAlgError):
+                continue
+            found[i] = [*best.coefficients, np.log(best.sigma), best.shape]
+        return found
+    model = _Model(Lives(np.exp(lower[0]), np.exp(upper[0])), x, family)
+    many = maximise(LogLives(lower, upper), model.design, ERRORS[family], sigma=model.held_sigma)
+    good = many.converged & np.isfinite(many.log_likelihood)
+    found[good, :-2] = many.coefficients[good] @ model.to_plain.T
+    found[good, -2], found[good, -1] = np.log(many.sigma[good]), 0.0
+    return found
 
 
 @dataclass(frozen=True)
