@@ -10,9 +10,8 @@ Many recordings without their numerical work are in `many.py`.
 from __future__ import annotations
 
 import argparse
-import math
+import contextlib
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -123,34 +122,33 @@ SIZES: dict[str, Callable[[Path], None]] = {
 
 def spend_night(raw: Path, lab: Lab, jobs: int) -> Measured:
     """A night in a process of its own, and what `dealab doctor` and the table of recordings say of it."""
-    command = [sys.executable, "-c", _NIGHT, str(raw), "--lab", str(lab.folder), "--jobs", str(jobs)]
-    begin = time.monotonic()
-    try:
-        done = subprocess.run(
-            command, cwd=ROOT, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return Measured(-1, time.monotonic() - begin, float("nan"), (f"ended after {_LONGEST_S:.0f} s",))
-    seconds = time.monotonic() - begin
-    told = re.search(r"^peak (\d+)$", done.stderr, re.MULTILINE)
-    wrong = [] if done.returncode == 0 else [f"ended with {done.returncode}: {done.stderr[-300:]}"]
+    command = [sys.executable, "-m", "pipeline.cli", "nightly", str(raw), "--lab", str(lab.folder), "--jobs", str(jobs)]
+    begin, peak_mb = time.monotonic(), 0.0
+    with tempfile.TemporaryFile("w+") as told:
+        process = subprocess.Popen(command, cwd=ROOT, stdout=told, stderr=told, start_new_session=True)
+        while process.poll() is None:
+            peak_mb = max([peak_mb, *_list_peaks(process.pid)])
+            if time.monotonic() - begin > _LONGEST_S:
+                process.kill()  # and its workers end with it
+                return Measured(-1, time.monotonic() - begin, peak_mb, (f"ended after {_LONGEST_S:.0f} s",))
+            time.sleep(0.2)
+        seconds = time.monotonic() - begin
+        told.seek(0)
+        wrong = [] if process.returncode == 0 else [f"ended with {process.returncode}: {told.read()[-300:]}"]
     if lab.database.exists():
         wrong += healthy(lab)
         other = select(lab, "SELECT recording_id, status FROM recordings WHERE status <> 'ok'")
         wrong += [f"{name}: {status}" for name, status in other]
-    return Measured(done.returncode, seconds, int(told[1]) / 1024 if told else float("nan"), tuple(wrong))
+    return Measured(process.returncode, seconds, peak_mb, tuple(wrong))
 
 
-_NIGHT = """
-import sys
-from pipeline.cli import main
-sys.argv[1:1] = ["nightly"]
-status = main()
-import resource
-most = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-print(f"peak {most}", file=sys.stderr)
-sys.exit(status)
-"""
+def _list_peaks(leader: int) -> Iterator[float]:
+    """The most memory that each process of a session has had, MB."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError, IndexError, ValueError):
+            if int((folder / "stat").read_text().rpartition(")")[2].split()[3]) == leader:
+                status = (folder / "status").read_text()
+                yield int(status.partition("VmHWM:")[2].split()[0]) / 1024
 
 
 def main() -> int:
@@ -175,8 +173,7 @@ def main() -> int:
             again = spend_night(raw, lab, arguments.jobs)
             found = (*first.wrong, *again.wrong)
             wrong |= bool(found)
-            peak = "" if math.isnan(first.peak_mb) else f"{first.peak_mb:.0f}"
-            numbers = f"{size:.0f} | {first.seconds:.0f} | {again.seconds:.1f} | {peak}"
+            numbers = f"{size:.0f} | {first.seconds:.0f} | {again.seconds:.1f} | {first.peak_mb:.0f}"
             lines[what] = f"| {what} | {numbers} | {'; '.join(found)[:300] or 'nothing'} | {today()} |"
             print(lines[what], flush=True)
             text = "\n".join(lines[name] for name in SIZES if name in lines)
