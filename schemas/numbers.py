@@ -127,11 +127,15 @@ def headline(value: float | None, sd: float | None, unit: str = "") -> str:
     return pm(value, sd, unit)
 
 
+_SAME_POWER = 0.03
+"""A lower limit below this share of the upper one is rounded away beside it."""
+
+
 def bounds(value: float | None, lower: float | None, upper: float | None, scale: float = 1.0) -> str:
     """`40 (28–52)`: value with its 95 % limits, rounded as an SD of a quarter of the interval would be.
 
     One limit alone is given as `(≥ 13)`; without limits the value stands alone to three digits. Very small and very
-    large ones share a power of ten: `1.0 (0.2–5.6) × 10⁷`.
+    large ones share a power of ten: `1.0 (0.2–5.6) × 10⁷`, unless their limits are so far apart that one would be nothing.
     """
     if value is None or not math.isfinite(value):
         return ABSENT
@@ -141,6 +145,9 @@ def bounds(value: float | None, lower: float | None, upper: float | None, scale:
         return significant(value)
     exponent = math.floor(math.log10(max(abs(value), *(abs(e) for e in known))))
     if not -4 <= exponent < 6:
+        if len(known) == 2 and 0 < max(known) and 0 < min(known) < _SAME_POWER * max(known):
+            each = [significant(v, 2) for v in (value, *sorted(known))]
+            return f"{each[0]}{NBSP}({each[1]}{ABSENT}{each[2]})"
         unit = 10.0**-exponent
         low, high = (None if e is None else e * unit * scale for e in (lower, upper))
         reduced = bounds(value * unit, low, high)

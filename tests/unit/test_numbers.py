@@ -127,6 +127,7 @@ def test_no_p_is_surer_than_the_formula_it_comes_from(p: float) -> None:
         ((5.0, None, None), "5.00"),
         ((None, 1.0, 2.0), "–"),
         ((4_883_219.0, 4_712_332.0, 5_035_325.0), "4.88 (4.71–5.04) × 10⁶"),
+        ((1.1e6, 2.7e4, 5.6e7), "1.1 × 10⁶ (27 000–5.6 × 10⁷)"),
     ],
 )
 def test_bounds(arguments: tuple[float | None, ...], expected: str) -> None:
