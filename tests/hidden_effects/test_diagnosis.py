@@ -265,7 +265,10 @@ def test_what_has_no_name_is_told_beside_a_cause_that_is_sure() -> None:
     sure = Effect("field_dependent_permittivity", 2 * KINDS["field_dependent_permittivity"].typical)
     found = observe(compact_session(BESIDE_A_CAUSE, (sure, Effect("humidity", 0.01))))
     assert (found.verdict, found.stage, found.depends_on) == ("unknown", "film", ("session_time",))
-    assert max(found.probabilities, key=lambda h: found.probabilities[h]) == "field_dependent_permittivity+film/session_time"
+    assert (
+        max(found.probabilities, key=lambda h: found.probabilities[h])
+        == "field_dependent_permittivity+film/session_time"
+    )
     assert any("beside" in text for text in found.unexplained)
     assert found.held_out is not None
     assert found.held_out.gain > 0.9
