@@ -28,6 +28,7 @@ from typing import Any
 
 import duckdb
 
+from ingest.quarantine import entries, entry_name
 from pipeline import Lab
 from pipeline.lab.annotations import EXCLUDE, INCLUDE, annotate
 from tests.faults import strange_items
@@ -456,10 +457,24 @@ def soak(bench: Bench, nights: int, seed: int, tell: Callable[[Night], None] = l
     single = bench.run(bench.undisturbed)
     if single.returncode:
         wrong.append(f"the single night ended with {single.returncode}: {single.stderr[-300:]}")
+    forget_last_copies(scene.lab)
     wrong += bench.differences(scene.lab, "after all nights")
     spent.append(Night(nights + 1, ("none",), again.returncode, tuple(wrong)))
     tell(spent[-1])
     return spent
+
+
+def forget_last_copies(lab: Lab) -> None:
+    """Removes what `dealab doctor` leaves to people: refused files that are gone, of a database that was moved away since.
+
+    A night keeps these copies, for they may be the last. Those of files that are there it has to remove itself.
+    """
+    with duckdb.connect(str(lab.database), read_only=True) as connection:
+        refused = connection.execute("SELECT source_path FROM recordings WHERE status = 'quarantined'").fetchall()
+    named = {entry_name(path) for (path,) in refused}
+    for entry in entries(lab.folder):
+        if entry.folder.name not in named and not Path(entry.reason["source_path"]).exists():
+            shutil.rmtree(entry.folder)
 
 
 HEAD = "| night | what happened to it | exit status | what was wrong |\n|---:|---|---:|---|"
