@@ -145,7 +145,7 @@ def bounds(value: float | None, lower: float | None, upper: float | None, scale:
         return significant(value)
     exponent = math.floor(math.log10(max(abs(value), *(abs(e) for e in known))))
     if not -4 <= exponent < 6:
-        if len(known) == 2 and 0 < max(known) and 0 < min(known) < _SAME_POWER * max(known):
+        if len(known) == 2 and max(known) > 0 and 0 < min(known) < _SAME_POWER * max(known):
             each = [significant(v, 2) for v in (value, *sorted(known))]
             return f"{each[0]}{NBSP}({each[1]}{ABSENT}{each[2]})"
         unit = 10.0**-exponent
