@@ -12,17 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.mechanisms.mechanism import Mechanism
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.likelihood import LARGEST, Groups, Linearised, find_absorbed, find_peak, measure_trace
-from pipeline.diagnose.search.posterior import (
-    Hypothesis,
-    RegionFit,
-    compute_change_by_causes,
-    measure_trace_of_causes,
-)
+from pipeline.diagnose.search.posterior import Hypothesis, RegionFit, measure_trace_of_causes
 from pipeline.diagnose.search.regions import STEP, Region, list_regions
 from schemas.arrays import Bool, Float
 
@@ -80,72 +73,49 @@ def compute_columns(fit: ExtendedFit, region: Region) -> Float:
     return of.session.whiten(np.where(computed[:, None], changes, 0.0).T)
 
 
-def weigh_regions(base: Hypothesis, changes: Sequence[RegionChange]) -> list[Hypothesis]:
-    """All regions without a name as hypotheses, to first order about the plain model, or beside causes that are sure.
+def weigh_regions(plain: ExtendedFit, changes: Sequence[RegionChange]) -> list[Hypothesis]:
+    """All regions without a name as hypotheses, to first order about the plain model.
 
     Parameters
     ----------
-    base : the plain model, with the film that most groups of features agree on, or one with listed causes at its optimum
-    changes : of all regions, about the plain model; what a listed cause of the base may depend on is the form of that cause
+    plain : the plain model, with the film that most groups of features agree on
+    changes : of all regions, about it
     """
-    fit = base.model
-    own = [MECHANISMS[id] for id in base.causes]
-    changes = [c for c in changes if not any(is_form_of(c.region, m) for m in own)]
-    prior = float(np.log(RULES.prior.unnamed / max(len(changes), 1))) + (base.log_prior if base.causes else 0.0)
-    name = f"{base.name}+" if base.causes else ""
-    about = _About(
-        fit,
-        Groups.of(fit.of.session, fit.of.quiet),
-        find_absorbed(fit),
-        Linearised.of(fit),
-        compute_change_by_causes(fit),
-    )
-    return [_weigh_region(about, change, name + change.region.id, prior) for change in changes]
+    groups, absorbed, about = Groups.of(plain.of.session, plain.of.quiet), find_absorbed(plain), Linearised.of(plain)
+    prior = float(np.log(RULES.prior.unnamed / max(len(changes), 1)))
+    return [_weigh_region(plain, groups, absorbed, about, change, prior) for change in changes]
 
 
-def is_form_of(region: Region, mechanism: Mechanism) -> bool:
-    """Whether a region acts in the stage of a mechanism and depends on what that does."""
-    return region.stage == mechanism.stage and region.depends_on in mechanism.covariates
-
-
-@dataclass(frozen=True)
-class _About:
-    """What regions are added to: a fit, its groups of features, what film and rig absorb, and what its causes change (N,)."""
-
-    fit: ExtendedFit
-    groups: Groups
-    absorbed: Float
-    linearised: Linearised
-    by_causes: Float
-
-
-def _weigh_region(about: _About, change: RegionChange, name: str, prior: float) -> Hypothesis:
+def _weigh_region(
+    plain: ExtendedFit,
+    groups: Groups,
+    absorbed: Float,
+    about: Linearised,
+    change: RegionChange,
+    prior: float,
+) -> Hypothesis:
     """One region, over all widths of its prior."""
-    region, seen, fit, groups = change.region, change.seen, about.fit, about.groups
-    size = fit.x.size
+    region, seen = change.region, change.seen
+    size = about.jacobian.shape[1]
     evidence, best = [], None
     for width in WIDTHS:
         scale = width * region.width[seen]
         own = change.columns[:, seen] * scale
-        extended = about.linearised.extend(own)
-        trace = measure_trace(groups, about.absorbed, about.by_causes)
+        extended = about.extend(own)
+        trace = np.zeros(groups.size.size)
         for _ in range(2):  # the trace of the function follows from its fit
             peak = find_peak(groups, extended, trace, size, noise_alone=False)
-            trace = measure_trace(groups, about.absorbed, about.by_causes + own @ peak.step[size:])
+            trace = measure_trace(groups, absorbed, own @ peak.step[size:])
         covariance = peak.covariance[size:, size:]
-        evidence.append(
-            peak.log_likelihood
-            + fit.integrate_mechanisms(peak.covariance[:size, :size])
-            + 0.5 * float(np.linalg.slogdet(covariance)[1])
-        )
+        evidence.append(peak.log_likelihood + 0.5 * float(np.linalg.slogdet(covariance)[1]))
         if evidence[-1] == max(evidence):
             weights, spread = np.zeros(seen.size), np.zeros((seen.size, seen.size))
             weights[seen] = scale * peak.step[size:]
             spread[np.ix_(seen, seen)] = np.outer(scale, scale) * covariance
-            best = RegionFit(region, weights, spread, fit, peak.step[:size], float(width)), peak
+            best = RegionFit(region, weights, spread, plain, peak.step[:size], float(width)), peak
     assert best is not None, region.id
     total = float(logsumexp(evidence) - np.log(len(evidence)))
-    return Hypothesis(name, total, prior, None, best[0], best[1].weight, best[1].odd)
+    return Hypothesis(region.id, total, prior, None, best[0], best[1].weight, best[1].odd)
 
 
 def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChange]) -> list[Hypothesis]:
@@ -173,7 +143,7 @@ def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange], *
     if len(fit.of.chosen) != 1:
         return hypothesis
     mechanism = fit.of.chosen[0].mechanism
-    own = [c for c in changes if is_form_of(c.region, mechanism)]
+    own = [c for c in changes if c.region.stage == mechanism.stage and c.region.depends_on in mechanism.covariates]
     if anew:
         absorbed = find_absorbed(fit)
         own = [change for c in own if (change := differentiate_region(fit, c.region, absorbed)).seen.any()]

@@ -25,6 +25,7 @@ from pipeline.diagnose.search.likelihood import (
     measure_trace,
     score_groups,
 )
+from pipeline.diagnose.search.plain_fit import compute_deviations
 from pipeline.diagnose.search.posterior import Hypothesis, RegionFit
 from pipeline.physics.least_squares import central, minimise
 from schemas.arrays import Bool, Float
@@ -50,9 +51,9 @@ def settle_regions(
 
     Parameters
     ----------
-    regions : hypotheses of regions to first order about the plain model, or beside listed causes
+    regions : hypotheses of regions to first order about the plain model
     listed : hypotheses that they are compared with
-    tempered : the plain model, or that with the causes, under weights that allow for causes of any form
+    tempered : the plain model under weights that allow for causes of any form
     """
     found = {h.name: h for h in regions}
     least = max((h.log_joint for h in listed), default=-np.inf) - _WITHIN
@@ -85,19 +86,18 @@ def settle_region(hypothesis: Hypothesis, tempered: ExtendedFit) -> Hypothesis:
             here, best = again, value
         if gain < _GAIN:
             break
-    x, weights = search.split(here)
+    theta, weights = search.split(here)
     evidence, peak = search.weigh(here)
     scale = search.scale[search.free]
     spread = np.zeros((weights.size, weights.size))
-    spread[np.ix_(search.free, search.free)] = np.outer(scale, scale) * peak.covariance[x.size :, x.size :]
-    fit = replace(start, weights=weights, covariance=spread, step=x - start.plain.x)
+    spread[np.ix_(search.free, search.free)] = np.outer(scale, scale) * peak.covariance[theta.size :, theta.size :]
+    fit = replace(start, weights=weights, covariance=spread, step=theta - start.plain.x)
     return replace(hypothesis, log_evidence=evidence, region=fit, weight=peak.weight, odd=peak.odd)
 
 
 @dataclass(frozen=True)
 class _RegionSearch:
-    """The search of one region, over u (P + F,): entries of film and rig and of listed causes that it is beside, and free weights in
-    standard deviations of their prior.
+    """The search of one region, over u (P + F,): entries of film and rig, and free weights in standard deviations of their prior.
 
     Parameters
     ----------
@@ -132,16 +132,15 @@ class _RegionSearch:
         return np.concatenate([low, _FAR[0] * free]), np.concatenate([high, _FAR[1] * free])
 
     def split(self, u: Float) -> tuple[Float, Float]:
-        """Entries of film, rig and causes (P,), weights (K,)."""
-        size, weights = self.start.plain.x.size, np.zeros(self.scale.size)
+        """Entries of film and rig (P,), weights (K,)."""
+        size, weights = self._of.model.size, np.zeros(self.scale.size)
         weights[self.free] = self.scale[self.free] * u[size:]
         return u[:size], weights
 
     def predict(self, u: Float) -> Float:
         """(N,) features."""
-        x, weights = self.split(u)
-        of = self._of
-        return of.simulation.predict(of.model, x[: of.model.size], of.effect(x) | self.start.region.weigh(weights))
+        theta, weights = self.split(u)
+        return self._of.simulation.predict(self._of.model, theta, self.start.region.weigh(weights))
 
     def compute_left(self, u: Float) -> Float:
         """(N,) measured less predicted features, whitened."""
@@ -151,8 +150,7 @@ class _RegionSearch:
 
     def compute_beside(self, u: Float) -> Float:
         """(P′ + F,) deviations from what is known beforehand."""
-        x, own = np.split(u, [self.start.plain.x.size])
-        return np.concatenate([self._of.compute_deviations(x), own])
+        return np.concatenate([compute_deviations(self._of.model, u), u[self._of.model.size :]])
 
     def minimise(self, u: Float, weight: Float, most: int) -> Float:
         """The optimum under weights (N,) of the residuals."""
@@ -164,7 +162,7 @@ class _RegionSearch:
         return minimise(residuals, u, *self._limits, most=most).x
 
     def trace(self, u: Float) -> Float:
-        """(G,) mean square of what causes and function change."""
+        """(G,) mean square of what the function changes."""
         of = self._of
         change = self.predict(u) - of.simulation.predict(of.model, u[: of.model.size])
         return measure_trace(self.groups, self.absorbed, of.session.whiten(np.nan_to_num(change)))
@@ -182,9 +180,7 @@ class _RegionSearch:
 
     def weigh(self, u: Float) -> tuple[float, Peak]:
         """Log evidence over all widths of the prior at an optimum, and the peak at that of the start."""
-        fit = self.start.plain
-        size = fit.x.size
-        here = replace(fit, solution=replace(fit.solution, x=u[:size]))
+        size = self._of.model.size
         jacobian = central(lambda several: np.array([self.compute_left(x) for x in several]), u, *self._limits)
         left, trace, evidence, peaks = self.compute_left(u), self.trace(u), [], []
         known = central(lambda several: np.array([self.compute_beside(x) for x in several]), u, *self._limits)
@@ -197,10 +193,6 @@ class _RegionSearch:
             peak = find_peak(self.groups, about, trace, size, noise_alone=False, stay=True)
             peaks.append(peak)
             own = peak.covariance[size:, size:]
-            evidence.append(
-                peak.log_likelihood
-                + here.integrate_mechanisms(peak.covariance[:size, :size])
-                + 0.5 * float(np.linalg.slogdet(own)[1])
-            )
+            evidence.append(peak.log_likelihood + 0.5 * float(np.linalg.slogdet(own)[1]))
         nearest = int(np.argmin(np.abs(np.log(WIDTHS / self.start.width))))
         return float(logsumexp(evidence) - np.log(len(evidence))), peaks[nearest]
