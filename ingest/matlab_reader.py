@@ -81,7 +81,7 @@ def _found(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     left = complete(path.read_bytes())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        content = loadmat(io.BytesIO(left.content) if left.problems else path, squeeze_me=True, struct_as_record=True)
+        content = loadmat(io.BytesIO(left.content), squeeze_me=True, struct_as_record=True)
     found: dict[str, Any] = {}
     for name, value in content.items():
         if not name.startswith("__") or not isinstance(value, bytes | str | list):
