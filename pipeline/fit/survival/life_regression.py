@@ -53,8 +53,8 @@ _SHAPE_STEP, _SMALL_STEP = 1e-3, 1e-4
 """Differences over the shape, and the step of Newton's after which the next one would not be seen."""
 PROFILE, INFORMATION = "profile likelihood", "observed information"
 WIDE_INFORMATION = (
-    f"{INFORMATION}; of few failures the limits of scatter and shape are wide (they hold the truth in 98 %): dealab lives"
-    " has those of a bootstrap, too narrow (81 to 91 %)"
+    f"{INFORMATION}; of few failures the limits of scatter and shape are wide (they hold the truth in 98 %), those of a"
+    " bootstrap too narrow (81 to 91 %)"
 )
 _FEW = 50
 """Failures below which that was seen: studies/results.md, 30 lives of which 21 failed."""
