@@ -10,73 +10,49 @@ import argparse
 import io
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
-from pipeline.commands import (
-    add,
-    annotate,
-    compare,
-    completion,
-    control,
-    design,
-    diagnose,
-    doctor,
-    export,
-    figure,
-    inspect,
-    layout,
-    lives,
-    nightly,
-    plan,
-    prune,
-    report,
-    schedule,
-    schema,
-    simulate,
-    sql,
-    status,
-    validate,
-    verify,
-)
-from pipeline.commands.command import FAILED, Command
 from pipeline.import_path import leave_working_folder
 from schemas.alike import ask_meant
 from schemas.errors import DealabError, UsageError
 
-_USAGE, _INTERRUPTED, _PIPE_CLOSED = 2, 130, 141
+if TYPE_CHECKING:
+    from pipeline.commands.command import Command
 
-COMMANDS: Mapping[str, Command] = {
-    command.name: command
-    for command in (
-        nightly.COMMAND,
-        sql.COMMAND,
-        report.COMMAND,
-        diagnose.COMMAND,
-        simulate.COMMAND,
-        plan.COMMAND,
-        compare.COMMAND,
-        figure.COMMAND,
-        design.COMMAND,
-        control.COMMAND,
-        layout.COMMAND,
-        lives.COMMAND,
-        export.COMMAND,
-        verify.COMMAND,
-        inspect.COMMAND,
-        add.COMMAND,
-        validate.COMMAND,
-        status.COMMAND,
-        annotate.EXCLUSION,
-        annotate.INCLUSION,
-        prune.COMMAND,
-        doctor.COMMAND,
-        schedule.COMMAND,
-        completion.COMMAND,
-        schema.COMMAND,
-    )
+_FAILED, _USAGE, _INTERRUPTED, _PIPE_CLOSED = 1, 2, 130, 141
+
+COMMANDS: Mapping[str, str] = {
+    "nightly": "the whole job over raw files and folders; what has not changed is not done again",
+    "sql": "read-only SQL on the published database",
+    "report": "rebuild the pages from the database alone",
+    "diagnose": "what the simulation gets wrong, the cause, and what mending it gains",
+    "simulate": "the virtual rig: raw recordings of a described campaign",
+    "plan": "lifetime tests: how many specimens, at which voltages, how long, and what that tells",
+    "compare": "several specimens or batches in one figure, with their differences",
+    "figure": "a figure of the pages for a paper: PDF, SVG or PNG, with its data",
+    "design": "an actuator of a fitted film: what it would do, with limits, or the sizes that a requirement needs",
+    "control": "controllers for a self-sensing specimen: PI by loop shaping, film inverse, predictive; with limits",
+    "layout": "electrodes for a film over rods that would live longer at the same force, as SVG and CSV",
+    "lives": "what the lives of a campaign depend on, with limits by simulation beside those of the likelihood",
+    "export": "a film's model for Abaqus, Ansys, COMSOL or LS-DYNA, or a lab's results as a crate",
+    "verify": "whether a crate is what it says, and whether its results come out again",
+    "inspect": "what is in a recording, whether it fits, and what is wrong with it; writes nothing but with --write",
+    "add": "drafts the mapping of a file, asks what the file does not say, and writes it beside the file",
+    "validate": "whether mappings, rig files, metadata (JSON) and recordings keep to the published formats; exit status 1 if not",
+    "status": "what is in the lab, what was refused and why, the last run",
+    "exclude": "take a recording out of the analysis; who, when and why is kept",
+    "include": "take a recording back into the analysis; who, when and why is kept",
+    "prune": "remove what the lab can do without: old samples, copies of refused files, recordings that have gone",
+    "doctor": "check the installation and the lab",
+    "schedule": "systemd units, or a line for cron, that run the nightly every night",
+    "completion": "completion of commands and options for a shell",
+    "schema": "the tables and views of the database, with units and meanings, in Markdown",
 }
-"""All commands, in the order in which `dealab --help` lists them."""
+"""What each command does, in the order in which `dealab --help` lists them.
+
+The list stands here, and not in the files of the commands, so that `--help` has to import none of them.
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -86,12 +62,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         _make_streams_usable()
     given = sys.argv[1:] if argv is None else list(argv)
     wanted = next((word for word in given if not word.startswith("-")), None)
-    parser = _make_parser(wanted)
+    parser = make_parser(() if wanted is None else (wanted,))
     if wanted is not None and wanted not in COMMANDS:
         parser.error(f'there is no command "{wanted[:80]}"{ask_meant(wanted, COMMANDS)} `dealab --help` lists all')
     arguments = parser.parse_args(given)
     try:
-        ended = COMMANDS[arguments.command].run(arguments)
+        ended = _load(arguments.command).run(arguments)
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -102,11 +78,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UsageError as error:
         return _tell(error, _USAGE)
     except DealabError as error:
-        return _tell(error, FAILED)
+        return _tell(error, _FAILED)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         print(f"dealab: {place}{error.strerror or error}", file=sys.stderr)
-        return FAILED
+        return _FAILED
     return ended
 
 
@@ -134,8 +110,16 @@ def _tell(error: DealabError, status: int) -> int:
     return status
 
 
-def _make_parser(wanted: str | None) -> argparse.ArgumentParser:
-    """The parser; of the commands only the wanted one has its arguments, since building all of them takes a while."""
+def _load(name: str) -> Command:
+    """All about the command of a name."""
+    from importlib import import_module
+
+    found: Command = import_module(f"pipeline.commands.{name}").COMMAND
+    return found
+
+
+def make_parser(wanted: Iterable[str]) -> argparse.ArgumentParser:
+    """The parser; only the wanted commands have their arguments, since loading and building all of them takes a while."""
     parser = argparse.ArgumentParser(
         prog="dealab",
         description="Laboratory data pipeline for dielectric elastomer actuators: raw recordings in; models, survival, "
@@ -147,20 +131,20 @@ def _make_parser(wanted: str | None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and end")
     parsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, command in COMMANDS.items():
-        if name != wanted:
-            parsers.add_parser(name, help=command.what)
+    for name, what in COMMANDS.items():
+        if name not in wanted:
+            parsers.add_parser(name, help=what)
             continue
+        command = _load(name)
         added = parsers.add_parser(
             name,
-            help=command.what,
-            description=f"{command.what[0].upper()}{command.what[1:]}.",
+            help=what,
+            description=f"{what[0].upper()}{what[1:]}.",
             epilog="examples:\n" + "\n".join(f"  dealab {name} {example}".rstrip() for example in command.examples),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         for add_argument in command.arguments:
             add_argument(added)
-        added.set_defaults(commands=COMMANDS)
     return parser
 
 

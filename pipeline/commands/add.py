@@ -153,8 +153,6 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
 
 
 COMMAND = Command(
-    "add",
-    "drafts the mapping of a file, asks what the file does not say, and writes it beside the file",
     ("run7.csv", "run7.csv --yes specimen_id=P-07 force.unit=mN", "run*.csv --yes rig_id=rig-a"),
     (argument("file", nargs="+", type=parse_path, metavar="FILE"), YES, REPLACE, RIGS),
     run,

@@ -36,17 +36,6 @@ def run(arguments: Namespace) -> int:
     return DONE
 
 
-EXCLUSION = Command(
-    "exclude",
-    "take a recording out of the analysis; who, when and why is kept",
-    ('VHB-03-chirp-1 --why "clamp was loose"',),
-    _ARGUMENTS,
-    run,
-)
-INCLUSION = Command(
-    "include",
-    "take a recording back into the analysis; who, when and why is kept",
-    ('VHB-03-chirp-1 --why "the clamp was not loose after all"',),
-    _ARGUMENTS,
-    run,
-)
+def make_command(example: str) -> Command:
+    """The command of one of the two, with an example of what follows its name."""
+    return Command((example,), _ARGUMENTS, run)

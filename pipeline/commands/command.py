@@ -27,19 +27,15 @@ Argument: TypeAlias = Callable[[argparse.ArgumentParser], object]
 
 
 class Command(NamedTuple):
-    """All about a command.
+    """All about a command but its name and what it does, which `pipeline.cli` lists.
 
     Parameters
     ----------
-    name : the word after `dealab`
-    what : what it does, for the list of commands
     examples : what follows the name, a line each
     arguments : its arguments
     run : runs it with the parsed arguments and returns the exit status
     """
 
-    name: str
-    what: str
     examples: tuple[str, ...]
     arguments: tuple[Argument, ...]
     run: Callable[[argparse.Namespace], int]

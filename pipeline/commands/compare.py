@@ -212,8 +212,6 @@ def lay_out(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 COMMAND = Command(
-    "compare",
-    "several specimens or batches in one figure, with their differences",
     ("PA-1 PA-2 --out pa.html", "polyacrylate silicone --out films.pdf"),
     (
         argument(

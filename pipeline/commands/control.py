@@ -24,8 +24,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "control",
-    "controllers for a self-sensing specimen: PI by loop shaping, film inverse, predictive; with limits",
     (
         "SS-1 --lab lab",
         "SS-1 --demand-pf -0.05 --force-overshoot 20",

@@ -41,8 +41,6 @@ def _size(name: str, what: str) -> Argument:
 
 
 COMMAND = Command(
-    "design",
-    "an actuator of a fitted film: what it would do, with limits, or the sizes that a requirement needs",
     (
         "PA-1 --lab lab",
         "PA-1 --voltage-kv 5 --thickness-mm 0.25 --length-mm 60 --width-mm 40 --layers 8 --strips 3 --mass-g 2",

@@ -16,8 +16,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "diagnose",
-    "what the simulation gets wrong, the cause, and what mending it gains",
     ("", "VHB-03 VHB-04 --format json"),
     (
         argument("specimen", nargs="*", metavar="SPECIMEN", help="specimens (default: all)"),

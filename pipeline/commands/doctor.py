@@ -27,4 +27,4 @@ def run(arguments: Namespace) -> int:
     return FAILED if any(finding.problem for finding in findings) else DONE
 
 
-COMMAND = Command("doctor", "check the installation and the lab", ("", "--lab /data/lab"), (LAB,), run)
+COMMAND = Command(("", "--lab /data/lab"), (LAB,), run)

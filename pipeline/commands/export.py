@@ -71,8 +71,6 @@ def _export_crate(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "export",
-    "a film's model for Abaqus, Ansys, COMSOL or LS-DYNA, or a lab's results as a crate",
     (
         "PA-1 --as abaqus --out pa1.inp",
         "PA-1 --as json",

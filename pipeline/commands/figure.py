@@ -92,8 +92,6 @@ def _list_names(exhibits: Sequence[Exhibit]) -> str:
 
 
 COMMAND = Command(
-    "figure",
-    "a figure of the pages for a paper: PDF, SVG or PNG, with its data",
     (
         "PA-3",
         "PA-3 response --out pa3.pdf",

@@ -55,8 +55,6 @@ def _goes_to_mapping(inspection: Inspection) -> bool:
 
 
 COMMAND = Command(
-    "inspect",
-    "what is in a recording, whether it fits, and what is wrong with it; writes nothing but with --write",
     ("run7.mcap", "run7.csv", "run7.csv > run7.csv.toml", "run7.csv --write"),
     (
         argument("file", nargs="+", type=parse_path, metavar="FILE"),

@@ -16,8 +16,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "layout",
-    "electrodes for a film over rods that would live longer at the same force, as SVG and CSV",
     (
         '"case 3: divided electrode, contact outside" --lab lab',
         '"case 3: divided electrode, contact outside" --design rectangles --out electrodes.svg',

@@ -16,8 +16,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "lives",
-    "what the lives of a campaign depend on, with limits by simulation beside those of the likelihood",
     ("ageing --lab lab", "ageing --lab lab --draws 5000"),
     (
         argument("campaign", metavar="CAMPAIGN", help="whose lives are meant"),

@@ -32,8 +32,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "nightly",
-    "the whole job over raw files and folders; what has not changed is not done again",
     ("raw/", "raw/ --lab /data/lab --jobs 8", "/mnt/rig1 /mnt/rig2 --rigs /data/rigs"),
     (
         RAW,

@@ -30,8 +30,6 @@ def _number(name: str, what: str, default: float | None = None) -> Argument:
 
 
 COMMAND = Command(
-    "plan",
-    "lifetime tests: how many specimens, at which voltages, how long, and what that tells",
     (
         "lifetimes --campaign ageing --lab lab --use-kv 3",
         "lifetimes --use-kv 3 --at-kv 6 --median-h 10 --exponent -10 --shape 2 --to-kv 8 --longest-h 200 --hours 3000",

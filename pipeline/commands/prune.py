@@ -26,8 +26,6 @@ def _parse_days(text: str) -> float:
 
 
 COMMAND = Command(
-    "prune",
-    "remove what the lab can do without: old samples, copies of refused files, recordings that have gone",
     ("--samples-days 365 --dry-run", "--gone --quarantine-days 90"),
     (
         argument("--samples-days", type=_parse_days, metavar="DAYS", help="samples of recordings measured earlier"),

@@ -25,8 +25,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "report",
-    "rebuild the pages from the database alone",
     ("", "--lab /data/lab", "--interactive"),
     (
         LAB,

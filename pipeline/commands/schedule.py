@@ -137,8 +137,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "schedule",
-    "systemd units, or a line for cron, that run the nightly every night",
     (
         "/data/raw --lab /data/lab --at 02:30 --out ~/.config/systemd/user",
         "/data/raw --lab /data/lab --cron",

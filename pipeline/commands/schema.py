@@ -16,8 +16,6 @@ def run(_arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "schema",
-    "the tables and views of the database, with units and meanings, in Markdown",
     ("> tables.md",),
     (),
     run,

@@ -19,8 +19,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "simulate",
-    "the virtual rig: raw recordings of a described campaign",
     (
         "thesis --out raw",
         "controller --out raw",

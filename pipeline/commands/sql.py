@@ -49,8 +49,6 @@ def _find_width() -> int | None:
 
 
 COMMAND = Command(
-    "sql",
-    "read-only SQL on the published database",
     (
         '"SELECT specimen_id, model_order FROM best_models"',
         '"SELECT * FROM survival_at(60)" --format csv > survival.csv',

@@ -15,4 +15,4 @@ def run(arguments: Namespace) -> int:
     return DONE
 
 
-COMMAND = Command("status", "what is in the lab, what was refused and why, the last run", ("",), (LAB,), run)
+COMMAND = Command(("",), (LAB,), run)

@@ -35,8 +35,6 @@ def run(arguments: Namespace) -> int:
 
 
 COMMAND = Command(
-    "validate",
-    "whether mappings, rig files, metadata (JSON) and recordings keep to the published formats; exit status 1 if not",
     ("run7.csv.toml", "rigs/rig-a.toml", "run7.json run7.mcap", "--schema mapping > mapping.schema.json"),
     (
         argument("file", nargs="*", type=parse_path, metavar="FILE"),

@@ -94,8 +94,6 @@ def _verify_raw(files: Mapping[str, bytes], raw: list[str], rigs: Path | None) -
 
 
 COMMAND = Command(
-    "verify",
-    "whether a crate is what it says, and whether its results come out again",
     ("results.zip", "results.zip --lab lab", "results.zip --raw /data/rig-a"),
     (
         argument("crate", type=parse_path, metavar="CRATE", help="a folder, .zip or .eln"),

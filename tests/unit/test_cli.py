@@ -217,6 +217,8 @@ def test_help_imports_nothing_heavy() -> None:
         "json",
         "pathlib",
         "importlib.metadata",
+        "pipeline.commands.nightly",
+        "shtab",
     )
     program = (
         "import sys, contextlib, io\nfrom pipeline.cli import main\n"

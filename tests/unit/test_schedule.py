@@ -100,7 +100,7 @@ def completed(text: str, line: str, tmp_path: Path) -> list[str]:
     (tmp_path / "dealab.bash").write_text(text)
     script = (
         f"source {tmp_path}/dealab.bash; COMP_WORDS=({' '.join(map(shlex.quote, words))}); COMP_CWORD={len(words) - 1}; "
-        '_dealab; printf "%s\\n" "${COMPREPLY[@]}"'
+        'offer=$(complete -p dealab); offer=${offer##*-F }; ${offer%% *}; printf "%s\\n" "${COMPREPLY[@]}"'
     )
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, cwd=tmp_path, check=True)
     return done.stdout.split()
