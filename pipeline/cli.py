@@ -145,6 +145,7 @@ def make_parser(wanted: Iterable[str]) -> argparse.ArgumentParser:
         )
         for add_argument in command.arguments:
             add_argument(added)
+        added.set_defaults(commands=COMMANDS, make_parser=make_parser)
     return parser
 
 

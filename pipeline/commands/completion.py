@@ -17,9 +17,7 @@ _SHELLS = ("bash", "zsh", "fish")
 def run(arguments: argparse.Namespace) -> int:
     import shtab
 
-    from pipeline.cli import COMMANDS, make_parser
-
-    parser = make_parser(COMMANDS)
+    parser = arguments.make_parser(arguments.commands)
     _offer_files(parser, shtab.FILE)
     print(shtab.complete(parser, shell=arguments.shell))
     return DONE
