@@ -35,7 +35,7 @@ from ingest.draft_times import make_time_keys
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION, TAN_DELTA
-from ingest.meanings import TIME, GuessedColumn
+from ingest.meanings import TIME, GuessedColumn, is_sensor_unit
 from ingest.notations import read_cell
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys
 from ingest.read import open_columns
@@ -56,6 +56,8 @@ _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
 _LONGEST_NAME = 60
 """Characters of a name made from that of a file: what tells its parts apart follows."""
+_LOWEST_DRIVE_V = 20.0
+"""A voltage that never goes beyond it drives no film: it is what the monitor of a high-voltage amplifier puts out (up to 10 V)."""
 _EVEN = 1e-3
 """Largest spread of the steps of a column of times, in steps, which no column of samples has."""
 
@@ -186,7 +188,7 @@ def _recording(opened: Opened) -> Draft:
     """The draft of a recording: its samples are read with what is known so far; their shape says which test it is."""
     remarks: dict[str, str] = {}
     questions: list[Question] = []
-    opened = _by_content(opened)
+    opened = _with_monitors(_by_content(opened))
     time_of = next((c for c in opened.columns if c.meaning == TIME), None)
     content: dict[str, Any] = {"kind": RECORDING, **make_format_keys(opened)}
     rate = opened.facts.get(SAMPLE_RATE)
@@ -335,6 +337,22 @@ def _by_content(opened: Opened) -> Opened:
     if not {c.meaning for c in columns} - {TIME, None}:
         _name_by_shape(columns, free, usable)
     return replace(opened, columns=tuple(columns))
+
+
+def _with_monitors(opened: Opened) -> Opened:
+    """Voltages of a few volts are those of an amplifier's monitor: how many kilovolts they stand for is not in the file."""
+    chosen = [c for c in opened.columns if c.meaning == "voltage" and not c.is_raw and is_sensor_unit(c.unit)]
+    if not chosen:
+        return opened
+    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+    try:
+        file = open_columns(opened.path, opened.format, map_each_column(mapping, chosen))
+        values = {c: read_numbers(file, c) for c in chosen}
+    except DealabError:
+        return opened
+    volts = {c: v * conversion(str(c.unit), "V").scale for c, v in values.items() if v is not None}
+    low = [c for c, v in volts.items() if np.isfinite(v).any() and np.nanmax(np.abs(v)) <= _LOWEST_DRIVE_V]
+    return replace(opened, columns=tuple(replace(c, is_raw=True) if c in low else c for c in opened.columns))
 
 
 def _name_by_shape(columns: list[GuessedColumn], free: Sequence[int], values: Mapping[int, Any]) -> None:

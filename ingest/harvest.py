@@ -38,7 +38,21 @@ _INTERVAL = (
     r"sample interval|sampling( interval| period)?$|sample period|^dt$|^delta_?[xt]$|^x_?inc(rement)?$|abtastintervall"
 )
 _RATE = r"sampl(e|ing) (rate|frequency)|^fs$|abtastrate|messrate"
-_PATTERNS = ("%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M", "%Y/%m/%d %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%d.%m.%Y", "%d-%b-%Y")
+_CLOCK = r"^(uhrzeit|time|start(ed)? ?(time|zeit)?|test time|time of day|heure|hora|ora)$"
+_CLOCK_PATTERNS = ("%H:%M:%S", "%H:%M", "%H:%M:%S.%f", "%I:%M:%S %p", "%I:%M %p")
+_NO_CLOCK = "T00:00:00"
+_NOON = "T12:00:00"
+"""Of a day without an hour: the day stays the same in nearly all zones."""
+_PATTERNS = (
+    "%m/%d/%Y %I:%M:%S %p",
+    "%m/%d/%Y %I:%M %p",
+    "%d.%m.%Y %H:%M:%S",
+    "%d.%m.%Y %H:%M",
+    "%Y/%m/%d %H:%M:%S",
+    "%d-%b-%Y %H:%M:%S",
+    "%d.%m.%Y",
+    "%d-%b-%Y",
+)
 _VALUE = re.compile(r"^\s*(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s].*)?$")
 _PAIR = re.compile(r"^\s*[#;%]?\s*(?P<key>[^:=\t;,]{1,60}?)\s*[:=\t;,]\s*(?P<value>.+)$")
 _UNIT_IN_KEY = re.compile(r"^(?P<key>.*?)\s*[\[(/]\s*(?P<unit>[^\])]+?)[\])]?$")
@@ -56,14 +70,20 @@ class Fact:
 def harvest_lines(lines: Iterable[str]) -> tuple[Fact, ...]:
     """The facts that the lines above a table say, the first of each kind."""
     found: dict[str, Fact] = {}
+    clock: Fact | None = None
     for line in lines:
         match = _PAIR.match(line.replace('"', ""))
         if match is None:
             continue
         words = " ".join(line.replace('"', "").split())[:100]
-        fact = _fact(match["key"].strip(), match["value"].strip(" ,;\t"), words)
+        key, value = match["key"].strip(), match["value"].strip(" ,;\t")
+        fact = _fact(key, value, words)
         if fact is not None:
             found.setdefault(fact.key, fact)
+        elif clock is None and re.search(_CLOCK, key.lower()):
+            clock = _hour(value, words)
+    if STARTED_AT in found:
+        found[STARTED_AT] = _with_hour(found[STARTED_AT], clock)
     return tuple(found.values())
 
 
@@ -155,6 +175,25 @@ def _moment(value: str) -> str | None:
         except ValueError:
             continue
     return None
+
+
+def _hour(value: str, words: str) -> Fact | None:
+    """A time of day as ISO 8601; None where it is none."""
+    for pattern in _CLOCK_PATTERNS:
+        try:
+            return Fact(STARTED_AT, datetime.strptime(value, pattern).time().isoformat(), words)
+        except ValueError:
+            continue
+    return None
+
+
+def _with_hour(day: Fact, clock: Fact | None) -> Fact:
+    """A day with the time of day that another line gives; noon where none does."""
+    if not day.value.endswith(_NO_CLOCK):
+        return day
+    if clock is None:
+        return Fact(STARTED_AT, day.value.replace(_NO_CLOCK, _NOON), f"{day.words} (no hour: noon)")
+    return Fact(STARTED_AT, day.value.replace(_NO_CLOCK, f"T{clock.value}"), f"{day.words} {clock.words}")
 
 
 def by_key(facts: Iterable[Fact]) -> Mapping[str, Fact]:

@@ -51,8 +51,8 @@ def mapping_schema() -> dict[str, Any]:
         "entry": {"allOf": [_refer("mapping")], "required": ["match"]},
         "channel": _table(COLUMN),
         "column": _table(TABLE_COLUMN),
-        "recording": describe_keys(RecordingMetadata, placeholders=_PLACEHOLDERS, required=False),
-        "table": describe_keys(TableMetadata, placeholders=_PLACEHOLDERS),
+        "recording": describe_keys(RecordingMetadata, placeholders=_PLACEHOLDERS, required=False, has_zone=True),
+        "table": describe_keys(TableMetadata, placeholders=_PLACEHOLDERS, has_zone=True),
     }
     folder = {"properties": {"files": {"type": "array", "items": _refer("entry")}}, "additionalProperties": False}
     return head("mapping", "Mapping of a file for dealab") | {

@@ -134,6 +134,11 @@ def is_scope(name: str) -> bool:
     )
 
 
+def is_sensor_unit(unit: str | None) -> bool:
+    """Whether a unit is that of a signal as it comes from an amplifier."""
+    return (unit or "").lower() in _SENSOR_UNITS
+
+
 _WITH_SENSOR = ("force", "displacement", "force_1", "force_2", "stress", "pressure", "temperature")
 
 

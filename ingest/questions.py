@@ -53,12 +53,22 @@ def make_unit_keys(column: GuessedColumn, questions: list[Question]) -> dict[str
     if column.is_raw:
         text = f"how many {usual} are 1 {column.unit or 'V'} of {column.column} (value = scale × volts + offset)"
         questions.append(Question(f"{label}.scale", text))
-        return {"unit": usual, "scale": None}
+        of_monitor = {"overrule_unit": True} if column.unit and is_unit_of(column.unit, usual) else {}
+        return {"unit": usual, "scale": None} | of_monitor
     if column.unit is None:
         questions.append(ask_unit(label, column, usual))
     if name == "stretch" and re.search(_STRAIN, label_column(column)):
         return {"unit": column.unit or usual, "offset": unstretched(column.unit or usual)}
     return {"unit": column.unit or usual}
+
+
+def is_unit_of(unit: str, canonical: str) -> bool:
+    """Whether a unit converts to another: volts of a monitor are none of the kilovolts that they stand for."""
+    try:
+        conversion(unit, canonical)
+    except RefusedError:
+        return False
+    return True
 
 
 def unstretched(unit: str) -> float:

@@ -23,6 +23,7 @@ _NUMBER = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*$"
 _NOTHING = {"type": "string", "pattern": r"^\s*$"}
 """A key with an empty text counts as absent."""
 _TIME = r"^\s*\d{4}-?\d{2}-?\d{2}.*([Zz]|[+-]\d{2}(:?\d{2})?)\s*$"
+_LOCAL_TIME = r"^\s*\d{4}-?\d{2}-?\d{2}"
 _SCALAR = {"type": ["string", "number", "boolean"]}
 
 
@@ -53,6 +54,7 @@ def describe_keys(
     *,
     placeholders: tuple[str, ...] = (),
     required: bool = True,
+    has_zone: bool = False,
 ) -> dict[str, Any]:
     """The schema of the keys of a class of metadata.
 
@@ -61,6 +63,7 @@ def describe_keys(
     cls : the class
     placeholders : texts that a mapping may hold in place of a value, such as `{stem}`
     required : whether keys that the class requires have to be there
+    has_zone : whether a zone may stand elsewhere, so that times need none of their own
     """
     hints = typing.get_type_hints(cls)
     fields = [f for f in dataclasses.fields(cls) if "parser" in f.metadata]
@@ -68,7 +71,7 @@ def describe_keys(
     found = {}
     for f in fields:
         meaning = f.metadata["meaning"] or meanings.get(f.name, "")
-        value = _value(f.name, hints[f.name], f.metadata["parser"], placeholders)
+        value = _value(f.name, hints[f.name], f.metadata["parser"], placeholders, _LOCAL_TIME if has_zone else _TIME)
         found[f.name] = ({"description": meaning} if meaning else {}) | value
     for name in known_keys(cls):  # the noise of each channel, which no field of its own holds
         found.setdefault(name, _number({"minimum": 0}))
@@ -77,16 +80,18 @@ def describe_keys(
     return keys | ({"required": needed} if needed else {})
 
 
-def _value(name: str, hint: object, parser: Callable[[Any], Any], placeholders: tuple[str, ...]) -> dict[str, Any]:
+def _value(
+    name: str, hint: object, parser: Callable[[Any], Any], placeholders: tuple[str, ...], time: str
+) -> dict[str, Any]:
     options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
     kind = next(option for option in options if option is not type(None))
-    forms = _forms(name, typing.get_origin(kind) or kind, parser)
+    forms = _forms(name, typing.get_origin(kind) or kind, parser, time)
     forms += [{"type": "string", "pattern": p.replace("{", r"\{").replace("}", r"\}")} for p in placeholders]
     forms.append(_NOTHING)
     return forms[0] if forms[0] == _SCALAR else {"anyOf": forms}
 
 
-def _forms(name: str, kind: object, parser: Callable[[Any], Any]) -> list[dict[str, Any]]:
+def _forms(name: str, kind: object, parser: Callable[[Any], Any], time: str) -> list[dict[str, Any]]:
     """What a value may be, asked of the parser: its choices, its least value, its pattern."""
     if kind is float:
         return list(_number(_least(parser))["anyOf"])
@@ -101,7 +106,7 @@ def _forms(name: str, kind: object, parser: Callable[[Any], Any]) -> list[dict[s
         if not _takes(parser, "-"):
             return [{"type": "string", "pattern": f"^{RECORDING_ID.pattern}$"}]
         return [_SCALAR]
-    return [{"type": "string", "pattern": _TIME}]
+    return [{"type": "string", "pattern": time}]
 
 
 def _number(limits: Mapping[str, Any]) -> dict[str, Any]:

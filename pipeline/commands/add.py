@@ -122,6 +122,9 @@ def _recognised(draft: Draft) -> str:
         about = draft.content["recording"]
         asked = f"{about['protocol']}, {about['loading']}"
         known = f"; its samples cannot be read yet: {draft.unread}" if draft.unread else ""
+        shown = f"{draft.shape.protocol}, {draft.shape.loading}"
+        if asked != shown:
+            return f"{asked}, as you say; its samples show {shown} ({draft.shape.certainty}: {draft.shape.seen}){known}"
         return f"{asked} ({draft.shape.certainty}: {draft.shape.seen}){known}"
     return f"a table of kind {draft.content['kind']}"
 

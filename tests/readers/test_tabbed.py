@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ from ingest.inspect import DAMAGED, FITS, inspect
 from ingest.lvm_reader import read_lvm
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import OPTIONS
+from ingest.mapping_schema import SCHEMAS
 from ingest.reader_kit import check_reader
 from ingest.trios_reader import read_trios
 from schemas.errors import RefusedError
@@ -27,6 +29,7 @@ HEAD = (
     f"Multi_Headings\tYes\t\nX_Columns\t{{x}}\t\nTime_Pref\tAbsolute\t\nOperator\tMira\t\nDate\t2026/03/01\t\n"
     f"Time\t14:05:00.5\t\n{END}\t\n\t\n"
 )
+from tests.helpers.json_schema import is_valid
 
 
 def segment(
@@ -121,6 +124,7 @@ def test_a_measurement_is_drafted_and_fits(tmp_path: Path) -> None:
     assert draft.content["recording"]["started_at"].startswith("2026-03-01T14:05:00.5")
     assert draft.content["recording"]["operator"] == "Mira"
     path.with_name("run.lvm.toml").write_text(draft.as_toml(), encoding="utf-8")
+    assert is_valid(tomllib.loads(draft.as_toml()), SCHEMAS["mapping"]())
     found = inspect(path)
     assert found.verdict == FITS, found.as_text()
     assert found.channels[0].rate_hz == pytest.approx(100)

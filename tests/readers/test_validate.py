@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 import schemas
+from ingest.draft import make_draft
 from ingest.mapping_schema import SCHEMAS
 from ingest.validate import validate
 from pipeline.cli import main
@@ -21,6 +23,7 @@ from tests.readers import independent_writer
 PUBLISHED = Path(schemas.__file__).parent / "published"
 TESTS = Path(__file__).resolve().parents[1]
 MAPPINGS = sorted([*TESTS.glob("real_data/*.toml"), *TESTS.glob("strangers/files/**/*.toml")])
+DATA = sorted(m.with_suffix("") for m in TESTS.glob("strangers/files/**/*.toml") if m.with_suffix("").is_file())
 GOOD = independent_writer.METADATA
 
 
@@ -35,6 +38,13 @@ def test_every_mapping_of_the_tests_keeps_to_the_schema(path: Path) -> None:
     content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     name = "rig" if path.parent.name == "rigs" else "mapping"
     assert is_valid(json.loads(json.dumps(content, default=str)), SCHEMAS[name]())
+
+
+@pytest.mark.parametrize("path", DATA, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_every_draft_keeps_to_the_schema(path: Path, tmp_path: Path) -> None:
+    """As soon as it is answered: local times whose zone stands in `[time]`, and files that have times of their own."""
+    draft = tomllib.loads(make_draft(Path(shutil.copy(path, tmp_path))).as_toml().replace('= "?"', "= 1.0"))
+    assert is_valid(json.loads(json.dumps(draft, default=str)), SCHEMAS["mapping"]())
 
 
 def test_the_examples_of_the_document_keep_to_the_schemas() -> None:

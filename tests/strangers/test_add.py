@@ -135,7 +135,7 @@ def test_a_person_says_what_channels_of_a_scope_are(tmp_path: Path) -> None:
     path.write_text("\n".join(["x-axis,CH1,CH2", "second,Volt,Volt", *rows, ""]))
     draft, _ = draft_with(path, {"CH1": "voltage", "CH2": "force"})
     columns = draft.content["columns"]
-    assert columns["voltage"] == {"column": "CH1", "unit": "kV", "scale": None}
+    assert columns["voltage"] == {"column": "CH1", "unit": "kV", "scale": None, "overrule_unit": True}
     assert {"columns.voltage.scale", "columns.force.scale"} <= {q.key for q in draft.questions}
     done = answered(draft, {"columns.voltage.scale": 6.0, "columns.force.scale": 2.0})
     assert (done.content["recording"]["protocol"], done.content["recording"]["loading"]) == ("step", "electrical")
@@ -261,3 +261,57 @@ def test_a_strain_is_a_stretch_that_counts_from_0(tmp_path: Path, unit: str, per
 )
 def test_a_recording_has_a_name_that_it_may_have(tmp_path: Path, name: str, expected: str) -> None:
     assert make_draft(write_relaxation(tmp_path / name)).content["recording"]["recording_id"] == expected
+
+
+def write_scope(path: Path, volts: float = 6.0) -> Path:
+    """A sweep on the voltage monitor of an amplifier and on a load cell, both in volts, under the labels of a scope."""
+    t = np.arange(0, 40, 0.002)
+    v = volts / 2 * (1 - np.cos(2 * np.pi * 0.5 * 10 * (10 ** (t / 40) - 1)))
+    rows = [f"{a:.4E},{b:.5f},{0.84 - 0.004 * (6 * b / volts) ** 2:.6f}" for a, b in zip(t, v, strict=True)]
+    head = [
+        "Model,MSX",
+        "Horizontal Units,S",
+        "Vertical Units,V,V",
+        "Label,HV MON,LOAD",
+        "",
+        "x-axis,CH1,CH2",
+        "Second,Volt,Volt",
+    ]
+    path.write_text("\n".join([*head, *rows, ""]))
+    return path
+
+
+def test_a_few_volts_are_those_of_a_monitor(tmp_path: Path) -> None:
+    """No film is driven by six volts: how many kilovolts one of them stands for is asked, and 1 is an answer."""
+    path = write_scope(tmp_path / "T0001.CSV")
+    draft = make_draft(path)
+    asked = {q.key: q.text for q in draft.questions}
+    assert asked["columns.voltage.scale"].startswith("how many kV are 1 Volt of CH1")
+    given = ["voltage.scale=1", "force.scale=0.5", "specimen_id=S", "film_sizes_mm=50x40x1"]
+    assert main(["add", str(path), "--yes", *given]) == 0
+    found = {c.name: (c.low, c.high) for c in inspect(path).channels}
+    assert found["voltage"][1] == pytest.approx(6.0, abs=0.01)
+    assert found["force"][0] == pytest.approx(0.348, abs=0.001)
+
+
+def test_volts_that_can_drive_a_film_are_its_voltage(tmp_path: Path) -> None:
+    draft = make_draft(write_scope(tmp_path / "T0002.CSV", volts=3000.0))
+    assert draft.content["columns"]["voltage"] == {"column": "CH1", "unit": "Volt"}
+
+
+def test_day_and_hour_in_lines_of_their_own_are_one_start(tmp_path: Path) -> None:
+    def start(*lines: str) -> str | None:
+        return next((f.value for f in harvest_lines(lines) if f.key == "started_at"), None)
+
+    assert start("Datum;11.03.2024;", "Uhrzeit;09:42:17;") == "2024-03-11T09:42:17"
+    assert start("Uhrzeit;09:42;", "Datum;11.03.2024;") == "2024-03-11T09:42:00"
+    assert start("Datum;11.03.2024;") == "2024-03-11T12:00:00", "the day stays the same in other zones"
+    assert start("Datum;11.03.2024 08:00:00", "Uhrzeit;09:42:17;") == "2024-03-11T08:00:00"
+    assert start("Run date\t4/22/2024 1:37:08 PM") == "2024-04-22T13:37:08"
+    assert start("Date\t4/22/2024") is None, "the order of day and month is not known"
+
+
+def test_an_answer_against_the_samples_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_relaxation(tmp_path / "run.csv")
+    assert main(["add", str(path), "--yes", "zone=Europe/Berlin", "protocol=cycle"]) == 0
+    assert "cycle, mechanical, as you say; its samples show step, mechanical (sure:" in capsys.readouterr().out
