@@ -19,6 +19,7 @@ from ingest.mapping_schema import SCHEMAS
 from ingest.reader_kit import check_reader
 from ingest.trios_reader import read_trios
 from schemas.errors import RefusedError
+from tests.helpers.json_schema import is_valid
 
 ALL = FileMapping("recording", None, {}, None, {}, {}, {})
 LVM = SimpleNamespace(suffixes=(".lvm",), options=OPTIONS["lvm"], read=read_lvm)
@@ -29,7 +30,6 @@ HEAD = (
     f"Multi_Headings\tYes\t\nX_Columns\t{{x}}\t\nTime_Pref\tAbsolute\t\nOperator\tMira\t\nDate\t2026/03/01\t\n"
     f"Time\t14:05:00.5\t\n{END}\t\n\t\n"
 )
-from tests.helpers.json_schema import is_valid
 
 
 def segment(
