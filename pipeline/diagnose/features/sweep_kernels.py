@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.fft
@@ -72,6 +73,14 @@ class _Cut:
     edges: Int
     kept: Bool
 
+    @property
+    def parts(self) -> Complex:
+        """(b, n) the spectrum of each band alone."""
+        parts = np.zeros((self.edges.size - 1, self.spectrum.size), dtype=complex)
+        for row, first, stop in zip(parts, self.edges[:-1], self.edges[1:], strict=True):
+            row[first:stop] = self.spectrum[first:stop]
+        return parts[self.kept]
+
 
 @dataclass(frozen=True)
 class _Windows:
@@ -83,16 +92,23 @@ class _Windows:
     order: Int
     within: Float
 
+    @property
+    def kernels(self) -> Complex:
+        """(h, n) a Hann window that turns with each harmonic."""
+        kernels = np.zeros((self.number.size, self.phase.size), dtype=complex)
+        for row, number, m in zip(kernels, self.number, self.order, strict=True):
+            a, b = self.edges[number : number + 2]
+            window = _hann(b - a)
+            row[a:b] = 2 * window * np.exp(-1j * m * self.phase[a:b]) / window.sum()
+        return kernels
+
 
 def bands_of(piece: Piece) -> Bands:
     """Bands of equal width in log frequency, as far as the sweep is long enough for that."""
     u = piece.input
     cut = _cut(piece)
     frequency = np.arange(u.size) / (u.size * piece.interval_s)
-    parts = np.zeros((cut.edges.size - 1, u.size), dtype=complex)
-    for row, first, stop in zip(parts, cut.edges[:-1], cut.edges[1:], strict=True):
-        row[first:stop] = cut.spectrum[first:stop]
-    parts = parts[cut.kept]
+    parts = cut.parts
     power = np.abs(parts) ** 2
     centre = power @ frequency / power.sum(axis=1)
     parts = scipy.fft.ifft(parts, axis=1, overwrite_x=True)
@@ -109,12 +125,7 @@ def harmonics_of(piece: Piece, bands: Bands) -> Harmonics | None:
     found = _windows(piece, bands.moment, bands.frequency)
     if found is None:
         return None
-    kernels = np.zeros((found.number.size, piece.input.size), dtype=complex)
-    for row, number, m in zip(kernels, found.number, found.order, strict=True):
-        a, b = found.edges[number : number + 2]
-        window = _hann(b - a)
-        row[a:b] = 2 * window * np.exp(-1j * m * found.phase[a:b]) / window.sum()
-    return Harmonics(_without_drift(kernels, _taper(piece)), found.order, found.within)
+    return Harmonics(_without_drift(found.kernels, _taper(piece)), found.order, found.within)
 
 
 class SweepReader:
@@ -125,7 +136,7 @@ class SweepReader:
         self._cut = _cut(piece)
         self._conjugate = self._cut.spectrum[: self._cut.edges[-1]].conj()
         self._windows = _windows(piece, moment, frequency)
-        self._taper = _taper(piece)
+        self._taper, self._moving = _taper(piece), slice(piece.start, piece.end)
         slow = polynomials(piece.input.size, _DEGREE)
         self._tapered = slow * self._taper
         if self._windows is not None:
@@ -145,6 +156,17 @@ class SweepReader:
         response, harmonic = (r - drift @ slow for r, slow in zip(self._raw(force), self._slow, strict=True))
         return np.asarray(response / self._norm), np.asarray(harmonic)
 
+    @property
+    def kernels(self) -> Float:
+        """(2 b + 2 h + 1, n) kernels of the real and imaginary parts of the responses and of the harmonics, and of the mean force while
+        the sweep moves."""
+        response = _without_drift(scipy.fft.ifft(self._cut.parts).conj() * self._taper, self._taper) / self._norm[:, None]
+        windows = np.zeros((0, self._taper.size), dtype=complex) if self._windows is None else self._windows.kernels
+        harmonic = _without_drift(windows, self._taper)
+        mean = np.zeros((1, self._taper.size))
+        mean[:, self._moving] = 1 / (self._moving.stop - self._moving.start)
+        return np.concatenate([response.real, response.imag, harmonic.real, harmonic.imag, mean])
+
     def _raw(self, force: Float) -> tuple[Complex, Complex]:
         cut, n = self._cut, force.size
         product = self._conjugate * scipy.fft.rfft(self._taper * force)[: self._conjugate.size]
@@ -155,6 +177,31 @@ class SweepReader:
         edges = found.edges
         sums: Complex = np.add.reduceat(self._turned * force[edges[0] : edges[-1]], edges[:-1] - edges[0], axis=1)
         return response, np.asarray(sums[found.order - 2, found.number])
+
+
+class SpectrumReader:
+    """What a reader makes of forces that are nothing but some bins of a spectrum: one product with weights, made when it is first asked."""
+
+    def __init__(self, reader: SweepReader, inside: slice) -> None:
+        """`inside`: the bins (B,)."""
+        self._reader, self._inside = reader, inside
+
+    def read(self, spectrum: Complex) -> Float:
+        """(2 b + 2 h + 1,) of the bins (B,) of a force's spectrum: real and imaginary parts of the responses, of the harmonics, and the
+        mean force while the sweep moves."""
+        return np.asarray(self._weights @ spectrum.view(np.float64))
+
+    @cached_property
+    def _weights(self) -> Float:
+        """(2 b + 2 h + 1, 2 B) of real and imaginary parts, which stand side by side."""
+        kernels = self._reader.kernels
+        count, seen = kernels.shape[1], scipy.fft.rfft(kernels)
+        # Every bin but the first and the one at half the rate stands for its negative frequency as well.
+        times = np.full(seen.shape[1], 2.0)
+        times[0] = 1.0
+        if count % 2 == 0:
+            times[-1] = 1.0
+        return np.ascontiguousarray((seen * (times / count))[:, self._inside]).view(np.float64)
 
 
 def _cut(piece: Piece) -> _Cut:

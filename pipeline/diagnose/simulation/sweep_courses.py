@@ -15,7 +15,7 @@ import numpy as np
 import scipy.fft
 
 from pipeline.diagnose.features.kinds import FeatureBlock
-from pipeline.diagnose.features.sweep_kernels import Piece, SweepReader
+from pipeline.diagnose.features.sweep_kernels import Piece, SpectrumReader, SweepReader
 from pipeline.diagnose.simulation.describing import Places, SweepTable
 from pipeline.diagnose.simulation.nodes import interpolation
 from pipeline.physics.rig import Rig
@@ -37,12 +37,13 @@ class SweepCourse:
         self.piece = Piece(support["piece_mm"], int(start), int(end), float(interval), float(low), float(high))
         count, f = self.piece.input.size, response.frequency_hz[: response.size // 2]
         moment = support["piece_s"] / interval
-        self.reader = SweepReader(self.piece, moment, f)
+        self._reader = SweepReader(self.piece, moment, f)
         bins = scipy.fft.rfftfreq(count, interval)
         inside = np.flatnonzero((bins >= low / _BELOW) & (bins <= high * _BEYOND))
         self._inside, self._bins = slice(int(inside[0]), int(inside[-1]) + 1), bins.size
         self._samples = scipy.fft.next_fast_len(int(np.ceil(_ROOM * inside.size)))
         self._inside_hz = bins[inside]
+        self._spectrum_reader = SpectrumReader(self._reader, self._inside)
         self._from(frequency)
         rising = np.argsort(f)
         at = np.log(bins[inside])
@@ -72,6 +73,16 @@ class SweepCourse:
     def log_hz_of_samples(self) -> Float:
         """(n,) log frequency of the input at the samples of the piece."""
         return np.asarray(np.interp(np.arange(self.piece.input.size, dtype=float), *self._passes))
+
+    def read(self, force: Float) -> Float:
+        """(2 b + 2 h + 1,) real and imaginary parts of the responses and of the harmonics, and mean, of a force over time (n,), N."""
+        response, harmonic = self._reader.read(force)
+        mean = force[self.piece.start : self.piece.end].mean()
+        return np.concatenate([response.real, response.imag, harmonic.real, harmonic.imag, [mean]])
+
+    def read_spectrum(self, spectrum: Complex) -> Float:
+        """The same of the spectrum of a force (B,), N."""
+        return self._spectrum_reader.read(spectrum)
 
     @property
     def sizes(self) -> tuple[int, float, int, int]:

@@ -136,15 +136,17 @@ class SweepFamily(MechanicalFamily):
         for sweep, added in zip(self._sweeps, passed, strict=False):
             self._shift(values, sweep, added)
         for alike in self._alike:
-            course = alike.courses.course
-            change = course.wave(np.array([passed[i].force for i in alike.number])) if passed else None
             if effect.reading:
+                course = alike.courses.course
                 (response,) = alike.courses.at_bins(_rows(linear.response, alike.state))
                 wave = course.wave(response * alike.courses.input)
-                change = self._bent(alike, wave, change, passed, effect, loads.reading_n)
-            if change is not None:
-                for number, own in zip(alike.number, change, strict=True):
-                    self._read(values, self._sweeps[number], own)
+                change = course.wave(np.array([passed[i].force for i in alike.number])) if passed else None
+                bent_by = self._bent(alike, wave, change, passed, effect, loads.reading_n)
+                seen = [self._sweeps[i].course.read(own) for i, own in zip(alike.number, bent_by, strict=True)]
+            else:
+                seen = [self._sweeps[i].course.read_spectrum(passed[i].force) for i in alike.number]
+            for number, own in zip(alike.number, seen, strict=True):
+                self._read(values, self._sweeps[number], own)
         return values
 
     def _bent(
@@ -235,17 +237,13 @@ class SweepFamily(MechanicalFamily):
             found[id(p)] = _Seen(mean, harmonic, order)
         return found
 
-    def _read(self, values: Float, sweep: _Sweep, change: Float) -> None:
-        """A change of the force over time (n,), N, into the features of a sweep."""
-        response, harmonic = sweep.course.reader.read(change)
-        values[self.spans[id(sweep.response)]] += np.concatenate([response.real, response.imag])
-        piece = sweep.course.piece
+    def _read(self, values: Float, sweep: _Sweep, seen: Float) -> None:
+        """What is read of a change of the force, as in `SweepCourse.read`, into the features of a sweep."""
+        own, of_harmonics = self.spans[id(sweep.response)], sweep.response.block.size
+        values[own] += seen[:of_harmonics]
         for p in sweep.others:
             own = self.spans[id(p)]
-            if p.block.kind == CHIRP_HARMONIC:
-                values[own] += np.concatenate([harmonic.real, harmonic.imag])
-            else:
-                values[own] += _weigh_mean(p, sweep) * change[piece.start : piece.end].mean()
+            values[own] += seen[of_harmonics:-1] if p.block.kind == CHIRP_HARMONIC else _weigh_mean(p, sweep) * seen[-1]
 
     def loads(self, physical: Physical) -> Loads:
         """Largest loads of the family as the plain film has them: what onsets are measured against."""
