@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pipeline.diagnose.features import blocks, chirp
 from pipeline.diagnose.features.kinds import CHIRP_HARMONIC, CHIRP_RESPONSE
 from pipeline.diagnose.features.reduce import reduce
-from pipeline.diagnose.features.sweep_kernels import Piece, SweepReader, bands_of, harmonics_of
+from pipeline.diagnose.features.sweep_kernels import Piece, SpectrumReader, SweepReader, bands_of, harmonics_of
 from pipeline.diagnose.search.detectable import discount_further_arms
 from pipeline.diagnose.search.extended_model import Chosen, Extended, compose_chosen
 from pipeline.diagnose.search.plain_fit import fit_plain
@@ -63,6 +63,25 @@ def test_a_reader_is_what_the_kernels_are(seed: int, rest: int, after: int, high
     else:
         wanted = harmonics.kernels @ force
         assert harmonic == pytest.approx(wanted, rel=1e-7, abs=1e-9 * np.abs(wanted).max())
+
+
+def test_a_spectrum_is_read_as_the_force_that_it_is() -> None:
+    rng, count, inside = np.random.default_rng(3), 2500, slice(5, 260)
+    t = np.arange(2000) * 1e-3
+    moved = np.concatenate([np.zeros(300), np.sin(2 * np.pi * (2 * t + 12 * t**2)), np.zeros(200)])
+    piece = Piece(moved, 300, 2300, 1e-3, 2.0, 100.0)
+    bands = bands_of(piece)
+    reader = SweepReader(piece, bands.moment, bands.frequency)
+    spectrum = rng.normal(size=255) + 1j * rng.normal(size=255)
+    whole = np.zeros(count // 2 + 1, dtype=complex)
+    whole[inside] = spectrum
+    force = np.fft.irfft(whole, count)
+    response, harmonic = reader.read(force)
+    wanted = np.concatenate([response.real, response.imag, harmonic.real, harmonic.imag, [force[300:2300].mean()]])
+    assert harmonic.size > 0
+    assert SpectrumReader(reader, inside).read(spectrum) == pytest.approx(
+        wanted, rel=1e-9, abs=1e-12 * np.abs(wanted).max()
+    )
 
 
 def film_of(truth: TrueSession) -> RelaxationModel:

@@ -160,7 +160,9 @@ class SweepReader:
     def kernels(self) -> Float:
         """(2 b + 2 h + 1, n) kernels of the real and imaginary parts of the responses and of the harmonics, and of the mean force while
         the sweep moves."""
-        response = _without_drift(scipy.fft.ifft(self._cut.parts).conj() * self._taper, self._taper) / self._norm[:, None]
+        response = (
+            _without_drift(scipy.fft.ifft(self._cut.parts).conj() * self._taper, self._taper) / self._norm[:, None]
+        )
         windows = np.zeros((0, self._taper.size), dtype=complex) if self._windows is None else self._windows.kernels
         harmonic = _without_drift(windows, self._taper)
         mean = np.zeros((1, self._taper.size))

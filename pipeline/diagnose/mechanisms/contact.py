@@ -42,17 +42,22 @@ def _slip(values: Values, variant: str) -> Effect:
         first, last = np.full((2, near.size), float(_TURNS if course.periodic else 1))
         if course.periodic and course.cycles is not None:
             first, last = (np.minimum(np.broadcast_to(c, shape[:-1]).ravel()[near], _MOST_TURNS) for c in course.cycles)
+        # In forces: `slip` of the springs that hold, `relaxing` of the arm; and in place, for these steps are many and short.
         total, slipped, relaxed = np.zeros_like(path), np.empty_like(path), np.empty_like(path)
-        slip, relaxing = np.zeros((2, near.size))
+        slip, relaxing, pull, more = np.zeros((4, near.size))
+        to_slip, to_arm = held_by * flow, arm * flow
         least, most = np.full(near.size, -held), np.full(near.size, held)
         for turn in range(1, int(np.ceil(last.max())) + 1):
-            for i, (tension, left, flows) in enumerate(zip(path, decay, flow, strict=True)):
-                relaxing = relaxing * left
-                pull = tension - held_by * slip - relaxing
-                more = (pull - np.minimum(np.maximum(pull, least), most)) * flows
-                slipped[i] = slip = slip + more
-                relaxed[i] = relaxing = relaxing + arm * more
-            lost = static * slipped + relaxed
+            for i, (tension, left, slips, loads) in enumerate(zip(path, decay, to_slip, to_arm, strict=True)):
+                relaxing = np.multiply(relaxing, left, out=relaxed[i])
+                np.subtract(tension, slip, out=pull)
+                pull -= relaxing
+                np.maximum(pull, least, out=more)
+                np.minimum(more, most, out=more)
+                pull -= more
+                slip = np.add(slip, np.multiply(pull, slips, out=more), out=slipped[i])
+                relaxing += np.multiply(pull, loads, out=more)
+            lost = static / held_by * slipped + relaxed
             total += np.where((turn >= first) & (turn <= last), path - lost, 0.0)
         out = total / (last - first + 1)
         result = wave.reshape(-1, shape[-1]).copy()

@@ -169,37 +169,43 @@ class SweepTable:
         return at.interpolated(self.stiffness)
 
     @cached_property
-    def _lists(self) -> tuple[Complex, Complex]:
-        """Factors (grid C,) and waves (grid C, 4), grid by grid."""
-        flat = self.values.reshape(-1, self.values.shape[-1])
-        return np.ascontiguousarray(flat[:, 0]), np.ascontiguousarray(flat[:, 1:])
+    def _lines(self) -> tuple[tuple[Complex, Complex], tuple[Complex, Complex]]:
+        """What factors (grid C,) and waves (grid C, 4), grid by grid, are from each amplitude u of the grid to the next: a + b u."""
+        slope = np.diff(self.values, axis=0) / _GAP[:, None, None]
+        start = self.values[:-1] - _GRID[:-1, None, None] * slope
+        lines = [v.reshape(-1, v.shape[-1]) for v in (start, slope)]
+        factors, waves = (tuple(np.ascontiguousarray(v[:, own]) for v in lines) for own in (0, slice(1, None)))
+        return (factors[0], factors[1]), (waves[0], waves[1])
 
     def factor(self, strain: Float, at: Places) -> Complex:
         """(..., T) factor of k at strain amplitudes (..., T)."""
-        return self._at(self._lists[0], strain, at, at.share)
+        return self._at(*self._lines[0], strain, at, at.share)
 
     def waves(self, strain: Float, at: Places) -> Complex:
         """(..., T, 4) mean and harmonics of the tension that the elements add, N, the strain being a cosine."""
-        return self._at(self._lists[1], strain, at, at.share[..., None]) * strain[..., None]
+        return self._at(*self._lines[1], strain, at, at.share[..., None]) * strain[..., None]
 
-    def _at(self, values: Complex, strain: Float, at: Places, share: Float) -> Complex:
+    def _at(self, start: Complex, slope: Complex, strain: Float, at: Places, share: Float) -> Complex:
         # Both columns are asked at the same strain: between them lies a resonance, and what begins at a load is a bend.
-        low, high = (self._of_column(values, strain, column) for column in (at.column, at.beside))
-        return np.asarray(low + share * (high - low))
+        low, high = (self._of_column(start, slope, strain, column) for column in (at.column, at.beside))
+        high -= low
+        high *= share
+        high += low
+        return high
 
-    def _of_column(self, values: Complex, strain: Float, column: Int) -> Complex:
+    def _of_column(self, start: Complex, slope: Complex, strain: Float, column: Int) -> Complex:
         """(..., T, …) values of columns (..., T) at strain amplitudes (..., T)."""
-        up = np.clip(strain / self.top[column], _GRID[0], _GRID[-1])
-        row = _ROW[(up * _CELLS).astype(np.int64)]
-        share = (up - _GRID[row]) / _GAP[row]
-        place = row * self.top.size + column
-        low = values.take(place, axis=0)
-        return np.asarray(low + _beside(share, values) * (values.take(place + self.top.size, axis=0) - low))
+        up = strain * self._per_top.take(column)
+        np.minimum(np.maximum(up, _GRID[0], out=up), _GRID[-1], out=up)
+        place = _ROW.take((up * _CELLS).astype(np.int64)) * self.top.size + column
+        value: Complex = slope.take(place, axis=0)
+        value *= up.reshape(up.shape + (1,) * (start.ndim - 1))
+        value += start.take(place, axis=0)
+        return value
 
-
-def _beside(share: Float, values: Complex) -> Float:
-    """Shares (...) that broadcast against what values (n, …) have at each place."""
-    return share.reshape(share.shape + (1,) * (values.ndim - 1))
+    @cached_property
+    def _per_top(self) -> Float:
+        return 1 / self.top
 
 
 def sweep_table(
