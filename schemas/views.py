@@ -187,7 +187,39 @@ ORDER BY gain DESC NULLS LAST, specimen_id""",
 
 EXAMPLES: tuple[tuple[str, str], ...] = (
     ("Which order was chosen for each specimen?", "SELECT specimen_id, model_order, warnings FROM best_models"),
+    (
+        "Which relaxation times has each film, and what stays?",
+        "SELECT specimen_id, k0_n_per_mm, k1_n_per_mm, c1_n_s_per_mm / k1_n_per_mm AS tau1_s, k2_n_per_mm,"
+        " c2_n_s_per_mm / k2_n_per_mm AS tau2_s FROM best_models",
+    ),
+    (
+        "What does a load-unload cycle take?",
+        "SELECT recording_id, cycle, loss_mj, steady_loss_mj, steady_loss_kj_per_m3, secant_n_per_mm FROM cycle_loops",
+    ),
+    (
+        "How are the temperatures of a master curve shifted, and by which law?",
+        "SELECT specimen_id, temperature_c, log10_a, log10_a_lower, log10_a_upper FROM shift_factors ORDER BY ALL",
+    ),
+    (
+        "Which constants has that law?",
+        "SELECT specimen_id, law, reference_c, c1, c1_lower, c1_upper, c2_k, c2_k_lower, c2_k_upper, energy_kj_per_mol"
+        " FROM shift_laws WHERE selected",
+    ),
+    (
+        "How much force does a voltage give near 1 Hz?",
+        "SELECT recording_id, frequency_hz, 1000 * magnitude AS mn_per_kv2, phase_deg FROM frequency_responses"
+        " WHERE quantity = 'force_per_voltage_squared_n_per_kv2' AND stage = 'measured' AND frequency_hz BETWEEN 0.8 AND 1.2",
+    ),
     ("How many live longer than 60 s, per configuration?", "SELECT * FROM survival_at(60)"),
+    (
+        "How long do films live at each voltage?",
+        "SELECT configuration, voltage_kv, specimens, failures, median_s, weibull_shape, weibull_scale_s"
+        " FROM survival_summaries",
+    ),
+    (
+        "With which power of the voltage do lives fall?",
+        "SELECT configuration, exponent, exponent_lower, exponent_upper, holds, statement FROM voltage_life",
+    ),
     (
         "What was refused, and why?",
         "SELECT source_path, problem FROM recordings WHERE status = 'quarantined'",

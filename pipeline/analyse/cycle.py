@@ -1,4 +1,4 @@
-"""A large load-unload cycle as stretch and nominal stress over time, whatever the machine gave, and its fits."""
+"""A large load-unload cycle as stretch and nominal stress over time, whatever the machine gave, its fits, and what each cycle takes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.time_domain import HELD_OUT, CycleFit, CycleFits, fit_cycle
+from pipeline.transform.loops import find_loops
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
@@ -88,6 +89,59 @@ def cycle_tables(cycle: Cycle) -> dict[str, pa.Table]:
             for fit in group.fits
         ),
     }
+
+
+def cycle_loops(recording: Recording) -> pa.Table:
+    """Table `cycle_loops` of one recording. Raises `NotIdentifiableError` where no cycle closes."""
+    about = recording.metadata
+    has_stress = {"stretch", "stress"} <= recording.channels.keys()
+    driven, answer = (
+        recording.channels[n] for n in (("stretch", "stress") if has_stress else ("displacement", "force"))
+    )
+    time, x, y = np.asarray((driven.time_ns - recording.start_ns) * 1e-9), driven.values, _at(answer, driven)
+    good = np.isfinite(x) & np.isfinite(y)
+    time, x, y = time[good], x[good], y[good]
+    section = about.undeformed_section_mm2
+    volume = None if section is None or about.film_length_mm is None else section * about.film_length_mm
+
+    def energy(value: float | None) -> float | None:
+        """A loss in mJ: N mm as recorded, or kJ/m³ of the film's volume."""
+        if value is None or not has_stress:
+            return value
+        return None if volume is None else value * volume / _KPA_PER_MPA
+
+    def density(value: float | None) -> float | None:
+        """A loss in kJ/m³ of undeformed film."""
+        if value is None or has_stress:
+            return value
+        return None if volume is None else value / volume * _KPA_PER_MPA
+
+    def only(value: float, is_there: bool) -> float | None:
+        return value if is_there else None
+
+    return TABLES["cycle_loops"].from_objects(
+        enumerate(find_loops(time, x, y), 1),
+        recording_id=about.recording_id,
+        specimen_id=about.specimen_id,
+        cycle=lambda one: one[0],
+        start_s=lambda one: float(time[one[1].first]),
+        end_s=lambda one: float(time[one[1].last]),
+        displacement_low_mm=lambda one: only(one[1].low, not has_stress),
+        displacement_high_mm=lambda one: only(one[1].high, not has_stress),
+        stretch_low=lambda one: only(one[1].low, has_stress),
+        stretch_high=lambda one: only(one[1].high, has_stress),
+        force_low_n=lambda one: only(one[1].least, not has_stress),
+        force_high_n=lambda one: only(one[1].most, not has_stress),
+        stress_low_kpa=lambda one: only(one[1].least, has_stress),
+        stress_high_kpa=lambda one: only(one[1].most, has_stress),
+        loss_mj=lambda one: energy(one[1].loss),
+        loss_kj_per_m3=lambda one: density(one[1].loss),
+        steady_loss_mj=lambda one: energy(one[1].steady_loss),
+        steady_loss_kj_per_m3=lambda one: density(one[1].steady_loss),
+        loss_share=lambda one: one[1].loss_share,
+        secant_n_per_mm=lambda one: only(one[1].secant, not has_stress),
+        secant_kpa=lambda one: only(one[1].secant, has_stress),
+    )
 
 
 def _fit_rows(group: CycleFits, time_s: Float) -> pa.Table:

@@ -14,7 +14,7 @@ from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
 from pipeline.analyse.creep import NOT_ASKED as CREEP_NOT_ASKED
 from pipeline.analyse.creep import analyse_creep
-from pipeline.analyse.cycle import cycle_fits, cycle_tables
+from pipeline.analyse.cycle import cycle_fits, cycle_loops, cycle_tables
 from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.isotonic import NOT_ASKED as ISOTONIC_NOT_ASKED
 from pipeline.analyse.isotonic import analyse_isotonic
@@ -243,6 +243,9 @@ def _cycle(analysis: Analysis, recording: Recording) -> None:
     if found is not None:
         analysis.carry(found.fits[0])
         analysis.add(cycle_tables(found))
+    loops = analysis.attempt("loops", cycle_loops, recording)
+    if loops is not None:
+        analysis.add({"cycle_loops": loops})
 
 
 def _pull(analysis: Analysis, recording: Recording) -> None:

@@ -172,6 +172,46 @@ TABLES: tuple[Table, ...] = (
         pages=("specimen",),
     ),
     Table(
+        "cycle_loops",
+        "what each load-unload cycle takes: work, loss, largest forces and secant stiffness, from one lowest displacement to the next",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            whole("cycle", "number of the cycle among those that close, from 1"),
+            real("start_s", "s", "its beginning, since the recording's first sample"),
+            real("end_s", "s", "its end"),
+            real("displacement_low_mm", "mm", "lowest displacement; NULL where the machine gives stretch and stress"),
+            real("displacement_high_mm", "mm", "highest displacement"),
+            real("stretch_low", "", "lowest stretch; NULL where the machine gives displacement and force"),
+            real("stretch_high", "", "highest stretch"),
+            real("force_low_n", "N", "lowest force as recorded"),
+            real("force_high_n", "N", "highest force as recorded"),
+            real("stress_low_kpa", "kPa", "lowest nominal stress; NULL where the machine gives force"),
+            real("stress_high_kpa", "kPa", "highest nominal stress"),
+            real("loss_mj", "mJ", "area between loading and unloading; NULL of a stress without the film's sizes"),
+            real(
+                "loss_kj_per_m3", "kJ/m³", "the same per undeformed volume; NULL where the film's sizes are not given"
+            ),
+            real(
+                "steady_loss_mj",
+                "mJ",
+                "area after the force has lost its drift from the cycle's beginning to its end: what a cycle takes once the film no"
+                " longer relaxes from one to the next; NULL where the cycle begins or ends at rest",
+            ),
+            real("steady_loss_kj_per_m3", "kJ/m³", "the same per undeformed volume"),
+            real(
+                "loss_share",
+                "",
+                "loss_mj over the work of loading from lowest to highest displacement, force as recorded",
+            ),
+            real("secant_n_per_mm", "N/mm", "range of the force over range of the displacement"),
+            real("secant_kpa", "kPa", "range of the stress over range of the stretch"),
+        ),
+        key=("recording_id", "cycle"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
         "pull_tests",
         "what a film tells that is pulled until it breaks; nominal stresses, in terms of ISO 37",
         (

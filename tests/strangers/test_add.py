@@ -215,7 +215,7 @@ def test_lines_above_a_table() -> None:
 
 
 def test_drafts_of_our_own_files_of_strangers() -> None:
-    judged = [found for case in sorted(drafts.OWN.iterdir()) for found in drafts.judge(case)]
+    judged = [found for folder in drafts.OWN for case in sorted(folder.iterdir()) for found in drafts.judge(case)]
     assert len(judged) >= 8
     assert not [(j.name, j.wrong_units, j.lost) for j in judged if j.wrong_units or j.lost]
     assert sum(bool(j.protocol) for j in judged) >= len(judged) - 1

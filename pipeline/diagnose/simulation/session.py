@@ -290,9 +290,11 @@ def make_session(
     ordered, unasked = _leave_out_unknown_noise(ordered, number, laws)
     if not any(r.blocks for r in ordered):
         raise NotIdentifiableError(
-            "no recording has features that could be simulated",
+            " ".join(
+                ["no recording has features that could be simulated", *(f"({one.rstrip('.')})" for one in unasked)]
+            ),
             where=specimens[0],
-            expected="a chirp, an sphs, steps, cycles or relaxation",
+            expected="a chirp, an sphs, steps, cycles or relaxation, with a rest that shows the noise",
         )
     start = np.array([(r.started_at - ordered[0].started_at).total_seconds() for r in ordered])
     cycles = [_count_cycles(r) for r in ordered]

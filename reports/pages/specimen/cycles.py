@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +25,12 @@ _CURVES_SQL = """SELECT model_order, time_s, stretch, measured_kpa, modelled_kpa
 FROM cycle_curves
 WHERE recording_id = $recording AND law_given = $given
 ORDER BY model_order, time_s"""
+_LOOPS_SQL = """SELECT *
+FROM cycle_loops
+WHERE specimen_id = $specimen
+ORDER BY recording_id, cycle"""
+_LOOPS = 10
+"""Cycles of a recording that are told; of more, the first and the last ones."""
 _LONG = 0.9
 """Correlation of neighbouring residuals from which what is left is called no noise."""
 _SHOWN = 4
@@ -49,6 +56,60 @@ def of_specimen(draft: Draft) -> Section | None:
     return Section(
         "cycles", _heading(best), "Large cycle", (*blocks, _table(draft, query, found), _branches(draft, query, found))
     )
+
+
+def loops_of_specimen(draft: Draft) -> Section | None:
+    """What each load-unload cycle took: the first and the last ones of many."""
+    query = Query(_LOOPS_SQL, {"specimen": draft.item})
+    found = draft.results.rows(query)
+    if not found:
+        return None
+    rows = []
+    for own in (tuple(group) for _, group in itertools.groupby(found, key=lambda r: r["recording_id"])):
+        kept = own if len(own) <= _LOOPS else (*own[: _LOOPS // 2], *own[-_LOOPS // 2 :])
+        rows += [Row(_loop_cells(draft, r)) for r in kept]
+    heads = (
+        Head("Recording"), Head("Cycle", "n"), Head("From", "n"), Head("to", "n"), Head("Largest", "n"), Head("Loss, mJ", "n"),
+        Head("without drift, mJ", "n"), Head("Loss, kJ/m³", "n"), Head("without drift, kJ/m³", "n"), Head("of the work", "n"),
+        Head("Secant", "n"),
+    )  # fmt: skip
+    below = (
+        "From one lowest displacement (mm, or stretch) to the next. Loss: the area between loading and unloading; without drift: after the"
+        " force has lost what it changes from a cycle’s beginning to its end, which is relaxation from cycle to cycle and no loss of each."
+        " Of the work: loss over the work of loading, force as recorded. Largest: force in N, or stress in kPa; secant: its range over that"
+        " of the displacement."
+    )
+    table = Table("Load–unload cycles", heads, tuple(rows), query.shown(), below=below, kind="narrow")
+    return Section("loops", _loops_heading(found), "Cycles", (table,))
+
+
+def _loop_cells(draft: Draft, r: Record) -> tuple[Piece, ...]:
+    by_force = r["force_high_n"] is not None
+    low, high, most, secant, unit = (
+        ("displacement_low_mm", "displacement_high_mm", "force_high_n", "secant_n_per_mm", "N/mm")
+        if by_force
+        else ("stretch_low", "stretch_high", "stress_high_kpa", "secant_kpa", "kPa")
+    )
+    numbers = (r[k] for k in (low, high, most, "loss_mj", "steady_loss_mj", "loss_kj_per_m3", "steady_loss_kj_per_m3"))
+    return (
+        draft.site.recording(r["recording_id"]),
+        str(r["cycle"]),
+        *(ABSENT if v is None else significant(v, 4) for v in numbers),
+        ABSENT if r["loss_share"] is None else percent(r["loss_share"]),
+        with_unit(significant(r[secant], 3), unit),
+    )
+
+
+def _loops_heading(found: Sequence[Record]) -> str:
+    """The loss of the last cycles that are steady, else of the first one."""
+    for key, unit in (("loss_mj", "mJ"), ("loss_kj_per_m3", "kJ/m³")):
+        steady = [float(r[f"steady_{key}"]) for r in found if r[f"steady_{key}"] is not None]
+        if len(steady) > 1:
+            return f"A cycle takes {with_unit(significant(float(np.median(steady)), 3), unit)} once it is steady"
+        whole = [float(r[key]) for r in found if r[key] is not None]
+        if whole:
+            return f"The first cycle takes {with_unit(significant(whole[0], 3), unit)}"
+    return "What the cycles take"
 
 
 def _missed(groups: dict[tuple[str, bool], list[Record]], recording: str) -> float:

@@ -147,12 +147,14 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         if has("permittivities"):
             candidates.append(permittivity.section(draft))
         candidates.append(unused.section(draft))
-    elif recorded("cycle_fits") and chosen and chosen["method"] == "time_domain":
-        candidates.append(cycles.of_specimen(draft))
-    else:
+    elif not recorded("cycle_fits") or not chosen or chosen["method"] != "time_domain":
         candidates.append(relaxing.of_specimen(draft, recordings, chosen))
         if chosen:
             candidates += [models.order(draft, fits, chosen), models.parameters(draft, fits, chosen, standing.stated)]
+    if recorded("cycle_fits"):
+        candidates.append(cycles.of_specimen(draft))
+    if recorded("cycle_loops"):
+        candidates.append(cycles.loops_of_specimen(draft))
     if recorded("creep_tests"):
         candidates.append(creeping.of_specimen(draft))
     if recorded("isotonic_tests"):

@@ -1,0 +1,86 @@
+"""What load-unload cycles take, against closed forms of linear films and areas known by construction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.transform.loops import find_loops
+from schemas.errors import NotIdentifiableError
+
+RATE, SPEED, HALF = 50.0, 3.0, 6.0
+PERIOD = 4 * HALF / SPEED
+
+
+def triangles(count: int, start: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times, and a ramp from 0 to the middle, a hold of 120 s, so many triangles round it and a hold."""
+    corners_x = [0.0, start, start, *[start + HALF, start - HALF] * count, start, start]
+    times = [0.0, start / 5, start / 5 + 120]
+    times.append(times[-1] + HALF / SPEED)
+    times += [times[-1] + 2 * HALF / SPEED * (i + 1) for i in range(2 * count - 1)]
+    times += [times[-1] + HALF / SPEED, times[-1] + HALF / SPEED + 3]
+    t = np.arange(0, times[-1], 1 / RATE)
+    return t, np.interp(t, times, corners_x)
+
+
+def maxwell(t: np.ndarray, x: np.ndarray, stiffness: float, tau: float) -> np.ndarray:
+    """Force of a spring and a dashpot in line under straight movements between the samples, exactly."""
+    left = np.exp(-np.diff(t) / tau)
+    force = np.zeros(t.size)
+    for i in range(1, t.size):
+        force[i] = force[i - 1] * left[i - 1] + stiffness * (x[i] - x[i - 1]) / (t[i] - t[i - 1]) * tau * (
+            1 - left[i - 1]
+        )
+    return force
+
+
+def steady_loss(stiffness: float, tau: float) -> float:
+    """Loss of one arm in a steady triangle, in closed form: 2 A 2 k τ v (1 − (4 τ/T) tanh(T/4τ))."""
+    return 4 * HALF * stiffness * tau * SPEED * (1 - 4 * tau / PERIOD * np.tanh(PERIOD / (4 * tau)))
+
+
+def test_the_steady_loss_of_a_linear_film_is_that_of_the_closed_form() -> None:
+    """A slow arm still relaxes under the mean: its drift adds 5 % to the area of each cycle, and is none of the loss."""
+    t, x = triangles(10, 20.0)
+    film = 0.025 * x + maxwell(t, x, 0.030, 4.0) + maxwell(t, x, 0.015, 150.0)
+    noise = np.random.default_rng(35).normal(0, 0.0016, t.size)
+    found = find_loops(t, x, film + noise + 0.003)
+    expected = steady_loss(0.030, 4.0) + steady_loss(0.015, 150.0)
+    assert expected == pytest.approx(0.6642, abs=2e-4)
+    assert len(found) == 9
+    steady = [loop.steady_loss for loop in found[2:]]
+    assert np.mean(steady) == pytest.approx(expected, rel=0.006)
+    assert np.mean([loop.loss for loop in found[2:]]) > 1.03 * expected
+    assert [loop.low for loop in found] == pytest.approx([14.0] * 9, abs=0.1)
+    assert found[4].secant == pytest.approx(0.068, abs=0.001)
+    assert found[0].loss_share == pytest.approx(0.087, abs=0.004)
+
+
+def test_one_cycle_from_rest_to_rest_is_taken_as_it_is() -> None:
+    x = np.concatenate([np.zeros(40), np.linspace(0, 10, 500), np.linspace(10, 0, 500)[1:], np.zeros(40)])
+    t = np.arange(x.size) / RATE
+    up = np.arange(x.size) < 540
+    (loop,) = find_loops(t, x, np.where(up, 2.0, 1.0) * x)
+    assert loop.loss == pytest.approx(50.0, rel=0.01)
+    assert loop.work == pytest.approx(100.0, rel=0.01)
+    assert loop.steady_loss is None
+    assert (loop.least, loop.most) == (0.0, 20.0)
+
+
+def test_growing_cycles_are_each_one() -> None:
+    x = np.concatenate([np.interp(np.arange(400), [0, 200, 400], [0, top, 0]) for top in (2, 4, 8)])
+    found = find_loops(np.arange(x.size) / RATE, x, x**2)
+    assert [round(loop.high, 6) for loop in found] == [2.0, 4.0, 8.0]
+    assert [loop.loss for loop in found] == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("x", [np.linspace(0, 5, 200), np.zeros(50), np.empty(0), np.minimum(np.arange(200), 100.0)])
+def test_what_does_not_come_back_is_no_cycle(x: np.ndarray) -> None:
+    with pytest.raises(NotIdentifiableError, match="come back"):
+        find_loops(np.arange(x.size) / RATE, x, x)
+
+
+def test_an_approach_and_a_last_way_home_are_no_cycles() -> None:
+    t, x = triangles(1, 20.0)
+    with pytest.raises(NotIdentifiableError):
+        find_loops(t, x, x)
