@@ -276,9 +276,31 @@ def _ask_start(
             content.setdefault("time", {})["zone"] = "UTC"
             questions.append(Question("time.zone", "time zone of the clock that wrote the date", "UTC"))
         return
+    own = _own_start(opened)
+    if own is not None:
+        about[STARTED_AT] = own
+        remarks[f"recording.{STARTED_AT}"] = "the start of its samples, as the file has it"
+        return
     changed = datetime.fromtimestamp(int(opened.path.stat().st_mtime), UTC).isoformat()
     about[STARTED_AT] = changed
     questions.append(Question(f"recording.{STARTED_AT}", "start of the test (this is the file's last change)", changed))
+
+
+def _own_start(opened: Opened) -> str | None:
+    """When the first samples begin in a file that gives them times of its own (TDMS, MDF); None where it does not say."""
+    if not opened.has_own_time:
+        return None
+    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+    starts: list[int] = []
+    try:
+        file = open_columns(opened.path, opened.format, map_each_column(mapping, opened.columns))
+        for column in opened.columns:
+            own = file.own_time(column.column)
+            if own is not None and own.start_ns is not None and own.elapsed_s.size:
+                starts.append(own.start_ns + round(float(own.elapsed_s[0]) * 1e9))
+    except DealabError:
+        return None
+    return datetime.fromtimestamp(min(starts) // 1000 / 1e6, UTC).isoformat() if starts else None
 
 
 def _shape(opened: Opened, content: Mapping[str, Any]) -> tuple[Shape, str]:

@@ -199,7 +199,7 @@ def _open_arrays(path: Path, found: str, said: Mapping[str, str]) -> Opened:
     about += [f'"{name}": {" × ".join(map(str, file.shape(name)))}' for name in names if isinstance(file, ArrayFile)]
     is_hdf5 = found == "hdf5" or (found == "matlab" and path.read_bytes()[:4] == b"\x89HDF")
     facts = by_key(harvest_hdf5(path)) if is_hdf5 else {}
-    own_time = found in ("tdms", "uff")
+    own_time = found in ("tdms", "uff", "mdf")
     return Opened(path, found, {}, tuple(columns), (), facts, tuple(about), own_time)
 
 

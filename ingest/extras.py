@@ -5,6 +5,7 @@ from __future__ import annotations
 EXTRAS = {
     "cluster": ("distributed",),
     "hdf5": ("h5py",),
+    "mdf": ("asammdf",),
     "remote": ("fsspec", "s3fs"),
     "tdms": ("nptdms",),
     "uff": ("pyuff",),

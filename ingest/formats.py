@@ -24,9 +24,7 @@ UNREAD: Mapping[str, str] = {
     ".nc": "export it as HDF5 or CSV",
     **dict.fromkeys((".prn", ".tab"), 'text: a mapping with format = "csv" reads it'),
     **dict.fromkeys((".tdm", ".tdx"), "export it as TDMS"),
-    **dict.fromkeys(
-        (".mf4", ".mdf", ".dxd", ".wfm", ".isf", ".trc", ".sie", ".bin", ".raw"), "export it as CSV, MAT or HDF5"
-    ),
+    **dict.fromkeys((".dxd", ".wfm", ".isf", ".trc", ".sie", ".bin", ".raw"), "export it as CSV, MAT or HDF5"),
     **dict.fromkeys((".json", ".jsonl", ".xml", ".db3", ".bag", ".sqlite", ".db"), "export it as CSV or MCAP"),
 }
 """Endings of files that often hold measurements and that no reader of ours takes, with what to do about them."""

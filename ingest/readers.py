@@ -82,6 +82,12 @@ def _numpy() -> Read:
     return read_numpy
 
 
+def _mdf() -> Read:
+    from ingest.mdf_reader import read_mdf
+
+    return read_mdf
+
+
 def _lvm() -> Read:
     from ingest.lvm_reader import read_lvm
 
@@ -107,6 +113,7 @@ _OURS: Mapping[str, Callable[[], Read]] = {
     "hdf5": _hdf5,
     "tdms": _tdms,
     "uff": _uff,
+    "mdf": _mdf,
     "lvm": _lvm,
     "trios": _trios,
     "arrow": _arrow,

@@ -315,3 +315,18 @@ def test_an_answer_against_the_samples_is_told(tmp_path: Path, capsys: pytest.Ca
     path = write_relaxation(tmp_path / "run.csv")
     assert main(["add", str(path), "--yes", "zone=Europe/Berlin", "protocol=cycle"]) == 0
     assert "cycle, mechanical, as you say; its samples show step, mechanical (sure:" in capsys.readouterr().out
+
+
+def test_files_with_times_of_their_own_say_when_they_began(tmp_path: Path) -> None:
+    """The file's last change stood there, and the night told the two apart as damage."""
+    nptdms = pytest.importorskip("nptdms")
+    t = np.arange(800) / 100
+    start = np.datetime64("2026-03-01T13:05:00")
+    about = {"wf_increment": 0.01, "wf_start_offset": 0.0, "wf_start_time": start}
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as writer:
+        for name, unit, values in (("Weg", "mm", np.sin(3 * t)), ("Kraft", "N", 0.2 * np.sin(3 * t))):
+            channel = nptdms.ChannelObject("rig", name, values, properties={**about, "unit_string": unit})
+            writer.write_segment([channel])
+    draft = make_draft(tmp_path / "run.tdms")
+    assert draft.content["recording"]["started_at"] == "2026-03-01T13:05:00+00:00"
+    assert [q.key for q in draft.questions] == ["recording.specimen_id"]

@@ -30,6 +30,7 @@ _NAMED_BY = {
     "excel": "name in the header, or number from A = 0",
     "matlab": "variable, `structure.field`, or `ch(2).data` of a structure array; `index` is the column of a matrix",
     "hdf5": "path of a dataset, `group/dataset`, or `dataset/field` of a table; `index` is the column of a matrix",
+    "mdf": "name of the channel, or `group/channel` (groups from 0) where several have it",
     "tdms": "`group/channel`, or the channel where `[tdms]` has the group",
     "lvm": "name of the channel; `X_Value` is its column of times where it has one",
     "trios": 'name of the variable; `step` is the name of the step (no ending of its own: `format = "trios"`)',

@@ -231,9 +231,9 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_a_night_over_formats_that_are_not_read_names_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "raw").mkdir()
-    (tmp_path / "raw" / "run.mf4").write_bytes(b"x")
+    (tmp_path / "raw" / "run.wfm").write_bytes(b"x")
     assert main(["nightly", str(tmp_path / "raw"), "--lab", str(tmp_path / "lab")]) == 1
-    assert "run.mf4: a format that is not read: passed over; export it as CSV, MAT or HDF5" in capsys.readouterr().err
+    assert "run.wfm: a format that is not read: passed over; export it as CSV, MAT or HDF5" in capsys.readouterr().err
 
 
 class Terminal(io.StringIO):
