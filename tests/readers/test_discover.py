@@ -314,7 +314,7 @@ def test_safe_names(name: str) -> None:
     assert entry_name(Path("/x") / "a") == entry_name(Path("/x") / "a")
 
 
-@pytest.mark.parametrize("name", ["run.mat.gz", "run.nc", "run.PRN", "run.mf4"])
+@pytest.mark.parametrize("name", ["run.mat.gz", "run.nc", "run.PRN", "run.wfm"])
 def test_a_format_that_is_not_read_is_named(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"1,2\n")
     (tmp_path / "photo.jpg").write_bytes(b"x")
