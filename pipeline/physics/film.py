@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +47,14 @@ class RelaxationModel:
     def __post_init__(self) -> None:
         if len(self.k) != len(self.tau):
             raise ValueError(f"{len(self.k)} springs but {len(self.tau)} relaxation times")
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Made once: films are looked up far more often than they are made."""
+        return hash((self.k0, self.k, self.tau, self.c_inf))
 
     @property
     def order(self) -> int:
@@ -100,14 +109,19 @@ def stiffnesses(models: Sequence[RelaxationModel], frequency_hz: ArrayLike) -> C
     """
     omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
 
-    def column(values: Iterable[float]) -> Float | float:
-        found = list(values)  # of a single film as a number, which is quicker
-        return found[0] if len(found) == 1 else np.array(found).reshape(-1, *[1] * omega.ndim)
+    def column(values: Iterable[float]) -> Float:
+        return np.array(list(values)).reshape(-1, *[1] * omega.ndim)
 
+    first = models[0]
+    k0: Float | float = first.k0
+    c_inf: Float | float = first.c_inf
+    arms: list[tuple[Float | float, Float | float]] = list(zip(first.k, first.tau, strict=True))
+    if len(models) > 1:  # a single film has numbers in place of columns, which is quicker
+        k0, c_inf = column(m.k0 for m in models), column(m.c_inf for m in models)
+        arms = [(column(m.k[i] for m in models), column(m.tau[i] for m in models)) for i in range(len(first.k))]
     total = np.empty((len(models), *omega.shape), dtype=complex)
-    total.real, total.imag = column(m.k0 for m in models), omega * column(m.c_inf for m in models)
-    for i in range(len(models[0].k)):
-        k, tau = column(m.k[i] for m in models), column(m.tau[i] for m in models)
+    total.real, total.imag = k0, omega * c_inf
+    for k, tau in arms:
         # In parts, for a complex division costs more than all the rest of it.
         turn = omega * tau
         loss = k * turn / (1 + turn**2)

@@ -48,6 +48,7 @@ class Remembered:
         self._bends = bool(inputs.effect & {"tension", "reading"})
         self._hidden = {name: float("nan") for name in _MATERIAL if name not in inputs.physical}
         self._known: OrderedDict[tuple[object, ...], Float] = OrderedDict()
+        self._last: tuple[object, Effect] = None, Effect()
 
     def __call__(self, physical: Physical, effect: Effect, loads: Loads | None) -> Float:
         """Features (rows,) of the family, not to be changed; `loads` where the effect has elements or readings."""
@@ -84,7 +85,9 @@ class Remembered:
         return Physical(**{**vars(physical), **self._hidden})
 
     def _felt(self, seen: Any) -> Effect:
-        return Effect(**dict(zip(self._functions, seen, strict=True)))
+        if self._last[0] != seen:  # a search asks for many films under one effect
+            self._last = seen, Effect(**dict(zip(self._functions, seen, strict=True)))
+        return self._last[1]
 
     def _keep(self, key: tuple[object, ...], values: Float) -> None:
         self._known[key] = values
