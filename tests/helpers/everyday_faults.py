@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from pipeline.diagnose.faults.fault import Correction
 from schemas.recording import Channel, Recording
 
 Recordings = Sequence[Recording]
@@ -26,12 +28,16 @@ class Edit:
     """A fault: the id that should be said, the recordings it is in (none: all of the session), and how it comes about.
 
     `instead`: other ids that say the same of these recordings, since nothing in them tells the difference.
+    `key`, `proposed`: what would put it right, and its value, over that which is written now where there is one; no key where nothing
+    that is written would.
     """
 
     cause: str
     chosen: Callable[[Recordings], tuple[int, ...]]
     edit: Callable[[Recording], Recording]
     instead: tuple[str, ...] = ()
+    key: str = ""
+    proposed: float = 1.0
 
     def __call__(self, recordings: Recordings) -> list[Recording]:
         """The session with the fault."""
@@ -41,6 +47,15 @@ class Edit:
     def culprits(self, recordings: Recordings) -> tuple[str, ...]:
         """Ids of the recordings with the fault."""
         return tuple(recordings[i].metadata.recording_id for i in self.chosen(recordings))
+
+    def is_put_right(self, correction: Correction) -> bool:
+        """Whether a correction is the one that would put it right."""
+        if correction.key != self.key:
+            return False
+        proposed = float(correction.value_proposed) / float(correction.value_now or 1.0)
+        if self.key.endswith("time_scale"):
+            return abs((proposed - 1) / (self.proposed - 1) - 1) < 0.1
+        return abs(proposed / self.proposed - 1) < 0.03
 
 
 def change_channel(recording: Recording, quantity: str, change: Callable[[Values], Values]) -> Recording:
@@ -136,6 +151,21 @@ def from_seventh(recordings: Recordings) -> tuple[int, ...]:
     return tuple(range(6, len(recordings)))
 
 
+def sines(recordings: Recordings) -> tuple[int, ...]:
+    return tuple(i for i in mechanical(recordings) if recordings[i].metadata.protocol == "cyclic")
+
+
+def from_fifth(recordings: Recordings) -> tuple[int, ...]:
+    return tuple(range(4, len(recordings)))
+
+
+def with_large_force(recordings: Recordings) -> tuple[int, ...]:
+    """Mechanical tests in which the force swings by a fifth of the largest swing or more."""
+    own = mechanical(recordings)
+    swing = [float(np.ptp(recordings[i].channels["force"].values)) for i in own]
+    return tuple(i for i, size in zip(own, swing, strict=True) if size > 0.2 * max(swing))
+
+
 def pick(protocol: str, loading: str, number: int) -> Callable[[Recordings], tuple[int, ...]]:
     """The recording of a protocol with that number among its like, from 0."""
 
@@ -160,28 +190,89 @@ def multiply(quantity: str, factor: float) -> Callable[[Recording], Recording]:
 
 SWEEP = pick("chirp", "mechanical", 1)
 FIRST_SWEEP = pick("chirp", "mechanical", 0)
+LAST_SWEEP = pick("chirp", "mechanical", -1)
 SINE = pick("cyclic", "mechanical", 0)
 LARGEST_SINE = pick("cyclic", "mechanical", -1)
 MULTISINE = pick("sphs", "electrical", 0)
+Chosen = Callable[[Recordings], tuple[int, ...]]
+
+
+def scaled(cause: str, chosen: Chosen, quantity: str, factor: float) -> Edit:
+    """A channel that is recorded a factor too large."""
+    return Edit(cause, chosen, multiply(quantity, factor), key=f"columns.{quantity}.scale", proposed=1 / factor)
+
+
+def timed(chosen: Chosen, factor: float) -> Edit:
+    """A clock that claims a factor too much time."""
+    return Edit(
+        "sample_rate_wrong", chosen, partial(change_clock, factor=factor), key="time.scale", proposed=1 / factor
+    )
+
+
+def drifting(chosen: Chosen, drift: float) -> Edit:
+    """A force whose clock runs fast against that of the input."""
+    return Edit(
+        "clock_drift", chosen, partial(drift_clock, quantity="force", drift=drift),
+        key="columns.force.time_scale", proposed=1 - drift,
+    )  # fmt: skip
+
+
+def delayed(chosen: Chosen, seconds: float) -> Edit:
+    """A force that is stamped late."""
+    late = partial(offset_clock, quantity="force", seconds=seconds)
+    return Edit("channel_skew", chosen, late, key="columns.force.delay_s", proposed=seconds)
+
+
+def read_otherwise(chosen: Chosen, share: float) -> Edit:
+    """A force that is read with another gain."""
+    return Edit(
+        "gain_error", chosen, lambda r: change_channel(r, "force", scale_signal(share)),
+        key="columns.force.scale", proposed=1 / share,
+    )  # fmt: skip
+
+
+def filed(**factors: float) -> Edit:
+    """A rig's file with a constant a factor too large."""
+    ((key, factor),) = factors.items()
+    return Edit("rig_constants", all_of, lambda r: change_rig(r, **factors), key=f"rig.{key}", proposed=1 / factor)
+
+
+def stated(cause: str, chosen: Chosen, *, instead: tuple[str, ...] = (), **factors: float) -> Edit:
+    """Metadata that are a factor too large; the first of them is what is to be put right."""
+    key, factor = next(iter(factors.items()))
+    return Edit(cause, chosen, lambda r: change_metadata(r, **factors), instead, key=key, proposed=1 / factor)
+
 
 EDITS: Mapping[str, Edit] = {
-    "force of one sweep in mN": Edit("unit_slip", SWEEP, multiply("force", 1e3)),
-    "force of one sweep in kN": Edit("unit_slip", FIRST_SWEEP, multiply("force", 1e-3)),
-    "force of a sine in kgf": Edit("unit_slip", SINE, multiply("force", 1 / STANDARD_GRAVITY)),
-    "force of all in kgf": Edit("unit_slip", all_of, multiply("force", 1 / STANDARD_GRAVITY)),
-    "displacement of one sweep doubled": Edit("unit_slip", SWEEP, multiply("displacement", 2.0)),
-    "displacement of a sine in cm": Edit("unit_slip", SINE, multiply("displacement", 0.1)),
-    "voltage of one multisine as effective value": Edit("unit_slip", MULTISINE, multiply("voltage", 0.5 / 2**0.5)),
-    "force of one sweep with its sign flipped": Edit("sign_flipped", SWEEP, multiply("force", -1.0)),
-    "force of one multisine with its sign flipped": Edit("sign_flipped", MULTISINE, multiply("force", -1.0)),
+    "force of one sweep in mN": scaled("unit_slip", SWEEP, "force", 1e3),
+    "force of one sweep in kN": scaled("unit_slip", FIRST_SWEEP, "force", 1e-3),
+    "force of a sine in kgf": scaled("unit_slip", SINE, "force", 1 / STANDARD_GRAVITY),
+    "force of all in kgf": scaled("unit_slip", all_of, "force", 1 / STANDARD_GRAVITY),
+    "force of all doubled": scaled("unit_slip", all_of, "force", 2.0),
+    "force of all halved": scaled("unit_slip", all_of, "force", 0.5),
+    "force of all in mN": scaled("unit_slip", all_of, "force", 1e3),
+    "displacement of one sweep doubled": scaled("unit_slip", SWEEP, "displacement", 2.0),
+    "displacement of a sine in cm": scaled("unit_slip", SINE, "displacement", 0.1),
+    "voltage of one multisine as effective value": scaled("unit_slip", MULTISINE, "voltage", 0.5 / 2**0.5),
+    "force of one sweep with its sign flipped": scaled("sign_flipped", SWEEP, "force", -1.0),
+    "force of one multisine with its sign flipped": scaled("sign_flipped", MULTISINE, "force", -1.0),
+    "force of all with its sign flipped": scaled("sign_flipped", all_of, "force", -1.0),
+    "displacement of all with its sign flipped": scaled("sign_flipped", all_of, "displacement", -1.0),
     "channels of one sweep swapped": Edit("channels_swapped", SWEEP, swap_channels),
     "channels of a sine swapped": Edit("channels_swapped", SINE, swap_channels),
-    "clock of one sweep 5 % off": Edit("sample_rate_wrong", SWEEP, lambda r: change_clock(r, 1.05)),
-    "sample rate of one sweep halved": Edit("sample_rate_wrong", SWEEP, lambda r: change_clock(r, 2.0)),
-    "clock of all mechanical tests 5 % off": Edit("sample_rate_wrong", mechanical, lambda r: change_clock(r, 1.05)),
-    "clock of the force 200 ppm fast in one sweep": Edit("clock_drift", SWEEP, lambda r: drift_clock(r, "force", 2e-4)),
-    "clock of the force 60 ppm fast in all": Edit("clock_drift", all_of, lambda r: drift_clock(r, "force", 6e-5)),
-    "force of one sweep 2 ms late": Edit("channel_skew", SWEEP, lambda r: offset_clock(r, "force", 2e-3)),
+    "channels of all mechanical tests swapped": Edit("channels_swapped", mechanical, swap_channels),
+    "clock of one sweep 5 % off": timed(SWEEP, 1.05),
+    "sample rate of one sweep halved": timed(SWEEP, 2.0),
+    "clock of all mechanical tests 5 % off": timed(mechanical, 1.05),
+    "clock of one multisine 6 % off": timed(MULTISINE, 0.94),
+    "clock of all tests 6 % off": timed(all_of, 0.94),
+    "clock of the force 200 ppm fast in one sweep": drifting(SWEEP, 2e-4),
+    "clock of the force 100 ppm slow in the first sweep": drifting(FIRST_SWEEP, -1e-4),
+    "clock of the force 100 ppm fast in the last sweep": drifting(LAST_SWEEP, 1e-4),
+    "clock of the force 80 ppm slow in one multisine": drifting(MULTISINE, -8e-5),
+    "clock of the force 60 ppm fast in all": drifting(all_of, 6e-5),
+    "force of one sweep 2 ms late": delayed(SWEEP, 2e-3),
+    "force of all sweeps 4.5 ms late": delayed(sweeps, 4.5e-3),
     "one sine clipped at 60 %": Edit(
         "sensor_saturation", LARGEST_SINE, lambda r: change_channel(r, "force", clip(0.6))
     ),
@@ -189,8 +280,6 @@ EDITS: Mapping[str, Edit] = {
     "displacement of one sine clipped at 60 %": Edit(
         "sensor_saturation", LARGEST_SINE, lambda r: change_channel(r, "displacement", clip(0.6))
     ),
-    "force of all with its sign flipped": Edit("sign_flipped", all_of, multiply("force", -1.0)),
-    "displacement of all with its sign flipped": Edit("sign_flipped", all_of, multiply("displacement", -1.0)),
     "force of one sweep drops out": Edit(
         "dead_channel", SWEEP, lambda r: change_channel(r, "force", drop_out(0.4, 0.45))
     ),
@@ -199,12 +288,6 @@ EDITS: Mapping[str, Edit] = {
         "dead_channel",
         SINE,
         lambda r: change_channel(r, "force", lambda v: np.resize(v[: max(v.size // 40, 8)], v.size)),
-    ),
-    "force read 0.8 times from the seventh recording on": Edit(
-        "gain_error", from_seventh, lambda r: change_channel(r, "force", scale_signal(0.8))
-    ),
-    "film clamped anew from the seventh recording on": Edit(
-        "specimen_changed", from_seventh, lambda r: change_channel(r, "force", scale_motion(0.8))
     ),
     "displacement of a sine nothing but noise": Edit(
         "dead_channel",
@@ -216,24 +299,21 @@ EDITS: Mapping[str, Edit] = {
     "voltage of one multisine lost for a while": Edit(
         "dead_channel", MULTISINE, lambda r: change_channel(r, "voltage", drop_out(0.5, 0.6))
     ),
-    "clock of one multisine 6 % off": Edit("sample_rate_wrong", MULTISINE, lambda r: change_clock(r, 0.94)),
-    "clock of all tests 6 % off": Edit("sample_rate_wrong", all_of, lambda r: change_clock(r, 0.94)),
-    "force of all sweeps 4.5 ms late": Edit("channel_skew", sweeps, lambda r: offset_clock(r, "force", 4.5e-3)),
-    "force of all halved": Edit("unit_slip", all_of, multiply("force", 0.5)),
-    "clamp mass ten times": Edit("rig_constants", all_of, lambda r: change_rig(r, clamp_mass_kg=10.0)),
-    "clamp mass in g": Edit("rig_constants", all_of, lambda r: change_rig(r, clamp_mass_kg=1e3)),
-    "load cell's stiffness ten times": Edit(
-        "rig_constants", all_of, lambda r: change_rig(r, load_cell_stiffness_n_per_mm=10.0)
+    "force read 0.8 times from the seventh recording on": read_otherwise(from_seventh, 0.8),
+    "force read 0.92 times from the fifth recording on": read_otherwise(from_fifth, 0.92),
+    "force read 1.04 times where it is large": read_otherwise(with_large_force, 1.04),
+    "film clamped anew from the seventh recording on": Edit(
+        "specimen_changed", from_seventh, lambda r: change_channel(r, "force", scale_motion(0.8))
     ),
-    "strain_pp of one sweep doubled": Edit("strain_wrong", SWEEP, lambda r: change_metadata(r, strain_pp=2.0)),
-    "strain_pp of all doubled": Edit(
-        "strain_wrong", mechanical, lambda r: change_metadata(r, strain_pp=2.0), ("size_wrong",)
-    ),
-    "thickness doubled": Edit("size_wrong", all_of, lambda r: change_metadata(r, film_thickness_mm=2.0)),
-    "length doubled": Edit(
-        "size_wrong", all_of, lambda r: change_metadata(r, film_length_mm=2.0, total_length_mm=2.0), ("strain_wrong",)
-    ),
-    "width halved": Edit("size_wrong", all_of, lambda r: change_metadata(r, film_width_mm=0.5, active_width_mm=0.5)),
+    "clamp mass ten times": filed(clamp_mass_kg=10.0),
+    "clamp mass in g": filed(clamp_mass_kg=1e3),
+    "load cell's stiffness ten times": filed(load_cell_stiffness_n_per_mm=10.0),
+    "strain_pp of one sweep doubled": stated("strain_wrong", SWEEP, strain_pp=2.0),
+    "strain_pp of all doubled": stated("strain_wrong", mechanical, strain_pp=2.0, instead=("size_wrong",)),
+    "strain_pp of all sines halved": stated("strain_wrong", sines, strain_pp=0.5),
+    "thickness doubled": stated("size_wrong", all_of, film_thickness_mm=2.0),
+    "length doubled": stated("size_wrong", all_of, film_length_mm=2.0, total_length_mm=2.0, instead=("strain_wrong",)),
+    "width halved": stated("size_wrong", all_of, film_width_mm=0.5, active_width_mm=0.5),
 }
 """Faults by a sentence about each."""
 

@@ -1,8 +1,10 @@
-"""What was another from one recording on: the film (torn, or clamped anew), or the gain of the load cell."""
+"""What was another from one recording on, the film (torn, or clamped anew) or the gain of the load cell; and a gain that is another where
+the force is large, in another range."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,9 +14,11 @@ from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.levels import log_likelihood_of
 from pipeline.diagnose.faults.undo import scale_of
+from pipeline.diagnose.features.observed import FORCE_SWING
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, compute_deviations, make_bounds
+from pipeline.diagnose.simulation.parameters import ACTUATION
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
@@ -30,35 +34,72 @@ _LEAST = 2 * _FLOOR
 """Logarithm of a change below which it is not looked for: twice the scatter that is always allowed for."""
 _LARGEST = 2.0
 """Logarithm of the largest change that is searched."""
+_SCALE = "columns.force.scale"
+_RANGES = 1.5
+"""Largest over least swing of the forces in a range at least: what depends on the strain would grow over it."""
 _WORTH_SAYING = 0.05
 """Probability from which what may have changed is said."""
 
 
+@dataclass(frozen=True)
+class _Part:
+    """Recordings of a session that may be read, or be, otherwise than the others.
+
+    Parameters
+    ----------
+    members : (R,) which they are
+    step : logarithm of their features over those of the others
+    offsets : logarithms of what film and actuation of the others are over those of the fit
+    left : weighted square of what that does not explain of the recordings' scales
+    of_range : whether they are those with the largest forces, in place of the last
+    """
+
+    members: Bool
+    step: float
+    offsets: tuple[float, float]
+    left: float
+    of_range: bool
+
+
 def find_change(session: Session, simulation: Simulation, fit: PlainFit, chi2: float) -> Fault | None:
-    """The recordings from which on the film was another, None where no single change explains nearly all of the misfit.
+    """The recordings from which on the film was another, or whose force was read in another range; None where no such change explains
+    nearly all of the misfit.
 
     Parameters
     ----------
     fit : film and rig that most recordings agree on
     chi2 : of the session without a change, without the amplifier's share
     """
-    place = _find_step(session, simulation, fit)
-    if place is None or not shows_in_more_than_one_test(session, place[0]):
+    part = _find_part(session, simulation, fit)
+    if part is None:
         return None
-    first, start = place
-    rows = session.recording_of >= first
-    fits = {
-        cause: _fit_change(session, simulation, fit, rows, start, change)
-        for cause, change in ((ids.SPECIMEN_CHANGED, _tear), (GAIN_ERROR.id, _rescale))
-    }
+    rows = part.members[session.recording_of]
+    ways = {GAIN_ERROR.id: _rescale} if part.of_range else {ids.SPECIMEN_CHANGED: _tear, GAIN_ERROR.id: _rescale}
+    fits = {cause: _fit_change(session, simulation, fit, rows, part, change) for cause, change in ways.items()}
     nearest = min(fits, key=lambda name: fits[name][0])
     before, chi2 = chi2, fits[nearest][0]
     fall = before - chi2
     odds = 0.5 * fall - float(np.log(max(fall, 2.0))) + float(np.log(RULES.fault.prior))
     left = measure_left(session, chi2)
+    if abs(fits[nearest][1]) < _LEAST:
+        return None
     if odds < np.log(RULES.fault.named / (1 - RULES.fault.named)) or not agrees(left, measure_left(session, before)):
         return None
-    return _state_change(session, first, fits, nearest, left)
+    if part.of_range:
+        return _state_range(session, part.members, fits[GAIN_ERROR.id][1], left)
+    return _state_change(session, int(np.argmax(part.members)), fits, nearest, left)
+
+
+def _state_range(session: Session, members: Bool, log_factor: float, left: float) -> Fault:
+    """The fault of a range of the load cell."""
+    own = [r for r, inside in zip(session.recordings, members, strict=True) if inside]
+    factor, least = float(np.exp(log_factor)), min(r.values[FORCE_SWING] for r in own)
+    words = f"where the force swings by {significant(least, 2)} N and more it is read {significant(factor, 3)} times as large as elsewhere"
+    corrections = tuple(
+        Correction(r.recording_id, GAIN_ERROR.id, _SCALE, "1", write(1 / factor), RULES.fault.named) for r in own
+    )
+    names = tuple(r.recording_id for r in own)
+    return Fault(GAIN_ERROR.id, names, RULES.fault.named, words, corrections, left_per_value=left)
 
 
 def _state_change(
@@ -84,7 +125,7 @@ def _state_change(
         for own in changed:
             if name == GAIN_ERROR.id:
                 now, then = "1", write(1 / factor)
-                corrections.append(Correction(own.recording_id, name, "columns.force.scale", now, then, shares[name]))
+                corrections.append(Correction(own.recording_id, name, _SCALE, now, then, shares[name]))
             else:
                 now = own.specimen_id
                 corrections.append(Correction(own.recording_id, name, "specimen_id", now, "", shares[name]))
@@ -123,30 +164,55 @@ def _judge_tension(session: Session, first: int, log_factor: float) -> tuple[flo
     return found[0], found[1]
 
 
-def shows_in_more_than_one_test(session: Session, first: int) -> bool:
-    """Whether tests of one kind lie on both sides of a change, or both loadings do: what one kind alone shows that comes last is as likely a
-    mechanism that the others do not show."""
-    tests = [(r.protocol, r.loading) for r in session.recordings if r.loading != CALIBRATION]
-    after = [(r.protocol, r.loading) for r in session.recordings[first:] if r.loading != CALIBRATION]
-    before = tests[: len(tests) - len(after)]
-    return bool(set(before) & set(after)) or len({x for _, x in before} & {x for _, x in after}) > 1
+def shows_in_more_than_one_test(session: Session, members: Bool) -> bool:
+    """Whether tests of one kind are on both sides of a change, or both loadings are: what one kind alone shows that comes last is as likely a
+    mechanism that the others do not show.
+
+    Parameters
+    ----------
+    members : (R,) recordings after the change
+    """
+    before, after = (
+        {
+            (r.protocol, r.loading)
+            for r, own in zip(session.recordings, members, strict=True)
+            if own == side and r.loading != CALIBRATION
+        }
+        for side in (False, True)
+    )
+    return bool(before & after) or len({x for _, x in before} & {x for _, x in after}) > 1
 
 
-def _find_step(session: Session, simulation: Simulation, fit: PlainFit) -> tuple[int, float] | None:
-    """Number of the first recording after the largest step of the recordings' scales, and its logarithm; None without one."""
+def _find_part(session: Session, simulation: Simulation, fit: PlainFit) -> _Part | None:
+    """The last recordings, or those with the largest forces, whose scales differ most clearly from the others'; None without any."""
     log, sd = _measure_scales(session, simulation, fit)
-    known = np.flatnonzero(np.isfinite(log))
-    best: tuple[float, int, float] | None = None
-    for cut in range(_FEWEST, known.size - _FEWEST + 1):
-        before, after = known[:cut], known[cut:]
-        weight = 1 / (sd**2 + _FLOOR**2)
-        low, high = (float(np.average(log[part], weights=weight[part])) for part in (before, after))
-        left = float(
-            np.sum(weight[before] * (log[before] - low) ** 2) + np.sum(weight[after] * (log[after] - high) ** 2)
-        )
-        if best is None or left < best[0]:
-            best = left, int(after[0]), high - low
-    return None if best is None or abs(best[2]) < _LEAST else best[1:]
+    known = np.isfinite(log)
+    swing = np.array([r.values.get(FORCE_SWING, np.nan) for r in session.recordings])
+    electrical = np.array([r.loading == ELECTRICAL for r in session.recordings])
+    parts = [(np.arange(log.size) >= first, False) for first in np.flatnonzero(known)]
+    limits = np.unique(swing[known & np.isfinite(swing)])
+    parts += [
+        (np.asarray(swing >= limit), True)
+        for limit in limits
+        if limits[-1] > _RANGES * limit and not np.isnan(swing[known]).any()
+    ]
+    found = []
+    for members, of_range in parts:
+        if min((members & known).sum(), (~members & known).sum()) < _FEWEST:
+            continue
+        columns = np.stack([~electrical, electrical, members], axis=1)[known].astype(float)
+        weighted = columns / np.hypot(sd[known], _FLOOR)[:, None]
+        if (
+            not shows_in_more_than_one_test(session, members)
+            or np.linalg.matrix_rank(weighted[:, columns.any(axis=0)]) < columns.any(axis=0).sum()
+        ):
+            continue
+        data = log[known] / np.hypot(sd[known], _FLOOR)
+        moved = np.linalg.lstsq(weighted, data, rcond=None)[0]
+        left = float(np.sum((data - weighted @ moved) ** 2))
+        found.append(_Part(members, float(moved[2]), (float(moved[0]), float(moved[1])), left, of_range))
+    best = min(found, key=lambda p: (p.left, p.of_range), default=None)
+    return None if best is None or abs(best.step) < _LEAST else best
 
 
 def _measure_scales(session: Session, simulation: Simulation, fit: PlainFit) -> tuple[Float, Float]:
@@ -185,7 +251,7 @@ def _tear(session: Session, simulation: Simulation, fit: PlainFit, thetas: Float
     """(B, N) features with a film of another width: its springs and the actuation change alike."""
     moved = thetas.copy()
     for i, name in enumerate(fit.model.names):
-        if name.startswith("log k") or name == "log actuation":
+        if name.startswith("log k") or name == ACTUATION:
             moved[:, i] += change
     return simulation.predict_several(fit.model, moved)
 
@@ -196,7 +262,7 @@ def _rescale(session: Session, simulation: Simulation, fit: PlainFit, thetas: Fl
 
 
 def _fit_change(
-    session: Session, simulation: Simulation, fit: PlainFit, rows: Bool, start: float, change: Change
+    session: Session, simulation: Simulation, fit: PlainFit, rows: Bool, part: _Part, change: Change
 ) -> tuple[float, float]:
     """χ² of the session with a change in some rows, and the logarithm of the change."""
     about = simulation.about(fit.model.physical(fit.theta))
@@ -211,5 +277,9 @@ def _fit_change(
         return np.array(found)
 
     low, high = make_bounds(fit.model)
-    found = minimise(residuals, np.append(fit.theta, start), np.append(low, -_LARGEST), np.append(high, _LARGEST))
+    start = fit.theta.copy()
+    for i, name in enumerate(fit.model.names):
+        start[i] += part.offsets[0] if name.startswith("log k") else part.offsets[1] if name == ACTUATION else 0.0
+    start = np.append(np.clip(start, low, high), part.step)
+    found = minimise(residuals, start, np.append(low, -_LARGEST), np.append(high, _LARGEST))
     return count_chi2(session, found.residual), float(found.x[-1])

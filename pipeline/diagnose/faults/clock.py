@@ -32,6 +32,8 @@ _DRIFTS = np.geomspace(2e-6, 1e-3, 22)
 """Drifts of a clock at which its search begins, of either sign."""
 _DELAYS = np.geomspace(2e-6, 1e-2, 22)
 """Delays in s that must not do as well."""
+_ROUNDS, _SETTLED = 4, 0.01
+"""Times at most that a drift is followed anew from where its search ended, and the share of it by which it moves no more."""
 _DRIFT_UNIT, _DELAY_UNIT = 1e-5, 1e-5
 """Drift and delay in s that count as 1 in a search."""
 
@@ -50,7 +52,12 @@ def find_drift(
     start = _scan(session, _DRIFTS, drifting=True)
     if start is None:
         return None
-    drift, chi2 = _refine([follow_delay(r, 0.0, start) for r in recordings], start, plain, drifting=True)
+    drift, chi2, near = start, off, start + 1.0
+    for _ in range(_ROUNDS):
+        if abs(drift - near) < _SETTLED * abs(drift):
+            break
+        near = drift
+        drift, chi2 = _refine([follow_delay(r, 0.0, near) for r in recordings], near, plain, drifting=True)
     if not agrees(measure_left(session, chi2), before):
         return None
     changed = [follow_delay(r, 0.0, drift) for r in recordings]

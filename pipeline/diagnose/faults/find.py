@@ -22,7 +22,7 @@ from pipeline.diagnose.faults.change import find_change
 from pipeline.diagnose.faults.correct import list_corrections
 from pipeline.diagnose.faults.fault import DEAD_CHANNEL, STRAIN_WRONG, Fault
 from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
-from pipeline.diagnose.faults.hypotheses import MECHANISM, SOUND, Judged, judge_hypotheses
+from pipeline.diagnose.faults.hypotheses import MECHANISM, SOUND, Judged, Mechanisms, judge_hypotheses
 from pipeline.diagnose.faults.levels import Levels, name_clamp, read_levels
 from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.faults.session_wide import (
@@ -42,6 +42,9 @@ from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import CALIBRATION
+
+_EXPECTED = Mechanisms(0.5 * RULES.fault.mechanism, as_film=0.5 * RULES.fault.mechanism)
+"""Of a recording like which there is no other."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +222,7 @@ def judge_together(suspect: Suspect, numbers: Sequence[int], levels: dict[str, L
     """A fault that all recordings of one kind have in common, None where none puts them right together."""
     names = tuple(suspect.session.recordings[n].recording_id for n in numbers)
     own = [levels[name] for name in names]
-    judged = judge_hypotheses(suspect, own[0], RULES.fault.mechanism, own[1:])
+    judged = judge_hypotheses(suspect, own[0], _EXPECTED, own[1:])
     best = judged[0][0]
     if best.hypothesis.predict is None or not agrees(best.chi2 / suspect.size, suspect.sound_chi2 / suspect.size):
         return None
@@ -246,11 +249,13 @@ def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault
     session = suspect.session
     own = session.recordings[suspect.number]
     peers = [r for r in session.recordings if r.recording_id not in asked]
-    mechanism = RULES.fault.mechanism_beside_peer if _has_peer(own, peers, session) else RULES.fault.mechanism
-    if mechanism < RULES.fault.mechanism:
+    mechanisms = _EXPECTED
+    if _has_peer(own, peers):
         # What it does here it does in part beside: that nothing of it shows there is the less likely the more there is here.
-        mechanism /= float(np.sqrt(max(suspect.sound_chi2 - suspect.size, 1.0)))
-    return _state_likely(suspect, (own.recording_id,), judge_hypotheses(suspect, levels, mechanism))
+        rare = RULES.fault.mechanism_beside_peer / float(np.sqrt(max(suspect.sound_chi2 - suspect.size, 1.0)))
+        ends = {r.recording_id for r in (session.recordings[0], session.recordings[-1])}
+        mechanisms = Mechanisms(rare, as_scale=RULES.fault.mechanism if own.recording_id in ends else 0.0)
+    return _state_likely(suspect, (own.recording_id,), judge_hypotheses(suspect, levels, mechanisms))
 
 
 def _state_likely(suspect: Suspect, names: tuple[str, ...], judged: Sequence[tuple[Judged, float]]) -> Fault | None:
@@ -281,11 +286,8 @@ def _state_likely(suspect: Suspect, names: tuple[str, ...], judged: Sequence[tup
     )
 
 
-def _has_peer(own: RecordingFeatures, others: Sequence[RecordingFeatures], session: Session) -> bool:
+def _has_peer(own: RecordingFeatures, others: Sequence[RecordingFeatures]) -> bool:
     """Whether a recording like this one is among those that agree: what a mechanism does in it would show there as well."""
-    first, last = session.recordings[0].recording_id, session.recordings[-1].recording_id
-    if own.recording_id in (first, last):
-        return False
     key = "largest_voltage_kv" if own.loading == "electrical" else "largest_strain"
     return any(
         (r.protocol, r.loading) == (own.protocol, own.loading)

@@ -91,8 +91,24 @@ class Hypothesis:
     stretch: float = 1.0
 
 
-def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Iterator[Hypothesis]:
-    """All that may be wrong with a recording, and that nothing is; `mechanism`: probability that a mechanism shows in it."""
+@dataclass(frozen=True)
+class Mechanisms:
+    """What is believed of mechanisms beforehand.
+
+    Parameters
+    ----------
+    any_way : probability that one shows in the recording in whatever way
+    as_film : that one makes another film of it there, as a softening does
+    as_scale : that one makes the film softer or stiffer there by one factor, as what happens once to it does
+    """
+
+    any_way: float
+    as_film: float = 0.0
+    as_scale: float = 0.0
+
+
+def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) -> Iterator[Hypothesis]:
+    """All that may be wrong with a recording, and that nothing is."""
     prior = float(np.log(RULES.fault.prior))
     if levels.own_rig:
         words = "the others' rig explains it, the rig that its metadata name does not"
@@ -100,6 +116,12 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
     else:
         yield Hypothesis(SOUND, "", lambda: suspect.sound, 0.0)
     yield Hypothesis(MECHANISM, "", None, 0.0)
+    for probability, free, own_chi2 in (
+        (mechanisms.as_film, _OF_FILM, lambda: suspect.own_film_chi2),
+        (mechanisms.as_scale, 1, lambda: suspect.scaled_film_chi2),
+    ):
+        if probability > 0:
+            yield Hypothesis(MECHANISM, "", None, float(np.log(probability)), free, own_chi2=own_chi2)
     yield from _scales(suspect, prior)
     yield from _delays(suspect, prior)
     yield from _stretches(suspect, levels, prior)
@@ -131,6 +153,11 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
         ids.DEAD_CHANNEL, f"the {output} shows nothing but noise", dead, prior,
         open_levels=frozenset({TENSION, NOISE + output}), channel=output, factor=0.0,
     )  # fmt: skip
+
+    def beside() -> float:
+        """What is lost may as well lie where nothing is asked of the recording."""
+        return min(suspect.sound_chi2, float(suspect.size))
+
     if levels.held:
         name, share = max(levels.held.items(), key=lambda item: item[1])
         yield Hypothesis(
@@ -138,14 +165,14 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanism: float) -> Itera
             f"the {name} stands still through {significant(100 * share, 2)} % of the record",
             None, prior, 1, open_levels=frozenset({TENSION, NOISE + name} if name == output else set()),
             may_open=frozenset({NOISE + name} if name != output else set()),
-            shows=frozenset({"held", "flat"}), channel=name,
+            own_chi2=beside, shows=frozenset({"held", "flat"}), channel=name,
         )  # fmt: skip
     if levels.flat > 0:
         yield Hypothesis(
             SENSOR_SATURATION.id,
             f"{significant(100 * levels.flat, 2)} % of the samples of the {levels.clipped} lie on a flat top",
             None, prior, 1, open_levels=frozenset({TENSION if levels.clipped == output else STRAIN}),
-            shows=frozenset({"flat", "held"}), channel=levels.clipped,
+            own_chi2=beside, shows=frozenset({"flat", "held"}), channel=levels.clipped,
         )  # fmt: skip
     own = frozenset({TENSION, SENSED, NOISE + "force", NOISE + "displacement", NOISE + "voltage"})
     # Of another rig it may show anything; of the same one it shows a film, and perhaps the same noise.
@@ -262,15 +289,18 @@ class Judged:
 def _weigh_mechanism(suspect: Suspect, predicted: Prediction, chi2: float, mechanism: float) -> float:
     """Log probability of a recording under a mechanism that has its way beside what is predicted.
 
-    It is known by no more than how often it is there, by its two parameters, and that it does not change the response by much.
+    It is known by no more than how often it is there, that it is smooth, so that a few modes make it up, each as likely to be large as
+    another, and that it does not change the response by much.
     """
     scale = suspect.measure_scale(predicted)
     if scale <= _NOTHING_LEFT:
         common = float(np.log(RULES.fault.unmistakable))
     else:
         common = log_likelihood_of(float(np.log(scale)) / RULES.fault.mechanism_scale)
+    modes = RULES.form.modes
     excess = max(suspect.temper(chi2) - suspect.temper(suspect.size), 2.0)
-    return float(np.log(mechanism)) - 0.5 * suspect.temper(suspect.size) - float(np.log(excess)) + common
+    spread = 0.5 * modes * float(np.log1p(excess / modes))
+    return float(np.log(mechanism)) - 0.5 * suspect.temper(suspect.size) - spread + common
 
 
 def _measure_chi2(suspect: Suspect, hypothesis: Hypothesis, predicted: Prediction | None) -> float:
@@ -280,7 +310,7 @@ def _measure_chi2(suspect: Suspect, hypothesis: Hypothesis, predicted: Predictio
 
 
 def judge_hypotheses(
-    suspect: Suspect, levels: Levels, mechanism: float, others: Sequence[Levels] = ()
+    suspect: Suspect, levels: Levels, mechanisms: Mechanisms, others: Sequence[Levels] = ()
 ) -> Sequence[tuple[Judged, float]]:
     """Hypotheses with their posterior probabilities, the most probable first.
 
@@ -288,7 +318,7 @@ def judge_hypotheses(
     ----------
     suspect : a recording, or several of one protocol that may have a fault in common
     levels, others : of the recording, and of the others where it is several
-    mechanism : probability that a mechanism shows there
+    mechanisms : what is believed of those that may show there
     """
     rules, judged = RULES.fault, []
     fall = max(suspect.temper(suspect.sound_chi2) - suspect.temper(suspect.size), 1.0) if suspect.size else 1.0
@@ -298,18 +328,18 @@ def judge_hypotheses(
         "foreign": levels.foreign,
         "rig": levels.own_rig,
     }
-    for h in list_hypotheses(suspect, levels, mechanism):
+    for h in list_hypotheses(suspect, levels, mechanisms):
         predicted = None if h.predict is None else h.predict()
         if h.predict is not None and predicted is None:
             continue
         chi2 = _measure_chi2(suspect, h, predicted)
         total = h.log_prior - 0.5 * h.free * float(np.log(max(fall, 2.0)))
-        if h.cause == MECHANISM:
-            total += _weigh_mechanism(suspect, suspect.sound, suspect.sound_chi2, mechanism)
+        if h.cause == MECHANISM and h.own_chi2 is None:
+            total += _weigh_mechanism(suspect, suspect.sound, suspect.sound_chi2, mechanisms.any_way)
         elif predicted is None or h.cause == SOUND:
             total -= 0.5 * suspect.temper(chi2)
         else:  # what a fault leaves may be a mechanism, as it may be without one
-            beside = _weigh_mechanism(suspect, predicted, chi2, mechanism)
+            beside = _weigh_mechanism(suspect, predicted, chi2, mechanisms.any_way)
             total += float(np.logaddexp(-0.5 * suspect.temper(chi2), beside))
         total += sum(
             own.log_likelihood(h.shifts, open_levels=h.open_levels, may_open=h.may_open, flipped=h.flipped)

@@ -14,15 +14,17 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, make_bounds
 from pipeline.diagnose.simulation.effects import NONE, Effect, View
 from pipeline.diagnose.simulation.families import dynamic, film_at, rig_of
-from pipeline.diagnose.simulation.parameters import BaseModel, Physical
+from pipeline.diagnose.simulation.parameters import ACTUATION, BaseModel, Physical
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.least_squares import minimise
-from schemas.arrays import Complex, Float
+from schemas.arrays import Bool, Complex, Float
 from schemas.protocols import ELECTRICAL, MECHANICAL
 
 _OTHER_FILMS = (0.1, 10.0)
 """Least and largest stiffness of another film over that of the others at which its search begins."""
+_FAR = 30.0
+"""How far an entry of it may be from that of the others, in logarithms."""
 _STEPS = 20
 """Steps of that search at most."""
 _DIFFERENCE = 1e-4
@@ -194,25 +196,41 @@ class Suspect:
     @cached_property
     def own_film_chi2(self) -> float:
         """χ² with a film of its own on the rig of the others."""
+        is_film = np.arange(self.fit.theta.size) < self.fit.model.film.stop
+        return self._fit_film(np.eye(is_film.size)[is_film | self._is_actuation])
+
+    @cached_property
+    def scaled_film_chi2(self) -> float:
+        """χ² with the film of the others, softer or stiffer by one factor."""
+        return self._fit_film((self._springs | self._is_actuation).astype(float)[None])
+
+    @cached_property
+    def _springs(self) -> Bool:
+        return np.array([name.startswith("log k") for name in self.fit.model.names])
+
+    @cached_property
+    def _is_actuation(self) -> Bool:
+        return np.array([name == ACTUATION for name in self.fit.model.names])
+
+    def _fit_film(self, ways: Float) -> float:
+        """χ² with entries moved along some ways (w, P) by any amount, and along the others as far as these are known."""
         model, theta = self.fit.model, self.fit.theta
-        is_film = np.arange(theta.size) < model.film.stop
-        place = model.index("log actuation")
-        if place is not None:
-            is_film[place] = True
-        beside = ~is_film
+        beside = ~(ways != 0).any(axis=0)
         known = np.linalg.cholesky(np.linalg.inv(self.fit.solution.covariance[np.ix_(beside, beside)])).T
-        springs = np.array([name.startswith("log k") for name in model.names])
-        scale = abs(self.measure_scale(self.sound))
-        size = float(np.log(np.clip(scale, *_OTHER_FILMS)))
+        every = np.concatenate([ways, np.eye(theta.size)[beside]])
+        low, high = make_bounds(model)
 
         def residuals(several: Float) -> Float:
-            made = self.simulation.predict_several(model, several)
+            moved = np.clip(theta + several @ every, low, high)
+            made = self.simulation.predict_several(model, moved)
             data = self.own.whiten((self.own.value - made).T).T
-            return np.concatenate([data, (several[:, beside] - theta[beside]) @ known.T], axis=1)
+            return np.concatenate([data, (moved - theta)[:, beside] @ known.T], axis=1)
 
-        starts = [theta + shift * springs for shift in (0.0, size)]
-        bounds = make_bounds(model)
-        return min(minimise(residuals, np.clip(start, *bounds), *bounds, most=_STEPS).chi2 for start in starts)
+        size = float(np.log(np.clip(abs(self.measure_scale(self.sound)), *_OTHER_FILMS)))
+        along = (ways @ self._springs > 0).astype(float)
+        far = np.full(len(every), _FAR)
+        starts = [shift * np.concatenate([along, np.zeros(beside.sum())]) for shift in (0.0, size)]
+        return min(minimise(residuals, start, -far, far, most=_STEPS).chi2 for start in starts)
 
     @cached_property
     def sound_chi2(self) -> float:

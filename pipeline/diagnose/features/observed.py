@@ -32,6 +32,8 @@ SIZES = (
     "relative_permittivity",
 )
 """Keys of the metadata whose values are kept under `STATED`."""
+FORCE_SWING = "force_pp"
+"""How far the force goes from its least to its largest, N."""
 FLAT, FLAT_INPUT, HELD = "flat_share", "flat_share_input", "held_share_"
 """Share of the force's samples on a flat top, and of the input's; share of the record in which a channel holds one value, by quantity."""
 _CROSSINGS = 10
@@ -92,6 +94,7 @@ def observe_channels(recording: Recording) -> dict[str, float]:
         ):
             seen = stated  # what repeats after that repeats after several of it as well
         values |= _pair(FREQUENCY, stated, seen)
+    values[FORCE_SWING] = float(np.nanmax(found) - np.nanmin(found))
     if metadata.loading == ELECTRICAL:
         values |= _pair(VOLTAGE, metadata.drive_kv, float(np.nanmax(np.abs(given))))
         return values | find_unmoved(values, VOLTAGE, given, source.input.quantity)
@@ -100,7 +103,6 @@ def observe_channels(recording: Recording) -> dict[str, float]:
         values[FLAT_INPUT] = float(flat_tops(given, source.input.resolution).mean())
     travel = None if metadata.strain_pp is None else metadata.strain_pp * strain_length_mm(recording)
     values |= _pair(AMPLITUDE, travel, float(np.nanmax(given) - np.nanmin(given)))
-    values["force_pp"] = float(np.nanmax(found) - np.nanmin(found))
     return values | find_unmoved(values, AMPLITUDE, given, source.input.quantity)
 
 
