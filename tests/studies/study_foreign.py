@@ -18,13 +18,14 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,8 +55,10 @@ _BEYOND_REPAIR = frozenset({"dead_channel", "sensor_saturation"})
 """Faults that nothing that is written puts right."""
 _NOT_COMPARABLE = ("sample_rate_hz", "in samples")
 """In the key of a rig: an absolute rate or a number of samples, where a proposal is a factor or a time."""
-_WORDS = {"scale": ("scale", "sample_interval_s"), "time_scale": ("sample_interval_s",), "delay_s": ("delay_s",)}
+_WORDS = {"scale": ("scale", "sample_interval_s"), "time_scale": ("sample_interval_s", "ppm"), "delay_s": ("delay_s",)}
 """Last part of a proposal's key → what rigs call it."""
+_CLOCKS = ("clock", "time")
+"""Words of a rig for what runs apart: whichever channel is called the slow one, the correction is the same but for its sign."""
 _BINS = (0.0, 0.5, 0.8, 0.95, 1.0)
 """Limits of the bins of a reliability diagram."""
 
@@ -155,13 +158,23 @@ def is_correction_right(a: Answer) -> bool | None:
     told = a.truth["fault"]
     if not told.get("key") or told.get("right_value") in (None, "") or told["id"] in _BEYOND_REPAIR:
         return None
-    if any(word in told["key"] for word in _NOT_COMPARABLE):
-        return None
+    if any(word in told["key"] for word in _NOT_COMPARABLE) or told["right_value"] == 0:
+        return None  # 0: the rig states what is right, not how far it is off
     return any(
-        _is_same_key(key, told["key"]) and _same(proposed, told["right_value"])
+        _is_same_key(key, told["key"]) and _same(proposed, right)
         for f in a.faults
         for key, _, proposed, _ in f["corrections"]
+        if (right := _state_right(told, f["recordings"][0])) is not None
     )
+
+
+def _state_right(told: Mapping[str, Any], recording: str) -> object:
+    """The right value for a recording, a drift in words with its unit; None where the rig states values by recording and none for this one."""
+    right = told["right_value"]
+    if isinstance(right, Mapping):
+        right = right.get(recording)
+    is_drift = "ppm" in str(told["key"]) and isinstance(right, int | float)
+    return f"{right} ppm" if is_drift else right
 
 
 def _is_same_key(proposed: str, told: str) -> bool:
@@ -175,13 +188,15 @@ def _is_same_key(proposed: str, told: str) -> bool:
         return "<->" in told or told == "columns"
     channel, _, how = what.rpartition(".")
     words = _WORDS.get(how, (how,))
-    return any(word in told for word in words) and (channel in ("", "time") or channel in told)
+    of_two_clocks = how == "time_scale" and any(word in told for word in _CLOCKS)
+    return any(word in told for word in words) and (channel in ("", "time") or channel in told or of_two_clocks)
 
 
 def _same(proposed: object, right: object) -> bool:
     if str(right).endswith(" ppm"):
-        drift = float(str(right).removesuffix(" ppm")) * 1e-6
-        return abs(float(str(proposed)) - 1 - drift) < _ALIKE_DRIFT * abs(drift)
+        # Fast and slow are each other's opposite, as are the two channels: what a rig means by the sign is its own matter.
+        drift = abs(float(str(right).removesuffix(" ppm")) * 1e-6)
+        return abs(abs(float(str(proposed)) - 1) - drift) < _ALIKE_DRIFT * drift
     try:
         return abs(float(str(proposed)) / float(str(right)) - 1) < _ALIKE
     except (ValueError, ZeroDivisionError):

@@ -7,7 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from tests.helpers.foreign_rigs import Answer
 from tests.studies import __main__ as studies
+from tests.studies.study_foreign import is_correction_right
 
 FIT, SURVIVAL = (studies.about(studies.HERE / f"study_{name}.py") for name in ("fit", "survival"))
 
@@ -68,3 +70,25 @@ def test_results_name_no_folder_of_the_machine(tmp_path: Path, monkeypatch: pyte
         assert f"**Failed** {ends}\n\n" in text
         assert "careful" not in text
         assert str(tmp_path) not in text
+
+
+@pytest.mark.parametrize(
+    ("told", "right", "proposed", "is_right"),
+    [
+        ("displacement or voltage clock ppm", 41.6, ("columns.force.time_scale", "0.9999584"), True),
+        ("displacement or voltage clock ppm", -41.6, ("columns.force.time_scale", "1.0000416"), True),
+        ("displacement or voltage clock ppm", 41.6, ("columns.force.time_scale", "1.0002"), False),
+        ("displacement or voltage clock ppm", 41.6, ("time.scale", "0.9999584"), False),
+        ("displacement or voltage clock ppm", 0, ("columns.force.time_scale", "0.9999584"), None),
+        ("strain_pp", {"a": "0.02", "b": "0.04"}, ("strain_pp", "0.04"), True),
+        ("strain_pp", {"a": "0.02", "b": "0.04"}, ("strain_pp", "0.02"), False),
+        ("strain_pp", {"a": "0.02"}, ("strain_pp", "0.02"), False),
+    ],
+)
+def test_a_proposal_is_scored_by_the_key_and_value_that_a_rig_declares(
+    told: str, right: object, proposed: tuple[str, str], is_right: bool | None
+) -> None:
+    """Whichever clock is called the wrong one; a value by recording is that of the recording that the proposal is for."""
+    fault = {"id": "clock_drift", "recordings": ["b"], "key": told, "right_value": right}
+    named = {"id": "clock_drift", "recordings": ["b"], "corrections": [[proposed[0], "1", proposed[1], 1.0]]}
+    assert is_correction_right(Answer("rig", 1, "fault", {"fault": fault}, faults=(named,))) is is_right
