@@ -275,6 +275,16 @@ def _resampled(clock: _OneClock, target: _OneClock) -> _OneClock:
     return _OneClock(start, target.interval_s, values, 1 / (SAMPLES_PER_CYCLE * clock.interval_s), clock.notes)
 
 
+def read_at(channel: Channel, start_ns: int, step_ns: float, count: int) -> Channel:
+    """A channel at `count` other instants in equal steps, by quintic splines; NaN where it has no samples, and beside a gap."""
+    values = np.full(count, np.nan)
+    position = (channel.time_ns - start_ns) / step_ns
+    for a, b in runs(np.isfinite(channel.values)):
+        _interpolate(position[a:b], channel.values[a:b], values)
+    time_ns = start_ns + np.rint(step_ns * np.arange(count)).astype(np.int64)
+    return replace(channel, time_ns=time_ns, values=values)
+
+
 def _interpolate(position: NDArray[np.floating], values: Float, into: Float) -> None:
     """Writes a quintic spline through (position, values) into the whole positions that it covers."""
     good = np.isfinite(values)

@@ -1,14 +1,17 @@
-"""Clocks of two channels that run apart in all recordings: what a drift leaves, and a constant delay does not."""
+"""Outputs that are stamped late in many recordings: by a clock that runs apart from that of the input in all of them, or by a delay that all
+tests of one kind have and the others have not. A delay that all have alike is a mechanism of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
+from pipeline.diagnose.faults.correct import write, write_ratio
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
 from pipeline.diagnose.faults.undo import RESPONSES, advance_block, follow_delay, turn, turned
@@ -27,81 +30,151 @@ from pipeline.physics.least_squares import minimise
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.numbers import significant
+from schemas.protocols import MECHANICAL
 
 _DRIFTS = np.geomspace(2e-6, 1e-3, 22)
 """Drifts of a clock at which its search begins, of either sign."""
 _DELAYS = np.geomspace(2e-6, 1e-2, 22)
-"""Delays in s that must not do as well."""
+"""Delays in s at which their search begins, of either sign."""
 _ROUNDS, _SETTLED = 4, 0.01
 """Times at most that a drift is followed anew from where its search ended, and the share of it by which it moves no more."""
 _DRIFT_UNIT, _DELAY_UNIT = 1e-5, 1e-5
 """Drift and delay in s that count as 1 in a search."""
 
 
-def find_drift(
-    recordings: Sequence[RecordingFeatures], fitted: Fitted
-) -> tuple[list[RecordingFeatures], Fitted, Fault] | None:
-    """A clock of the output that runs fast or slow in all recordings alike, with the recordings put right.
+@dataclass(frozen=True)
+class _Way:
+    """A way in which outputs may be stamped late.
 
-    None where that does not explain nearly all of the misfit, or where a constant delay does as well: that is a
-    mechanism of its own.
+    Parameters
+    ----------
+    recordings : ids of those in which they are
+    drifting : whether by a share of the time since the start, in place of a constant delay
+    tests : which tests these are, in words
     """
+
+    recordings: frozenset[str]
+    drifting: bool
+    tests: str
+
+    @property
+    def unit(self) -> float:
+        return _DRIFT_UNIT if self.drifting else _DELAY_UNIT
+
+    @property
+    def sizes(self) -> Float:
+        """Sizes at which a search begins."""
+        return _DRIFTS if self.drifting else _DELAYS
+
+    def split(self, size: float) -> tuple[float, float]:
+        """Delay in s and drift."""
+        return (0.0, size) if self.drifting else (size, 0.0)
+
+    def put_right(self, recordings: Sequence[RecordingFeatures], size: float) -> list[RecordingFeatures]:
+        """The features with the knowledge of it."""
+        return [follow_delay(r, *self.split(size)) if r.recording_id in self.recordings else r for r in recordings]
+
+    def state(self, size: float, names: Sequence[str], probability: float, left: float) -> Fault:
+        """The fault, in recordings in the order of their session."""
+        if self.drifting:
+            cause, key, now, then = ids.CLOCK_DRIFT, "columns.force.time_scale", "1", write_ratio(1 / (1 + size))
+            way = "ahead of" if size > 0 else "behind"
+            ppm = significant(1e6 * abs(size), 3)
+            words = f"the clock of the force runs {ppm} ppm {way} that of the input in {self.tests}"
+        else:
+            cause, key, now, then = ids.CHANNEL_SKEW, "columns.force.delay_s", "", write(size)
+            words = f"the force is stamped {significant(1e3 * size, 3)} ms late in {self.tests}"
+        corrections = tuple(Correction(name, cause, key, now, then, probability) for name in names)
+        return Fault(cause, tuple(names), probability, words, corrections, False, left)
+
+
+def _list_ways(recordings: Sequence[RecordingFeatures]) -> Iterator[_Way]:
+    """A drift of all recordings, and a delay of those of each kind of mechanical test, where there are several and others beside them."""
+    tests = [r for r in recordings if r.loading == MECHANICAL]
+    yield _Way(frozenset(r.recording_id for r in recordings), True, "all tests")
+    for protocol in dict.fromkeys(r.protocol for r in tests):
+        own = frozenset(r.recording_id for r in tests if r.protocol == protocol)
+        if 1 < len(own) < len(recordings):
+            yield _Way(own, False, f"all recordings of {protocol}")
+
+
+def find_late(
+    recordings: Sequence[RecordingFeatures], fitted: Fitted, without: Collection[str]
+) -> tuple[list[RecordingFeatures], Fitted, Fault] | None:
+    """Outputs that are stamped late by a drift in all recordings alike, or by a delay in all of one kind, with the recordings put right.
+
+    Parameters
+    ----------
+    recordings : of the session
+    fitted : those of them that are not in `without`
+
+    Returns
+    -------
+    None where that does not explain nearly all of the misfit, or where a constant delay of all does as well
+    """
+    asked = [r for r in recordings if r.recording_id not in without]
     session, _, plain = fitted
     off = count_chi2(session, plain.misfit)
     before = measure_left(session, off)
-    start = _scan(session, _DRIFTS, drifting=True)
-    if start is None:
+    scanned = [(*found, way) for way in _list_ways(asked) if (found := _scan(session, way)) is not None]
+    if not scanned:
         return None
-    drift, chi2, near = start, off, start + 1.0
+    _, size, way = min(scanned, key=lambda item: item[0])
+    chi2, near = off, size + 1.0
     for _ in range(_ROUNDS):
-        if abs(drift - near) < _SETTLED * abs(drift):
+        if abs(size - near) < _SETTLED * abs(size):
             break
-        near = drift
-        drift, chi2 = _refine([follow_delay(r, 0.0, near) for r in recordings], near, plain, drifting=True)
+        near = size
+        size, chi2 = _refine(way.put_right(asked, near), way, near, plain)
     if not agrees(measure_left(session, chi2), before):
         return None
-    changed = [follow_delay(r, 0.0, drift) for r in recordings]
-    again = fit_session(changed)
+    again = fit_session(way.put_right(asked, size))
     whole = count_chi2(again[0], again[2].misfit)
     left = measure_left(again[0], whole)
     if not agrees(left, before):
         return None
     other = off
-    delay = _scan(session, _DELAYS, drifting=False)
+    every = _Way(frozenset(r.recording_id for r in asked), False, "all tests")
+    delay = _scan(session, every)
     if delay is not None:
-        late = _refine([follow_delay(r, delay, 0.0) for r in recordings], delay, again[2], drifting=False)
+        late = _refine(every.put_right(asked, delay[1]), every, delay[1], again[2])
         other = min(other, late[1])
     odds = 0.5 * (other - whole) - 0.5 * float(np.log(max(off - whole, 2.0)))
     probability = float(1 / (1 + np.exp(-np.clip(odds + np.log(RULES.fault.prior), -50, 50))))
     if probability < RULES.fault.named:
         return None
-    way = "ahead of" if drift > 0 else "behind"
-    words = f"the clock of the force runs {significant(1e6 * abs(drift), 3)} ppm {way} that of the input in all tests"
-    key, then = "columns.force.time_scale", f"{1 / (1 + drift):.9g}"
-    corrections = tuple(Correction(r.recording_id, ids.CLOCK_DRIFT, key, "1", then, probability) for r in recordings)
-    names = tuple(r.recording_id for r in recordings)
-    return changed, again, Fault(ids.CLOCK_DRIFT, names, probability, words, corrections, False, left)
+    if way.drifting:  # as it does in those that are still asked for another fault
+        way = replace(way, recordings=frozenset(r.recording_id for r in recordings))
+    names = [r.recording_id for r in recordings if r.recording_id in way.recordings]
+    return way.put_right(recordings, size), again, way.state(size, names, probability, left)
 
 
-def _scan(session: Session, sizes: Float, *, drifting: bool) -> float | None:
-    """The drift or delay that makes the responses most like those of a film; None where none makes them much more so."""
+def _scan(session: Session, way: _Way) -> tuple[float, float] | None:
+    """Roughness and size with which the responses are most like those of a film; None where no size makes them much more so."""
+    late = [session.recordings[p.recording].recording_id in way.recordings for p in session.places]
 
     def roughness(size: float) -> float:
-        late = (0.0, size) if drifting else (size, 0.0)
-        places = tuple(replace(p, block=advance_block(p.block, *late)) for p in session.places)
+        places = tuple(
+            replace(p, block=advance_block(p.block, *way.split(size))) if own else p
+            for p, own in zip(session.places, late, strict=True)
+        )
         return measure_roughness(replace(session, places=places))
 
     try:
         as_it_is = roughness(0.0)
-        found = min((roughness(float(sign * size)), float(sign * size)) for size in sizes for sign in (-1, 1))
+        tried = [(roughness(float(sign * size)), sign, i) for i, size in enumerate(way.sizes) for sign in (-1, 1)]
     except NotIdentifiableError:
         return None
-    return found[1] if found[0] < RULES.fault.smoother * as_it_is else None
+    _, sign, i = min(tried)
+    ends = np.log(way.sizes[[max(i - 1, 0), min(i + 1, way.sizes.size - 1)]])
+    found = minimize_scalar(
+        lambda x: roughness(float(sign * np.exp(x))), bounds=tuple(ends), method="bounded", options={"xatol": _SETTLED}
+    )
+    rough, size = min((float(found.fun), float(sign * np.exp(found.x))), (min(tried)[0], float(sign * way.sizes[i])))
+    return (rough, size) if rough < RULES.fault.smoother * as_it_is else None
 
 
-def _refine(
-    recordings: Sequence[RecordingFeatures], start: float, near: PlainFit, *, drifting: bool
-) -> tuple[float, float]:
+def _refine(recordings: Sequence[RecordingFeatures], way: _Way, start: float, near: PlainFit) -> tuple[float, float]:
     """The drift or delay fitted together with film and rig, from recordings put right by a value nearby, and χ² with it.
 
     `near` is a fit of the same recordings without it.
@@ -112,20 +185,23 @@ def _refine(
     model = session.base_model(RULES.plain.orders[-1])
     plain = fit_from_ladders(session, simulation, model, near if near.model.names == model.names else None)
     about = simulation.about(plain.model.physical(plain.theta))
-    unit = _DRIFT_UNIT if drifting else _DELAY_UNIT
+    late = [
+        p
+        for p in session.places
+        if p.block.kind in RESPONSES and session.recordings[p.recording].recording_id in way.recordings
+    ]
 
     def residuals(several: Float) -> Float:
         predicted = about.predict_several(plain.model, several[:, :-1])
         for values, x in zip(predicted, several, strict=True):
-            late = (0.0, unit * x[-1]) if drifting else (unit * x[-1], 0.0)
-            for p in session.places:
-                if p.block.kind in RESPONSES:
-                    values[p.first : p.stop] = turned(values[p.first : p.stop], turn(p.block, *late))
+            for p in late:
+                factor = turn(p.block, *way.split(way.unit * x[-1]))
+                values[p.first : p.stop] = turned(values[p.first : p.stop], factor)
         data = session.whiten((session.value - predicted).T).T
         beside = np.array([compute_deviations(plain.model, x[:-1]) for x in several])
         return np.concatenate([data, beside], axis=1)
 
     low, high = make_bounds(plain.model)
-    widest = abs(start) / unit
+    widest = abs(start) / way.unit
     found = minimise(residuals, np.append(plain.theta, 0.0), np.append(low, -widest), np.append(high, widest))
-    return start + unit * float(found.x[-1]), count_chi2(session, found.residual)
+    return start + way.unit * float(found.x[-1]), count_chi2(session, found.residual)

@@ -8,8 +8,8 @@ from pipeline.diagnose.faults.hypotheses import Hypothesis
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.observed import AMPLITUDE, STATED
 
-_DIGITS = 6
-"""Significant digits of a value that is proposed."""
+_DIGITS, _RATIO_DIGITS = 6, 9
+"""Significant digits of a value that is proposed, and of a ratio of two clocks, which differs from 1 by millionths."""
 _SCALE, _DELAY, _COLUMN = "columns.{}.scale", "columns.{}.delay_s", "columns.{}.column"
 
 
@@ -29,7 +29,7 @@ def list_corrections(own: RecordingFeatures, hypothesis: Hypothesis, probability
     elif cause == ids.SAMPLE_RATE_WRONG:
         pairs = [("time.scale", "1", write(1 / hypothesis.stretch))]
     elif cause == ids.CLOCK_DRIFT:
-        pairs = [(f"columns.{channel}.time_scale", "1", write(1 / (1 + hypothesis.late[1])))]
+        pairs = [(f"columns.{channel}.time_scale", "1", write_ratio(1 / (1 + hypothesis.late[1])))]
     elif cause == ids.FOREIGN_RECORDING:
         pairs = [("specimen_id", own.specimen_id, "")]
     return tuple(Correction(own.recording_id, cause, key, now, then, probability) for key, now, then in pairs)
@@ -38,3 +38,8 @@ def list_corrections(own: RecordingFeatures, hypothesis: Hypothesis, probability
 def write(value: float) -> str:
     """A value as it stands in a file."""
     return f"{value:.{_DIGITS}g}"
+
+
+def write_ratio(value: float) -> str:
+    """A ratio of two clocks as it stands in a file."""
+    return f"{value:.{_RATIO_DIGITS}g}"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from pipeline.diagnose.faults.agreement import (
     sum_by_recording,
 )
 from pipeline.diagnose.faults.change import find_change
+from pipeline.diagnose.faults.clock import find_late
 from pipeline.diagnose.faults.correct import list_corrections
 from pipeline.diagnose.faults.fault import DEAD_CHANNEL, STRAIN_WRONG, Fault
 from pipeline.diagnose.faults.fitted import Fitted, assemble_session, fit_session
@@ -27,10 +29,11 @@ from pipeline.diagnose.faults.levels import Levels, name_clamp, read_levels
 from pipeline.diagnose.faults.predict import Suspect
 from pipeline.diagnose.faults.session_wide import (
     find_contradicting_lengths,
-    find_shared,
     find_stated_by_all,
     find_swapped_in_all,
     find_wrong_file,
+    find_wrong_sizes,
+    is_off,
     judge_taps,
     merge_lengths,
 )
@@ -45,6 +48,8 @@ from schemas.protocols import CALIBRATION
 
 _EXPECTED = Mechanisms(0.5 * RULES.fault.mechanism, as_film=0.5 * RULES.fault.mechanism)
 """Of a recording like which there is no other."""
+_EVIDENT = Mechanisms(0.25, as_film=0.25, as_scale=0.25, as_delay=0.25)
+"""Where other recordings show one: in which of the ways is as likely as in another."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +82,8 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
     explained = frozenset(id for f in found for id in f.recordings)
     lengths = find_contradicting_lengths(recordings) if not found else None
     found += [] if lengths is None else [lengths]
-    suspects = frozenset(id for id, own in levels.items() if own.is_suspect) - explained
-    if 2 * len(suspects) >= len(recordings):
+    odd = suspects = frozenset(id for id, own in levels.items() if own.is_suspect) - explained
+    if 2 * len(odd) >= len(recordings):
         suspects = frozenset()  # what most recordings have in common is asked of all of them
     fitted = _fit(recordings, suspects)
     if fitted is None:
@@ -92,21 +97,25 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         found.append(fault)
         if fault.bars:
             return Checked(*fitted, tuple(found))
+    # What all of them have, or all of one kind, makes each seem to have a fault of its own.
+    late = find_late(recordings, fitted, suspects) if is_off(fitted[0], fitted[2]) else None
+    if late is not None:
+        recordings, fitted, fault = late
+        found.append(fault)
     outside, agreement = _find_outside(*fitted)
     if agreement is not None or len(suspects) > 1:
         change = _ask_change(recordings, fitted, agreement, suspects)
         if change is not None:
             found.append(change)
-            suspects, outside, agreement = suspects - frozenset(change.recordings), frozenset(), None
-    if suspects or outside:
-        found += _judge_each(recordings, levels, fitted, agreement, suspects, outside)
+            odd, outside, agreement = odd - frozenset(change.recordings), frozenset(), None
+    if odd or outside:
+        found += _judge_each(recordings, levels, fitted, agreement, odd, outside)
     culprits = frozenset(id for f in found for id in f.recordings if f.sets_aside)
     if culprits != {r.recording_id for r in recordings} - {r.recording_id for r in fitted[0].recordings}:
         fitted = _fit(recordings, culprits, near=fitted[2]) or fitted
-    sound = [r for r in recordings if r.recording_id not in culprits]
-    if not any(f.sets_aside for f in found):
-        _, fitted, shared = find_shared(sound, fitted)
-        found += shared
+    if not culprits:
+        sizes = find_wrong_sizes(fitted)
+        found += [] if sizes is None else [sizes]
     return Checked(*fitted, tuple(merge_lengths(found)))
 
 
@@ -187,21 +196,32 @@ def _judge_each(
         outside = frozenset()  # others do not agree with each other either: no fault of one recording
     whole = assemble_session(recordings) if suspects else session
     asked = suspects | outside
-    found = []
-    for numbers in _list_alike(whole, asked):
-        rig = _find_rig(session, whole.recordings[numbers[0]])
-        fault = judge_together(Suspect.of(whole, numbers, base, rig), numbers, levels)
+    told: dict[tuple[int, ...], Fault] = {}
+
+    def judge(numbers: Sequence[int], judged: Callable[[Suspect], Fault | None]) -> None:
+        """Judges recordings and keeps their fault."""
+        suspect = Suspect.of(whole, numbers, base, _find_rig(session, whole.recordings[numbers[0]]))
+        fault = judged(suspect)
         if fault is not None:
-            found.append(fault)
-            asked -= frozenset(fault.recordings)
+            told[tuple(numbers)] = fault
+
+    for numbers in _list_alike(whole, asked):
+        judge(numbers, partial(judge_together, numbers=numbers, levels=levels))
+    together = {id for f in told.values() for id in f.recordings}
     for number, recording in enumerate(whole.recordings):
         if not recording.blocks:
-            found.append(_state_dead(recording))
-        elif recording.recording_id in asked:
-            rig = _find_rig(session, recording)
-            fault = _judge_one(Suspect.of(whole, (number,), base, rig), levels[recording.recording_id], asked)
-            found += [] if fault is None else [fault]
-    return found
+            told[number,] = _state_dead(recording)
+        elif recording.recording_id in asked - together:
+            judge((number,), partial(_judge_one, levels=levels[recording.recording_id], asked=asked))
+    if outside - {id for f in told.values() for id in f.recordings}:
+        # Of what is left no fault is the reason. A mechanism is, and the others have it as well.
+        before_that, told = dict(told), {}
+        for numbers, fault in before_that.items():
+            if whole.recordings[numbers[0]].blocks:
+                judge(numbers, partial(judge_together, numbers=numbers, levels=levels, mechanisms=_EVIDENT))
+            else:
+                told[numbers] = fault
+    return list(told.values())
 
 
 def _list_alike(session: Session, asked: frozenset[str]) -> list[tuple[int, ...]]:
@@ -218,13 +238,18 @@ def _list_alike(session: Session, asked: frozenset[str]) -> list[tuple[int, ...]
     ]
 
 
-def judge_together(suspect: Suspect, numbers: Sequence[int], levels: dict[str, Levels]) -> Fault | None:
-    """A fault that all recordings of one kind have in common, None where none puts them right together."""
+def judge_together(
+    suspect: Suspect, numbers: Sequence[int], levels: dict[str, Levels], mechanisms: Mechanisms = _EXPECTED
+) -> Fault | None:
+    """A fault that recordings of one kind have in common, None where none puts them right together."""
     names = tuple(suspect.session.recordings[n].recording_id for n in numbers)
     own = [levels[name] for name in names]
-    judged = judge_hypotheses(suspect, own[0], _EXPECTED, own[1:])
+    judged = judge_hypotheses(suspect, own[0], mechanisms, own[1:])
     best = judged[0][0]
-    if best.hypothesis.predict is None or not agrees(best.chi2 / suspect.size, suspect.sound_chi2 / suspect.size):
+    is_several = len(numbers) > 1
+    if is_several and (
+        best.hypothesis.predict is None or not agrees(best.chi2 / suspect.size, suspect.sound_chi2 / suspect.size)
+    ):
         return None
     return _state_likely(suspect, names, judged)
 
@@ -253,8 +278,9 @@ def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault
     if _has_peer(own, peers):
         # What it does here it does in part beside: that nothing of it shows there is the less likely the more there is here.
         rare = RULES.fault.mechanism_beside_peer / float(np.sqrt(max(suspect.sound_chi2 - suspect.size, 1.0)))
-        ends = {r.recording_id for r in (session.recordings[0], session.recordings[-1])}
-        mechanisms = Mechanisms(rare, as_scale=RULES.fault.mechanism if own.recording_id in ends else 0.0)
+        # What happens to the film shows in all that comes after.
+        is_end = suspect.number == 0 or not _agrees_later(suspect.number, session, asked)
+        mechanisms = Mechanisms(rare, as_scale=RULES.fault.mechanism if is_end else 0.0)
     return _state_likely(suspect, (own.recording_id,), judge_hypotheses(suspect, levels, mechanisms))
 
 
@@ -284,6 +310,12 @@ def _state_likely(suspect: Suspect, names: tuple[str, ...], judged: Sequence[tup
         if suspect.size and best.hypothesis.predict is not None
         else float("nan"),
     )
+
+
+def _agrees_later(number: int, session: Session, asked: frozenset[str]) -> bool:
+    """Whether a recording of the same loading that comes after this one agrees with the others."""
+    own = session.recordings[number]
+    return any(r.loading == own.loading and r.recording_id not in asked for r in session.recordings[number + 1 :])
 
 
 def _has_peer(own: RecordingFeatures, others: Sequence[RecordingFeatures]) -> bool:

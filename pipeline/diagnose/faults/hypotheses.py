@@ -100,11 +100,13 @@ class Mechanisms:
     any_way : probability that one shows in the recording in whatever way
     as_film : that one makes another film of it there, as a softening does
     as_scale : that one makes the film softer or stiffer there by one factor, as what happens once to it does
+    as_delay : that one makes the force late there, as a slow sensor does
     """
 
     any_way: float
     as_film: float = 0.0
     as_scale: float = 0.0
+    as_delay: float = 0.0
 
 
 def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) -> Iterator[Hypothesis]:
@@ -123,7 +125,7 @@ def list_hypotheses(suspect: Suspect, levels: Levels, mechanisms: Mechanisms) ->
         if probability > 0:
             yield Hypothesis(MECHANISM, "", None, float(np.log(probability)), free, own_chi2=own_chi2)
     yield from _scales(suspect, prior)
-    yield from _delays(suspect, prior)
+    yield from _delays(suspect, prior, mechanisms.as_delay)
     yield from _stretches(suspect, levels, prior)
     if not suspect.is_electrical:
         yield Hypothesis(
@@ -216,13 +218,22 @@ def _scale(suspect: Suspect, channel: str, factor: float, cause: str, log_prior:
     )  # fmt: skip
 
 
-def _delays(suspect: Suspect, prior: float) -> Iterator[Hypothesis]:
+def _delays(suspect: Suspect, prior: float, as_mechanism: float) -> Iterator[Hypothesis]:
     grid = _spread(_LATEST_S, 1e-6)
     late = _search(lambda x: suspect.delay(x, 0.0), suspect, grid)
-    yield Hypothesis(
+    skew = Hypothesis(
         ids.CHANNEL_SKEW, f"the force is stamped {significant(1e3 * late, 3)} ms late", partial(suspect.delay, late, 0.0),
         prior, 1, channel="force", late=(late, 0.0),
     )  # fmt: skip
+    yield skew
+    if as_mechanism > 0:
+        yield replace(
+            skew,
+            cause=MECHANISM,
+            predict=None,
+            log_prior=float(np.log(as_mechanism)),
+            own_chi2=lambda: suspect.compute_chi2(suspect.delay(late, 0.0)),
+        )
     drift = _search(lambda x: suspect.delay(0.0, x), suspect, _spread(_FASTEST, 1e-7))
     drifting: Callable[[float], Prediction] = partial(suspect.delay, 0.0)
     if suspect.compute_chi2(drifting(drift)) < _PROMISING * suspect.sound_chi2:

@@ -10,7 +10,6 @@ import numpy as np
 
 from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
-from pipeline.diagnose.faults.clock import find_drift
 from pipeline.diagnose.faults.correct import write
 from pipeline.diagnose.faults.fault import Correction, Fault
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
@@ -281,21 +280,7 @@ def _change_rig(rig: RigConstants, key: str, factor: float) -> RigConstants:
     return replace(rig, **changed)
 
 
-def find_shared(
-    recordings: Sequence[RecordingFeatures], fitted: Fitted
-) -> tuple[list[RecordingFeatures], Fitted, list[Fault]]:
-    """What is wrong with all recordings that their plain fit shows beside the rig's file: a clock that drifts, sizes."""
-    found: list[Fault] = []
-    put_right = list(recordings)
-    drifting = find_drift(put_right, fitted) if _is_off(fitted[0], fitted[2]) else None
-    if drifting is not None:
-        put_right, fitted, fault = drifting
-        found.append(fault)
-    size = _ask_sizes(fitted)
-    return put_right, fitted, found + ([] if size is None else [size])
-
-
-def _is_off(session: Session, plain: PlainFit) -> bool:
+def is_off(session: Session, plain: PlainFit) -> bool:
     """Whether a plain fit misses the recordings, or the rig's file."""
     left = measure_left(session, count_chi2(session, plain.misfit))
     return left > RULES.fault.agrees or _find_furthest(plain) > RULES.fault.off
@@ -347,7 +332,7 @@ def find_wrong_file(
     None where no correction brings all recordings together with the file
     """
     session, _, plain = fitted
-    rough = _rank_remedies(session) if _is_off(session, plain) else []
+    rough = _rank_remedies(session) if is_off(session, plain) else []
     if not rough:
         return None
     best: tuple[float, list[RecordingFeatures], Fitted, _Remedy] | None = None
@@ -416,7 +401,7 @@ def judge_taps(
     session, _, plain = fitted
     ring, filed = (float(np.median([t.values[key] for t in taps])) for key in (RING_HZ, FILED_RING_HZ))
     words = f"what was tapped rings at {significant(ring, 4)} Hz, the clamp of the rig's file would at {significant(filed, 4)} Hz"
-    if _count_responses(session) >= RULES.fault.film_points and not _is_off(session, plain):
+    if _count_responses(session) >= RULES.fault.film_points and not is_off(session, plain):
         # The film's responses have the clamp of the file on them.
         names = tuple(t.recording_id for t in taps)
         return Fault(ids.FOREIGN_RIG, names, RULES.fault.named, f"{words}, and the tests agree with the file")
@@ -475,7 +460,7 @@ def merge_lengths(faults: Sequence[Fault]) -> list[Fault]:
     return [merged, *(f for f in faults if f not in (strains[0], sizes[0]))]
 
 
-def _ask_sizes(fitted: Fitted) -> Fault | None:
+def find_wrong_sizes(fitted: Fitted) -> Fault | None:
     """The actuation against what thickness, width and permittivity promise: they show in nothing else."""
     session, _, plain = fitted
     place = plain.model.index("log actuation")

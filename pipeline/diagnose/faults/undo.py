@@ -141,7 +141,8 @@ def follow_block(block: FeatureBlock, nodes: Float, delay_s: float, drift: float
             f"{name}_columns": weights.indices.astype(float),
             f"{name}_rows": weights.indptr.astype(float),
         }
-    doubt = _TIMES_KNOWN * 2 * np.pi * np.nan_to_num(block.frequency_hz) * late * _measure_size(block)
+    uncertain = _TIMES_KNOWN * drift * np.nan_to_num(block.time_s)
+    doubt = 2 * np.pi * np.nan_to_num(block.frequency_hz) * uncertain * _measure_size(block)
     added = doubt**2 if block.basis.ndim == 2 else np.diag(doubt**2)
     return replace(
         block,

@@ -23,8 +23,8 @@ from pipeline.diagnose.features.kinds import (
     NoiseSample,
 )
 from pipeline.diagnose.features.noise_density import MAINS_HZ, thinned
-from pipeline.diagnose.features.observed import read_period
 from pipeline.diagnose.features.records import Record, record
+from pipeline.diagnose.features.whole_periods import is_whole, make_whole
 from pipeline.diagnose.rules import RULES
 from pipeline.physics.rig import rig_prior
 from pipeline.transform.channels import drive
@@ -33,7 +33,7 @@ from pipeline.transform.sweeps import find_period
 from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
-from schemas.recording import Channel, Recording
+from schemas.recording import Recording
 
 _DEGREE = 5
 """Degree of the slow drift over a record that is taken off."""
@@ -41,10 +41,6 @@ _WAVE = 2048
 """Most samples of the stored period."""
 _MAINS_HALF_HZ = 0.6
 """Half width about the mains in which no line is a feature, Hz."""
-_WHOLE = 0.02
-"""Samples by which a period may miss a whole number."""
-_OTHER_PERIOD = 0.005
-"""Share by which a period that is seen is another than that stated."""
 _LEAD_IN_S = 0.03
 """Time before the first period in which the amplifier may begin to move, s."""
 
@@ -79,7 +75,7 @@ def sphs_blocks(
         if source.square and q in recording.channels and recording.channels[q].values.size:
             channels[q] = recording.channels[q]
     high = recording.metadata.frequency_stop_hz or 0.1 / _interval(source.input.time_ns)
-    period_s = _claim_period(recording.metadata.period_s, source.input)
+    channels, period_s = make_whole(channels, given, recording.metadata.period_s)
     found = record(channels, recording, highest_hz=high, period_s=period_s)
     if found.lost.any():
         raise NotIdentifiableError("a multisine with gaps has no whole periods", where=recording.metadata.recording_id)
@@ -162,19 +158,6 @@ def _interval(time_ns: Int) -> float:
     return float(time_ns[-1] - time_ns[0]) / max(time_ns.size - 1, 1) * 1e-9
 
 
-def _claim_period(stated_s: float | None, given: Channel) -> float | None:
-    """The period as the clock of the recording has it: that stated, but where this is no whole number of samples and the input repeats
-    after another time, which is a wrong clock."""
-    if stated_s is None:
-        return None
-    interval_s = _interval(given.time_ns)
-    samples = stated_s / interval_s
-    if abs(samples - round(samples)) <= _WHOLE:
-        return stated_s
-    seen = read_period(given.values)
-    return stated_s if seen is None or abs(seen / samples - 1) < _OTHER_PERIOD else seen * interval_s
-
-
 def _periods(
     recording: Recording, found: Record, wave: Float, square: bool, high: float, stated: float | None
 ) -> _Periods:
@@ -183,7 +166,7 @@ def _periods(
     if samples is None:
         raise NotIdentifiableError("no period found in the input", where=where)
     length = round(samples)
-    if abs(samples - length) > _WHOLE:
+    if not is_whole(samples):
         raise NotIdentifiableError(
             f"a period of {samples:.6g} samples is not whole",
             where=where,
