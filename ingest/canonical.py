@@ -82,7 +82,8 @@ def canonical(
             _check_changes(channels[quantity], where)
     for quantity in _FORCES:
         if quantity in channels and rig.load_cell_range_n is not None:
-            _check_range(channels[quantity], rig.load_cell_range_n, quantity in required, problems, where)
+            beside = channels.get("displacement") if quantity in required else None
+            _check_range(channels[quantity], rig.load_cell_range_n, quantity in required, beside, problems, where)
     recording = Recording(metadata, rig, channels, source, assumptions=raw.assumptions)
     notes += sampling_notes(channels)
     _note_clock(recording, notes)
@@ -293,8 +294,13 @@ def _check_changes(channel: Channel, where: str) -> None:
         )
 
 
-def _check_range(channel: Channel, limit: float, required: bool, problems: list[str], where: str) -> None:
-    """Forces at or beyond the load cell's range: some are a problem, most of them refuse the recording."""
+def _check_range(
+    channel: Channel, limit: float, required: bool, beside: Channel | None, problems: list[str], where: str
+) -> None:
+    """Forces at or beyond the load cell's range: some are a problem, most of them refuse the recording.
+
+    `beside`: the displacement that may be in the force's place, and the force in its.
+    """
     size = np.abs(channel.values)
     beyond: Bool = size >= limit
     count = int(beyond.sum())
@@ -306,11 +312,15 @@ def _check_range(channel: Channel, limit: float, required: bool, problems: list[
         f"{channel.quantity}: {count} of {usable} samples at or beyond the load cell's range (largest {largest:.6g} N)"
     )
     if required and count > usable / 2:
+        may_be_swapped = beside is not None and float(np.nanmax(np.abs(beside.values))) < limit
+        swapped = (
+            ", whether force and displacement are in each other's place: what is called displacement lies within it,"
+        )
         raise RefusedError(
             text,
             where=where,
             expected=f"at most {limit:g} N, load_cell_range_n of the rig",
-            remedy="Check the unit of the channel and the rig's load_cell_range_n",
+            remedy=f"Check the unit of the channel{swapped if may_be_swapped else ''} and the rig's load_cell_range_n",
         )
     problems.append(f"{text}; expected below {limit:g} N")
 

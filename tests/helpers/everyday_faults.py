@@ -143,6 +143,11 @@ def mechanical(recordings: Recordings) -> tuple[int, ...]:
     return tuple(i for i, r in enumerate(recordings) if r.metadata.loading == "mechanical")
 
 
+def all_but_first(recordings: Recordings) -> tuple[int, ...]:
+    """Mechanical tests but the first of them."""
+    return mechanical(recordings)[1:]
+
+
 def sweeps(recordings: Recordings) -> tuple[int, ...]:
     return tuple(i for i in mechanical(recordings) if recordings[i].metadata.protocol == "chirp")
 
@@ -311,6 +316,7 @@ EDITS: Mapping[str, Edit] = {
     "strain_pp of one sweep doubled": stated("strain_wrong", SWEEP, strain_pp=2.0),
     "strain_pp of all doubled": stated("strain_wrong", mechanical, strain_pp=2.0, instead=("size_wrong",)),
     "strain_pp of all sines halved": stated("strain_wrong", sines, strain_pp=0.5),
+    "strain_pp of all mechanical tests but the first doubled": stated("strain_wrong", all_but_first, strain_pp=2.0),
     "thickness doubled": stated("size_wrong", all_of, film_thickness_mm=2.0),
     "length doubled": stated("size_wrong", all_of, film_length_mm=2.0, total_length_mm=2.0, instead=("strain_wrong",)),
     "width halved": stated("size_wrong", all_of, film_width_mm=0.5, active_width_mm=0.5),

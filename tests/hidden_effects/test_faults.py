@@ -125,6 +125,37 @@ def test_a_delay_that_all_sweeps_have_and_nothing_else_is_named_with_all_of_them
     assert [float(c.value_proposed) for c in fault.corrections] == pytest.approx([4.5e-3] * len(numbers), rel=1e-2)
 
 
+SHARED = [
+    "clock of the force 60 ppm fast in all",
+    "force of all sweeps 4.5 ms late",
+    "strain_pp of all mechanical tests but the first doubled",
+    "clamp mass ten times",
+    "clamp mass in g",
+    "force of all doubled",
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHARED)
+def test_what_many_recordings_share_is_named_with_all_of_them(name: str) -> None:
+    """Each of them seems to have a fault of its own, or to show a mechanism."""
+    edit, found = EDITS[name], check(name).faults
+    assert {f.cause for f in found} == {edit.cause}
+    assert {id for f in found for id in f.recordings} == set(edit.culprits(recordings()))
+    best = [max((c for c in f.corrections if c.key == edit.key), key=lambda c: c.probability) for f in found]
+    assert all(edit.is_put_right(c) for c in best)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("id", "factor", "seed"), [("cyclic_softening", 3.0, 771_000_104), ("sensor_delay", 2.5, 771_000_114)]
+)
+def test_where_others_show_a_mechanism_it_is_no_fault_of_one_recording(id: str, factor: float, seed: int) -> None:
+    """The last sweep was called another film's, the multisines late."""
+    session = compact_session(seed, [(id, factor * KINDS[id].typical)])
+    assert not check_recordings([reduce(r) for r in session.recordings]).faults
+
+
 def test_a_clock_that_all_tests_share_is_seen_in_sinusoids_and_periods_alike() -> None:
     name = "clock of all tests 6 % off"
     checked = check(name)

@@ -201,6 +201,12 @@ def test_load_cell_range() -> None:
     with pytest.raises(RefusedError, match="load cell's range") as refused:
         check(GOOD[0], channel("force", "N", 1000 * values), rig={"load_cell_range_n": "2"})
     assert "2 N" in refused.value.expected
+    assert "in each other's place" in refused.value.remedy
+    with pytest.raises(RefusedError, match="load cell's range") as refused:
+        check(
+            channel("displacement", "mm", 5 * values), channel("force", "N", 9 * values), rig={"load_cell_range_n": "2"}
+        )
+    assert "in each other's place" not in refused.value.remedy, "that would be beyond the range as well"
 
 
 def test_rig_file_wins_key_by_key() -> None:
