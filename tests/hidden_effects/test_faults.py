@@ -48,7 +48,10 @@ def check(name: str) -> Checked:
     return check_recordings(edited(name))
 
 
-ONE_RECORDING = [name for name, edit in EDITS.items() if len(edit.chosen(recordings())) == 1]
+ONE_RECORDING = [
+    name for name, edit in EDITS.items() if len(edit.chosen(recordings())) == 1 and edit.cause != "gain_error"
+]
+"""A gain of one recording alone, by a factor that is no usual slip, is no fault: a film that softens does that, too."""
 
 
 @pytest.mark.parametrize("name", ONE_RECORDING)
