@@ -147,7 +147,7 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
     if crossings >= _FEWEST_CROSSINGS and _is_smooth(drive):
         return _sweep("mechanical", drive)
     if crossings >= _FEWEST_CROSSINGS:
-        return Shape("chirp", "mechanical", UNSURE, "a broad band of frequencies that is no sweep")
+        return Shape("noise", "mechanical", LIKELY, "a broad band of frequencies that is no sweep")
     return Shape("cycle", "mechanical", LIKELY, f"{drive.turns.size} turning points")
 
 

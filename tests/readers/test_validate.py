@@ -22,7 +22,13 @@ from tests.readers import independent_writer
 
 PUBLISHED = Path(schemas.__file__).parent / "published"
 TESTS = Path(__file__).resolve().parents[1]
-MAPPINGS = sorted([*TESTS.glob("real_data/*.toml"), *TESTS.glob("strangers/files/**/*.toml")])
+MAPPINGS = sorted(
+    [
+        *TESTS.glob("real_data/*.toml"),
+        *TESTS.glob("strangers/files/**/*.toml"),
+        *TESTS.glob("strangers/drafted/**/*.toml"),
+    ]
+)
 DATA = sorted(m.with_suffix("") for m in TESTS.glob("strangers/files/**/*.toml") if m.with_suffix("").is_file())
 GOOD = independent_writer.METADATA
 

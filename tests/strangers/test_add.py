@@ -214,11 +214,14 @@ def test_lines_above_a_table() -> None:
     assert found == {"sample_rate_hz": 200.0, "film_width_mm": 25.4, "film_length_mm": 50.0}
 
 
+@pytest.mark.slow
 def test_drafts_of_our_own_files_of_strangers() -> None:
+    """What is asked of drafts: protocols right of nine in ten files, no unit wrong, no column lost."""
     judged = [found for folder in drafts.OWN for case in sorted(folder.iterdir()) for found in drafts.judge(case)]
-    assert len(judged) >= 8
+    assert len(judged) >= 40
     assert not [(j.name, j.wrong_units, j.lost) for j in judged if j.wrong_units or j.lost]
-    assert sum(bool(j.protocol) for j in judged) >= len(judged) - 1
+    wrong = [(j.name, j.wrong) for j in judged if not j.protocol]
+    assert len(wrong) <= 1, wrong
 
 
 def test_a_text_with_the_ending_of_its_machine_is_read_as_text(tmp_path: Path) -> None:
