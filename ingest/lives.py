@@ -122,7 +122,8 @@ def _leave_out_no_specimens(table: TableRows) -> None:
     """Leaves out the rows of a sheet that are no test of a specimen, each kind with a note.
 
     Such are rows with neither a life nor an outcome (torn when it was mounted), and rows without a voltage and without a specimen or an
-    outcome, where the table has such columns (a largest value, a mean below the table). A row with a life and an outcome is a test
+    outcome, where the table has such columns (a largest value, a mean below the table), and of tables without outcomes those with neither a
+    life nor a voltage (a remark below the table). A row with a life and an outcome is a test
     whatever else it lacks: cells that are merged, or copied from a group's first row, are empty in all others.
     """
     columns = table.mapping.columns
@@ -132,6 +133,8 @@ def _leave_out_no_specimens(table: TableRows) -> None:
     )
     tests = _have_life_and_outcome(table, outcome, says_blank=says_blank)
     pairs = [(("specimen_id", "voltage"), "without a specimen and without a voltage")]
+    if outcome is None:
+        pairs.append((("lifetime", "voltage"), "without a life and without a voltage"))
     if outcome is not None and not says_blank and "alive_at" not in columns:
         pairs += [
             (("lifetime", outcome), "without a life and without an outcome"),

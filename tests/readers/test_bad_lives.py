@@ -114,3 +114,25 @@ def test_failures_at_zero_count_and_are_no_obstacle(tmp_path: Path) -> None:
     path = write(tmp_path, ["0,yes,5,carbon,,,", *rows_of(9, (4.0, 5.0))])
     (chosen,) = [r for r in analyse(path)["life_regressions"].to_pylist() if r["chosen"]]
     assert (chosen["specimens"], chosen["failures"]) == (10, 10)
+
+
+def test_a_remark_below_a_table_without_outcomes_is_a_note(tmp_path: Path) -> None:
+    """It made the table damaged: it has neither a life nor a voltage, and was taken for a film without a life."""
+    path = tmp_path / "strips.csv"
+    rows = ["S-1,5,195.4", "S-2,5,> 500", "S-3,6.5,10", ",,", "* life until the relay tripped,,"]
+    path.write_text("\n".join(["specimen,U,life", *rows]) + "\n")
+    columns = {
+        "lifetime": {"column": "life", "unit": "h"},
+        "voltage": {"column": "U", "unit": "kV"},
+        "specimen_id": {"column": "specimen"},
+    }
+    mapping = {
+        "kind": "lifetimes",
+        "columns": columns,
+        "recording": {"recording_id": "strips", "configuration": "strip"},
+    }
+    found = read_raw(path, FileMapping.parse(mapping, stem="strips", suffix=".csv", source="strips.csv.toml"))
+    assert isinstance(found, LifetimeTable)
+    assert found.problems == ()
+    assert any("without a life and without a voltage" in note for note in found.notes)
+    assert [(row.specimen_id, row.failed) for row in found.rows] == [("S-1", True), ("S-2", False), ("S-3", True)]
