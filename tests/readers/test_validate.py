@@ -12,12 +12,17 @@ from typing import Any
 import pytest
 
 import schemas
+from ingest.compressed import find_stem, find_suffix
 from ingest.draft import make_draft
+from ingest.mapping import FileMapping
 from ingest.mapping_schema import SCHEMAS
+from ingest.read import read_raw
 from ingest.validate import validate
 from pipeline.cli import main
 from schemas.metadata import RecordingMetadata, list_faults
+from schemas.recording import RawRecording
 from tests.helpers.json_schema import is_valid
+from tests.helpers.small_lab import small_campaign
 from tests.readers import independent_writer
 
 PUBLISHED = Path(schemas.__file__).parent / "published"
@@ -51,6 +56,24 @@ def test_every_draft_keeps_to_the_schema(path: Path, tmp_path: Path) -> None:
     """As soon as it is answered: local times whose zone stands in `[time]`, and files that have times of their own."""
     draft = tomllib.loads(make_draft(Path(shutil.copy(path, tmp_path))).as_toml().replace('= "?"', "= 1.0"))
     assert is_valid(json.loads(json.dumps(draft, default=str)), SCHEMAS["mapping"]())
+
+
+@pytest.mark.slow
+def test_every_recording_of_the_tests_keeps_to_the_schema(tmp_path: Path) -> None:
+    """What files say of themselves, and what mappings say of them: as the checks of the pipeline get it."""
+    found = [read_raw(path, None) for path in sorted(small_campaign(tmp_path / "raw").glob("*.mcap"))]
+    for path in sorted(m for m in MAPPINGS if m.parent.parent.name == "drafted" and m.with_suffix("").is_file()):
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        if content.get("kind", "recording") == "recording":
+            draft = tomllib.loads(make_draft(path.with_suffix("")).as_toml().replace('= "?"', "= 1.0"))
+            stem, suffix = find_stem(path.with_suffix("")), find_suffix(path.with_suffix(""))
+            found.append(read_raw(path.with_suffix(""), FileMapping.parse(draft, stem=stem, suffix=suffix)))
+    assert len(found) >= 30
+    schema = SCHEMAS["recording"]()
+    for raw in found:
+        assert isinstance(raw, RawRecording)
+        content = {"recording": dict(raw.metadata), "rig": dict(raw.rig)}
+        assert is_valid(json.loads(json.dumps(content, default=str)), schema), raw.metadata
 
 
 def test_the_examples_of_the_document_keep_to_the_schemas() -> None:
