@@ -164,8 +164,14 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     )
     unnamed = differentiate_regions(agreed.model)
     hypotheses = allow_form_errors(hypotheses, unnamed)
-    regions = settle_regions(weigh_regions(agreed.model, unnamed), [noise, agreed, *hypotheses], plain)
+    regions = settle_regions(weigh_regions(agreed, unnamed), [noise, agreed, *hypotheses], plain)
     hypotheses, regions = name_regions(hypotheses, regions, agreed.model)
+    posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
+    for base in posterior.find_sure():
+        # What has no name may be beside a cause that is sure: every amplifier lags a little.
+        beside = settle_regions(weigh_regions(base, unnamed), hypotheses, refit_under(plain, base))
+        hypotheses, beside = name_regions(hypotheses, beside, base.model)
+        regions += beside
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     if noise in posterior.find_set(RULES.verdict.credible):
         # Where nothing is more probable than its noise, that is as loud as the session makes it, and known no better.
@@ -267,7 +273,11 @@ def _propose_recording(evidence: Evidence) -> NextRecording | None:
     if best is None or final is None:
         return None
     rivals = [
-        Rival(h.fit or evidence.plain, h.region, 2 * (best.log_joint - h.log_joint))
+        Rival(
+            h.region.plain if h.region and h.beside else h.fit or evidence.plain,
+            h.region,
+            2 * (best.log_joint - h.log_joint),
+        )
         for h in evidence.credible
         if h is not best
     ]

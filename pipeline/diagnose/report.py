@@ -32,7 +32,7 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.held_out import list_supporting_protocols
 from pipeline.diagnose.search.intervals import NORMAL_90, find_interval_ends, make_linear_ends
 from pipeline.diagnose.search.patterns import name_variable
-from pipeline.diagnose.search.posterior import Posterior, RegionFit
+from pipeline.diagnose.search.posterior import Hypothesis, Posterior, RegionFit
 from pipeline.diagnose.search.tempering import measure_explained_share
 from pipeline.diagnose.simulation.parameters import ACTUATION
 from pipeline.diagnose.simulation.session import Session
@@ -343,7 +343,7 @@ def _describe_patterns(evidence: Evidence) -> list[str]:
     by_kind = sorted(left.kind_p.items(), key=lambda item: item[1])
     found = [f"A pattern stays in {name_kind(kind)}." for kind, p in by_kind if p < told]
     found += [
-        f"Most probable without a name: {h.region.region.text}." for h in evidence.credible[:1] if h.region is not None
+        f"Most probable without a name: {_tell_region(h)}." for h in evidence.credible[:1] if h.region is not None
     ]
     found += _describe_closest(evidence)
     by_variable = sorted(left.variable_p.items(), key=lambda item: item[1])
@@ -351,6 +351,14 @@ def _describe_patterns(evidence: Evidence) -> list[str]:
     if depends:
         found.append(f"What stays depends on {', '.join(depends)}.")
     return found
+
+
+def _tell_region(hypothesis: Hypothesis) -> str:
+    """A region in words, with the causes that it is beside."""
+    if hypothesis.region is None:
+        return hypothesis.name
+    beside = " and ".join(plain_name(id) for id in hypothesis.beside)
+    return hypothesis.region.region.text + (f", beside {beside}" if beside else "")
 
 
 def _describe_closest(evidence: Evidence) -> list[str]:
@@ -372,7 +380,7 @@ def _describe_closest(evidence: Evidence) -> list[str]:
 
 def _describe_doubt(evidence: Evidence) -> list[str]:
     """What speaks for a cause that is in no list: the most probable region among the credible hypotheses."""
-    found = [h.region.region.text for h in evidence.credible if h.region is not None]
+    found = [_tell_region(h) for h in evidence.credible if h.region is not None]
     return [f"It may be a cause that is in no list: that {found[0]} would explain it as well."] if found else []
 
 

@@ -36,6 +36,7 @@ DRIFT_FROM_THE_FIRST_RECORDING = 859_740_007
 WARMING_OR_CYCLES = 706_000_008
 LAG_AND_HEAVIER_TAP = 4242
 OFFSET_OR_FIELD = 140_430_039
+BESIDE_A_CAUSE = 960_000_001
 
 
 @lru_cache(maxsize=32)
@@ -257,6 +258,21 @@ def test_held_out_is_what_the_rest_can_predict() -> None:
     assert found.held_out is not None
     assert found.held_out.lower > 0.3
     assert not any(session.recordings[0].metadata.recording_id in name for name in found.held_out.parts)
+
+
+@pytest.mark.slow
+def test_what_has_no_name_is_told_beside_a_cause_that_is_sure() -> None:
+    """A film that softens with the humidity of the room: thermal softening of the other sign came nearest, and was named with the other."""
+    sure = Effect("field_dependent_permittivity", 2 * KINDS["field_dependent_permittivity"].typical)
+    found = observe(compact_session(BESIDE_A_CAUSE, (sure, Effect("humidity", 0.01))))
+    assert (found.verdict, found.stage, found.depends_on) == ("unknown", "film", ("session_time",))
+    assert (
+        max(found.probabilities, key=lambda h: found.probabilities[h])
+        == "field_dependent_permittivity+film/session_time"
+    )
+    assert any("beside" in text for text in found.unexplained)
+    assert found.held_out is not None
+    assert found.held_out.gain > 0.9
 
 
 FAINT_AND_UNLISTED = [

@@ -50,7 +50,7 @@ def compare_with_plain(fit: ExtendedFit) -> Posterior:
     tempered = of.refine(of.fit(fit.theta))
     agreed = find_consensus([tempered, fit], None)
     return Posterior.of(
-        [weigh_fit(fit, noise_alone=True), agreed, *weigh_regions(agreed.model, differentiate_regions(agreed.model))]
+        [weigh_fit(fit, noise_alone=True), agreed, *weigh_regions(agreed, differentiate_regions(agreed.model))]
     )
 
 

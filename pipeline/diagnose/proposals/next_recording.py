@@ -42,7 +42,7 @@ class Rival:
 
     Parameters
     ----------
-    fit : with other listed causes; or the plain model, beside which `region` acts
+    fit : with other listed causes; or the plain model or one with causes, beside which `region` acts
     region : something without a name; None for listed causes
     behind : twice the log odds by which the causes are ahead of it
     """
@@ -53,7 +53,7 @@ class Rival:
 
     def find_names(self) -> tuple[str, ...]:
         """Ids of its listed causes; of a region stage and what it depends on."""
-        return tuple(c.id for c in self.fit.of.chosen) if self.region is None else (self.region.region.id,)
+        return (*(c.id for c in self.fit.of.chosen), *(() if self.region is None else (self.region.region.id,)))
 
 
 def propose_separating(final: ExtendedFit, rivals: Sequence[Rival]) -> NextRecording | None:

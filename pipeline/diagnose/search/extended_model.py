@@ -213,10 +213,10 @@ class Extended:
     def residuals(self, several: Float) -> Float:
         """(B, N + priors) what a fit makes small, of several x (B, P): weighted residuals and deviations from priors."""
         data = self.weight * self.compute_data_residuals(several)
-        return np.concatenate([data, np.array([self._beside_data(x) for x in several])], axis=1)
+        return np.concatenate([data, np.array([self.compute_deviations(x) for x in several])], axis=1)
 
-    def _beside_data(self, x: Float) -> Float:
-        """(priors,) deviations from what is known beforehand, in standard deviations."""
+    def compute_deviations(self, x: Float) -> Float:
+        """(priors,) deviations of entries x (P,) from what is known beforehand, in standard deviations."""
         own = x[self.model.size :]
         mean, sd = self._priors
         shaped = np.isfinite(sd)

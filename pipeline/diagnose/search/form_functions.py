@@ -12,10 +12,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from pipeline.diagnose.mechanisms import MECHANISMS
+from pipeline.diagnose.mechanisms.mechanism import Mechanism
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
-from pipeline.diagnose.search.likelihood import LARGEST, Groups, Linearised, find_absorbed, find_peak, measure_trace
-from pipeline.diagnose.search.posterior import Hypothesis, RegionFit, measure_trace_of_causes
+from pipeline.diagnose.search.likelihood import (
+    LARGEST,
+    Groups,
+    Linearised,
+    Peak,
+    find_absorbed,
+    find_peak,
+    measure_trace,
+)
+from pipeline.diagnose.search.posterior import (
+    Hypothesis,
+    RegionFit,
+    compute_change_by_cause,
+    compute_change_by_causes,
+    measure_trace_of_causes,
+)
 from pipeline.diagnose.search.regions import STEP, Region, list_regions
 from schemas.arrays import Bool, Float
 
@@ -73,57 +89,108 @@ def compute_columns(fit: ExtendedFit, region: Region) -> Float:
     return of.session.whiten(np.where(computed[:, None], changes, 0.0).T)
 
 
-def weigh_regions(plain: ExtendedFit, changes: Sequence[RegionChange]) -> list[Hypothesis]:
-    """All regions without a name as hypotheses, to first order about the plain model.
+def weigh_regions(base: Hypothesis, changes: Sequence[RegionChange]) -> list[Hypothesis]:
+    """All regions without a name as hypotheses, to first order about the plain model, or beside causes that are sure.
 
     Parameters
     ----------
-    plain : the plain model, with the film that most groups of features agree on
-    changes : of all regions, about it
+    base : the plain model, with the film that most groups of features agree on, or one with listed causes at its optimum
+    changes : of all regions, about the plain model; what a listed cause of the base may depend on is the form of that cause
     """
-    groups, absorbed, about = Groups.of(plain.of.session, plain.of.quiet), find_absorbed(plain), Linearised.of(plain)
-    prior = float(np.log(RULES.prior.unnamed / max(len(changes), 1)))
-    return [_weigh_region(plain, groups, absorbed, about, change, prior) for change in changes]
+    fit = base.model
+    own = [MECHANISMS[id] for id in base.causes]
+    changes = [c for c in changes if not any(is_form_of(c.region, m) for m in own)]
+    prior = float(np.log(RULES.prior.unnamed / max(len(changes), 1))) + (base.log_prior if base.causes else 0.0)
+    name = f"{base.name}+" if base.causes else ""
+    about = _About(
+        fit,
+        Groups.of(fit.of.session, fit.of.quiet),
+        find_absorbed(fit),
+        compute_change_by_causes(fit),
+        list_forms(base.bends, Linearised.of(fit)),
+    )
+    found = [_weigh_region(about, change, name + change.region.id, prior) for change in changes]
+    return [replace(h, bends=base.bends) for h in found]
 
 
-def _weigh_region(
-    plain: ExtendedFit,
-    groups: Groups,
-    absorbed: Float,
-    about: Linearised,
-    change: RegionChange,
-    prior: float,
-) -> Hypothesis:
+def is_form_of(region: Region, mechanism: Mechanism) -> bool:
+    """Whether a region acts in the stage of a mechanism and depends on what that does."""
+    return region.stage == mechanism.stage and region.depends_on in mechanism.covariates
+
+
+@dataclass(frozen=True)
+class _About:
+    """What regions are added to: a fit, its groups of features, what film and rig absorb, and what its causes change (N,).
+
+    Parameters
+    ----------
+    forms : (log prior, model to first order, with what the form of its causes may be wrong by or without)
+    """
+
+    fit: ExtendedFit
+    groups: Groups
+    absorbed: Float
+    by_causes: Float
+    forms: tuple[tuple[float, Linearised], ...]
+
+
+def _weigh_region(about: _About, change: RegionChange, name: str, prior: float) -> Hypothesis:
     """One region, over all widths of its prior."""
-    region, seen = change.region, change.seen
-    size = about.jacobian.shape[1]
+    region, seen, fit, groups = change.region, change.seen, about.fit, about.groups
     evidence, best = [], None
     for width in WIDTHS:
         scale = width * region.width[seen]
         own = change.columns[:, seen] * scale
-        extended = about.extend(own)
-        trace = np.zeros(groups.size.size)
-        for _ in range(2):  # the trace of the function follows from its fit
-            peak = find_peak(groups, extended, trace, size, noise_alone=False)
-            trace = measure_trace(groups, absorbed, own @ peak.step[size:])
-        covariance = peak.covariance[size:, size:]
-        evidence.append(peak.log_likelihood + 0.5 * float(np.linalg.slogdet(covariance)[1]))
-        if evidence[-1] == max(evidence):
-            weights, spread = np.zeros(seen.size), np.zeros((seen.size, seen.size))
-            weights[seen] = scale * peak.step[size:]
-            spread[np.ix_(seen, seen)] = np.outer(scale, scale) * covariance
-            best = RegionFit(region, weights, spread, plain, peak.step[:size], float(width)), peak
+        for believed, form in about.forms:
+            extended, first = form.extend(own), form.jacobian.shape[1]
+            trace = measure_trace(groups, about.absorbed, about.by_causes)
+            for _ in range(2):  # the trace of the function follows from its fit
+                peak = find_peak(groups, extended, trace, first, noise_alone=False)
+                trace = measure_trace(groups, about.absorbed, about.by_causes + own @ peak.step[first:])
+            evidence.append(believed + integrate_peak(fit, peak))
+            if evidence[-1] == max(evidence):
+                weights, spread = np.zeros(seen.size), np.zeros((seen.size, seen.size))
+                weights[seen] = scale * peak.step[first:]
+                spread[np.ix_(seen, seen)] = np.outer(scale, scale) * peak.covariance[first:, first:]
+                best = RegionFit(region, weights, spread, fit, peak.step[: fit.x.size], float(width)), peak
     assert best is not None, region.id
-    total = float(logsumexp(evidence) - np.log(len(evidence)))
-    return Hypothesis(region.id, total, prior, None, best[0], best[1].weight, best[1].odd)
+    total = float(logsumexp(evidence) - np.log(WIDTHS.size))
+    return Hypothesis(name, total, prior, None, best[0], best[1].weight, best[1].odd)
+
+
+def integrate_peak(fit: ExtendedFit, peak: Peak) -> float:
+    """Log evidence in Laplace's approximation at a peak over the entries of a fit, and weights after them with standard normal priors."""
+    size = fit.x.size
+    own = float(np.linalg.slogdet(peak.covariance[size:, size:])[1])
+    return peak.log_likelihood + fit.integrate_mechanisms(peak.covariance[:size, :size]) + 0.5 * own
+
+
+def list_forms(bends: Float | None, about: Linearised) -> tuple[tuple[float, Linearised], ...]:
+    """A model to first order with the form of its causes as it is, and wrong by the most probable share.
+
+    Parameters
+    ----------
+    bends : (N, K) what that changes; None: nothing
+    about : the model
+
+    Returns
+    -------
+    Logarithms of what is believed of each beforehand, and the models
+    """
+    if bends is None:
+        return ((0.0, about),)
+    rules = RULES.form
+    return (
+        (float(np.log(1 - rules.bent)), about),
+        (float(np.log(rules.bent / len(rules.bends))), about.extend(bends)),
+    )
 
 
 def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChange]) -> list[Hypothesis]:
-    """The hypotheses of listed causes; the form of one alone may be wrong by smooth functions of what it depends on.
+    """The hypotheses of listed causes; the form of each cause may be wrong by smooth functions of what it depends on.
 
     No formula is exactly reality's: what a cause does in its stage may be another function of the same covariate, by a share of its
-    effect (`form.bends`, each as likely). The shapes are those of the regions without a name, about the cause in place of nothing. Several
-    causes have to do with their formulas: what the form of one would take up shows no other.
+    effect (`form.bends`, each as likely). The shapes are those of the regions without a name, about the causes in place of nothing.
 
     Parameters
     ----------
@@ -140,33 +207,35 @@ def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChang
 def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange], *, anew: bool = False) -> Hypothesis:
     """One of them; `anew`: with the shapes about its own fit, for about the plain model they are not those of a strong effect."""
     fit = hypothesis.model
-    if len(fit.of.chosen) != 1:
-        return hypothesis
-    mechanism = fit.of.chosen[0].mechanism
-    own = [c for c in changes if c.region.stage == mechanism.stage and c.region.depends_on in mechanism.covariates]
-    if anew:
-        absorbed = find_absorbed(fit)
-        own = [change for c in own if (change := differentiate_region(fit, c.region, absorbed)).seen.any()]
-    if not own:
+    columns = _list_bends(fit, changes, anew=anew)
+    if not columns.size:
         return hypothesis
     groups, about = Groups.of(fit.of.session, fit.of.quiet), Linearised.of(fit)
     trace = measure_trace_of_causes(fit, groups)
-    size = float(np.sqrt(trace @ groups.size))
-    columns = np.concatenate([c.columns[:, c.seen] * _scale_shapes(c, size) for c in own], axis=1)
-    evidence, odd = [hypothesis.log_evidence], [hypothesis.odd]
-    for share in RULES.form.bends:
-        peak = find_peak(groups, about.extend(share * columns), trace, fit.x.size, noise_alone=False)
-        bent = peak.covariance[fit.x.size :, fit.x.size :]
-        evidence.append(
-            peak.log_likelihood
-            + fit.integrate_mechanisms(peak.covariance[: fit.x.size, : fit.x.size])
-            + 0.5 * float(np.linalg.slogdet(bent)[1])
-        )
-        odd.append(peak.odd)
     rules = RULES.form
+    evidence, odd = [hypothesis.log_evidence], [hypothesis.odd]
+    for share in rules.bends:
+        peak = find_peak(groups, about.extend(share * columns), trace, fit.x.size, noise_alone=False)
+        evidence.append(integrate_peak(fit, peak))
+        odd.append(peak.odd)
     prior = np.array([1 - rules.bent, *[rules.bent / len(rules.bends)] * len(rules.bends)])
     total = float(logsumexp(evidence, b=prior))
-    return replace(hypothesis, log_evidence=total, odd=odd[int(np.argmax(evidence))])
+    bends = rules.bends[int(np.argmax(evidence[1:]))] * columns
+    return replace(hypothesis, log_evidence=total, odd=odd[int(np.argmax(evidence))], bends=bends)
+
+
+def _list_bends(fit: ExtendedFit, changes: Sequence[RegionChange], *, anew: bool) -> Float:
+    """(N, K) changes of the features by the shapes of each cause of a fit, as large as what the cause itself does."""
+    absorbed = find_absorbed(fit)
+    found = [np.zeros((fit.of.session.size, 0))]
+    for number, chosen in enumerate(fit.of.chosen):
+        own = [c for c in changes if is_form_of(c.region, chosen.mechanism)]
+        if anew:
+            own = [change for c in own if (change := differentiate_region(fit, c.region, absorbed)).seen.any()]
+        effect = compute_change_by_cause(fit, number)
+        size = float(np.linalg.norm(effect - absorbed @ (absorbed.T @ effect)))
+        found += [c.columns[:, c.seen] * _scale_shapes(c, size) for c in own]
+    return np.concatenate(found, axis=1)
 
 
 def _scale_shapes(change: RegionChange, size: float) -> Float:

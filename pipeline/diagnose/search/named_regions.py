@@ -15,6 +15,7 @@ from scipy.special import logsumexp
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
+from pipeline.diagnose.search.form_functions import is_form_of
 from pipeline.diagnose.search.likelihood import find_absorbed
 from pipeline.diagnose.search.posterior import Hypothesis
 from schemas.arrays import Float
@@ -29,7 +30,7 @@ def name_regions(
     ----------
     listed : hypotheses of listed causes at their optima
     regions : hypotheses of regions at their optima
-    plain : the plain model, with the film that most groups of features agree on
+    plain : the model that the regions are beside: the plain one, with the film that most groups of features agree on, or one with causes
 
     Returns
     -------
@@ -38,7 +39,7 @@ def name_regions(
     absorbed = find_absorbed(plain)
     named, unnamed = list(listed), []
     for region in regions:
-        places = [i for i, h in enumerate(named) if _may_be_a_form_of(region, h) and _is_near(region, h, absorbed)]
+        places = [i for i, h in enumerate(named) if _may_be_form_of(region, h) and _is_near(region, h, absorbed)]
         if not places:
             unnamed.append(region)
             continue
@@ -51,11 +52,13 @@ def name_regions(
     return named, unnamed
 
 
-def _may_be_a_form_of(region: Hypothesis, cause: Hypothesis) -> bool:
-    """Whether a cause alone acts in the stage of a region, and depends on the same."""
-    if len(cause.causes) != 1 or region.stages != cause.stages:
+def _may_be_form_of(region: Hypothesis, listed: Hypothesis) -> bool:
+    """Whether the one cause that a hypothesis has more than a region is beside acts in its stage, and depends on the same."""
+    fit, more = region.region, list(listed.causes)
+    if fit is None or not {*region.beside} <= {*more} or len(more) != len(region.beside) + 1:
         return False
-    return region.depends_on <= {*MECHANISMS[cause.causes[0]].covariates}
+    (own,) = {*more} - {*region.beside}
+    return is_form_of(fit.region, MECHANISMS[own])
 
 
 def _is_near(region: Hypothesis, cause: Hypothesis, absorbed: Float) -> bool:
@@ -68,9 +71,9 @@ def _is_near(region: Hypothesis, cause: Hypothesis, absorbed: Float) -> bool:
     fit = region.region
     if fit is None:
         return False
-    session, plain = cause.model.of.session, fit.plain
+    session, base = cause.model.of.session, fit.plain
     apart = session.whiten(np.nan_to_num(fit.predict() - cause.model.of.predict(cause.model.x)))
-    effect = session.whiten(fit.compute_change_in(plain.of, plain.x + fit.step))
+    effect = session.whiten(fit.compute_change_in(base.of, base.x + fit.step))
     return _measure_beyond(apart, absorbed) < max(RULES.form.bends) * _measure_beyond(effect, absorbed)
 
 

@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 from pipeline.diagnose.features.kinds import AMPLIFIER
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
+from pipeline.diagnose.search.extended_model import Extended, ExtendedFit, compose_chosen
 from pipeline.diagnose.search.likelihood import Groups, Linearised, find_absorbed, find_peak, measure_trace
 from pipeline.diagnose.search.regions import Region
 from schemas.arrays import Float
@@ -43,7 +43,7 @@ class RegionFit:
     ----------
     region : what depends on what
     weights, covariance : (K,) and (K, K), in the units of the region's shapes
-    plain : the plain model that it was computed about
+    plain : the plain model that it was computed about, or one with the listed causes that it is beside
     step : (P,) of the entries of film and rig from there to the optimum with the function
     width : of the prior of the weights, over `region.width`
     """
@@ -63,7 +63,7 @@ class RegionFit:
     def predict(self) -> Float:
         """(N,) features of the session with the function, film and rig at its optimum."""
         of, x = self.plain.of, self.plain.x + self.step
-        return of.simulation.predict(of.model, x, of.effect(x) | self.region.weigh(self.weights))
+        return of.simulation.predict(of.model, x[: of.model.size], of.effect(x) | self.region.weigh(self.weights))
 
     def compute_change_in(self, of: Extended, x: Float) -> Float:
         """(N,) what it would change in the features of a session.
@@ -83,13 +83,15 @@ class Hypothesis:
 
     Parameters
     ----------
-    name : `plain`, `anything`, ids of causes joined by `+`, or `stage/covariate`
+    name : `plain`, `anything`, ids of causes joined by `+`, or `stage/covariate`, with the causes that it is beside before it
     log_evidence : of the data under it
     log_prior : what is believed of it beforehand
     fit : the model with its causes; None for a region
     region : the fitted region; None for listed causes
     weight : (N,) of whitened residuals at its optimum
     odd : (G,) probabilities that a group of features is wrong by something else
+    bends : (N, K) whitened changes by which the forms of its causes, or of those that a region is beside, may be wrong, at the most
+        probable share; None: not asked
     """
 
     name: str
@@ -99,6 +101,7 @@ class Hypothesis:
     region: RegionFit | None
     weight: Float
     odd: Float
+    bends: Float | None = None
 
     @property
     def is_adequate(self) -> bool:
@@ -129,6 +132,11 @@ class Hypothesis:
     def causes(self) -> tuple[str, ...]:
         """Ids of its listed causes, in the order of the fit."""
         return () if self.fit is None else tuple(c.id for c in self.fit.of.chosen)
+
+    @property
+    def beside(self) -> tuple[str, ...]:
+        """Ids of the listed causes that a region is beside."""
+        return () if self.region is None else tuple(c.id for c in self.region.plain.of.chosen)
 
     @property
     def stages(self) -> frozenset[str]:
@@ -182,6 +190,17 @@ class Posterior:
         shares = np.cumsum([self.probability[h.name] for h in self.hypotheses])
         return self.hypotheses[: int(np.searchsorted(shares, probability)) + 1]
 
+    def find_sure(self) -> tuple[Hypothesis, ...]:
+        """The hypothesis of listed causes that are as good as certain, alone or with others, and those with fewer of them: a cause
+        may stand for what has no name beside the others. Empty where none are.
+        """
+        best = next(iter(self.listed), None)
+        shared = [h for h in self.listed if best is not None and {*best.causes} <= {*h.causes}]
+        total = sum(self.probability[h.name] for h in shared)
+        if best is None or total < RULES.verdict.credible:
+            return ()
+        return (best, *(h for h in self.listed if {*h.causes} < {*best.causes}))
+
     def sum_by(self, stage: bool) -> dict[str, float]:
         """Stage, or what something depends on → probability that a cause acts there."""
         total: dict[str, float] = {}
@@ -200,7 +219,7 @@ def weigh_fit(fit: ExtendedFit, *, noise_alone: bool = False) -> Hypothesis:
     noise_alone : whether the plain model is believed to miss nothing but noise
     """
     of, groups = fit.of, Groups.of(fit.of.session, fit.of.quiet)
-    trace = measure_trace_of_causes(fit, groups) if of.chosen else np.zeros(groups.size.size)
+    trace = measure_trace_of_causes(fit, groups)
     peak = find_peak(groups, Linearised.of(fit), trace, fit.x.size, noise_alone=noise_alone)
     return Hypothesis(
         "+".join(sorted(c.id for c in of.chosen)) or (PLAIN if noise_alone else ANYTHING),
@@ -221,9 +240,23 @@ def measure_trace_of_causes(fit: ExtendedFit, groups: Groups) -> Float:
     fit : a model with causes at its optimum
     groups : of its session's features
     """
+    return measure_trace(groups, find_absorbed(fit), compute_change_by_causes(fit))
+
+
+def compute_change_by_causes(fit: ExtendedFit) -> Float:
+    """(N,) whitened change of the features by the causes of a fit."""
     of = fit.of
-    change = of.predict(fit.x) - of.simulation.predict(of.model, fit.theta)
-    return measure_trace(groups, find_absorbed(fit), of.session.whiten(change))
+    if not of.chosen:
+        return np.zeros(of.session.size)
+    return of.session.whiten(of.predict(fit.x) - of.simulation.predict(of.model, fit.theta))
+
+
+def compute_change_by_cause(fit: ExtendedFit, number: int) -> Float:
+    """(N,) whitened change of the features by one cause of a fit, beside its others."""
+    of = fit.of
+    others = [i for i in range(len(of.chosen)) if i != number]
+    without = compose_chosen([of.chosen[i] for i in others], [fit.values[i] for i in others])
+    return of.session.whiten(of.predict(fit.x) - of.simulation.predict(of.model, fit.theta, without))
 
 
 def _believe(causes: int, *, noise_alone: bool) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
-from pipeline.diagnose.search.form_functions import WIDTHS
+from pipeline.diagnose.search.form_functions import WIDTHS, integrate_peak, list_forms
 from pipeline.diagnose.search.likelihood import (
     LARGEST,
     Groups,
@@ -25,7 +25,6 @@ from pipeline.diagnose.search.likelihood import (
     measure_trace,
     score_groups,
 )
-from pipeline.diagnose.search.plain_fit import compute_deviations
 from pipeline.diagnose.search.posterior import Hypothesis, RegionFit
 from pipeline.physics.least_squares import central, minimise
 from schemas.arrays import Bool, Float
@@ -51,9 +50,9 @@ def settle_regions(
 
     Parameters
     ----------
-    regions : hypotheses of regions to first order about the plain model
+    regions : hypotheses of regions to first order about the plain model, or beside listed causes
     listed : hypotheses that they are compared with
-    tempered : the plain model under weights that allow for causes of any form
+    tempered : the plain model, or that with the causes, under weights that allow for causes of any form
     """
     found = {h.name: h for h in regions}
     least = max((h.log_joint for h in listed), default=-np.inf) - _WITHIN
@@ -75,7 +74,7 @@ def settle_region(hypothesis: Hypothesis, tempered: ExtendedFit) -> Hypothesis:
     start = hypothesis.region
     if start is None:
         raise TypeError(f"{hypothesis.name} is no region")
-    search = _RegionSearch.of(start)
+    search = _RegionSearch.of(start, hypothesis.bends)
     here = search.minimise(np.concatenate([tempered.x, np.zeros(search.free.sum())]), tempered.of.weight, _STEPS)
     best = search.compute_value(here)
     for _ in range(_ROUNDS):
@@ -86,18 +85,20 @@ def settle_region(hypothesis: Hypothesis, tempered: ExtendedFit) -> Hypothesis:
             here, best = again, value
         if gain < _GAIN:
             break
-    theta, weights = search.split(here)
+    x, weights = search.split(here)
     evidence, peak = search.weigh(here)
     scale = search.scale[search.free]
     spread = np.zeros((weights.size, weights.size))
-    spread[np.ix_(search.free, search.free)] = np.outer(scale, scale) * peak.covariance[theta.size :, theta.size :]
-    fit = replace(start, weights=weights, covariance=spread, step=theta - start.plain.x)
+    own = slice(x.size, x.size + scale.size)
+    spread[np.ix_(search.free, search.free)] = np.outer(scale, scale) * peak.covariance[own, own]
+    fit = replace(start, weights=weights, covariance=spread, step=x - start.plain.x)
     return replace(hypothesis, log_evidence=evidence, region=fit, weight=peak.weight, odd=peak.odd)
 
 
 @dataclass(frozen=True)
 class _RegionSearch:
-    """The search of one region, over u (P + F,): entries of film and rig, and free weights in standard deviations of their prior.
+    """The search of one region, over u (P + F,): entries of film and rig and of listed causes that it is beside, and free weights in
+    standard deviations of their prior.
 
     Parameters
     ----------
@@ -105,6 +106,7 @@ class _RegionSearch:
     groups, absorbed : of its session's features
     scale : (K,) standard deviations of its weights
     free : (K,) weights that leave a trace, F of them
+    bends : by which the forms of causes that it is beside may be wrong, as in `Hypothesis`
     """
 
     start: RegionFit
@@ -112,13 +114,14 @@ class _RegionSearch:
     absorbed: Float
     scale: Float
     free: Bool
+    bends: Float | None
 
     @classmethod
-    def of(cls, start: RegionFit) -> _RegionSearch:
+    def of(cls, start: RegionFit, bends: Float | None) -> _RegionSearch:
         scale = start.width * start.region.width
         free = np.diag(start.covariance) > 0
         of = start.plain.of
-        return cls(start, Groups.of(of.session, of.quiet), find_absorbed(start.plain), scale, free)
+        return cls(start, Groups.of(of.session, of.quiet), find_absorbed(start.plain), scale, free, bends)
 
     @property
     def _of(self) -> Extended:
@@ -132,15 +135,16 @@ class _RegionSearch:
         return np.concatenate([low, _FAR[0] * free]), np.concatenate([high, _FAR[1] * free])
 
     def split(self, u: Float) -> tuple[Float, Float]:
-        """Entries of film and rig (P,), weights (K,)."""
-        size, weights = self._of.model.size, np.zeros(self.scale.size)
+        """Entries of film, rig and causes (P,), weights (K,)."""
+        size, weights = self.start.plain.x.size, np.zeros(self.scale.size)
         weights[self.free] = self.scale[self.free] * u[size:]
         return u[:size], weights
 
     def predict(self, u: Float) -> Float:
         """(N,) features."""
-        theta, weights = self.split(u)
-        return self._of.simulation.predict(self._of.model, theta, self.start.region.weigh(weights))
+        x, weights = self.split(u)
+        of = self._of
+        return of.simulation.predict(of.model, x[: of.model.size], of.effect(x) | self.start.region.weigh(weights))
 
     def compute_left(self, u: Float) -> Float:
         """(N,) measured less predicted features, whitened."""
@@ -150,7 +154,8 @@ class _RegionSearch:
 
     def compute_beside(self, u: Float) -> Float:
         """(P′ + F,) deviations from what is known beforehand."""
-        return np.concatenate([compute_deviations(self._of.model, u), u[self._of.model.size :]])
+        x, own = np.split(u, [self.start.plain.x.size])
+        return np.concatenate([self._of.compute_deviations(x), own])
 
     def minimise(self, u: Float, weight: Float, most: int) -> Float:
         """The optimum under weights (N,) of the residuals."""
@@ -162,7 +167,7 @@ class _RegionSearch:
         return minimise(residuals, u, *self._limits, most=most).x
 
     def trace(self, u: Float) -> Float:
-        """(G,) mean square of what the function changes."""
+        """(G,) mean square of what causes and function change."""
         of = self._of
         change = self.predict(u) - of.simulation.predict(of.model, u[: of.model.size])
         return measure_trace(self.groups, self.absorbed, of.session.whiten(np.nan_to_num(change)))
@@ -180,7 +185,9 @@ class _RegionSearch:
 
     def weigh(self, u: Float) -> tuple[float, Peak]:
         """Log evidence over all widths of the prior at an optimum, and the peak at that of the start."""
-        size = self._of.model.size
+        fit = self.start.plain
+        size = fit.x.size
+        here = replace(fit, solution=replace(fit.solution, x=u[:size]))
         jacobian = central(lambda several: np.array([self.compute_left(x) for x in several]), u, *self._limits)
         left, trace, evidence, peaks = self.compute_left(u), self.trace(u), [], []
         known = central(lambda several: np.array([self.compute_beside(x) for x in several]), u, *self._limits)
@@ -190,9 +197,11 @@ class _RegionSearch:
             columns[:, size:] *= share
             beside[beside.size - (u.size - size) :] /= share
             about = Linearised(left, columns, beside, known)
-            peak = find_peak(self.groups, about, trace, size, noise_alone=False, stay=True)
-            peaks.append(peak)
-            own = peak.covariance[size:, size:]
-            evidence.append(peak.log_likelihood + 0.5 * float(np.linalg.slogdet(own)[1]))
+            found = []
+            for believed, form in list_forms(self.bends, about):
+                peak = find_peak(self.groups, form, trace, size, noise_alone=False, stay=form is about)
+                found.append((believed + integrate_peak(here, peak), peak))
+            evidence.append(float(logsumexp([value for value, _ in found])))
+            peaks.append(max(found, key=lambda pair: pair[0])[1])
         nearest = int(np.argmin(np.abs(np.log(WIDTHS / self.start.width))))
         return float(logsumexp(evidence) - np.log(len(evidence))), peaks[nearest]
