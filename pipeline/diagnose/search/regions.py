@@ -13,7 +13,7 @@ Belongs here: which regions there are, and their shapes. How probable they are i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -87,12 +87,12 @@ class Region:
 
     def weigh(self, weights: Float) -> Effect:
         """The effect with weights (K,) of its shapes, of any size."""
-        return Effect(**{
-            f.name: (weigh(parts, weights),)
-            for f in fields(Effect)
-            if (weigh := _WEIGHING.get(f.name)) is not None
-            and (parts := [part for e in self.effects for part in getattr(e, f.name)])
-        })  # fmt: skip
+        changed = {}
+        for name, weigh in _WEIGHING.items():
+            parts = [(part, w) for e, w in zip(self.effects, weights, strict=True) for part in getattr(e, name)]
+            if parts:
+                changed[name] = (weigh([part for part, _ in parts], np.array([w for _, w in parts])),)
+        return Effect(**changed)
 
 
 def list_regions(session: Session) -> Iterator[Region]:
@@ -204,7 +204,10 @@ def _list_of_actuation(session: Session, low: float, high: float) -> Iterator[Re
     pairs = [(power, charging_s) for charging_s in _CHARGING_S for power in _POWERS]
     yield Region(
         "actuation", "voltage", "the actuation depends on the voltage in another way than by its square",
-        tuple(_change_actuation(_of_voltage(power, charging_s, highest)) for power, charging_s in pairs),
+        tuple(
+            _change_actuation(_of_voltage(power, charging_s, highest)) if charging_s else _bend_squared(power, highest)
+            for power, charging_s in pairs
+        ),
         np.ones(len(pairs)), voltage * highest, "kV", np.array([voltage**power for power, _ in pairs]).T,
     )  # fmt: skip
     yield _of_frequency("actuation", "the actuation depends on the frequency", _change_actuation, knots)
@@ -299,7 +302,7 @@ def _of_state(name: str, shape: Shape, session: Session) -> Weight:
 
 
 def _of_voltage(power: int, charging_s: float, highest_kv: float) -> Weight:
-    """A power of the voltage, at once or as something that charges."""
+    """A power of a test's voltage, as something that charges."""
 
     def charged(view: View) -> Complex:
         return np.asarray((view.voltage_kv / highest_kv) ** power / (1 + 2j * np.pi * view.frequency_hz * charging_s))
@@ -329,6 +332,16 @@ def _bend_voltage(shape: Shape, highest_kv: float) -> Callable[[Wave], Wave]:
     return lambda wave: replace(
         wave, film_kv=wave.film_kv + STEP * highest_kv * shape(wave.film_kv / highest_kv) * (wave.film_kv != 0)
     )
+
+
+def _bend_squared(power: int, highest_kv: float) -> Effect:
+    """What acts follows the voltage of every moment in another way than by its square."""
+
+    def bend(wave: Wave) -> Wave:
+        share = np.abs(wave.film_kv) / highest_kv
+        return replace(wave, squared=wave.squared * (1 + STEP * share**power))
+
+    return Effect(squared=(bend,))
 
 
 def _drift(after_s: float) -> Callable[[Float, Float, float], Float]:
@@ -392,6 +405,14 @@ def _weigh_voltage(parts: Sequence[Callable[[Wave], Wave]], weights: Float) -> C
     return bend
 
 
+def _weigh_squared(parts: Sequence[Callable[[Wave], Wave]], weights: Float) -> Callable[[Wave], Wave]:
+    def bend(wave: Wave) -> Wave:
+        more = _add_up([part(wave).squared - wave.squared for part in parts], weights)
+        return replace(wave, squared=np.asarray(wave.squared + more))
+
+    return bend
+
+
 def _weigh_drift(
     parts: Sequence[Callable[[Float, Float, float], Float]], weights: Float
 ) -> Callable[[Float, Float, float], Float]:
@@ -417,6 +438,7 @@ _WEIGHING: dict[str, Callable[[Any, Float], Any]] = {
     "actuation": _weigh_factors,
     "monitor": _weigh_factors,
     "film_voltage": _weigh_voltage,
+    "squared": _weigh_squared,
     "drift": _weigh_drift,
     "tension": _weigh_tension,
     "reading": _weigh_reading,
