@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.search.consensus import find_consensus
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
@@ -19,6 +21,7 @@ from pipeline.diagnose.search.regions import list_regions
 from pipeline.diagnose.search.tempering import temper_weights
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
+from schemas.recording import Recording
 from tests.helpers.truth_rig import Effect
 from tests.helpers.truth_rig import make_session as true_session
 
@@ -37,7 +40,11 @@ DESIGNS: Designs = (
 
 
 def plain_model(seed: int, *effects: Effect, designs: Designs = DESIGNS) -> ExtendedFit:
-    session = make_session([reduce(r) for r in true_session(seed, designs, effects).recordings])
+    return fit_under_noise([reduce(r) for r in true_session(seed, designs, effects).recordings])
+
+
+def fit_under_noise(recordings: Sequence[RecordingFeatures]) -> ExtendedFit:
+    session = make_session(recordings)
     simulation = Simulation(session)
     fitted = fit_plain(session, simulation)
     of = Extended(session, simulation, fitted.model, (), np.ones(session.size))
@@ -82,6 +89,28 @@ def test_what_is_in_no_list_is_told_by_where_it_acts_and_what_it_depends_on(
     first = found.regions[0]
     assert first.stages <= stages, first.name
     assert first.depends_on <= depends_on, first.name
+
+
+def pick_up_voltage(recording: Recording, per_kv: float, per_kv_a_second: float) -> Recording:
+    """The recording with a force N that follows its voltage kV and the rate of that."""
+    voltage, force = (recording.channels.get(name) for name in ("voltage", "force"))
+    if voltage is None or force is None:
+        return recording
+    time_s = force.time_ns * 1e-9
+    kv = np.interp(time_s, voltage.time_ns * 1e-9, voltage.values)
+    more = per_kv * kv + per_kv_a_second * np.gradient(kv, time_s)
+    changed = replace(force, values=force.values + more)
+    return replace(recording, channels={**recording.channels, "force": changed})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("per_kv", "per_kv_a_second"), [(2e-4, 0.0), (0.0, 2e-6)])
+def test_a_voltage_that_reaches_the_reading_past_the_film_is_told_as_that(
+    per_kv: float, per_kv_a_second: float
+) -> None:
+    recordings = [pick_up_voltage(r, per_kv, per_kv_a_second) for r in true_session(303, DESIGNS, ()).recordings]
+    found = compare_with_plain(fit_under_noise([reduce(r) for r in recordings]))
+    assert found.probability["sensor/voltage"] > 0.9
 
 
 @pytest.mark.slow

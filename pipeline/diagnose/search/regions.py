@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.diagnose.features.kinds import SPHS_RESPONSE, STEP_FORCE
 from pipeline.diagnose.simulation.effects import Course, Effect, Factor, Film, Reading, View, Wave
 from pipeline.diagnose.simulation.session import Session
 from pipeline.physics.rig import Rig
@@ -41,6 +42,8 @@ _DRIFTING_S = (1.0, 5.0, 30.0, 200.0)
 """The same of a drift, s."""
 _RATE_S = 0.1
 """Time by which strain rates are made strains, s."""
+_PICKED_UP_S = 0.01
+"""Time by which rates of the voltage are made voltages, s."""
 _READING_POWERS = (2, 3, 5, 9)
 """Powers of a force in its reading."""
 _POINTS = 25
@@ -219,6 +222,17 @@ def _list_of_actuation(session: Session, low: float, high: float) -> Iterator[Re
         tuple(Effect(film_voltage=(_bend_voltage(b, highest),)) for b in bends), np.ones(len(bends)),
         voltage * highest, "kV", np.array([b(voltage) for b in bends]).T,
     )  # fmt: skip
+    picked: tuple[Callable[[Wave], Float], ...] = (
+        lambda wave: wave.film_kv / highest,
+        lambda wave: (wave.film_kv / highest) ** 2,
+        lambda wave: _PICKED_UP_S * _measure_rate(wave) / highest,
+        lambda wave: _PICKED_UP_S * _measure_rate(wave) * wave.film_kv / highest**2,
+    )
+    yield Region(
+        "sensor", "voltage", "the force channel picks up the voltage, past film and rig",
+        tuple(_pick_up(shape, _measure_actuation(session)) for shape in picked), np.ones(len(picked)),
+        voltage * highest, "kV", np.array([voltage, voltage**2, 0 * voltage, 0 * voltage]).T,
+    )  # fmt: skip
     yield _of_frequency(
         "drive", "the voltage follows the command in another way",
         lambda weight: Effect(monitor=(lambda view: 1 + STEP * weight(view),)), knots,
@@ -344,6 +358,28 @@ def _bend_squared(power: int, highest_kv: float) -> Effect:
     return Effect(squared=(bend,))
 
 
+def _pick_up(shape: Callable[[Wave], Float], largest_n: float) -> Effect:
+    return Effect(picked_up=(lambda wave: STEP * largest_n * shape(wave),))
+
+
+def _measure_rate(wave: Wave) -> Float:
+    """(S, W) slope of the voltage over time, kV/s; 0 at plateaus."""
+    if wave.interval_s is None:
+        return np.zeros_like(wave.film_kv)
+    after, before = (np.roll(wave.film_kv, shift, axis=1) for shift in (-1, 1))
+    return np.asarray((after - before) / (2 * wave.interval_s))
+
+
+def _measure_actuation(session: Session) -> float:
+    """Largest force by voltage of a session, N."""
+    found = [
+        np.abs(p.block.value).max() * (session.scale.voltage_kv**2 if p.block.kind == SPHS_RESPONSE else 1.0)
+        for p in session.places
+        if p.block.kind in (SPHS_RESPONSE, STEP_FORCE) and p.block.size
+    ]
+    return float(max(found, default=1.0))
+
+
 def _drift(after_s: float) -> Callable[[Float, Float, float], Float]:
     def rise(recording_s: Float, session_s: Float, rest_force_n: float) -> Float:
         return np.asarray(STEP * max(abs(rest_force_n), 1e-3) * -np.expm1(-recording_s / after_s))
@@ -413,6 +449,10 @@ def _weigh_squared(parts: Sequence[Callable[[Wave], Wave]], weights: Float) -> C
     return bend
 
 
+def _weigh_picked(parts: Sequence[Callable[[Wave], Float]], weights: Float) -> Callable[[Wave], Float]:
+    return lambda wave: np.asarray(_add_up([part(wave) for part in parts], weights))
+
+
 def _weigh_drift(
     parts: Sequence[Callable[[Float, Float, float], Float]], weights: Float
 ) -> Callable[[Float, Float, float], Float]:
@@ -439,6 +479,7 @@ _WEIGHING: dict[str, Callable[[Any, Float], Any]] = {
     "monitor": _weigh_factors,
     "film_voltage": _weigh_voltage,
     "squared": _weigh_squared,
+    "picked_up": _weigh_picked,
     "drift": _weigh_drift,
     "tension": _weigh_tension,
     "reading": _weigh_reading,

@@ -200,6 +200,7 @@ class Effect:
     rig, clamp : constants, and the clamp's dynamic stiffness over kL, given the film's stiffness on it
     force, displacement, voltage, capacitance : factors of the channels
     reading : force of the load cell over time
+    picked_up : force N, (S, W) as the wave, that its channel picks up from the voltage, past film and rig
     drift : force added at times since the start of recording and session (q,) s, given the rest force
     hum_n : lines of the mains: frequency Hz and amplitude N
     """
@@ -222,6 +223,7 @@ class Effect:
     electrode: tuple[Factor, ...] = ()
     opening: tuple[Cracks, ...] = ()
     reading: tuple[Callable[[Reading], Float], ...] = ()
+    picked_up: tuple[Callable[[Wave], Float], ...] = ()
     drift: tuple[Callable[[Float, Float, float], Float], ...] = ()
     hum_n: tuple[tuple[float, float], ...] = ()
 

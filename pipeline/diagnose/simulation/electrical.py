@@ -31,7 +31,7 @@ STEP, MULTISINE = "step", "multisine"
 _INPUTS = {
     FORCE: Inputs.named(
         "film rigs actuation",
-        "film_voltage film_edges squared actuation electrode film tension rig clamp force voltage reading",
+        "film_voltage film_edges squared actuation electrode film tension rig clamp force voltage reading picked_up",
     ),
     CAPACITANCE: Inputs.named(
         "film rigs actuation pf_per_n sensing_creep",
@@ -71,6 +71,11 @@ def squared(effect: Effect, wave: Wave) -> Float:
     return wave.squared
 
 
+def pick_up(effect: Effect, wave: Wave) -> Float:
+    """Force N that the channel picks up from the measured voltage, (S, W)."""
+    return np.asarray(sum((add(wave) for add in effect.picked_up), np.zeros_like(wave.film_kv)))
+
+
 class StepFamily(Family):
     """Blocks of voltage steps with one output: force, capacitance or voltage."""
 
@@ -102,7 +107,16 @@ class StepFamily(Family):
             values = self.apply(np.atleast_2d(response))
         if self.output == CAPACITANCE and effect.electrode:
             self._electrode(values, effect)
+        if self.output == FORCE and effect.picked_up:
+            values = values - self._on * self._pick_up(effect)
         return values
+
+    def _pick_up(self, effect: Effect) -> Float:
+        """(rows,) force that the channel picks up at the plateaus."""
+        levels = np.stack([np.zeros_like(self._level), self._level], axis=1)
+        picked = pick_up(effect, Wave(levels, levels**2, None, self.session.scale))
+        rise = picked[:, 1] - picked[:, 0]
+        return np.concatenate([np.full(p.block.size, rise[self.state_of[id(p)]]) for p in self.places])
 
     def _after(self, response: Complex, edges: Sequence[Edge], side: float) -> Float:
         for edge in edges:
@@ -195,14 +209,22 @@ class MultisineFamily:
         """Features (rows,) of the family."""
         if loads is None or not (effect.tension or effect.reading) or self.output != FORCE:
             return self.of_spectra(physical, effect)
-        acting = self._acting(effect)
-        return self._features(physical, effect, acting, self._bent(physical, effect, loads, acting))
+        acting, picked = self._acting(effect), self._pick_up(effect)
+        extra = self._bent(physical, effect, loads, acting)
+        return self._features(physical, effect, acting, extra if picked is None else extra + picked)
 
     def of_spectra(self, physical: Physical | Several, effect: Effect) -> Float:
         """Features (rows,) without elements and readings; of several at once (B, rows)."""
         if self.output == VOLTAGE:
             return self._amplified(physical, effect)
-        return self._features(physical, effect, self._acting(effect), None)
+        return self._features(physical, effect, self._acting(effect), self._pick_up(effect))
+
+    def _pick_up(self, effect: Effect) -> Complex | None:
+        """(S, L) lines of what the force's channel picks up from the voltage, as it adds to −F; None: nothing."""
+        if self.output != FORCE or not effect.picked_up:
+            return None
+        interval = self._period / self._wave.shape[1]
+        return -_lines(pick_up(effect, Wave(self._wave, self._wave**2, interval, self.session.scale)))
 
     def _acting(self, effect: Effect) -> Complex:
         """(S, L) lines of what acts on the film in place of the square of the measured voltage."""
@@ -212,7 +234,7 @@ class MultisineFamily:
         return _lines(squared(effect, Wave(self._wave, self._wave**2, interval, self.session.scale)))
 
     def _features(self, physical: Physical | Several, effect: Effect, acting: Complex, extra: Complex | None) -> Float:
-        """Features (..., rows) of what acts, and of what elements and readings add to it, (S, L)."""
+        """Features (..., rows) of what acts, and of what elements, readings and the voltage itself add to it, (S, L)."""
         nonlinear = _nonlinear(effect)
         if self.kind == SPHS_DETECTION and not nonlinear and extra is None:
             return np.zeros((*np.shape(physical.k0)[:1], self.rows.size))
