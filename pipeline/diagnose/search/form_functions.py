@@ -26,6 +26,7 @@ from pipeline.diagnose.search.likelihood import (
     measure_trace,
 )
 from pipeline.diagnose.search.posterior import (
+    Bend,
     Hypothesis,
     RegionFit,
     compute_change_by_cause,
@@ -107,15 +108,15 @@ def weigh_regions(base: Hypothesis, changes: Sequence[RegionChange]) -> list[Hyp
         Groups.of(fit.of.session, fit.of.quiet),
         find_absorbed(fit),
         compute_change_by_causes(fit),
-        list_forms(base.bends, Linearised.of(fit)),
+        list_forms(base.bend, Linearised.of(fit)),
     )
     found = [_weigh_region(about, change, name + change.region.id, prior) for change in changes]
-    return [replace(h, bends=base.bends) for h in found]
+    return [replace(h, bend=base.bend) for h in found]
 
 
 def is_form_of(region: Region, mechanism: Mechanism) -> bool:
-    """Whether a region acts in the stage of a mechanism and depends on what that does."""
-    return region.stage == mechanism.stage and region.depends_on in mechanism.covariates
+    """Whether a region shows as the stage of a mechanism does and depends on the same."""
+    return mechanism.stage in region.alike and region.depends_on in mechanism.covariates
 
 
 @dataclass(frozen=True)
@@ -165,32 +166,29 @@ def integrate_peak(fit: ExtendedFit, peak: Peak) -> float:
     return peak.log_likelihood + fit.integrate_mechanisms(peak.covariance[:size, :size]) + 0.5 * own
 
 
-def list_forms(bends: Float | None, about: Linearised) -> tuple[tuple[float, Linearised], ...]:
-    """A model to first order with the form of its causes as it is, and wrong by the most probable share.
+def list_forms(bend: Bend | None, about: Linearised) -> tuple[tuple[float, Linearised], ...]:
+    """A model to first order with the form of its causes as it is, and wrong in the most probable way.
 
     Parameters
     ----------
-    bends : (N, K) what that changes; None: nothing
+    bend : what that changes; None: nothing
     about : the model
 
     Returns
     -------
     Logarithms of what is believed of each beforehand, and the models
     """
-    if bends is None:
+    if bend is None:
         return ((0.0, about),)
-    rules = RULES.form
-    return (
-        (float(np.log(1 - rules.bent)), about),
-        (float(np.log(rules.bent / len(rules.bends))), about.extend(bends)),
-    )
+    return (float(np.log(1 - RULES.form.bent)), about), (bend.log_prior, about.extend(bend.columns))
 
 
 def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChange]) -> list[Hypothesis]:
     """The hypotheses of listed causes; the form of each cause may be wrong by smooth functions of what it depends on.
 
     No formula is exactly reality's: what a cause does in its stage may be another function of the same covariate, by a share of its
-    effect (`form.bends`, each as likely). The shapes are those of the regions without a name, about the causes in place of nothing.
+    effect (`form.bends`, each as likely), one cause in one way at a time: what is free in more ways costs more than it tells. The shapes
+    are those of the regions without a name, about the causes in place of nothing.
 
     Parameters
     ----------
@@ -206,28 +204,28 @@ def allow_form_errors(found: Sequence[Hypothesis], changes: Sequence[RegionChang
 
 def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange], *, anew: bool = False) -> Hypothesis:
     """One of them; `anew`: with the shapes about its own fit, for about the plain model they are not those of a strong effect."""
-    fit = hypothesis.model
-    columns = _list_bends(fit, changes, anew=anew)
-    if not columns.size:
+    fit, rules = hypothesis.model, RULES.form
+    ways = _list_bends(fit, changes, anew=anew)
+    if not ways:
         return hypothesis
     groups, about = Groups.of(fit.of.session, fit.of.quiet), Linearised.of(fit)
     trace = measure_trace_of_causes(fit, groups)
-    rules = RULES.form
-    evidence, odd = [hypothesis.log_evidence], [hypothesis.odd]
-    for share in rules.bends:
-        peak = find_peak(groups, about.extend(share * columns), trace, fit.x.size, noise_alone=False)
-        evidence.append(integrate_peak(fit, peak))
-        odd.append(peak.odd)
-    prior = np.array([1 - rules.bent, *[rules.bent / len(rules.bends)] * len(rules.bends)])
-    total = float(logsumexp(evidence, b=prior))
-    bends = rules.bends[int(np.argmax(evidence[1:]))] * columns
-    return replace(hypothesis, log_evidence=total, odd=odd[int(np.argmax(evidence))], bends=bends)
+    prior = float(np.log(rules.bent / len(ways) / len(rules.bends)))
+    bends = [Bend(share * columns, prior) for columns in ways for share in rules.bends]
+    peaks = [find_peak(groups, about.extend(b.columns), trace, fit.x.size, noise_alone=False) for b in bends]
+    joint = np.array([b.log_prior + integrate_peak(fit, peak) for b, peak in zip(bends, peaks, strict=True)])
+    as_it_is = float(np.log(1 - rules.bent)) + hypothesis.log_evidence
+    best = int(np.argmax(joint))
+    odd = hypothesis.odd if as_it_is > joint[best] else peaks[best].odd
+    total = float(logsumexp([as_it_is, *joint]))
+    return replace(hypothesis, log_evidence=total, odd=odd, bend=bends[best])
 
 
-def _list_bends(fit: ExtendedFit, changes: Sequence[RegionChange], *, anew: bool) -> Float:
-    """(N, K) changes of the features by the shapes of each cause of a fit, as large as what the cause itself does."""
+def _list_bends(fit: ExtendedFit, changes: Sequence[RegionChange], *, anew: bool) -> list[Float]:
+    """Ways in which the form of one cause of a fit may be wrong: (N, K) changes of the features by the shapes of a region, as large as
+    what the cause itself does."""
     absorbed = find_absorbed(fit)
-    found = [np.zeros((fit.of.session.size, 0))]
+    found = []
     for number, chosen in enumerate(fit.of.chosen):
         own = [c for c in changes if is_form_of(c.region, chosen.mechanism)]
         if anew:
@@ -235,7 +233,7 @@ def _list_bends(fit: ExtendedFit, changes: Sequence[RegionChange], *, anew: bool
         effect = compute_change_by_cause(fit, number)
         size = float(np.linalg.norm(effect - absorbed @ (absorbed.T @ effect)))
         found += [c.columns[:, c.seen] * _scale_shapes(c, size) for c in own]
-    return np.concatenate(found, axis=1)
+    return found
 
 
 def _scale_shapes(change: RegionChange, size: float) -> Float:

@@ -78,6 +78,20 @@ class RegionFit:
 
 
 @dataclass(frozen=True)
+class Bend:
+    """A way in which the form of a cause may be wrong.
+
+    Parameters
+    ----------
+    columns : (N, K) whitened changes of the features by shapes with standard normal weights
+    log_prior : logarithm of what is believed of it beforehand
+    """
+
+    columns: Float
+    log_prior: float
+
+
+@dataclass(frozen=True)
 class Hypothesis:
     """What may be behind a session.
 
@@ -90,8 +104,7 @@ class Hypothesis:
     region : the fitted region; None for listed causes
     weight : (N,) of whitened residuals at its optimum
     odd : (G,) probabilities that a group of features is wrong by something else
-    bends : (N, K) whitened changes by which the forms of its causes, or of those that a region is beside, may be wrong, at the most
-        probable share; None: not asked
+    bend : the most probable way in which the form of its causes, or of those that a region is beside, is wrong; None: not asked
     """
 
     name: str
@@ -101,7 +114,7 @@ class Hypothesis:
     region: RegionFit | None
     weight: Float
     odd: Float
-    bends: Float | None = None
+    bend: Bend | None = None
 
     @property
     def is_adequate(self) -> bool:

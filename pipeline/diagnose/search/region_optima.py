@@ -25,7 +25,7 @@ from pipeline.diagnose.search.likelihood import (
     measure_trace,
     score_groups,
 )
-from pipeline.diagnose.search.posterior import Hypothesis, RegionFit
+from pipeline.diagnose.search.posterior import Bend, Hypothesis, RegionFit
 from pipeline.physics.least_squares import central, minimise
 from schemas.arrays import Bool, Float
 
@@ -74,7 +74,7 @@ def settle_region(hypothesis: Hypothesis, tempered: ExtendedFit) -> Hypothesis:
     start = hypothesis.region
     if start is None:
         raise TypeError(f"{hypothesis.name} is no region")
-    search = _RegionSearch.of(start, hypothesis.bends)
+    search = _RegionSearch.of(start, hypothesis.bend)
     here = search.minimise(np.concatenate([tempered.x, np.zeros(search.free.sum())]), tempered.of.weight, _STEPS)
     best = search.compute_value(here)
     for _ in range(_ROUNDS):
@@ -106,7 +106,7 @@ class _RegionSearch:
     groups, absorbed : of its session's features
     scale : (K,) standard deviations of its weights
     free : (K,) weights that leave a trace, F of them
-    bends : by which the forms of causes that it is beside may be wrong, as in `Hypothesis`
+    bend : how the form of causes that it is beside may be wrong, as in `Hypothesis`
     """
 
     start: RegionFit
@@ -114,14 +114,14 @@ class _RegionSearch:
     absorbed: Float
     scale: Float
     free: Bool
-    bends: Float | None
+    bend: Bend | None
 
     @classmethod
-    def of(cls, start: RegionFit, bends: Float | None) -> _RegionSearch:
+    def of(cls, start: RegionFit, bend: Bend | None) -> _RegionSearch:
         scale = start.width * start.region.width
         free = np.diag(start.covariance) > 0
         of = start.plain.of
-        return cls(start, Groups.of(of.session, of.quiet), find_absorbed(start.plain), scale, free, bends)
+        return cls(start, Groups.of(of.session, of.quiet), find_absorbed(start.plain), scale, free, bend)
 
     @property
     def _of(self) -> Extended:
@@ -198,7 +198,7 @@ class _RegionSearch:
             beside[beside.size - (u.size - size) :] /= share
             about = Linearised(left, columns, beside, known)
             found = []
-            for believed, form in list_forms(self.bends, about):
+            for believed, form in list_forms(self.bend, about):
                 peak = find_peak(self.groups, form, trace, size, noise_alone=False, stay=form is about)
                 found.append((believed + integrate_peak(here, peak), peak))
             evidence.append(float(logsumexp([value for value, _ in found])))

@@ -34,6 +34,8 @@ _KNOTS, _FINE_KNOTS = 14, 26
 """Frequencies at which a response is free; where a resonance may be narrow."""
 _POWERS = (1, 2, 4, 8)
 """Powers of the voltage."""
+_LOW_VOLTAGES = (0.1, 0.3)
+"""Shares of the largest voltage at which what a low voltage lacks has gone."""
 _CHARGING_S = (0.0, 0.3, 3.0)
 """Times in which what follows the voltage charges, s."""
 _SETTLING_S = (0.3, 1.0, 3.0, 10.0)
@@ -67,6 +69,7 @@ class Region:
     width : (K,) relative widths of the priors of the shapes' weights
     at, unit : (M,) values of the covariate at which the function is told, and their unit
     shapes : (M, K) the shapes there, as relative changes in phase
+    also : a stage in which the same would show alike
     """
 
     stage: str
@@ -77,6 +80,12 @@ class Region:
     at: Float
     unit: str
     shapes: Float
+    also: str = ""
+
+    @property
+    def alike(self) -> tuple[str, str]:
+        """Stages of which it may be the form."""
+        return self.stage, self.also or self.stage
 
     @property
     def depends_on(self) -> str:
@@ -205,7 +214,7 @@ def _list_of_actuation(session: Session, low: float, high: float) -> Iterator[Re
     knots = np.geomspace(low, high, _KNOTS)
     voltage = np.linspace(0, 1, _POINTS)
     pairs = [(power, charging_s) for charging_s in _CHARGING_S for power in _POWERS]
-    yield Region(
+    by_voltage = Region(
         "actuation", "voltage", "the actuation depends on the voltage in another way than by its square",
         tuple(
             _change_actuation(_of_voltage(power, charging_s, highest)) if charging_s else _bend_squared(power, highest)
@@ -213,14 +222,18 @@ def _list_of_actuation(session: Session, low: float, high: float) -> Iterator[Re
         ),
         np.ones(len(pairs)), voltage * highest, "kV", np.array([voltage**power for power, _ in pairs]).T,
     )  # fmt: skip
-    yield _of_frequency("actuation", "the actuation depends on the frequency", _change_actuation, knots)
-    yield _of_session_time("actuation", "the actuation changes over the session", _change_actuation, session)
-    yield _of_exposure("actuation", "the actuation depends on the time under voltage", _change_actuation, session)
-    bends: tuple[Shape, ...] = (np.ones_like, np.sign, lambda z: z * np.abs(z), lambda z: z**3)
+    by_frequency = _of_frequency("actuation", "the actuation depends on the frequency", _change_actuation, knots)
+    by_time = _of_session_time("actuation", "the actuation changes over the session", _change_actuation, session)
+    by_exposure = _of_exposure(
+        "actuation", "the actuation depends on the time under voltage", _change_actuation, session
+    )
+    # Another share of the voltage on the film shows as another actuation does.
+    yield from (replace(r, also="drive") for r in (by_voltage, by_frequency, by_time, by_exposure))
+    offsets: tuple[Shape, ...] = (np.ones_like, np.sign, *(_make_low_voltage(end) for end in _LOW_VOLTAGES))
     yield Region(
-        "drive", "voltage", "the voltage on the film is another than that recorded",
-        tuple(Effect(film_voltage=(_bend_voltage(b, highest),)) for b in bends), np.ones(len(bends)),
-        voltage * highest, "kV", np.array([b(voltage) for b in bends]).T,
+        "drive", "voltage", "the voltage on the film is off by some volts",
+        tuple(Effect(film_voltage=(_bend_voltage(b, highest),)) for b in offsets), np.ones(len(offsets)),
+        voltage * highest, "kV", np.array([b(voltage) for b in offsets]).T,
     )  # fmt: skip
     picked: tuple[Callable[[Wave], Float], ...] = (
         lambda wave: wave.film_kv / highest,
@@ -237,6 +250,11 @@ def _list_of_actuation(session: Session, low: float, high: float) -> Iterator[Re
         "drive", "the voltage follows the command in another way",
         lambda weight: Effect(monitor=(lambda view: 1 + STEP * weight(view),)), knots,
     )  # fmt: skip
+
+
+def _make_low_voltage(end: float) -> Shape:
+    """A change of the voltage that ends at a share of the largest one."""
+    return lambda z: np.asarray(np.sign(z) * np.exp(-np.abs(z) / end))
 
 
 def _make_sine(number: int) -> Shape:
