@@ -150,6 +150,19 @@ def test_every_region_has_a_name_of_its_own_and_as_many_widths_as_shapes() -> No
         assert r.shapes.shape[0] == r.at.size
 
 
+def test_a_gain_that_changes_from_test_to_test_is_seen_beside_what_rubs() -> None:
+    fit = plain_model(SESSIONS[0])
+    regions = {r.id: r for r in list_regions(fit.of.session)}
+    rubs, gain = regions["contact/amplitude"], regions["sensor/session_time"]
+    weights = np.zeros(len(rubs.effects))
+    weights[0] = 0.01
+
+    rubbing = rubs.weigh(weights)
+    alone, both = (fit.of.simulation.predict(fit.of.model, fit.theta, e) for e in (rubbing, rubbing | gain.effects[0]))
+    assert np.isfinite(both).all()
+    assert not np.array_equal(alone, both)
+
+
 @pytest.mark.slow
 def test_a_cause_may_be_another_function_of_what_it_depends_on_and_of_nothing_else() -> None:
     """An attraction to the frame acts as a voltage that is another function of the recorded one, which an offset can be and a gain cannot."""

@@ -265,7 +265,7 @@ class MultisineFamily:
             wave = Wave(asked, asked**2, self._period / asked.shape[1], self.session.scale)
             for change in effect.monitor_wave:
                 wave = change(wave)
-            value = (_lines(wave.film_kv) / self._asked)[:, self._lines]
+            value = _lines(wave.film_kv)[:, self._lines] / self._asked[:, self._lines]
         return _flattened(value * channel(effect.voltage, self.view))
 
     def _near(self, acting: Complex) -> Complex:

@@ -174,7 +174,8 @@ class SweepFamily(MechanicalFamily):
         length = view.scale.length_mm
         loop, passing = self.loop(physical, effect, self._coarse)
         still = rig.at_rest(physical.film.k0).item()
-        outside = np.broadcast_to(channels(effect, self.view), linear.k.shape)
+        seen = channels(effect, self.view)
+        outside = np.broadcast_to(seen, np.broadcast_shapes(seen.shape, linear.k.shape))
         by_size, mean = any(isinstance(element, BySize) for element in effect.tension), loop.mean()
         stiffness = mean.k[1, 0] if by_size else np.ones(self._log_hz.size, dtype=complex)
 
