@@ -101,7 +101,10 @@ def weigh_regions(base: Hypothesis, changes: Sequence[RegionChange]) -> list[Hyp
     fit = base.model
     own = [MECHANISMS[id] for id in base.causes]
     changes = [c for c in changes if not any(is_form_of(c.region, m) for m in own)]
-    prior = float(np.log(RULES.prior.unnamed / max(len(changes), 1))) + (base.log_prior if base.causes else 0.0)
+    believed = RULES.prior
+    # What has no name is as rare beside a cause as it is alone, against the listed causes.
+    beside = base.log_prior + np.log(believed.further / believed.listed) if base.causes else 0.0
+    prior = float(np.log(believed.unnamed / max(len(changes), 1)) + beside)
     name = f"{base.name}+" if base.causes else ""
     about = _About(
         fit,

@@ -33,11 +33,11 @@ _LOSS = 0.5
 _KNOTS, _FINE_KNOTS = 14, 26
 """Frequencies at which a response is free; where a resonance may be narrow."""
 _POWERS = (1, 2, 4, 8)
-"""Powers of the voltage."""
+"""Powers of the voltage of every moment."""
 _LOW_VOLTAGES = (0.1, 0.3)
 """Shares of the largest voltage at which what a low voltage lacks has gone."""
-_CHARGING_S = (0.0, 0.3, 3.0)
-"""Times in which what follows the voltage charges, s."""
+_CHARGING = ((1, 0.0), (2, 0.0), (2, 0.3), (2, 3.0))
+"""Powers of the voltage of a test, and the times s in which what follows it charges; 0: long before the test."""
 _SETTLING_S = (0.3, 1.0, 3.0, 10.0)
 """Times after which something within a recording has settled, s."""
 _DRIFTING_S = (1.0, 5.0, 30.0, 200.0)
@@ -213,14 +213,12 @@ def _list_of_actuation(session: Session, low: float, high: float) -> Iterator[Re
     highest = session.scale.voltage_kv
     knots = np.geomspace(low, high, _KNOTS)
     voltage = np.linspace(0, 1, _POINTS)
-    pairs = [(power, charging_s) for charging_s in _CHARGING_S for power in _POWERS]
+    at_once = [(power, _bend_squared(power, highest)) for power in _POWERS]
+    charging = [(power, _change_actuation(_of_level(power, after_s, highest))) for power, after_s in _CHARGING]
     by_voltage = Region(
         "actuation", "voltage", "the actuation depends on the voltage in another way than by its square",
-        tuple(
-            _change_actuation(_of_voltage(power, charging_s, highest)) if charging_s else _bend_squared(power, highest)
-            for power, charging_s in pairs
-        ),
-        np.ones(len(pairs)), voltage * highest, "kV", np.array([voltage**power for power, _ in pairs]).T,
+        tuple(effect for _, effect in at_once + charging), np.ones(len(at_once + charging)),
+        voltage * highest, "kV", np.array([voltage**power for power, _ in at_once + charging]).T,
     )  # fmt: skip
     by_frequency = _of_frequency("actuation", "the actuation depends on the frequency", _change_actuation, knots)
     by_time = _of_session_time("actuation", "the actuation changes over the session", _change_actuation, session)
@@ -333,11 +331,11 @@ def _of_state(name: str, shape: Shape, session: Session) -> Weight:
     return lambda view: shape((getattr(view, name) - low) / width)
 
 
-def _of_voltage(power: int, charging_s: float, highest_kv: float) -> Weight:
-    """A power of a test's voltage, as something that charges."""
+def _of_level(power: int, after_s: float, highest_kv: float) -> Weight:
+    """A power of the voltage of a test, as something that charges."""
 
     def charged(view: View) -> Complex:
-        return np.asarray((view.voltage_kv / highest_kv) ** power / (1 + 2j * np.pi * view.frequency_hz * charging_s))
+        return np.asarray((view.voltage_kv / highest_kv) ** power / (1 + 2j * np.pi * view.frequency_hz * after_s))
 
     return charged
 
