@@ -21,6 +21,7 @@ from pipeline.diagnose.search.likelihood import (
     Groups,
     Linearised,
     Peak,
+    Products,
     find_absorbed,
     find_peak,
     measure_trace,
@@ -142,11 +143,12 @@ def _weigh_region(about: _About, change: RegionChange, name: str, prior: float) 
     """One region, over all widths of its prior."""
     region, seen, fit, groups = change.region, change.seen, about.fit, about.groups
     evidence, best = [], None
+    columns = change.columns[:, seen] * region.width[seen]
+    forms = [(log_prior, Products.of(groups, m.extend(columns)), m.jacobian.shape[1]) for log_prior, m in about.forms]
     for width in WIDTHS:
-        scale = width * region.width[seen]
-        own = change.columns[:, seen] * scale
-        for believed, form in about.forms:
-            extended, first = form.extend(own), form.jacobian.shape[1]
+        scale, own = width * region.width[seen], width * columns
+        for believed, form, first in forms:
+            extended = form.scale_last(columns.shape[1], float(width))
             trace = measure_trace(groups, about.absorbed, about.by_causes)
             for _ in range(2):  # the trace of the function follows from its fit
                 peak = find_peak(groups, extended, trace, first, noise_alone=False)
@@ -215,7 +217,11 @@ def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange], *
     trace = measure_trace_of_causes(fit, groups)
     prior = float(np.log(rules.bent / len(ways) / len(rules.bends)))
     bends = [Bend(share * columns, prior) for columns in ways for share in rules.bends]
-    peaks = [find_peak(groups, about.extend(b.columns), trace, fit.x.size, noise_alone=False) for b in bends]
+    peaks = []
+    for columns in ways:
+        products = Products.of(groups, about.extend(columns))
+        parts = [products.scale_last(columns.shape[1], share) for share in rules.bends]
+        peaks += [find_peak(groups, part, trace, fit.x.size, noise_alone=False) for part in parts]
     joint = np.array([b.log_prior + integrate_peak(fit, peak) for b, peak in zip(bends, peaks, strict=True)])
     as_it_is = float(np.log(1 - rules.bent)) + hypothesis.log_evidence
     best = int(np.argmax(joint))

@@ -18,9 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp
 
 from pipeline.diagnose.features.kinds import CALIBRATIONS
 from pipeline.diagnose.rules import RULES
@@ -73,6 +73,11 @@ class Groups:
     def are_of(self, kinds: Set[str]) -> Bool:
         """(G,) whether a group is of one of some kinds."""
         return np.array([kind in kinds for kind in self.kind] or [False] * self.size.size)
+
+    @cached_property
+    def order(self) -> Int:
+        """(N,) places of the features, group by group."""
+        return np.argsort(self.number, kind="stable")
 
     @property
     def modes(self) -> Float:
@@ -152,6 +157,63 @@ class Linearised:
         )
 
 
+@dataclass(frozen=True)
+class Mixture:
+    """The mixture of variances by which groups may be missed, A of them.
+
+    Parameters
+    ----------
+    groups : of the features
+    log_prior : (A, G) of each variance, with what does not depend on the residual
+    precision : (A, G) of the squares beyond the noise, of the last `louder` rows of all squares
+    louder : rows in which the noise is louder
+    usual : (A,) False where something else is wrong
+    """
+
+    groups: Groups
+    log_prior: Float
+    precision: Float
+    louder: int
+    usual: Bool
+
+    @classmethod
+    def of(cls, groups: Groups, trace: Float, *, noise_alone: bool) -> Mixture:
+        """Parameters as in `score_groups`."""
+        rules = RULES.form
+        n, modes, noise = groups.size, groups.modes, groups.noise
+        shares, louder = np.array(rules.shares), np.array(rules.louder)[:, None] ** 2
+        slow = np.geomspace(1.0, rules.widest_drift, _PLACES)
+        other = np.geomspace(rules.widest_drift, rules.widest, 0 if noise_alone else _MORE_PLACES)
+        wide = np.concatenate([slow, other])
+        variance = np.concatenate([
+            np.zeros((1, n.size)),
+            shares[:, None] ** 2 * trace * n / modes,
+            np.broadcast_to(wide[:, None], (wide.size, n.size)),
+        ])  # fmt: skip
+        usual = (1 - rules.noisy - rules.drifting - rules.outlier) / (1 + shares.size)
+        rare = np.full(slow.size, rules.drifting / slow.size), np.full(other.size, rules.outlier / max(other.size, 1))
+        believed = np.repeat(np.concatenate([np.full(1 + shares.size, usual), *rare])[:, None], n.size, axis=1)
+        # In a calibration there is nothing that nobody has thought of.
+        believed[1 + shares.size :, groups.are_of(CALIBRATIONS)] = _NEVER
+        each = np.log(believed) - 0.5 * noise - 0.5 * modes * np.log1p(variance)
+        noisy = np.log(rules.noisy / louder.size) - 0.5 * n * np.log(louder)
+        kept = np.ones(each.shape[0] + louder.size, dtype=bool)
+        kept[1 + shares.size + slow.size : each.shape[0]] = False
+        precision = np.concatenate([1 / (1 + variance), np.broadcast_to(1 / louder, noisy.shape)])
+        return cls(groups, np.concatenate([each, noisy]), precision, louder.size, kept)
+
+    def score(self, squares: Float) -> tuple[Float, Float, Float]:
+        """What `score_groups` returns, of sums of squares (G,)."""
+        asked = np.repeat(np.maximum(squares - self.groups.noise, 0.0)[None], self.log_prior.shape[0], axis=0)
+        asked[-self.louder :] = squares
+        each = self.log_prior - 0.5 * asked * self.precision
+        highest = each.max(axis=0)
+        share = np.exp(each - highest)
+        total = share.sum(axis=0)
+        share /= total
+        return highest + np.log(total), np.sum(share * self.precision, axis=0), share[~self.usual].sum(axis=0)
+
+
 def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: bool) -> tuple[Float, Float, Float]:
     """Log likelihood of each group, and the weight that a square has in it.
 
@@ -166,72 +228,75 @@ def score_groups(groups: Groups, residual: Float, trace: Float, *, noise_alone: 
     -------
     (G,) log likelihoods, (G,) mean of 1/(1 + a): −2 times their slope over r², (G,) probabilities that a group is wrong by something else
     """
-    rules = RULES.form
-    n = groups.size
-    modes, noise = groups.modes, groups.noise
-    squares = groups.sum_squares(residual)
-    beyond = np.maximum(squares - noise, 0.0)
-    shares, louder = np.array(rules.shares), np.array(rules.louder)[:, None] ** 2
-    slow = np.geomspace(1.0, rules.widest_drift, _PLACES)
-    other = np.geomspace(rules.widest_drift, rules.widest, _MORE_PLACES)
-    wide = slow if noise_alone else np.concatenate([slow, other])
-    variance = np.concatenate([
-        np.zeros((1, n.size)),
-        shares[:, None] ** 2 * trace * n / modes,
-        np.broadcast_to(wide[:, None], (wide.size, n.size)),
-    ])  # fmt: skip
-    usual = (1 - rules.noisy - rules.drifting - rules.outlier) / (1 + shares.size)
-    rare = [np.full(slow.size, rules.drifting / slow.size), np.full(other.size, rules.outlier / other.size)]
-    prior = np.concatenate([np.full(1 + shares.size, usual), *rare[: 1 if noise_alone else 2]])
-    believed = np.repeat(prior[:, None], n.size, axis=1)
-    # In a calibration there is nothing that nobody has thought of.
-    believed[1 + shares.size :, groups.are_of(CALIBRATIONS)] = _NEVER
-    each = np.log(believed) - 0.5 * noise - 0.5 * modes * np.log1p(variance) - 0.5 * beyond / (1 + variance)
-    noisy = np.log(rules.noisy / louder.size) - 0.5 * n * np.log(louder) - 0.5 * squares / louder
-    each = np.concatenate([each, noisy])
-    slope = 1 / np.concatenate([1 + variance, np.broadcast_to(louder, noisy.shape)])
-    total = logsumexp(each, axis=0)
-    share = np.exp(each - total)
-    usual_end, rare_end = 1 + shares.size + slow.size, 1 + shares.size + wide.size
-    return total, np.sum(share * slope, axis=0), np.sum(share[usual_end:rare_end], axis=0)
+    return Mixture.of(groups, trace, noise_alone=noise_alone).score(groups.sum_squares(residual))
+
+
+@dataclass(frozen=True)
+class Products:
+    """Products of the columns of a linearised model, summed over each group: all that the search of its peak has to know.
+
+    Parameters
+    ----------
+    of_groups : (G, Q + 1, Q + 1) of the columns of the Jacobian and, last, the residual
+    of_priors : (Q + 1, Q + 1) of the deviations from priors
+    """
+
+    of_groups: Float
+    of_priors: Float
+
+    @classmethod
+    def of(cls, groups: Groups, model: Linearised) -> Products:
+        """The products of a model."""
+        columns = np.concatenate([model.jacobian, model.residual[:, None]], axis=1)
+        parts = np.split(columns[groups.order], np.cumsum(groups.size)[:-1])
+        beside = np.concatenate([model.beside_jacobian, model.beside[:, None]], axis=1)
+        return cls(np.array([part.T @ part for part in parts]), beside.T @ beside)
+
+    def scale_last(self, count: int, share: float) -> Products:
+        """The model whose last `count` entries change that share of the features."""
+        scale = np.ones(self.of_priors.shape[0])
+        scale[-1 - count : -1] = share
+        return Products(self.of_groups * np.outer(scale, scale), self.of_priors)
 
 
 def find_peak(
-    groups: Groups, of: Linearised, trace: Float, moving: int, *, noise_alone: bool, stay: bool = False
+    groups: Groups, of: Linearised | Products, trace: Float, moving: int, *, noise_alone: bool, stay: bool = False
 ) -> Peak:
     """The optimum of a linearised model under the mixture: least squares with weights that follow from what is left.
 
     Parameters
     ----------
     groups : of the features
-    of : the model about a point
+    of : the model about a point, or its products
     trace, noise_alone : as in `score_groups`
     moving : number of entries, film and rig first, whose steps are bounded
     stay : whether the point itself is the optimum
     """
-    step = np.zeros(of.jacobian.shape[1])
+    products = of if isinstance(of, Products) else Products.of(groups, of)
+    mixture = Mixture.of(groups, trace, noise_alone=noise_alone)
+    step = np.zeros(products.of_priors.shape[0] - 1)
     best: tuple[float, Float, Float, Float, Float] | None = None
     for _ in range(1 if stay else _STEPS):
-        residual, beside = of.residual + of.jacobian @ step, of.beside + of.beside_jacobian @ step
-        scores, weight, odd = score_groups(groups, residual, trace, noise_alone=noise_alone)
-        value = float(scores.sum() - 0.5 * beside @ beside)
-        spread = weight[groups.number]
-        covariance = _invert(of, spread)
+        at = np.append(step, 1.0)
+        squares = np.maximum(products.of_groups @ at @ at, 0.0)
+        scores, weight, odd = mixture.score(squares)
+        value = float(scores.sum() - 0.5 * at @ products.of_priors @ at)
+        normal = np.tensordot(weight, products.of_groups, axes=1) + products.of_priors
+        covariance = _invert(normal[:-1, :-1])
         if best is None or value > best[0]:
-            best = value, step, spread, odd, covariance
-        slope = of.jacobian.T @ (spread * residual) + of.beside_jacobian.T @ beside
+            best = value, step, weight, odd, covariance
+        slope = (normal @ at)[:-1]
         change = -covariance @ slope
         if -slope @ change < _SETTLED:
             break
         step = step + change * min(1.0, _LONGEST / max(float(np.abs(change[:moving]).max(initial=0.0)), 1e-12))
     assert best is not None
-    value, step, spread, odd, covariance = best
-    return Peak(value, covariance, step, np.sqrt(spread), odd)
+    value, step, weight, odd, covariance = best
+    return Peak(value, covariance, step, np.sqrt(weight)[groups.number], odd)
 
 
-def _invert(of: Linearised, weight: Float) -> Float:
-    """(P, P) covariance of the entries with weights (N,) of the squares."""
-    normal = of.jacobian.T @ (weight[:, None] * of.jacobian) + of.beside_jacobian.T @ of.beside_jacobian
+def _invert(normal: Float) -> Float:
+    """(P, P) inverse of a normal matrix, scaled to a diagonal of ones."""
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-12))
     return np.asarray(
         np.linalg.inv(normal / np.outer(scale, scale) + _RIDGE * np.eye(scale.size)) / np.outer(scale, scale)
