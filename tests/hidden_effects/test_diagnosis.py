@@ -359,7 +359,7 @@ def _halve_command(r: RecordingFeatures) -> RecordingFeatures:
     ("seed", "effect", "proposed"),
     [
         (700_230_084, Effect("gain_error", -0.0876, {"channel": "displacement"}), "taps on the clamp, without film, and again with"),
-        (SEED, Effect("field_dependent_permittivity", 0.1), "of the opposite polarity"),
+        (SEED, Effect("field_dependent_permittivity", 0.085), "of the opposite polarity"),
     ],
     ids=lambda v: v.id if isinstance(v, Effect) else "",
 )  # fmt: skip
