@@ -236,14 +236,13 @@ def every_second_sample(recording: Recording) -> Recording:
 
 
 def test_verdicts_do_not_depend_on_units_and_sampling(tmp_path: Path) -> None:
-    """A delay of 40 µs: 4 % of a sample, and 2 % where only every second one is kept."""
-    session = compact_session(SEED, [("sensor_delay", 0.1 * KINDS["sensor_delay"].typical)])
+    session = compact_session(SEED, [("cyclic_softening", 0.1 * KINDS["cyclic_softening"].typical)])
     recordings = [r for r in session.recordings if r.metadata.loading == "mechanical"]
     as_they_are = diagnose([reduce(r) for r in recordings])
     paths = write_recordings(tmp_path, recordings, UNITS)
     converted = diagnose([reduce(canonical(read_raw(path, None), where=path.name)) for path in paths])
     slower = diagnose([reduce(every_second_sample(r)) for r in recordings])
-    assert (as_they_are.verdict, as_they_are.mechanisms) == ("named", ("sensor_delay",))
+    assert (as_they_are.verdict, as_they_are.mechanisms) == ("named", ("cyclic_softening",))
     assert (converted.verdict, converted.mechanisms) == (as_they_are.verdict, as_they_are.mechanisms)
     assert slower.mechanisms == as_they_are.mechanisms  # half of the samples say less of it, but nothing else
 
