@@ -27,7 +27,7 @@ from schemas.numbers import significant
 from schemas.protocols import CALIBRATION, ELECTRICAL
 
 _FEWEST = 2
-"""Recordings before and after a change at least: what one recording shows is a fault of its own."""
+"""Recordings of one loading before and after a change at least: what one recording shows is a fault of its own."""
 _FLOOR = 0.005
 """Scatter of the logarithm of a recording's scale that is always allowed for."""
 _LEAST = 2 * _FLOOR
@@ -198,7 +198,10 @@ def _find_part(session: Session, simulation: Simulation, fit: PlainFit) -> _Part
     ]
     found = []
     for members, of_range in parts:
-        if min((members & known).sum(), (~members & known).sum()) < _FEWEST:
+        # Either loading has a scale of its own: what is on both sides of one of them tells. Over forces by voltage the voltage is another.
+        telling = [~electrical] if of_range else [electrical, ~electrical]
+        sides = np.array([[(own & known & side).sum() for side in (members, ~members)] for own in telling])
+        if sides[sides.all(axis=1)].sum(axis=0).min() < _FEWEST:
             continue
         columns = np.stack([~electrical, electrical, members], axis=1)[known].astype(float)
         weighted = columns / np.hypot(sd[known], _FLOOR)[:, None]
