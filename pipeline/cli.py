@@ -70,7 +70,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         ended = _load(arguments.command).run(arguments)
         sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _PIPE_CLOSED
     except KeyboardInterrupt:
         print("dealab: interrupted; what was finished is kept for the next run", file=sys.stderr)
@@ -83,7 +82,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         place = f"{error.filename}: " if error.filename else ""
         print(f"dealab: {place}{error.strerror or error}", file=sys.stderr)
         return _FAILED
+    finally:
+        _end_output()
     return ended
+
+
+def _end_output() -> None:
+    """What cannot be written any more leads nowhere, so that the end of the program does not try again and fail once more."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _make_streams_usable() -> None:
