@@ -144,12 +144,13 @@ def _weigh_region(about: _About, change: RegionChange, name: str, prior: float) 
     region, seen, fit, groups = change.region, change.seen, about.fit, about.groups
     evidence, best = [], None
     columns = change.columns[:, seen] * region.width[seen]
+    before = measure_trace(groups, about.absorbed, about.by_causes)
     forms = [(log_prior, Products.of(groups, m.extend(columns)), m.jacobian.shape[1]) for log_prior, m in about.forms]
     for width in WIDTHS:
         scale, own = width * region.width[seen], width * columns
         for believed, form, first in forms:
             extended = form.scale_last(columns.shape[1], float(width))
-            trace = measure_trace(groups, about.absorbed, about.by_causes)
+            trace = before
             for _ in range(2):  # the trace of the function follows from its fit
                 peak = find_peak(groups, extended, trace, first, noise_alone=False)
                 trace = measure_trace(groups, about.absorbed, about.by_causes + own @ peak.step[first:])
@@ -216,18 +217,18 @@ def _allow_form_error(hypothesis: Hypothesis, changes: Sequence[RegionChange], *
     groups, about = Groups.of(fit.of.session, fit.of.quiet), Linearised.of(fit)
     trace = measure_trace_of_causes(fit, groups)
     prior = float(np.log(rules.bent / len(ways) / len(rules.bends)))
-    bends = [Bend(share * columns, prior) for columns in ways for share in rules.bends]
     peaks = []
     for columns in ways:
         products = Products.of(groups, about.extend(columns))
         parts = [products.scale_last(columns.shape[1], share) for share in rules.bends]
         peaks += [find_peak(groups, part, trace, fit.x.size, noise_alone=False) for part in parts]
-    joint = np.array([b.log_prior + integrate_peak(fit, peak) for b, peak in zip(bends, peaks, strict=True)])
+    joint = np.array([prior + integrate_peak(fit, peak) for peak in peaks])
     as_it_is = float(np.log(1 - rules.bent)) + hypothesis.log_evidence
     best = int(np.argmax(joint))
     odd = hypothesis.odd if as_it_is > joint[best] else peaks[best].odd
     total = float(logsumexp([as_it_is, *joint]))
-    return replace(hypothesis, log_evidence=total, odd=odd, bend=bends[best])
+    way, share = divmod(best, len(rules.bends))
+    return replace(hypothesis, log_evidence=total, odd=odd, bend=Bend(rules.bends[share] * ways[way], prior))
 
 
 def _list_bends(fit: ExtendedFit, changes: Sequence[RegionChange], *, anew: bool) -> list[Float]:
