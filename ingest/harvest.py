@@ -189,7 +189,7 @@ def _hour(value: str, words: str) -> Fact | None:
 
 def _with_hour(day: Fact, clock: Fact | None) -> Fact:
     """A day with the time of day that another line gives; noon where none does."""
-    if not day.value.endswith(_NO_CLOCK):
+    if not day.value.endswith(_NO_CLOCK) or re.search(r"\d:\d", day.words):
         return day
     if clock is None:
         return Fact(STARTED_AT, day.value.replace(_NO_CLOCK, _NOON), f"{day.words} (no hour: noon)")

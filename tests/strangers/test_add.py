@@ -333,3 +333,12 @@ def test_files_with_times_of_their_own_say_when_they_began(tmp_path: Path) -> No
     draft = make_draft(tmp_path / "run.tdms")
     assert draft.content["recording"]["started_at"] == "2026-03-01T13:05:00+00:00"
     assert [q.key for q in draft.questions] == ["recording.specimen_id"]
+
+
+@pytest.mark.parametrize(
+    ("line", "started_at"),
+    [("Date: 22.04.2026 00:00:00", "2026-04-22T00:00:00"), ("Date: 22.04.2026", "2026-04-22T12:00:00")],
+)
+def test_midnight_that_is_stated_stays_midnight(line: str, started_at: str) -> None:
+    (fact,) = harvest_lines([line])
+    assert (fact.key, fact.value) == ("started_at", started_at)
