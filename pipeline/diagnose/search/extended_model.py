@@ -237,12 +237,12 @@ class Extended:
         ----------
         start : entries (P,), or a fit of this model whose search goes on
         most : steps at most
-        near : a fit of the same model with fewer mechanisms or elsewhere, whose Jacobian is a first guess
+        near : a fit of the same model with fewer mechanisms, elsewhere or under other weights, whose Jacobian is a first guess
         jacobian : (M, P) a first guess itself
         thorough : whether the end is confirmed with a Jacobian of its own
         """
         if near is not None:
-            jacobian = self._lent(near)
+            jacobian = self.lend(near)
         begin = start.solution if isinstance(start, ExtendedFit) else start
         found = minimise(
             self.residuals, begin, *self.limits, most=most, jacobian=jacobian, moving=self.model.size, thorough=thorough
@@ -271,14 +271,20 @@ class Extended:
         """Where film and rig are at their best for the mechanisms as they stand in the entries `start` (P,)."""
         low, high = (bound.copy() for bound in self.limits)
         low[self.model.size :] = high[self.model.size :] = start[self.model.size :]
-        lent, own = self._lent(near), self.model.size
+        lent, own = self.lend(near), self.model.size
         return minimise(self.residuals, start, low, high, most=most, jacobian=lent, moving=own, thorough=False)
 
-    def _lent(self, near: ExtendedFit) -> Float:
+    def lend(self, near: ExtendedFit) -> Float:
         """(M, P) Jacobian of another fit in what both share, 0 elsewhere."""
+        lent = near.solution.jacobian
+        if near.of.weight is not self.weight:
+            lent = lent.copy()
+            lent[: self.session.size] *= (self.weight / near.of.weight)[:, None]
+        if near.of.chosen == self.chosen:
+            return lent
         shared, rows = self.model.size, self.session.size + int(np.isfinite(self.model.prior_sd).sum())
         jacobian = np.zeros((rows + int(np.isfinite(self._priors[1]).sum()), self.limits[0].size))
-        jacobian[:rows, :shared] = near.solution.jacobian[:rows, :shared]
+        jacobian[:rows, :shared] = lent[:rows, :shared]
         return jacobian
 
     def reweigh(self, weight: Float) -> Extended:

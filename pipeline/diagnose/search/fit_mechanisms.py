@@ -180,17 +180,19 @@ def _fit_from_starts(base: ExtendedFit, of: Extended, score: Score, signatures: 
     """Rough fits of one mechanism more, from all starts that are worth it."""
     mechanism = score.chosen.mechanism
     starts = _list_starts(base, of, score, signatures)
-    begins = [of.make_entries(_make_room(base, score.chosen, values), (*base.values, values)) for values in starts]
+    entries = [of.make_entries(_make_room(base, score.chosen, values), (*base.values, values)) for values in starts]
     if mechanism.absorbed:
         # Film and rig first: they must make room before the severity may move.
-        begins = [room.x for room in drop_astray([of.fit_material(x, _ROUGHLY, base) for x in begins], base)]
+        rooms = drop_astray([of.fit_material(x, _ROUGHLY, base) for x in entries], base)
+        begins = [(room.x, room.jacobian) for room in rooms]
+    else:
+        begins = [(x, of.lend(base)) for x in entries]
     if mechanism.as_filed is not None and any(base.of.model.rigs):
-        begins.append(_start_as_filed(of, base, mechanism.as_filed))
-    near = None if mechanism.absorbed else base
+        begins.append((_start_as_filed(of, base, mechanism.as_filed), of.lend(base)))
     if len(begins) == 1 or (mechanism.absorbed and not base.of.chosen):
         # As long as film and rig make room, the search that is behind may end ahead.
-        return [of.fit(x, most=_ROUGHLY, near=near, thorough=False) for x in begins]
-    begun = sorted((of.fit(x, most=_FEW, near=near, thorough=False) for x in begins), key=lambda f: f.chi2)
+        return [of.fit(x, most=_ROUGHLY, jacobian=j, thorough=False) for x, j in begins]
+    begun = sorted((of.fit(x, most=_FEW, jacobian=j, thorough=False) for x, j in begins), key=lambda f: f.chi2)
     return [
         f if f.solution.converged else of.fit(f, most=_ROUGHLY - _FEW, thorough=False)
         for f in begun[: RULES.fit.followed]
@@ -204,7 +206,7 @@ def _fit_from_afar(base: ExtendedFit, of: Extended, mechanism: Mechanism, reach:
     """
     far = {p.name: p.high if p.role == SEVERITY else p.start for p in mechanism.parameters}
     room = of.fit_material(of.make_entries(base.theta, (*base.values, far)), _ROUGHLY, base)
-    return follow_to_end(base, of.fit(room.x, most=_ROUGHLY, thorough=False), reach)
+    return follow_to_end(base, of.fit(room.x, most=_ROUGHLY, jacobian=room.jacobian, thorough=False), reach)
 
 
 def _list_starts(base: ExtendedFit, of: Extended, score: Score, signatures: Signatures) -> list[Start]:
@@ -360,7 +362,7 @@ def _revive_arms(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedF
 
 def finish_fit(fit: ExtendedFit) -> ExtendedFit:
     """The same fit brought to its optimum, and confirmed with central differences."""
-    found = fit.of.refine(fit.of.fit(fit.x, most=_THOROUGHLY))
+    found = fit.of.refine(fit.of.fit(fit.x, most=_THOROUGHLY, near=fit))
     for _ in range(_CONFIRMATIONS):
         again = fit.of.continue_fit(found, most=_TRIALS)
         fall = found.chi2 - again.chi2
@@ -380,7 +382,7 @@ def settle_outliers(fit: ExtendedFit) -> ExtendedFit:
         if np.allclose(weight, fit.of.weight, rtol=_SAME_WEIGHT):
             break
         of = fit.of.reweigh(weight)
-        fit = of.refine(of.fit(fit.x, most=_THOROUGHLY))
+        fit = of.refine(of.fit(fit.x, most=_THOROUGHLY, near=fit))
     return fit
 
 

@@ -290,7 +290,7 @@ def reweigh_fit(hypothesis: Hypothesis, most: int) -> ExtendedFit:
     """
     fit = hypothesis.model
     of = fit.of.reweigh(hypothesis.weight)
-    return of.refine(of.fit(fit.x, most=most))
+    return of.refine(of.fit(fit.x, most=most, near=fit))
 
 
 def settle_hypotheses(found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -337,7 +337,7 @@ def refit_under(base: ExtendedFit, hypothesis: Hypothesis) -> ExtendedFit:
     if fit.of.weight is base.of.weight:
         return fit
     of = fit.of.reweigh(base.of.weight)
-    return of.refine(of.fit(fit.x, most=_STEPS))
+    return of.refine(of.fit(fit.x, most=_STEPS, near=fit))
 
 
 def rank_hypotheses(found: Sequence[Hypothesis]) -> list[Hypothesis]:
