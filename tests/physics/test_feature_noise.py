@@ -149,9 +149,9 @@ def test_a_rest_without_noise_says_nothing_of_mains() -> None:
         assert not any(b.kind == REST_HUM for b in reduce(still).blocks)
 
 
-def samples_of(values: list[Float], interval_s: float = 1e-2) -> list[tuple[int, NoiseSample]]:
+def samples_of(values: list[Float], interval_s: float = 1e-2) -> tuple[tuple[int, NoiseSample], ...]:
     found = [noise_sample("force", v, interval_s) for v in values]
-    return [(i, s) for i, s in enumerate(found) if s is not None]
+    return tuple((i, s) for i, s in enumerate(found) if s is not None)
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-160, 1e-12, 1.0, 1e12])

@@ -88,6 +88,15 @@ class _Way:
         return Fault(cause, tuple(names), probability, words, corrections, False, left)
 
 
+@dataclass(frozen=True)
+class _Late:
+    """A drift or delay at the optimum next to it, χ² of the features, and film and rig there."""
+
+    size: float
+    chi2: float
+    plain: PlainFit
+
+
 def _list_ways(recordings: Sequence[RecordingFeatures]) -> Iterator[_Way]:
     """A drift of all recordings, and a delay of those of each kind of mechanical test, where there are several and others beside them."""
     tests = [r for r in recordings if r.loading == MECHANICAL]
@@ -120,14 +129,10 @@ def find_late(
     if not scanned:
         return None
     _, size, way = min(scanned, key=lambda item: item[0])
-    chi2, near = off, size + 1.0
-    for _ in range(_ROUNDS):
-        if abs(size - near) < _SETTLED * abs(size):
-            break
-        near = size
-        size, chi2 = _refine(way.put_right(asked, near), way, near, plain)
-    if not agrees(measure_left(session, chi2), before):
+    found = _follow(asked, way, size, plain)
+    if not agrees(measure_left(session, found.chi2), before):
         return None
+    size = found.size
     again = fit_session(way.put_right(asked, size))
     whole = count_chi2(again[0], again[2].misfit)
     left = measure_left(again[0], whole)
@@ -137,8 +142,7 @@ def find_late(
     every = _Way(frozenset(r.recording_id for r in asked), False, "all tests")
     delay = _scan(session, every)
     if delay is not None:
-        late = _refine(every.put_right(asked, delay[1]), every, delay[1], again[2])
-        other = min(other, late[1])
+        other = min(other, _refine(asked, every, delay[1], again[2], afresh=True).chi2)
     odds = 0.5 * (other - whole) - 0.5 * float(np.log(max(off - whole, 2.0)))
     probability = float(1 / (1 + np.exp(-np.clip(odds + np.log(RULES.fault.prior), -50, 50))))
     if probability < RULES.fault.named:
@@ -174,17 +178,30 @@ def _scan(session: Session, way: _Way) -> tuple[float, float] | None:
     return (rough, size) if rough < RULES.fault.smoother * as_it_is else None
 
 
-def _refine(recordings: Sequence[RecordingFeatures], way: _Way, start: float, near: PlainFit) -> tuple[float, float]:
-    """The drift or delay fitted together with film and rig, from recordings put right by a value nearby, and χ² with it.
+def _follow(recordings: Sequence[RecordingFeatures], way: _Way, start: float, near: PlainFit) -> _Late:
+    """The drift or delay from a value nearby, sought anew from where its search ended until it moves no more or explains no more."""
+    found = _refine(recordings, way, start, near, afresh=True)
+    for _ in range(_ROUNDS - 1):
+        last, found = found, _refine(recordings, way, found.size, found.plain)
+        if abs(found.size - last.size) < _SETTLED * abs(found.size) or found.chi2 > last.chi2:
+            break
+    return found
 
-    `near` is a fit of the same recordings without it.
+
+def _refine(
+    recordings: Sequence[RecordingFeatures], way: _Way, start: float, near: PlainFit, *, afresh: bool = False
+) -> _Late:
+    """The drift or delay fitted together with film and rig, from recordings put right by a value nearby.
+
+    `near` is a fit of much the same recordings: the start of this one, or with `afresh` one of its starts at the most.
     """
-    session = assemble_session(recordings)
+    session = assemble_session(way.put_right(recordings, start))
     simulation = Simulation(session)
-    # With all arms that there may be: what the drift has done to the fit decides nothing of their number here.
-    model = session.base_model(RULES.plain.orders[-1])
-    plain = fit_from_ladders(session, simulation, model, near if near.model.names == model.names else None)
-    about = simulation.about(plain.model.physical(plain.theta))
+    if afresh:
+        # With all arms that there may be: what the drift has done to the fit decides nothing of their number here.
+        model = session.base_model(RULES.plain.orders[-1])
+        near = fit_from_ladders(session, simulation, model, near if near.model.names == model.names else None)
+    about = simulation.about(near.model.physical(near.theta))
     late = [
         p
         for p in session.places
@@ -192,16 +209,17 @@ def _refine(recordings: Sequence[RecordingFeatures], way: _Way, start: float, ne
     ]
 
     def residuals(several: Float) -> Float:
-        predicted = about.predict_several(plain.model, several[:, :-1])
+        predicted = about.predict_several(near.model, several[:, :-1])
         for values, x in zip(predicted, several, strict=True):
             for p in late:
                 factor = turn(p.block, *way.split(way.unit * x[-1]))
                 values[p.first : p.stop] = turned(values[p.first : p.stop], factor)
         data = session.whiten((session.value - predicted).T).T
-        beside = np.array([compute_deviations(plain.model, x[:-1]) for x in several])
+        beside = np.array([compute_deviations(near.model, x[:-1]) for x in several])
         return np.concatenate([data, beside], axis=1)
 
-    low, high = make_bounds(plain.model)
+    low, high = make_bounds(near.model)
     widest = abs(start) / way.unit
-    found = minimise(residuals, np.append(plain.theta, 0.0), np.append(low, -widest), np.append(high, widest))
-    return start + way.unit * float(found.x[-1]), count_chi2(session, found.residual)
+    found = minimise(residuals, np.append(near.theta, 0.0), np.append(low, -widest), np.append(high, widest))
+    plain = replace(near, theta=found.x[:-1])
+    return _Late(start + way.unit * float(found.x[-1]), count_chi2(session, found.residual), plain)

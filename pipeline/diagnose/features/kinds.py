@@ -125,13 +125,14 @@ class FeatureBlock:
         return self.value.size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NoiseSample:
     """Periodogram of a channel where it holds no signal: rest, residuals between lines.
 
     `frequency_hz` (m,), `power` (m,) with the density per sample as expectation (σ² for white noise), `weight` (m,) number of
     independent ordinates. `interval_s` is that of the samples; `setting` is the interval in which the converter took them, in s,
-    and its step: the white part is the same in recordings of one setting, unless they say otherwise.
+    and its step: the white part is the same in recordings of one setting, unless they say otherwise. Two of them are equal if
+    they are one, so that what is made of them can be remembered.
     """
 
     quantity: str

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import minimize
@@ -116,8 +117,9 @@ def thinned(
     )
 
 
-def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> NoiseLaw:
-    """Law of one channel of a session from (recording, sample) pairs.
+@lru_cache(maxsize=64)
+def noise_law(samples: tuple[tuple[int, NoiseSample], ...], recordings: int) -> NoiseLaw:
+    """Law of one channel of a session from (recording, sample) pairs. Remembered: a diagnosis asks for the same samples again and again.
 
     Recordings of one setting share the density of their white part, except those whose own periodograms clearly differ;
     recordings without any sample take the median one. At other rates with the same step of the converter the white variance of
@@ -148,7 +150,9 @@ def noise_law(samples: Sequence[tuple[int, NoiseSample]], recordings: int) -> No
         first = int(np.flatnonzero(pool.recording == r)[0])
         white[r] = density[separate[first]] * pool.rate[first]
     white[np.isnan(white)] = np.nanmedian(white)
-    return NoiseLaw(white * pool.unit, pink * pool.unit, red * pool.unit, *doubt)
+    white = white * pool.unit
+    white.flags.writeable = False  # who asks next gets the same
+    return NoiseLaw(white, pink * pool.unit, red * pool.unit, *doubt)
 
 
 @dataclass(frozen=True)

@@ -441,4 +441,4 @@ def _laws(ordered: Sequence[RecordingFeatures], rigs: Sequence[int]) -> dict[tup
     for i, r in enumerate(ordered):
         for sample in r.noise:
             samples.setdefault((rigs[i], sample.quantity), []).append((i, sample))
-    return {key: noise_law(found, len(ordered)) for key, found in samples.items()}
+    return {key: noise_law(tuple(found), len(ordered)) for key, found in samples.items()}
