@@ -24,8 +24,8 @@ _LOWEST_HZ = 1e-4
 """Frequency below which a power law is constant, Hz."""
 _CELLS = 64
 """Cells of a period in each of which what follows the voltage is constant."""
-_BALANCE, _PERIODS = 12, 2
-"""Rounds in which the mean level is found, and periods that are followed then."""
+_ROUNDS, _SETTLED = 20, 1e-9
+"""Rounds at most in which the levels of a period are found, and the share of the largest by which they move no more."""
 
 
 def _field(values: Values, variant: str) -> Effect:
@@ -92,7 +92,7 @@ def _wrinkled(values: Values, variant: str) -> Effect:
             return wave
         if at_once:
             return replace(wave, squared=wave.squared - target)
-        held = _following(target, wave.interval_s, rise, recovery)
+        held = follow_in_steady_state(target, wave.interval_s, rise, recovery)
         return replace(wave, squared=np.maximum(wave.squared - held, kept * held))
 
     def edge(view: View, side: float) -> Complex | Float:
@@ -108,36 +108,52 @@ def _wrinkled(values: Values, variant: str) -> Effect:
     return Effect(squared=(stops,), film_edges=(edge,))
 
 
-def _following(target: Float, interval_s: float, rise_s: float, fall_s: float) -> Float:
+def follow_in_steady_state(target: Float, interval_s: float, rise_s: float, fall_s: float) -> Float:
     """One period (S, W) of what follows `target` with one time constant upwards and another downwards, in steady state.
 
-    Constant within each of some tens of cells of the period, in which the target may cross it many times.
+    Constant within each of some tens of cells of the period, in which the target may cross it many times. Newton's method on
+    the levels of all cells at once: what a cell adds to its level is piecewise linear in it, and the period of linear maps
+    closes exactly.
     """
     states, samples = target.shape
     size = max(1, samples // _CELLS)
     count = samples // size
     cells = target[:, : count * size].reshape(states, count, size)
     up, down = (-np.expm1(-size * interval_s / t) for t in (rise_s, fall_s))
-
-    def change(held: Float, within: Float, mean: Float) -> Float:
-        # Upwards what lies above the level, downwards the rest: two numbers of a cell, not its samples twice.
-        above = np.add.reduce(np.maximum(within - held[:, None], 0.0), axis=1) / within.shape[1]
-        return np.asarray(down * (mean - held) + (up - down) * above)
-
-    whole = held = target.mean(axis=1)
-    # The level about which a period balances, then the periods that settle on it.
-    for _ in range(_BALANCE):
-        held = held + change(held, target, whole) / max(up, down)
-    trail = np.empty((states, count))
-    parts, means = np.ascontiguousarray(cells.transpose(1, 0, 2)), np.ascontiguousarray(cells.mean(axis=2).T)
-    for _ in range(_PERIODS):
-        for i, (within, mean) in enumerate(zip(parts, means, strict=True)):
-            held = held + change(held, within, mean)
-            trail[:, i] = held
+    mean = cells.mean(axis=2)
+    held = np.repeat(mean.mean(axis=1)[:, None], count, axis=1)
+    enough = _SETTLED * float(np.abs(mean).max())
+    for _ in range(_ROUNDS):
+        # Upwards what lies above the level, downwards the rest.
+        above = cells - held[:, :, None]
+        is_above = above > 0
+        share = np.count_nonzero(is_above, axis=2) / size
+        excess = np.einsum("ijk,ijk->ij", above, is_above) / size
+        kept = 1 - down - (up - down) * share
+        added = down * (mean - held) + (up - down) * excess
+        last, held = held, _close_period(kept, held + added - kept * held)
+        if float(np.abs(held - last).max()) <= enough:
+            break
+    after = np.roll(held, -1, axis=1)
     middle = (np.arange(count) + 0.5) * size
     at = np.concatenate([[middle[-1] - samples], middle, [middle[0] + samples]])
-    closed = np.concatenate([trail[:, -1:], trail, trail[:, :1]], axis=1)
+    closed = np.concatenate([after[:, -1:], after, after[:, :1]], axis=1)
     return np.array([np.interp(np.arange(samples), at, row) for row in closed])
+
+
+def _close_period(kept: Float, added: Float) -> Float:
+    """(S, C) levels before each cell of a period that ends where it begins, where a cell makes `kept` level + `added` of a level.
+
+    The maps of 1, 2, 4, … cells up to each cell, composed: no quotient of products that may vanish.
+    """
+    step = 1
+    while step < kept.shape[1]:
+        earlier, beside = np.ones_like(kept), np.zeros_like(added)
+        earlier[:, step:], beside[:, step:] = kept[:, :-step], added[:, :-step]
+        kept, added = kept * earlier, kept * beside + added
+        step *= 2
+    first = added[:, -1:] / (1 - kept[:, -1:])
+    return np.concatenate([first, kept[:, :-1] * first + added[:, :-1]], axis=1)
 
 
 def _onset_kv(values: Values, variant: str, context: Context) -> dict[str, float | str]:
