@@ -145,6 +145,7 @@ THERMAL_SOFTENING = Mechanism(
     id="thermal_softening",
     stage="film",
     depends_on=("temperature", "session_time"),
+    varies_with=("cycle",),
     equation="k e^{−β ΔT}, ΔT measured, or first order in the session's time, and what the film dissipates in a recording",
     source="thermal softening of elastomers, first order in the temperature",
     parameters=(

@@ -164,6 +164,7 @@ def _list_of_film(session: Session, low: float, high: float) -> Iterator[Region]
             "contact", "amplitude", "something rubs or slips", tuple(_bend_tension(session, b) for b in rubs),
             np.ones(len(rubs)), shares * largest, "1", np.array([b(shares, rising * (i > 0)) for i, b in enumerate(rubs)]).T,
         )  # fmt: skip
+        yield from _list_of_speed(session)
     knots = np.geomspace(low, high, _KNOTS)
     yield _of_frequency("film", "the stiffness depends on the frequency in another way", _change_stiffness, knots)
     yield _of_session_time("film", "the stiffness changes over the session", _change_stiffness, session)
@@ -182,6 +183,22 @@ def _list_of_film(session: Session, low: float, high: float) -> Iterator[Region]
             "film", "temperature", "the stiffness depends on the temperature", _change_stiffness,
             lambda shape: _of_state("temperature_k", shape, session), np.linspace(temperature.min(), temperature.max(), _POINTS), "K",
         )  # fmt: skip
+
+
+def _list_of_speed(session: Session) -> Iterator[Region]:
+    rates = 2 * np.pi * session.covariate("frequency_hz") * session.covariate("amplitude")
+    moving = rates[np.isfinite(rates) & (rates > 0)]
+    if moving.size == 0:
+        return
+    fastest, shares = float(moving.max()) / session.scale.strain, np.linspace(0, 1, _POINTS)
+    drags: list[Callable[[Float, Float], Float]] = [
+        lambda x, r: r / fastest, lambda x, r: r * np.abs(r) / fastest**2, lambda x, r: (r / fastest) ** 3,
+    ]  # fmt: skip
+    yield Region(
+        "rig", "rate", "a force follows the speed of the driven end", tuple(_bend_tension(session, b) for b in drags),
+        np.ones(len(drags)), shares * float(moving.max()) * session.scale.length_mm, "mm/s",
+        np.array([b(shares, shares * fastest) for b in drags]).T,
+    )  # fmt: skip
 
 
 def _list_of_sensor(session: Session, low: float, high: float) -> Iterator[Region]:
