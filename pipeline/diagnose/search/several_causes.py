@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, drop_mechanism, fit_each_mechanism
-from pipeline.diagnose.search.posterior import Hypothesis, rank_hypotheses, reweigh_fit, weigh_fit
+from pipeline.diagnose.search.posterior import Hypothesis, Posterior, rank_hypotheses, reweigh_fit, weigh_fit
 from pipeline.diagnose.search.screen import Secants, compute_signatures, find_best_scores
 
 _ROUGHLY = 6
@@ -32,7 +32,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
     Those that were tried; empty where nothing that a single cause leaves shows another
     """
     found: list[Hypothesis] = []
-    bases = rank_hypotheses(singles)[: RULES.cause.bases]
+    bases = choose_bases(singles)
     for _ in range(1, RULES.cause.most):
         more = [h for base in bases for h in _add_cause(base, changes)]
         found += more
@@ -41,6 +41,14 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
             break
     best = rank_hypotheses([*singles, *found])[:1]
     return [*found, *(h for b in best for h in _drop_each(b))]
+
+
+def choose_bases(singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The most probable causes, each where it is at its best: two ends of a search for one cause are one base.
+
+    What contradicts one base altogether hardly weighs beside it any more, and shows beside another.
+    """
+    return list(Posterior.of(singles).hypotheses[: RULES.cause.bases])
 
 
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
