@@ -39,7 +39,7 @@ from pipeline.diagnose.search.posterior import (
 )
 from pipeline.diagnose.search.region_optima import settle_regions
 from pipeline.diagnose.search.screen import Secants, compute_secants, compute_signatures, find_best_scores
-from pipeline.diagnose.search.several_causes import add_causes
+from pipeline.diagnose.search.several_causes import add_causes, try_causes_of_form
 from pipeline.diagnose.search.tempering import temper_weights
 from schemas.arrays import Float
 
@@ -165,11 +165,13 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     unnamed = differentiate_regions(agreed.model)
     hypotheses = allow_form_errors(hypotheses, unnamed)
     regions = settle_regions(weigh_regions(agreed, unnamed), [noise, agreed, *hypotheses], plain)
+    hypotheses += allow_form_errors(try_causes_of_form(agreed, regions, hypotheses, changes), unnamed)
     hypotheses, regions = name_regions(hypotheses, regions, agreed.model)
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     for base in posterior.find_sure():
         # What has no name may be beside a cause that is sure: every amplifier lags a little.
         beside = settle_regions(weigh_regions(base, unnamed), hypotheses, refit_under(plain, base))
+        hypotheses += allow_form_errors(try_causes_of_form(base, beside, hypotheses, changes), unnamed)
         hypotheses, beside = name_regions(hypotheses, beside, base.model)
         regions += beside
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])

@@ -128,11 +128,11 @@ def find_late(
     scanned = [(*found, way) for way in _list_ways(asked) if (found := _scan(session, way)) is not None]
     if not scanned:
         return None
-    _, size, way = min(scanned, key=lambda item: item[0])
-    found = _follow(asked, way, size, plain)
-    if not agrees(measure_left(session, found.chi2), before):
+    _, start, way = min(scanned, key=lambda item: item[0])
+    late = _follow(asked, way, start, plain)
+    if not agrees(measure_left(session, late.chi2), before):
         return None
-    size = found.size
+    size = late.size
     again = fit_session(way.put_right(asked, size))
     whole = count_chi2(again[0], again[2].misfit)
     left = measure_left(again[0], whole)

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, drop_mechanism, fit_each_mechanism
+from pipeline.diagnose.search.form_functions import is_form_of
 from pipeline.diagnose.search.posterior import Hypothesis, Posterior, rank_hypotheses, reweigh_fit, weigh_fit
 from pipeline.diagnose.search.screen import Secants, compute_signatures, find_best_scores
 
@@ -49,6 +53,36 @@ def choose_bases(singles: Sequence[Hypothesis]) -> list[Hypothesis]:
     What contradicts one base altogether hardly weighs beside it any more, and shows beside another.
     """
     return list(Posterior.of(singles).hypotheses[: RULES.cause.bases])
+
+
+def try_causes_of_form(
+    base: Hypothesis, regions: Sequence[Hypothesis], listed: Sequence[Hypothesis], changes: Secants
+) -> list[Hypothesis]:
+    """Listed causes beside a base that a region without a name may be the form of, where none was tried.
+
+    What has no name is found in any form; a cause whose own form the screen hardly sees would never be asked beside it.
+
+    Parameters
+    ----------
+    base : the plain model, or one with causes
+    regions : at their optima, beside the base
+    listed : hypotheses of listed causes so far; regions less probable than the best of them ask for nothing
+    changes : of all mechanisms about the plain model
+    """
+    least = max((h.log_joint for h in listed), default=-np.inf)
+    likely = [h.region.region for h in regions if h.region is not None and h.log_joint > least]
+    known = {frozenset(h.causes) for h in listed}
+    ids = [
+        id
+        for id, mechanism in MECHANISMS.items()
+        if any(is_form_of(region, mechanism) for region in likely) and {*base.causes, id} not in known
+    ]
+    if not ids:
+        return []
+    fit = reweigh_fit(base, _ROUGHLY)
+    signatures = compute_signatures(changes, fit)
+    scores = [s for s in find_best_scores(signatures) if s.chosen.id in ids]
+    return [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, len(ids)))]
 
 
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
