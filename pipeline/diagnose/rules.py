@@ -359,6 +359,9 @@ class FaultRules:
     prior: float = _rule(
         0.003, "probability of each kind of fault in a recording", "habits of laboratories, not counted"
     )
+    no_slip: float = _rule(
+        0.5, "probability that sizes are wrong where they promise another actuation by a factor that is no usual slip"
+    )
     mechanism_scale: float = _rule(
         0.3, "logarithm of the factor by which a mechanism usually changes a recording's response", unit="SD"
     )

@@ -113,6 +113,15 @@ def test_wrong_sizes_and_strains_are_named_and_said_not_to_be_told_apart(name: s
     assert len({c.key for c in fault.corrections}) > 1
 
 
+def test_sizes_wrong_by_no_usual_slip_are_one_of_several_explanations() -> None:
+    """A thickness read five times too large, or a gain, or a permittivity that falls with the field: at one voltage these are one."""
+    session = [change_metadata(r, film_thickness_mm=5.0) for r in recordings()]
+    found = diagnose([reduce(r) for r in session])
+    assert (found.verdict, found.mechanisms[0]) == ("ambiguous", "size_wrong")
+    assert "gain_error" in found.also_possible
+    assert found.probabilities["size_wrong"] == pytest.approx(0.5, abs=0.05)
+
+
 def test_a_delay_that_all_sweeps_have_and_nothing_else_is_named_with_all_of_them() -> None:
     """One by one, each may as well show a mechanism."""
     name = "force of all sweeps 4.5 ms late"

@@ -44,6 +44,7 @@ class Fault:
     corrections : what would put it right, the most probable first
     sets_aside : whether the recordings are left out of the diagnosis of the others; else they are put right in it
     bars : whether nothing else can be asked of the session before it is put right
+    alike : mechanisms that would show in the same way
     left_per_value : χ² per value that the recordings leave once they are put right, NaN where they cannot be
     """
 
@@ -55,3 +56,4 @@ class Fault:
     sets_aside: bool = True
     left_per_value: float = float("nan")
     bars: bool = False
+    alike: tuple[str, ...] = ()

@@ -24,7 +24,9 @@ from pipeline.diagnose.features.kinds import (
     RecordingFeatures,
 )
 from pipeline.diagnose.features.observed import AMPLITUDE, STATED
+from pipeline.diagnose.mechanisms.actuation import FIELD_DEPENDENT_PERMITTIVITY
 from pipeline.diagnose.mechanisms.rig import RIG_CONSTANTS
+from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, measure_roughness
 from pipeline.diagnose.simulation.session import Session, make_session
@@ -47,6 +49,9 @@ _SIZES = (("film_thickness_mm", 1.0, 0.5), ("film_width_mm", -1.0, 0.3), ("relat
 """Sizes that the actuation follows: power of the measured over the promised one, and how often each is the one that is wrong."""
 _SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
 """Slips of a size: of layers, halves and digits."""
+_NO_SLIP = "one of them is wrong by no usual slip, or the film or a gain makes the difference, which the recordings do not tell"
+_WEAKENS = (FIELD_DEPENDENT_PERMITTIVITY.id, GAIN_ERROR.id)
+"""Mechanisms that lower the actuation in all tests alike: by as much at every voltage, if these are alike."""
 _WAYS = 2 * len(_RIG_SLIPS) + len(_FORCE_SLIPS) + 1
 """Ways in which a rig's file, or the unit or sign of all forces or displacements may be wrong."""
 _FILED_SD, _ANYWHERE = 0.1, 10.0
@@ -473,6 +478,7 @@ def find_wrong_sizes(fitted: Fitted) -> Fault | None:
         return None
     electrical = [r for r in session.recordings if r.loading == "electrical"]
     factor = _round_off(ratio, sd)
+    is_slip = factor in _SIZE_SLIPS
     corrections = []
     for r in electrical:
         for key, power, share in _SIZES:
@@ -483,9 +489,10 @@ def find_wrong_sizes(fitted: Fitted) -> Fault | None:
     return Fault(
         ids.SIZE_WRONG,
         tuple(r.recording_id for r in electrical),
-        RULES.fault.named,
-        f"the voltage acts {significant(np.exp(ratio), 2)} times as strongly as thickness, width and permittivity promise:"
-        " one of them is wrong, which of them the recordings do not tell",
+        RULES.fault.named if is_slip else RULES.fault.no_slip,
+        f"the voltage acts {significant(np.exp(ratio), 2)} times as strongly as thickness, width and permittivity promise: "
+        + ("one of them is wrong, which of them the recordings do not tell" if is_slip else _NO_SLIP),
         tuple(corrections),
         sets_aside=False,
+        alike=() if is_slip else (_WEAKENS if ratio < 0 else (GAIN_ERROR.id,)),
     )

@@ -24,7 +24,8 @@ def state_faults(diagnosis: Diagnosis, faults: Sequence[Fault]) -> Diagnosis:
         return diagnosis
     beside = diagnosis.mechanisms if diagnosis.verdict == NAMED else ()
     causes = tuple(dict.fromkeys((*(f.cause for f in faults), *beside)))
-    others = dict.fromkeys(c.cause for f in faults for c in f.corrections if c.cause not in causes)
+    options = (id for f in faults for id in (*(c.cause for c in f.corrections), *f.alike))
+    others = dict.fromkeys(id for id in options if id not in causes)
     is_clear = all(f.probability >= RULES.fault.named for f in faults)
     return replace(
         diagnosis,
@@ -47,7 +48,7 @@ def _combine(diagnosis: Diagnosis, faults: Sequence[Fault]) -> dict[str, float]:
         () if name == PLAIN else (name,): p for name, p in (diagnosis.probabilities or {PLAIN: 1.0}).items()
     }
     for fault in reversed(faults):
-        other = next((c.cause for c in fault.corrections if c.cause != fault.cause), "")
+        other = next((id for id in (*(c.cause for c in fault.corrections), *fault.alike) if id != fault.cause), "")
         with_fault: dict[tuple[str, ...], float] = {}
         for names, p in found.items():
             for cause, share in ((fault.cause, fault.probability), (other, 1 - fault.probability)):
