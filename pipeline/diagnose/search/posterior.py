@@ -302,8 +302,7 @@ def settle_hypotheses(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """
     settled: dict[int, Hypothesis] = {}
     for _ in range(RULES.fit.settled):
-        ranked = rank_hypotheses([settled.get(id(h), h) for h in found])
-        near = ranked[0].log_joint - RULES.fit.close_call
+        near = max((settled.get(id(h), h).log_joint for h in found), default=0.0) - RULES.fit.close_call
         waiting = [h for h in found if id(h) not in settled and h.log_joint > near - _WITHIN]
         if not waiting:
             break

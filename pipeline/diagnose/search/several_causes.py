@@ -12,10 +12,19 @@ import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import confirm_best, drop_mechanism, fit_each_mechanism
 from pipeline.diagnose.search.form_functions import is_form_of
-from pipeline.diagnose.search.posterior import Hypothesis, Posterior, rank_hypotheses, reweigh_fit, weigh_fit
+from pipeline.diagnose.search.posterior import (
+    Hypothesis,
+    Posterior,
+    rank_hypotheses,
+    reweigh_fit,
+    settle_hypotheses,
+    weigh_fit,
+)
 from pipeline.diagnose.search.screen import Secants, compute_signatures, find_best_scores
+from pipeline.diagnose.search.tempering import temper_weights
 
 _ROUGHLY = 6
 """Steps of a fit under other weights."""
@@ -86,13 +95,28 @@ def try_causes_of_form(
 
 
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
-    """The causes of a base with one more, where what they leave shows one."""
-    fit = reweigh_fit(base, _ROUGHLY)
-    signatures = compute_signatures(changes, fit)
-    scores = find_best_scores(signatures)
-    if not scores or not signatures.reaches(scores[0].statistic, RULES.cause.level):
-        return []
-    return [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, _EACH))]
+    """The causes of a base with one more, where what they leave shows one.
+
+    What contradicts the base altogether hardly weighs in its likelihood any more. Where there is such a group of features, another
+    cause is looked for as the first one was, too: under weights by which every block may be wrong by a share of its misfit.
+    """
+    fits = [reweigh_fit(base, _ROUGHLY)]
+    if np.any(base.odd > RULES.verdict.something_else):
+        fits.append(_temper(fits[0]))
+    found = []
+    for fit in fits:
+        signatures = compute_signatures(changes, fit)
+        scores = find_best_scores(signatures)
+        if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
+            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, _EACH))]
+    return settle_hypotheses(found)
+
+
+def _temper(fit: ExtendedFit) -> ExtendedFit:
+    """The optimum of the same causes where every block may be wrong by a share of what they leave of it."""
+    session = fit.of.session
+    of = fit.of.reweigh(temper_weights(session, session.whiten(session.value - fit.of.predict(fit.x))))
+    return of.refine(of.fit(fit.x, most=_ROUGHLY, near=fit))
 
 
 def _drop_each(hypothesis: Hypothesis) -> list[Hypothesis]:
