@@ -387,11 +387,11 @@ def settle_outliers(fit: ExtendedFit) -> ExtendedFit:
 
 
 def drop_mechanism(fit: ExtendedFit, number: int) -> ExtendedFit:
-    """The optimum without mechanism `number` of a fit."""
+    """The model without mechanism `number` of a fit, with all else where it is."""
     chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
     values = tuple(v for i, v in enumerate(fit.values) if i != number)
     of = replace(fit.of, chosen=chosen)
-    return finish_fit(of.fit(of.make_entries(fit.theta, values), most=_ROUGHLY))
+    return of.fit(of.make_entries(fit.theta, values), most=0)
 
 
 def order_causes(fit: ExtendedFit) -> ExtendedFit:
@@ -399,7 +399,7 @@ def order_causes(fit: ExtendedFit) -> ExtendedFit:
     number = len(fit.of.chosen)
     if number < 2:
         return fit
-    order = np.argsort([-drop_mechanism(fit, i).chi2 for i in range(number)], kind="stable")
+    order = np.argsort([-finish_fit(drop_mechanism(fit, i)).chi2 for i in range(number)], kind="stable")
     if np.array_equal(order, np.arange(number)):
         return fit
     of = replace(fit.of, chosen=tuple(fit.of.chosen[i] for i in order))

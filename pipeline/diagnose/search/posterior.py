@@ -204,15 +204,13 @@ class Posterior:
         return self.hypotheses[: int(np.searchsorted(shares, probability)) + 1]
 
     def find_sure(self) -> tuple[Hypothesis, ...]:
-        """The hypothesis of listed causes that are as good as certain, alone or with others, and those with fewer of them: a cause
-        may stand for what has no name beside the others. Empty where none are.
+        """The hypotheses of listed causes that are as good as certain, whatever is beside them: what has no name may be, and a cause of
+        a hypothesis may stand for it. The most probable first; empty where no cause is certain.
         """
-        best = next(iter(self.listed), None)
-        shared = [h for h in self.listed if best is not None and {*best.causes} <= {*h.causes}]
-        total = sum(self.probability[h.name] for h in shared)
-        if best is None or total < RULES.verdict.credible:
-            return ()
-        return (best, *(h for h in self.listed if {*h.causes} < {*best.causes}))
+        causes = {id for h in self.listed for id in h.causes}
+        total = {id: sum(self.probability[h.name] for h in self.listed if id in h.causes) for id in causes}
+        sure = {id for id, p in total.items() if p >= RULES.verdict.credible}
+        return tuple(h for h in self.listed if {*h.causes} <= sure)
 
     def sum_by(self, stage: bool) -> dict[str, float]:
         """Stage, or what something depends on → probability that a cause acts there."""

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
-from pipeline.diagnose.search.fit_mechanisms import confirm_best, drop_mechanism, fit_each_mechanism
+from pipeline.diagnose.search.fit_mechanisms import confirm_best, drop_mechanism, finish_fit, fit_each_mechanism
 from pipeline.diagnose.search.form_functions import is_form_of
 from pipeline.diagnose.search.posterior import (
     Hypothesis,
@@ -42,7 +42,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
 
     Returns
     -------
-    Those that were tried; empty where nothing that a single cause leaves shows another
+    Those that were tried, and simpler ones; empty where nothing that a single cause leaves shows another
     """
     found: list[Hypothesis] = []
     bases = choose_bases(singles)
@@ -52,8 +52,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
         bases = [h for h in rank_hypotheses(more)[:1] if h.log_joint > bases[0].log_joint] if bases else []
         if not bases:
             break
-    best = rank_hypotheses([*singles, *found])[:1]
-    return [*found, *(h for b in best for h in _drop_each(b))]
+    return [*found, *_take_back(found, singles)]
 
 
 def choose_bases(singles: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -91,7 +90,8 @@ def try_causes_of_form(
     fit = reweigh_fit(base, _ROUGHLY)
     signatures = compute_signatures(changes, fit)
     scores = [s for s in find_best_scores(signatures) if s.chosen.id in ids]
-    return [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, len(ids)))]
+    found = [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, len(ids)))]
+    return [*found, *_take_back(found, listed)]
 
 
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
@@ -119,9 +119,22 @@ def _temper(fit: ExtendedFit) -> ExtendedFit:
     return of.refine(of.fit(fit.x, most=_ROUGHLY, near=fit))
 
 
+def _take_back(found: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses near the best without each of their causes in turn: a cause may come to a better optimum beside another that does next
+    to nothing than it came to alone.
+    """
+    best = max((h.log_joint for h in (*others, *found)), default=0.0)
+    near = [h for h in found if h.log_joint > best - RULES.fit.close_call]
+    return settle_hypotheses([without for h in near for without in _drop_each(h)])
+
+
 def _drop_each(hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis without each of its causes in turn."""
+    """The hypothesis without each of its causes in turn: where the others are, and where they go without it."""
     fit = hypothesis.fit
     if fit is None or len(fit.of.chosen) < 2:
         return []
-    return [weigh_fit(drop_mechanism(fit, i)) for i in range(len(fit.of.chosen))]
+    found = []
+    for i in range(len(fit.of.chosen)):
+        there = drop_mechanism(fit, i)
+        found += [weigh_fit(there), weigh_fit(finish_fit(there))]
+    return found
