@@ -13,7 +13,9 @@ from pipeline.diagnose.search.form_functions import RegionChange, differentiate_
 from pipeline.diagnose.search.likelihood import find_absorbed
 from pipeline.diagnose.search.named_regions import name_regions
 from pipeline.diagnose.search.plain_fit import fit_plain
-from pipeline.diagnose.search.posterior import Hypothesis, RegionFit
+from pipeline.diagnose.search.posterior import Hypothesis, Posterior, RegionFit, weigh_fit
+from pipeline.diagnose.search.screen import compute_secants
+from pipeline.diagnose.search.several_causes import try_causes_of_form
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.arrays import Float
@@ -40,11 +42,11 @@ def theta(plain: Extended) -> Float:
     return fit_plain(plain.session, plain.simulation).theta
 
 
-def hypothesis(plain: Extended, theta: Float, id: str, values: dict[str, float]) -> Hypothesis:
-    """A listed cause at given parameters, film and rig at the plain model's."""
-    of = replace(plain, chosen=(Chosen(id, ""),))
-    fit = of.fit(of.make_entries(theta, (values,)), most=0)
-    return Hypothesis(id, -100.0, -4.0, fit, None, np.ones(1), np.zeros(1))
+def hypothesis(plain: Extended, theta: Float, **causes: dict[str, float]) -> Hypothesis:
+    """Listed causes at given parameters, film and rig at the plain model's."""
+    of = replace(plain, chosen=tuple(Chosen(id, "") for id in causes))
+    fit = of.fit(of.make_entries(theta, tuple(causes.values())), most=0)
+    return Hypothesis("+".join(causes), -100.0, -4.0, fit, None, np.ones(1), np.zeros(1))
 
 
 def region_like(plain: Extended, theta: Float, cause: Hypothesis, size: float, stage: str) -> Hypothesis:
@@ -61,6 +63,7 @@ def region_like(plain: Extended, theta: Float, cause: Hypothesis, size: float, s
     return Hypothesis(change.region.id, -90.0, -6.0, None, found, np.ones(1), np.zeros(1))
 
 
+SLACK = {"overload": 0.1, "residual": 0.3, "softness": 1.0}
 SOFTENING = {"drop": 0.02, "strain_scale": 0.5, "exponent": 1.0, "at_once": 0.1}
 
 
@@ -72,7 +75,7 @@ SOFTENING = {"drop": 0.02, "strain_scale": 0.5, "exponent": 1.0, "at_once": 0.1}
 def test_a_function_is_the_cause_whose_form_it_is_nearly(
     plain: Extended, theta: Float, size: float, stage: str, is_named: bool
 ) -> None:
-    cause = hypothesis(plain, theta, "amplitude_softening", SOFTENING)
+    cause = hypothesis(plain, theta, amplitude_softening=SOFTENING)
     region = region_like(plain, theta, cause, size, stage)
     (named,), unnamed = name_regions([cause], [region], plain.refine(plain.fit(theta, most=0)))
     assert unnamed == ([] if is_named else [region])
@@ -82,7 +85,7 @@ def test_a_function_is_the_cause_whose_form_it_is_nearly(
 
 def test_what_a_region_says_is_shared_by_the_causes_that_it_may_be(plain: Extended, theta: Float) -> None:
     """Nothing of its probability is lost or counted twice."""
-    cause = hypothesis(plain, theta, "amplitude_softening", SOFTENING)
+    cause = hypothesis(plain, theta, amplitude_softening=SOFTENING)
     weaker = replace(cause, log_evidence=cause.log_evidence - 3.0)
     region = region_like(plain, theta, cause, 1.0, "film")
     named, unnamed = name_regions([cause, weaker], [region], plain.refine(plain.fit(theta, most=0)))
@@ -90,3 +93,28 @@ def test_what_a_region_says_is_shared_by_the_causes_that_it_may_be(plain: Extend
     total = np.logaddexp(np.logaddexp(cause.log_joint, weaker.log_joint), region.log_joint)
     assert np.logaddexp(named[0].log_joint, named[1].log_joint) == pytest.approx(total)
     assert named[0].log_joint - named[1].log_joint == pytest.approx(3.0)
+
+
+def test_a_cause_that_all_probable_hypotheses_share_is_sure_whatever_is_beside_it(
+    plain: Extended, theta: Float
+) -> None:
+    """What has no name is looked for beside it, also where a further cause is in doubt."""
+    alone = hypothesis(plain, theta, amplitude_softening=SOFTENING)
+    both = hypothesis(plain, theta, amplitude_softening=SOFTENING, slack=SLACK)
+    other = replace(hypothesis(plain, theta, slack=SLACK), log_evidence=-110.0)
+    found = Posterior.of([alone, replace(both, log_evidence=-99.5), other])
+    assert [h.name for h in found.find_sure()] == ["amplitude_softening"]
+
+
+def test_causes_that_a_function_may_be_the_form_of_are_tried_where_none_was(plain: Extended, theta: Float) -> None:
+    """One that is in another stage, or less probable than what is listed, asks for nothing."""
+    fit = plain.refine(plain.fit(theta, most=0))
+    base = replace(weigh_fit(fit), log_evidence=-200.0)
+    changes = compute_secants(fit)
+    softening = hypothesis(plain, theta, amplitude_softening=SOFTENING)
+    region = region_like(plain, theta, softening, 1.0, "film")
+    tried = {h.name for h in try_causes_of_form(base, [region], [], changes)}
+    assert "amplitude_softening" in tried
+    again = try_causes_of_form(base, [region], [replace(softening, log_evidence=-150.0)], changes)
+    assert "amplitude_softening" not in {h.name for h in again}
+    assert not try_causes_of_form(base, [region], [replace(softening, log_evidence=0.0)], changes)

@@ -119,6 +119,25 @@ def test_a_voltage_that_reaches_the_reading_past_the_film_is_told_as_that(
     assert found.probability["sensor/voltage"] > 0.9
 
 
+def drag(recording: Recording, n_s2_per_mm2: float) -> Recording:
+    """The recording with a force N against the square of the driven end's speed mm/s."""
+    motion, force = (recording.channels.get(name) for name in ("displacement", "force"))
+    if motion is None or force is None:
+        return recording
+    time_s = force.time_ns * 1e-9
+    speed = np.gradient(np.interp(time_s, motion.time_ns * 1e-9, motion.values), time_s)
+    changed = replace(force, values=force.values + n_s2_per_mm2 * speed * np.abs(speed))
+    return replace(recording, channels={**recording.channels, "force": changed})
+
+
+@pytest.mark.slow
+def test_a_force_that_follows_the_speed_is_told_as_that() -> None:
+    recordings = [drag(r, 5e-6) for r in true_session(303, DESIGNS, ()).recordings]
+    found = compare_with_plain(fit_under_noise([reduce(r) for r in recordings]))
+    assert found.regions[0].name == "rig/rate", {h.name: found.probability[h.name] for h in found.hypotheses[:4]}
+    assert found.probability["rig/rate"] > 0.9
+
+
 @pytest.mark.slow
 def test_a_narrow_resonance_of_no_list_is_something_else_and_not_noise() -> None:
     """A response that is free at many frequencies costs more than to leave the few groups that show it to anything."""
