@@ -386,12 +386,33 @@ def settle_outliers(fit: ExtendedFit) -> ExtendedFit:
     return fit
 
 
-def drop_mechanism(fit: ExtendedFit, number: int) -> ExtendedFit:
-    """The model without mechanism `number` of a fit, with all else where it is."""
+def drop_mechanism(fit: ExtendedFit, number: int, theta: Float | None = None) -> ExtendedFit:
+    """The model without mechanism `number` of a fit, with all else where it is, or film and rig at other entries theta (P,)."""
     chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
     values = tuple(v for i, v in enumerate(fit.values) if i != number)
     of = replace(fit.of, chosen=chosen)
-    return of.fit(of.make_entries(fit.theta, values), most=0)
+    return of.fit(of.make_entries(fit.theta if theta is None else theta, values), most=0)
+
+
+def hand_over_relaxation(fit: ExtendedFit, number: int) -> Float | None:
+    """Entries (P,) of film and rig with a relaxation that a fit names taken up by the arm nearest to it; None where it names none.
+
+    Without it the film would have to find that stiffness again, along a valley in which little falls.
+    """
+    as_arm = fit.of.chosen[number].mechanism.as_arm
+    model, film = fit.of.model, fit.of.model.physical(fit.theta).film
+    if as_arm is None or not film.k:
+        return None
+    values = fit.values[number]
+    more, time_s = values["stiffness_ratio"] * film.k0, values["time_constant_s"]
+    place = int(np.argmin([abs(np.log(tau / time_s)) for tau in film.tau]))
+    arms = list(zip(film.tau, film.k, strict=True))
+    tau, k = arms[place]
+    arms[place] = float(np.exp((k * np.log(tau) + more * np.log(time_s)) / (k + more))), k + more
+    arms.sort(reverse=True)
+    theta = model.theta(replace(film, k=tuple(k for _, k in arms), tau=tuple(t for t, _ in arms)))
+    theta[model.film.stop :] = fit.theta[model.film.stop :]
+    return theta
 
 
 def order_causes(fit: ExtendedFit) -> ExtendedFit:

@@ -13,11 +13,19 @@ import numpy as np
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import ExtendedFit
-from pipeline.diagnose.search.fit_mechanisms import confirm_best, drop_mechanism, finish_fit, fit_each_mechanism
+from pipeline.diagnose.search.fit_mechanisms import (
+    confirm_best,
+    drop_mechanism,
+    finish_fit,
+    fit_each_mechanism,
+    hand_over_relaxation,
+)
 from pipeline.diagnose.search.form_functions import is_form_of
+from pipeline.diagnose.search.likelihood import Groups
 from pipeline.diagnose.search.posterior import (
     Hypothesis,
     Posterior,
+    measure_trace_of_causes,
     rank_hypotheses,
     reweigh_fit,
     settle_hypotheses,
@@ -97,11 +105,13 @@ def try_causes_of_form(
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     """The causes of a base with one more, where what they leave shows one.
 
-    What contradicts the base altogether hardly weighs in its likelihood any more. Where there is such a group of features, another
-    cause is looked for as the first one was, too: under weights by which every block may be wrong by a share of its misfit.
+    What contradicts the base altogether hardly weighs in its likelihood any more. Where there is such a group of features, and the base
+    does less than the noise in it, so that this is no form of its causes, another one is looked for as the first one was, too: under
+    weights by which every block may be wrong by a share of its misfit.
     """
     fits = [reweigh_fit(base, _ROUGHLY)]
-    if np.any(base.odd > RULES.verdict.something_else):
+    touched = measure_trace_of_causes(base.model, Groups.of(base.model.of.session)) > 1
+    if np.any(~touched & (base.odd > RULES.verdict.something_else)):
         fits.append(_temper(fits[0]))
     found = []
     for fit in fits:
@@ -129,7 +139,9 @@ def _take_back(found: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> lis
 
 
 def _drop_each(hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis without each of its causes in turn: where the others are, and where they go without it."""
+    """The hypothesis without each of its causes in turn: where the others are, and where they go without it. What a relaxation did, an
+    arm of the film may do.
+    """
     fit = hypothesis.fit
     if fit is None or len(fit.of.chosen) < 2:
         return []
@@ -137,4 +149,7 @@ def _drop_each(hypothesis: Hypothesis) -> list[Hypothesis]:
     for i in range(len(fit.of.chosen)):
         there = drop_mechanism(fit, i)
         found += [weigh_fit(there), weigh_fit(finish_fit(there))]
+        with_arm = hand_over_relaxation(fit, i)
+        if with_arm is not None:
+            found.append(weigh_fit(finish_fit(drop_mechanism(fit, i, with_arm))))
     return found
