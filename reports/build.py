@@ -18,6 +18,7 @@ from pathlib import Path
 from reports import manifest
 from reports.blocks import Link, Page, flow, name
 from reports.digests import digests
+from reports.figures.panel import styled
 from reports.ledger import Ledger, batches
 from reports.names import short
 from reports.plan import Planned, make, plan
@@ -187,7 +188,8 @@ def _known_site(lab: Path, memory: str, interactive: bool, state: tuple[int, int
 def _write(folder: Path, site: Site, planned: Planned) -> Made:
     problem = ""
     try:
-        page = make(site, planned)
+        with styled():
+            page = make(site, planned)
         entries = site.entries() if site.interactive and planned.kind == "index" else ()
         text = html(page, interactive=site.interactive, site=entries)
         further = {path: html(one, interactive=site.interactive) for path, one in page.further}

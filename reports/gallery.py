@@ -1,4 +1,4 @@
-"""Every figure that the pages show of a specimen, a recording, a campaign or the lab, to be drawn anew for print.
+"""Every figure that the pages show of a specimen, a recording, a campaign or the lab, to be had as a file.
 
 The pages decide what there is to show and gather its data; here their figures are found, with the finding that is their alt
 text and the data that stand beside them.
@@ -23,10 +23,14 @@ from schemas.errors import UsageError
 LAB = "lab"
 """The word for what belongs to no single thing: control charts."""
 PRINTED = (
-    "response", "spectrum", "force-under-voltage", "blocked-force", "voltage-squared", "step-response", "sensing", "force-map",
-    "relaxation", "cycle", "cycle-residual", "diagnosis", "residual-map", "held-out", "survival", "lifetimes", "control", "timeline",
+    "response", "spectrum", "correction", "amplification", "force-under-voltage", "blocked-force", "orders", "distortion",
+    "voltage-squared", "step-response", "isotonic", "sensing", "force-map", "relaxation", "error-by-arms", "parameter-study", "cycle",
+    "cycle-residual", "creep", "tension", "by-amplitude", "compliance", "master-curve", "shifts", "phase-over-magnitude",
+    "misfits", "open-and-closed-loop", "gains", "controllers", "agreement", "constraint", "sensitivity-map", "coats", "migration",
+    "force-stroke", "diagnosis", "residual-map", "held-out", "survival", "lifetimes", "against-voltage", "against-stress",
+    "effects", "intervals", "cox-snell", "deviances", "incidence", "regions", "thickness-map", "control", "timeline",
 )  # fmt: skip
-"""Kinds of figures that can be printed, in the order in which they are listed."""
+"""Kinds of figures that can be had as files, in the order in which they are listed."""
 
 
 @dataclass(frozen=True)

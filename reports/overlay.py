@@ -6,23 +6,19 @@ caller brings them.
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from markupsafe import Markup
-from matplotlib.figure import Figure as MatplotlibFigure
 
 from reports.blocks import Figure, Head, Link, Page, Row, Section, Table, Text, bold, flow
 from reports.evidence import choice, curve, drawable, measured
 from reports.figures.curves import arms, band, covariance, stiffness
+from reports.figures.overlay import Overlaid, overlay
 from reports.figures.palette import group
-from reports.figures.printed.lives import draw_survival
-from reports.figures.printed.overlay import Overlaid, draw_overlay
-from reports.figures.printed.style import DOUBLE, write_figure
-from reports.figures.survival import GroupCurve
+from reports.figures.panel import Sheet, on_sheet
+from reports.figures.picture import Picture
+from reports.figures.survival import GroupCurve, kaplan_meier
 from reports.names import short, visible
 from reports.pages.campaign import lives
 from reports.pages.draft import Draft
@@ -218,7 +214,7 @@ def make_page(
     overlaid = [item.overlaid for item in items if item.overlaid is not None]
     sections = []
     if len(overlaid) > 1:
-        image = _show(draw_overlay(overlaid, width=DOUBLE), heading)
+        image = draw_items(site, items, heading)
         caption = flow(
             bold("Stiffness and phase."),
             " Points: measured; lines: the model; of a batch the mean, its specimens thin. Below: how far each is off the first,"
@@ -229,7 +225,7 @@ def make_page(
     if curves:
         told = _tell_lives(curves)
         caption = flow(bold("Survival."), " Kaplan–Meier with 95 % bands; open marks: alive when the test ended.")
-        figure = Figure(_show(draw_lives(curves, time_title), told), caption)
+        figure = Figure(draw_lives(curves, time_title, told), caption)
         sections.append(Section("lives", "Survival under voltage", "Survival", (figure,)))
     shown = [
         Table(
@@ -253,12 +249,13 @@ def make_page(
     )  # fmt: skip
 
 
-def draw_items(site: Site, items: Sequence[Item], width: str = DOUBLE) -> MatplotlibFigure:
+def draw_items(site: Site, items: Sequence[Item], finding: str) -> Picture:
     """The overlay by itself: of models, else of lives; `UsageError` where fewer than two of the items have either."""
     overlaid = [item.overlaid for item in items if item.overlaid is not None]
     if len(overlaid) < 2:
-        return draw_lives(*read_curves(site, items), width=width)
-    return draw_overlay(overlaid, width=width)
+        return draw_lives(*read_curves(site, items), finding)
+    with on_sheet(Sheet(width=_WIDTH_PX)):
+        return overlay(overlaid, alt=finding)
 
 
 def read_curves(site: Site, items: Sequence[Item]) -> tuple[list[GroupCurve], str]:
@@ -290,21 +287,13 @@ def _tell_lives(curves: Sequence[GroupCurve]) -> str:
     return "Survival: " + "; ".join(f"{g.name}: {g.failed} of {g.total} failed" for g in curves)
 
 
-def draw_lives(curves: Sequence[GroupCurve], time_title: str, width: str = DOUBLE) -> MatplotlibFigure:
+def draw_lives(curves: Sequence[GroupCurve], time_title: str, finding: str) -> Picture:
     """Survival curves over each other, with numbers at risk; `UsageError` where there are fewer than two."""
     if len(curves) < 2:
         raise UsageError(
             "there is no figure of this", expected="mechanical models, or lives under voltage, of at least two of them"
         )
-    return draw_survival(curves, time_title, width=width)
-
-
-def _show(figure: MatplotlibFigure, finding: str) -> Markup:
-    file = io.BytesIO()
-    write_figure(figure, file, "svg", title="Comparison", finding=finding)
-    uri = "data:image/svg+xml;base64," + base64.b64encode(file.getvalue()).decode("ascii")
-    high = round(_WIDTH_PX * figure.get_figheight() / figure.get_figwidth())
-    return Markup('<img src="{}" width="{}" height="{}" alt="{}">').format(uri, _WIDTH_PX, high, finding)
+    return kaplan_meier(curves, time_title, alt=finding)
 
 
 def describe_survival(results: Results, items: Sequence[Item]) -> list[Record]:

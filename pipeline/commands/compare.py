@@ -31,7 +31,7 @@ _ALPHA, _NAMED = 0.05, 3
 
 def run(arguments: Namespace) -> int:
     from ingest.atomic import written_whole
-    from reports.figures.printed.style import ENDINGS, write_figure
+    from reports.figures.paper import ENDINGS, write_figure
     from reports.overlay import describe_survival, draw_items, list_quantities, make_page, read_items
     from reports.render import html
     from reports.results import Results
@@ -64,7 +64,9 @@ def run(arguments: Namespace) -> int:
                     file.write_text(html(make_page(site, items, heading, tables, notes)), encoding="utf-8")
                 else:
                     form = ENDINGS[out.suffix.lower()]
-                    write_figure(draw_items(site, items), file, form, title="Comparison", finding=heading)
+                    write_figure(
+                        draw_items(site, items, heading).draw(), file, form, title="Comparison", finding=heading
+                    )
     print(make_safe(heading))
     for table in tables:
         if table.rows:

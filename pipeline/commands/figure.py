@@ -67,13 +67,12 @@ def write_exhibit(
     Raises `UsageError` where the ending says no format.
     """
     from ingest.atomic import written_whole
-    from reports.figures.printed.kinds import draw_picture
-    from reports.figures.printed.style import ENDINGS, write_figure
+    from reports.figures.paper import ENDINGS, write_figure
 
     form = ENDINGS.get(out.suffix.lower())
     if form is None:
         raise UsageError(f"{out}: a figure has no such format", expected=f"a file that ends in {', '.join(ENDINGS)}")
-    figure = draw_picture(exhibit.picture, width)
+    figure = exhibit.picture.draw(width)
     with written_whole(out) as file:
         write_figure(figure, file, form, title=f"{thing}: {exhibit.about}", finding=exhibit.finding)
     lines = [f"{out}: {exhibit.finding}"]

@@ -168,13 +168,12 @@ class Lab(pipeline.lab.lab.Lab):
         `width` is `single` (85 mm) or `double` (175 mm), by default what suits the kind. `get_label()` of the figure is
         its finding. Raises `UsageError` where there is no such figure; `figures` lists them.
         """
-        from reports.figures.printed.kinds import draw_picture
-        from reports.figures.printed.style import WIDTHS_MM
+        from reports.figures.paper import WIDTHS_MM
         from reports.gallery import choose_exhibit
 
         if width is not None and width not in WIDTHS_MM:
             raise UsageError(f'"{width}" is no width', expected=" or ".join(WIDTHS_MM))
-        return draw_picture(choose_exhibit(self._find_exhibits(thing), thing, kind).picture, width)
+        return choose_exhibit(self._find_exhibits(thing), thing, kind).picture.draw(width)
 
     def _find_exhibits(self, thing: str) -> list[Exhibit]:
         from reports.gallery import find_exhibits

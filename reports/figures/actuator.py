@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from markupsafe import Markup
-
 from reports.figures.palette import group
-from reports.figures.plot import WIDE, Panel, linear
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
+from reports.figures.scale import linear
 from schemas.arrays import Float
 
 
@@ -24,7 +23,8 @@ class Line:
     upper: Float
 
 
-def force_stroke(lines: Sequence[Line], *, alt: str) -> Markup:
+@pictured("force-stroke")
+def force_stroke(lines: Sequence[Line], *, alt: str) -> Drawing:
     """Force over stroke with its band, a line for each frequency; dots where it gives most work."""
     drawing = Drawing(WIDE, 280)
     x = linear(*(one.stroke for one in lines), zero=True, margin=0.03)
@@ -37,4 +37,4 @@ def force_stroke(lines: Sequence[Line], *, alt: str) -> Markup:
         panel.dots(*middle, drawn.colour, 5.0, marker=drawn.marker)
         panel.label(middle[0][0], middle[1][0], f"{drawn.sign} {one.name}", drawn.colour, dx=9, dy=-5)
     panel.axes("Force left, N", "Stroke, mm")
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BETTER, INK, MODEL, SECOND, WRONG
+from reports.figures.panel import TICKS, WIDE, Drawing, Panel
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, symmetric
-from reports.figures.svg import TICKS, Drawing
+from reports.figures.scale import Scale, linear, logarithmic, nice, symmetric
 from schemas.arrays import Bool, Complex, Float
 from schemas.numbers import significant
 
@@ -107,7 +106,7 @@ class Compared:
 
 
 @pictured("diagnosis")
-def comparison(data: Compared, *, alt: str) -> Markup:
+def comparison(data: Compared, *, alt: str) -> Drawing:
     """Measured dots ± 2 SD with the plain (blue) and the extended model (green); below, what each leaves."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(data.x, margin=0.02) if data.x_log else linear(data.x, margin=0.04)
@@ -137,8 +136,8 @@ def comparison(data: Compared, *, alt: str) -> Markup:
         "Residual, SD", data.x_title, y_ticks=(-reach, 0, reach), signed=True, x_ticks=ticks, x_labels=not data.groups
     )
     for place, name in data.groups:
-        drawing.text(float(lower.px(place)), lower.bottom + 17, name, size=TICKS, colour=SECOND, anchor="middle")
-    return drawing.image(alt)
+        drawing.write(float(lower.px(place)), lower.bottom + 17, name, size=TICKS, colour=SECOND, anchor="middle")
+    return drawing.told(alt)
 
 
 def broken(x: Float, y: Float) -> tuple[Float, Float]:
@@ -162,9 +161,9 @@ def _residuals(panel: Panel, data: Compared) -> None:
     if data.extended is not None:
         panel.held(data.residual_x, data.residual(data.extended), BETTER, 3.4)
         text = f"● extended: {write_times(data.rms(data.extended))}"
-        drawing.text(x, panel.top - 9, text, colour=BETTER, anchor="end", bold=True)
+        drawing.write(x, panel.top - 9, text, colour=BETTER, anchor="end", bold=True)
         x -= _BOLD_WIDTH * len(text) + _APART
-    drawing.text(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
+    drawing.write(x, panel.top - 9, words, colour=WRONG, anchor="end", bold=True)
 
 
 def shown_scale(data: Compared, values: Sequence[Float]) -> Scale:

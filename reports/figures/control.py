@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BAND, INK, RAW, SECOND, WRONG
+from reports.figures.panel import WIDE, Drawing, Panel
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, Scale, linear
-from reports.figures.svg import Drawing
+from reports.figures.scale import Scale, linear
 from reports.names import short
 from schemas.arrays import Bool, Float
 
@@ -33,7 +32,7 @@ class Chart:
 
 
 @pictured("control")
-def chart(item: Chart, title: str, x_title: str, *, alt: str) -> Markup:
+def chart(item: Chart, title: str, x_title: str, *, alt: str) -> Drawing:
     """Points ± 1 SD within the limits that the other points set; those with an alarm are named."""
     drawing = Drawing(WIDE, 218)
     n = item.value.size
@@ -63,4 +62,4 @@ def chart(item: Chart, title: str, x_title: str, *, alt: str) -> Markup:
         )  # fmt: skip
     few = [1.0, float(n)] if n > 12 else place.tolist()
     panel.axes(title, x_title, x_ticks=few, y_most=4)
-    return drawing.image(alt)
+    return drawing.told(alt)

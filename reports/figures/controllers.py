@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BETTER, group
-from reports.figures.plot import WIDE, Panel, linear, logarithmic
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
+from reports.figures.scale import linear, logarithmic
 from schemas.arrays import Float
 
 
@@ -29,7 +29,8 @@ class Course:
     force_limits: Float
 
 
-def controllers(courses: Sequence[Course], demand_pf: float, *, alt: str) -> Markup:
+@pictured("controllers")
+def controllers(courses: Sequence[Course], demand_pf: float, *, alt: str) -> Drawing:
     """Three panels over the logarithm of time, with the band of the films that the fit leaves possible."""
     height, gap = 112.0, 44.0
     drawing = Drawing(WIDE, 30 + 3 * (height + gap) + 14)
@@ -54,4 +55,4 @@ def controllers(courses: Sequence[Course], demand_pf: float, *, alt: str) -> Mar
                 names.append((float(value[-1]) + 0.01 * j, f"{drawn.sign} {one.name}", drawn.colour, False))
         panel.names(names)
         panel.axes(title, "Time since the change, s" if i == 2 else "", x_labels=i == 2, y_most=4)
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, MODEL, SECOND
-from reports.figures.plot import WIDE, Panel, linear, logarithmic
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
+from reports.figures.scale import linear, logarithmic
 from schemas.arrays import Float
 
 
@@ -23,7 +23,8 @@ class HeldCurve:
     modelled: Float
 
 
-def creep(curves: tuple[HeldCurve, ...], *, alt: str) -> Markup:
+@pictured("creep")
+def creep(curves: tuple[HeldCurve, ...], *, alt: str) -> Drawing:
     """Every level of the load from when it was reached: measured windows, the model through them, what is off it below."""
     drawing = Drawing(WIDE, 372)
     x = logarithmic(*(c.since for c in curves), margin=0.03)
@@ -43,4 +44,4 @@ def creep(curves: tuple[HeldCurve, ...], *, alt: str) -> Markup:
     for i, curve in enumerate(curves):
         lower.dots(curve.since, np.asarray(off[i]), INK if i == 0 else SECOND, 3.2)
     lower.axes("Off the model, µm", "Time since the load changed, s", y_most=3)
-    return drawing.image(alt)
+    return drawing.told(alt)

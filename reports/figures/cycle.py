@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, LOWER, LOWEST, MODEL, SECOND
+from reports.figures.panel import WIDE, Drawing, Panel
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, linear, symmetric
-from reports.figures.svg import Drawing
+from reports.figures.scale import linear, symmetric
 from schemas.arrays import Float
 from schemas.numbers import ordinal
 
@@ -40,10 +39,10 @@ def styled(curves: Sequence[CycleCurve]) -> list[tuple[CycleCurve, str, float, s
     return [(c, *_STYLES[i]) for i, c in enumerate(order)][::-1]
 
 
-@pictured("cycle")
-def loop(curves: Sequence[CycleCurve], *, alt: str) -> Markup:
-    """Stress against stretch: measured points, and the models through them."""
-    drawing = Drawing(WIDE, 330)
+@pictured("cycle", whole={"residual": True})
+def loop(curves: Sequence[CycleCurve], *, alt: str, residual: bool = False) -> Drawing:
+    """Stress against stretch: measured points, and the models through them; with `residual` what each leaves, below."""
+    drawing = Drawing(WIDE, 480 if residual else 330)
     first = curves[0]
     x, y = linear(first.stretch), linear(first.measured, *(c.modelled for c in curves), zero=True)
     panel = Panel(drawing, 52, 24, 326, 250, x, y)
@@ -55,18 +54,33 @@ def loop(curves: Sequence[CycleCurve], *, alt: str) -> Markup:
         names.append((float(curve.modelled[top]), curve.name, colour, curve.selected))
     panel.names(names)
     panel.axes("Nominal stress, kPa", "Stretch")
-    return drawing.image(alt)
+    if residual:
+        _draw_left(_open_left(drawing, 350, 80, curves), curves)
+    return drawing.told(alt)
 
 
 @pictured("cycle-residual")
-def rest(curves: Sequence[CycleCurve], held_out_from: float, *, alt: str) -> Markup:
+def rest(curves: Sequence[CycleCurve], held_out_from: float, *, alt: str) -> Drawing:
     """Measured minus modelled stress over time; the part that is left out to judge the orders is shaded."""
     drawing = Drawing(WIDE, 330)
-    first = curves[0]
+    panel = _open_left(drawing, 24, 250, curves)
+    panel.column(held_out_from, float(curves[0].time.max()))
+    drawing.write(
+        float(panel.px([held_out_from])[0]) + 5, panel.top + 12, "left out to judge", size=10.7, colour=SECOND
+    )
+    _draw_left(panel, curves)
+    return drawing.told(alt)
+
+
+def _open_left(drawing: Drawing, top: float, height: float, curves: Sequence[CycleCurve]) -> Panel:
+    """Axes for what the orders leave over time."""
     reach = max(float(np.max(np.abs(c.measured - c.modelled))) for c in curves)
-    panel = Panel(drawing, 52, 24, 326, 250, linear(first.time, margin=0.01), symmetric(1.1 * max(reach, 1e-9)))
-    panel.column(held_out_from, float(first.time.max()))
-    drawing.text(float(panel.px([held_out_from])[0]) + 5, panel.top + 12, "left out to judge", size=10.7, colour=SECOND)
+    x, y = linear(curves[0].time, margin=0.01), symmetric(1.1 * max(reach, 1e-9))
+    return Panel(drawing, 52, top, 326, height, x, y)
+
+
+def _draw_left(panel: Panel, curves: Sequence[CycleCurve]) -> None:
+    """What each order leaves, over time."""
     panel.level(0.0, SECOND)
     names = []
     for curve, colour, width, dash in styled(curves):
@@ -75,4 +89,3 @@ def rest(curves: Sequence[CycleCurve], held_out_from: float, *, alt: str) -> Mar
         names.append((float(left[-1]), curve.name, colour, curve.selected))
     panel.names(names)
     panel.axes("Measured less modelled, kPa", "Time, s")
-    return drawing.image(alt)

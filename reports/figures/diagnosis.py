@@ -5,29 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BAND, BETTER, INK, RULE, SECOND, WRONG, misfit
+from reports.figures.panel import WIDE, Drawing, Panel
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, Scale
-from reports.figures.svg import Drawing
+from reports.figures.scale import Scale
 from reports.names import short
 from schemas.arrays import Float
 
 
 @pictured("residual-map")
-def residual_map(rms: Float, rows: Sequence[str], columns: Sequence[str], title: str, *, alt: str) -> Markup:
+def residual_map(rms: Float, rows: Sequence[str], columns: Sequence[str], title: str, *, alt: str) -> Drawing:
     """Recording × quantity: root mean square residual in SD, the number in every cell; a dot where nothing was measured."""
     left, cell = 112.0, 22.0
     longest = max((len(c) for c in columns), default=0)
     turned = longest * 6.2 > (WIDE - left) / max(1, len(columns)) - 2
     foot = min(96.0, 14 + longest * 4.4) if turned else 22.0
     drawing = Drawing(WIDE, 26 + cell * len(rows) + foot)
-    wide = (WIDE - left - 6) / max(1, len(columns))
-    drawing.text(0, 14, title)
+    wide = (drawing.width - left - 6) / max(1, len(columns))
+    drawing.write(0, 14, title)
     for i, row in enumerate(rows):
         y = 26 + cell * i
-        drawing.text(left - 8, y + 15, short(row, 18), size=11, anchor="end")
+        drawing.write(left - 8, y + 15, short(row, 18), size=11, anchor="end")
         for j in range(len(columns)):
             x = left + wide * j
             value = float(rms[i, j])
@@ -36,14 +35,14 @@ def residual_map(rms: Float, rows: Sequence[str], columns: Sequence[str], title:
                 continue
             drawing.box(x + 1, y + 1, wide - 2, cell - 2, misfit(value), RULE)
             colour = "#ffffff" if value > 4.2 else INK
-            drawing.text(x + wide / 2, y + 15, _cell(value), size=11.3, anchor="middle", colour=colour)
+            drawing.write(x + wide / 2, y + 15, _cell(value), size=11.3, anchor="middle", colour=colour)
     for j, column in enumerate(columns):
         x, y = left + wide * (j + 0.5), 26 + cell * len(rows) + 14
         if turned:
-            drawing.text(x + 4, y, short(column, 20), size=10.5, colour=SECOND, anchor="end", turn=-35)
+            drawing.write(x + 4, y, short(column, 20), size=10.5, colour=SECOND, anchor="end", turn=-35)
         else:
-            drawing.text(x, y, column, size=10.7, colour=SECOND, anchor="middle")
-    return drawing.image(alt)
+            drawing.write(x, y, column, size=10.7, colour=SECOND, anchor="middle")
+    return drawing.told(alt)
 
 
 def _cell(value: float) -> str:
@@ -51,7 +50,7 @@ def _cell(value: float) -> str:
 
 
 @pictured("held-out")
-def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[float | None], *, alt: str) -> Markup:
+def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[float | None], *, alt: str) -> Drawing:
     """Error on data that the fit has not seen, plain and extended model, in SD of the noise."""
     height = 26.0
     drawing = Drawing(WIDE, 74 + height * len(names))
@@ -62,7 +61,7 @@ def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[floa
     drawing.line([(x, panel.top), (x, panel.bottom)], SECOND, 0.8)
     for i, (name, first, second) in enumerate(zip(names, before, after, strict=True)):
         y = float(panel.py([i])[0])
-        drawing.text(panel.left - 8, y + 4, short(name, 16), size=11, anchor="end")
+        drawing.write(panel.left - 8, y + 4, short(name, 16), size=11, anchor="end")
         if second is not None:
             ends = panel.px([first, second]).tolist()
             drawing.line([(ends[0], y), (ends[1], y)], "#7c8791", 1.0)
@@ -71,12 +70,12 @@ def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[floa
         if second is not None:
             panel.dots([second], [i], BETTER, 8.0)
             text += f" → {second:.1f}"
-        drawing.text(panel.right + 14, y + 4, text, size=11)
-    drawing.text(
+        drawing.write(panel.right + 14, y + 4, text, size=11)
+    drawing.write(
         float(panel.px([before[0]])[0]), panel.top - 5, "plain", size=11.3, colour=WRONG, anchor="middle", bold=True
     )
     if after[0] is not None and abs(float(panel.px([before[0]])[0]) - float(panel.px([after[0]])[0])) > 60:
-        drawing.text(
+        drawing.write(
             float(panel.px([after[0]])[0]),
             panel.top - 5,
             "extended",
@@ -86,5 +85,5 @@ def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[floa
             bold=True,
         )
     panel.axes(x_title="Error of the prediction, SD of the noise", y_ticks=[])
-    drawing.text(0, 14, "Predicting what the fit has not seen (1 = noise alone)")
-    return drawing.image(alt)
+    drawing.write(0, 14, "Predicting what the fit has not seen (1 = noise alone)")
+    return drawing.told(alt)

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BETTER, LOWER, LOWEST, MODEL, RAW, SECOND, group
+from reports.figures.panel import WIDE, Drawing, Panel, note
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, linear, logarithmic, note, symmetric
 from reports.figures.responses import Lines, beyond
-from reports.figures.svg import Drawing
+from reports.figures.scale import linear, logarithmic, symmetric
 from schemas.arrays import Complex, Float
 
 
@@ -26,7 +25,7 @@ class Drive:
 
 
 @pictured("force-under-voltage")
-def response(drives: Sequence[Drive], grid: Float, predicted: Complex | None, *, alt: str) -> Markup:
+def response(drives: Sequence[Drive], grid: Float, predicted: Complex | None, *, alt: str) -> Drawing:
     """|H| of each recording with the prediction from the mechanical fit, residual below."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(*(d.lines.frequency for d in drives), margin=0.015)
@@ -56,14 +55,14 @@ def response(drives: Sequence[Drive], grid: Float, predicted: Complex | None, *,
     upper.names(entries)
     upper.axes("Force per voltage squared |F/V²|, mN/kV²", x_labels=False)
     lower.axes("Residual, SD of the noise", "Frequency, Hz", y_ticks=(-5, 0, 5))
-    drawing.text(lower.right + 6, float(lower.py([0])[0]) + 4, "±2 SD", size=11.3, colour=SECOND)
+    drawing.write(lower.right + 6, float(lower.py([0])[0]) + 4, "±2 SD", size=11.3, colour=SECOND)
     if predicted is None:
         note(drawing, lower.left + 8, lower.top + 14, "no mechanical model: nothing to predict from")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @pictured("blocked-force")
-def blocked_force(drives: Sequence[Drive], fitted: float | None, fitted_sd: float | None, *, alt: str) -> Markup:
+def blocked_force(drives: Sequence[Drive], fitted: float | None, fitted_sd: float | None, *, alt: str) -> Drawing:
     """The actuation force itself, freed of film and rig: flat where nothing but V² acts."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(*(d.lines.frequency for d in drives), margin=0.015)
@@ -97,7 +96,7 @@ def blocked_force(drives: Sequence[Drive], fitted: float | None, fitted_sd: floa
     upper.names(entries)
     upper.axes("Blocked force per voltage squared, mN/kV²", x_labels=False)
     lower.axes("Its phase, degrees", "Frequency, Hz", y_most=4)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,8 @@ class Ordered:
     models: dict[int, Complex]
 
 
-def orders(recordings: Sequence[Ordered], chosen: int | None, *, phase: bool, title: str, alt: str) -> Markup:
+@pictured("orders")
+def orders(recordings: Sequence[Ordered], chosen: int | None, *, phase: bool, title: str, alt: str) -> Drawing:
     """Magnitude or phase of the force per voltage squared at each voltage, and the models of each order (thesis, fig 4-17)."""
     drawing = Drawing(WIDE, 290)
 
@@ -135,7 +135,7 @@ def orders(recordings: Sequence[Ordered], chosen: int | None, *, phase: bool, ti
         entries.append((float(shown(model)[-1]), f"order {order}{mark}", colour, order == chosen))
     panel.names(entries)
     panel.axes(title, "Frequency, Hz")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 ORDER_LINES = {1: (LOWEST, 1.8, "1.5 3"), 2: (LOWER, 1.7, "6 3"), 3: (LOWER, 1.7, "9 3")}

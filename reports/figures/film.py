@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from reports.figures.palette import MODEL, SECOND
-from reports.figures.plot import tick_text
-from reports.figures.svg import Drawing
+from reports.figures.panel import Drawing
+from reports.figures.picture import pictured
+from reports.figures.scale import tick_text
 from schemas.arrays import Bool, Float
 
 REGIONS = ("left", "centre", "right")
@@ -47,9 +47,10 @@ def palette() -> NDArray[np.uint8]:
     return np.asarray(np.round((1 - share) * np.array(_THICK) + share * np.array(_THIN)), dtype=np.uint8)
 
 
+@pictured("thickness-map")
 def thickness_map(
     film: Film, span: tuple[float, float], failures: Mapping[str, int], title: str, *, alt: str
-) -> Markup:
+) -> Drawing:
     """The film in plan: shade is thickness from `span` (thin, thick), dashes the electrode, numbers the failures found."""
     width, height = float(np.ptp(film.x)), float(np.ptp(film.y))
     scale = _SIDE / max(width, height)
@@ -66,17 +67,17 @@ def thickness_map(
         for a, b, c, d in _outline(film.active[::-1])
     ]
     drawing.segments(edges, MODEL, 1.6)
-    drawing.text(0, 14, title)
+    drawing.write(0, 14, title)
     for value, place in (
         (film.y.max(), top + 9),
         (0.0, top + shown_height / 2 + 4),
         (film.y.min(), top + shown_height),
     ):
-        drawing.text(left - 6, place, tick_text(round(float(value), 1)), size=10.7, colour=SECOND, anchor="end")
+        drawing.write(left - 6, place, tick_text(round(float(value), 1)), size=10.7, colour=SECOND, anchor="end")
     for i, region in enumerate(REGIONS):
         x = left + shown_width * (i + 0.5) / 3
-        drawing.text(x, top + shown_height + 17, f"{region} {failures.get(region, 0)}", size=11.3, anchor="middle")
-    drawing.text(
+        drawing.write(x, top + shown_height + 17, f"{region} {failures.get(region, 0)}", size=11.3, anchor="middle")
+    drawing.write(
         left + shown_width / 2,
         top + shown_height + 36,
         "failures by third along the rods",
@@ -84,7 +85,7 @@ def thickness_map(
         colour=SECOND,
         anchor="middle",
     )
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _outline(mask: Bool) -> list[tuple[float, float, float, float]]:

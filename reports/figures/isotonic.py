@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, MODEL, SECOND
-from reports.figures.plot import WIDE, Panel, linear
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
+from reports.figures.scale import linear
 from schemas.arrays import Float
 
 
@@ -25,7 +25,8 @@ class StrokeCurve:
     per_square: float
 
 
-def isotonic(curve: StrokeCurve, *, alt: str) -> Markup:
+@pictured("isotonic")
+def isotonic(curve: StrokeCurve, *, alt: str) -> Drawing:
     """Strokes with their intervals over V², and the line through the origin."""
     drawing = Drawing(WIDE, 330)
     squares = curve.voltage**2
@@ -56,4 +57,4 @@ def isotonic(curve: StrokeCurve, *, alt: str) -> Markup:
         ]
     )
     panel.axes("Stroke, mm", "Squared voltage, kV²")
-    return drawing.image(alt)
+    return drawing.told(alt)

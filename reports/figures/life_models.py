@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BAND, INK, MODEL, RULE, SECOND, Group
-from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, note, symmetric
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel, note
+from reports.figures.picture import pictured
+from reports.figures.scale import Scale, linear, logarithmic, symmetric
 from reports.names import short
 from schemas.arrays import Bool, Float
 
@@ -34,7 +34,8 @@ class StressLine:
     tested_life: Float
 
 
-def against_stress(lines: Sequence[StressLine], title: str, unit: str, *, log: bool, alt: str) -> Markup:
+@pictured("against-stress")
+def against_stress(lines: Sequence[StressLine], title: str, unit: str, *, log: bool, alt: str) -> Drawing:
     """Median life over a stress: dashed and named where nothing was tested, dots where groups were."""
     drawing = Drawing(WIDE, 330)
     every = np.concatenate([line.stress for line in lines])
@@ -58,7 +59,7 @@ def against_stress(lines: Sequence[StressLine], title: str, unit: str, *, log: b
         entries.append((float(line.life[-1]), short(line.name, 18), line.drawn.colour, True))
     panel.names(entries)
     panel.axes(f"Median life, {unit}", title, y_most=6)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _inside(lines: Sequence[StressLine]) -> Bool:
@@ -83,7 +84,8 @@ class Effect:
     by_cox: tuple[float, float, float] | None = None
 
 
-def forest(rows: Sequence[Effect], *, alt: str) -> Markup:
+@pictured("effects")
+def forest(rows: Sequence[Effect], *, alt: str) -> Drawing:
     """How many times as long lives are over the contrast of each covariate, filled; what Cox's model says, open."""
     height = 2 * _ROW * len(rows)
     drawing = Drawing(WIDE, 84 + height)
@@ -96,14 +98,14 @@ def forest(rows: Sequence[Effect], *, alt: str) -> Markup:
         y = float(panel.py(i - 0.1 if row.by_cox else i))
         _bar(panel, y, row.low, row.high, row.factor, INK)
         label_y = float(panel.py(i))
-        drawing.text(panel.left - 10, label_y - 3, short(row.label, 24), size=11.3, anchor="end", bold=True)
+        drawing.write(panel.left - 10, label_y - 3, short(row.label, 24), size=11.3, anchor="end", bold=True)
         note(drawing, panel.left - 10, label_y + 11, short(row.contrast, 26), anchor="end")
-        drawing.text(panel.right + 12, label_y + 4, f"× {row.factor:.3g}", size=11.3)
+        drawing.write(panel.right + 12, label_y + 4, f"× {row.factor:.3g}", size=11.3)
         if row.by_cox:
             _bar(panel, float(panel.py(i + 0.22)), *row.by_cox[1:], row.by_cox[0], MODEL, open_=True)
     if any(row.by_cox for row in rows):
         note(drawing, panel.left - 10, panel.bottom + 17, "open: by Cox’s model", MODEL, anchor="end")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _bar(panel: Panel, y: float, low: float, high: float, centre: float, colour: str, *, open_: bool = False) -> None:
@@ -125,7 +127,8 @@ class Limits:
     high: float
 
 
-def intervals(rows: Sequence[Limits], title: str, *, alt: str) -> Markup:
+@pictured("intervals")
+def intervals(rows: Sequence[Limits], title: str, *, alt: str) -> Drawing:
     """Intervals of one number below each other, on a logarithmic axis."""
     height = 1.5 * _ROW * len(rows)
     drawing = Drawing(WIDE, 84 + height)
@@ -135,13 +138,14 @@ def intervals(rows: Sequence[Limits], title: str, *, alt: str) -> Markup:
     for i, row in enumerate(rows):
         y = float(panel.py(i))
         _bar(panel, y, row.low, row.high, row.value, INK)
-        drawing.text(panel.left - 10, y - 1, short(row.label, 24), size=11.3, anchor="end", bold=True)
+        drawing.write(panel.left - 10, y - 1, short(row.label, 24), size=11.3, anchor="end", bold=True)
         note(drawing, panel.left - 10, y + 12, short(row.words, 26), anchor="end")
-        drawing.text(panel.right + 12, y + 4, f"× {row.high / row.low:.3g}", size=11.3)
-    return drawing.image(alt)
+        drawing.write(panel.right + 12, y + 4, f"× {row.high / row.low:.3g}", size=11.3)
+    return drawing.told(alt)
 
 
-def cox_snell(residual: Float, observed: Float, failed: Bool, *, alt: str) -> Markup:
+@pictured("cox-snell")
+def cox_snell(residual: Float, observed: Float, failed: Bool, *, alt: str) -> Drawing:
     """Cumulative hazard of the residuals against themselves: on the line, within the band, where the model is right."""
     drawing = Drawing(WIDE, 330)
     order = np.argsort(residual, kind="stable")
@@ -156,7 +160,7 @@ def cox_snell(residual: Float, observed: Float, failed: Bool, *, alt: str) -> Ma
     panel.curve(ends, ends, SECOND, 1.2)
     panel.dots(residual[kept], observed[kept], INK, 4.6)
     panel.axes("Observed cumulative hazard", "Cox–Snell residual: hazard by the regression", y_most=6, x_most=6)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,8 @@ class Strip:
     failed: Bool
 
 
-def deviances(strips: Sequence[Strip], *, alt: str) -> Markup:
+@pictured("deviances")
+def deviances(strips: Sequence[Strip], *, alt: str) -> Drawing:
     """Deviance residuals by conditions: a group that stands off zero does not follow the regression."""
     height = max(20.0, min(34.0, 240.0 / max(len(strips), 1))) * len(strips)
     drawing = Drawing(WIDE, 82 + height)
@@ -179,12 +184,12 @@ def deviances(strips: Sequence[Strip], *, alt: str) -> Markup:
     drawing.line([(zero, panel.top), (zero, panel.bottom)], RULE, 1.0)
     panel.axes("", "Deviance residual, SD: early failures right", y_ticks=[], x_ticks=(-3, -2, -1, 0, 1, 2, 3))
     for i, strip in enumerate(strips):
-        drawing.text(panel.left - 10, float(panel.py(i)) + 4, short(strip.name, 30), size=10.7, anchor="end")
+        drawing.write(panel.left - 10, float(panel.py(i)) + 4, short(strip.name, 30), size=10.7, anchor="end")
         values = np.clip(strip.deviance, -3.5, 3.5)
         place = i + 0.24 * np.sin(2.4 * np.arange(values.size))
         for mask, open_ in ((strip.failed, False), (~strip.failed, True)):
             panel.dots(values[mask], place[mask], INK, 4.2, open_=open_)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -199,7 +204,8 @@ class Incidence:
     upper: Float
 
 
-def incidence(groups: Sequence[tuple[str, Sequence[Incidence]]], time_title: str, *, alt: str) -> Markup:
+@pictured("incidence")
+def incidence(groups: Sequence[tuple[str, Sequence[Incidence]]], time_title: str, *, alt: str) -> Drawing:
     """Cumulative incidence of each cause, a panel per group on the same axes."""
     height = 206.0 if len(groups) == 1 else 120.0
     drawing = Drawing(WIDE, 34 + (height + 28) * len(groups) + 34)
@@ -220,4 +226,4 @@ def incidence(groups: Sequence[tuple[str, Sequence[Incidence]]], time_title: str
         last = k == len(groups) - 1
         title = "Failed by the cause, %" if len(groups) == 1 else f"{short(name, 40)}: failed by the cause, %"
         panel.axes(title, time_title if last else "", y_ticks=(0, 25, 50, 75, 100), x_labels=last, title_left=4)
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, SECOND, WRONG
-from reports.figures.plot import WIDE, Panel, logarithmic
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
 from reports.figures.responses import Lines
-from reports.figures.svg import Drawing
+from reports.figures.scale import logarithmic
 
 
-def compliance(lines: Lines, *, alt: str) -> Markup:
+@pictured("compliance")
+def compliance(lines: Lines, *, alt: str) -> Drawing:
     """Amplification of errors by the machine's own correction; lines that are not used are open."""
     drawing = Drawing(WIDE, 290)
     known = np.isfinite(lines.amplification)
@@ -25,4 +26,4 @@ def compliance(lines: Lines, *, alt: str) -> Markup:
         first = int(np.argmin(np.where(good, np.inf, f)))
         panel.label(float(f[first]), float(a[first]), "not used", WRONG, bold=True, anchor="end", dx=-8, dy=0)
     panel.axes("Relative errors of the specimen's response over those of the record", "Frequency, Hz")
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, MODEL, SECOND
-from reports.figures.plot import WIDE, Panel, linear
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
+from reports.figures.scale import linear
 from schemas.arrays import Float
 
 
@@ -25,7 +25,8 @@ class PullCurve:
     broke_at: float | None
 
 
-def pull(curve: PullCurve, *, alt: str) -> Markup:
+@pictured("tension")
+def pull(curve: PullCurve, *, alt: str) -> Drawing:
     """Measured samples, the law through them, and the break."""
     drawing = Drawing(WIDE, 330)
     x = linear(curve.stretch)
@@ -36,6 +37,6 @@ def pull(curve: PullCurve, *, alt: str) -> Markup:
     if curve.broke_at is not None:
         left = float(panel.px([curve.broke_at])[0])
         panel.curve(np.full(2, curve.broke_at), np.array([0.0, float(np.max(curve.stress))]), SECOND, 0.9, dash="4 3")
-        drawing.text(left - 6, panel.bottom - 8, "break", size=10.7, colour=SECOND, anchor="end")
+        drawing.write(left - 6, panel.bottom - 8, "break", size=10.7, colour=SECOND, anchor="end")
     panel.axes("Nominal stress, kPa", "Stretch")
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, MODEL, WRONG
+from reports.figures.panel import Drawing, Panel, Series
+from reports.figures.paper import DOUBLE
 from reports.figures.picture import pictured
-from reports.figures.plot import Panel, Scale, linear
-from reports.figures.svg import Drawing, Series
+from reports.figures.scale import Scale, linear
 from reports.words import plain
 from schemas.arrays import Bool, Float
 from schemas.numbers import capital
@@ -52,8 +52,8 @@ class Envelope:
         return np.append(pause > max(3 * usual, 1e-9), False)
 
 
-@pictured("timeline")
-def channels(envelopes: Sequence[Envelope], marks: Sequence[tuple[float, str]], *, alt: str) -> Markup:
+@pictured("timeline", column=DOUBLE)
+def channels(envelopes: Sequence[Envelope], marks: Sequence[tuple[float, str]], *, alt: str) -> Drawing:
     """All channels over the same time, with instants named (time in s, words)."""
     height, gap = (104.0, 44.0) if len(envelopes) <= 4 else (74.0, 38.0)
     drawing = Drawing(WIDTH, 24 + (height + gap) * len(envelopes) + 6)
@@ -70,12 +70,12 @@ def channels(envelopes: Sequence[Envelope], marks: Sequence[tuple[float, str]], 
             p = float(panel.px([time])[0])
             drawing.line([(p, panel.top), (p, panel.bottom)], WRONG, 1.1, dash="5 3")
             if i == 0:
-                drawing.text(p, panel.top - 8, words, colour=WRONG, bold=True, anchor="middle")
+                drawing.write(p, panel.top - 8, words, colour=WRONG, bold=True, anchor="middle")
         unit = f", {envelope.unit}" if envelope.unit not in ("", "1") else ""
         panel.axes(
             capital(plain(envelope.name)) + unit, "Time since the first sample, s" if last else "", y_most=4, x_most=10
         )
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _drawn(panel: Panel, envelope: Envelope) -> None:

@@ -6,17 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, LOWER, MODEL, RULE, SECOND, WRONG
+from reports.figures.panel import WIDE, Drawing, Panel
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, linear, logarithmic
-from reports.figures.svg import Drawing
+from reports.figures.scale import linear, logarithmic
 from schemas.arrays import Complex, Float
 
 
 @pictured("relaxation")
-def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str, unit: str = "N/mm") -> Markup:
+def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str, unit: str = "N/mm") -> Drawing:
     """Force over displacement (n,) against the time since the step (n,) s, the model (n,) and what is off it below.
 
     Without a unit it is output over input of a system of another kind.
@@ -31,7 +30,7 @@ def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str, 
     title = f"Force over displacement, {unit}" if unit else "Output over input"
     if model is None:
         upper.axes(title, "Time since the step, s")
-        return drawing.image(alt)
+        return drawing.told(alt)
     upper.names([(float(model[-1]), "model", MODEL, True)])
     upper.axes(title, x_labels=False)
     off = 100 * (stiffness / model - 1)
@@ -39,10 +38,11 @@ def relaxation(time: Float, stiffness: Float, model: Float | None, *, alt: str, 
     lower.level(0.0)
     lower.dots(time, off, INK, 3.6)
     lower.axes("Off the model, %", "Time since the step, s", y_most=3)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
-def error_by_arms(arms: Float, error: Float, enough: int | None, *, alt: str) -> Markup:
+@pictured("error-by-arms")
+def error_by_arms(arms: Float, error: Float, enough: int | None, *, alt: str) -> Drawing:
     """Relative error in % of (n,) numbers of arms; the least that is enough is marked."""
     drawing = Drawing(WIDE, 290)
     panel = Panel(drawing, 52, 24, 386, 218, logarithmic(arms, margin=0.04), logarithmic(100 * error, margin=0.08))
@@ -53,7 +53,7 @@ def error_by_arms(arms: Float, error: Float, enough: int | None, *, alt: str) ->
         panel.dots(arms[chosen], 100 * error[chosen], MODEL, 6.0)
         panel.label(float(arms[chosen][0]), float(100 * error[chosen][0]), "enough ✓", MODEL, bold=True, dx=4, dy=-9)
     panel.axes("Relative error, %", "Arms")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 _STYLES = ((MODEL, "6 3"), (WRONG, None), (LOWER, "2 3"), (SECOND, "8 3 2 3"))
@@ -67,7 +67,8 @@ class Variant:
     value: Complex
 
 
-def study(frequency_hz: Float, base: Complex, variants: Sequence[Variant], *, alt: str) -> Markup:
+@pictured("parameter-study")
+def study(frequency_hz: Float, base: Complex, variants: Sequence[Variant], *, alt: str) -> Drawing:
     """Magnitude above, phase below: the model as it is in ink, each change in its own colour and dash."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(frequency_hz, margin=0.0)
@@ -88,4 +89,4 @@ def study(frequency_hz: Float, base: Complex, variants: Sequence[Variant], *, al
     upper.names(entries)
     upper.axes("Dynamic stiffness |k|, N/mm", x_labels=False)
     lower.axes("Phase of k, degrees", "Frequency, Hz", y_most=4)
-    return drawing.image(alt)
+    return drawing.told(alt)

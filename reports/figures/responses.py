@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, LOWER, LOWEST, MODEL, RAW, RULE, SECOND, WRONG
+from reports.figures.panel import NARROW, WIDE, Drawing, Panel, note, pointer
+from reports.figures.paper import DOUBLE
 from reports.figures.picture import pictured
-from reports.figures.plot import NARROW, WIDE, Panel, Scale, linear, logarithmic, nice, note, pointer, symmetric
-from reports.figures.svg import Drawing
+from reports.figures.scale import Scale, linear, logarithmic, nice, symmetric
 from schemas.arrays import Bool, Complex, Float
 from schemas.numbers import compact
 
@@ -98,15 +98,27 @@ class Curve:
         return {1: "1st", 2: "2nd", 3: "3rd"}.get(self.order, f"{self.order}th")
 
 
-@pictured("response")
+@pictured("response", column=DOUBLE, whole={"phase": None})
 def response(
-    lines: Lines, recorded: Lines | None, curves: Sequence[Curve], *, phase: bool, alt: str, alarm: bool = False
-) -> Markup:
+    lines: Lines, recorded: Lines | None, curves: Sequence[Curve], *, phase: bool | None, alt: str, alarm: bool = False
+) -> Drawing:
     """Magnitude or phase against frequency with the models, and the residual of the chosen order and the one below.
 
-    Without models there is no residual, and no room for one. With `alarm`, residuals of the chosen order beyond 3 SD are marked as wrong and the largest is named.
+    Both parts where `phase` is None. Without models there is no residual, and no room for one. With `alarm`, residuals of the
+    chosen order beyond 3 SD are marked as wrong and the largest is named.
     """
-    drawing = Drawing(WIDE, 344 if curves else _WITHOUT_RESIDUAL)
+    parts = (False, True) if phase is None else (phase,)
+    drawing = Drawing(WIDE, 344 if curves else _WITHOUT_RESIDUAL, parts=len(parts))
+    for i, part in enumerate(parts):
+        drawing.begin_part(i)
+        _draw_part(drawing, lines, recorded, curves, phase=part, alarm=alarm)
+    return drawing.told(alt)
+
+
+def _draw_part(
+    drawing: Drawing, lines: Lines, recorded: Lines | None, curves: Sequence[Curve], *, phase: bool, alarm: bool
+) -> None:
+    """Magnitude or phase of everything."""
     frequencies = [lines.frequency] + ([recorded.frequency] if recorded else [])
     x = logarithmic(*frequencies, margin=0.015)
 
@@ -138,7 +150,6 @@ def response(
     _captions(upper, lines, recorded, shown, phase=phase)
     if lower:
         _residuals(lower, curves, phase=phase, alarm=alarm)
-    return drawing.image(alt)
 
 
 def scale_of_values(
@@ -211,10 +222,12 @@ def _captions(
     i = good[np.argmin(np.abs(panel.x.share(lines.frequency[good]) - 0.17))]
     x, y = float(panel.px(lines.frequency[[i]])[0]), float(panel.py(value[[i]])[0])
     above = y > panel.top + 70
-    place = y - 48 if above else y + 52
+    beside = good[panel.px(lines.frequency[good]) < panel.left + _CAPTION_WIDTH]
+    heights = panel.py(value[beside])
+    place = max(panel.top + 12, min(y - 48, float(heights.min()) - 24)) if above else y + 52
     pointer(panel.drawing, (x, y + (-6 if above else 6)), (x, place + (20 if above else -12)), INK)
-    panel.drawing.text(panel.left + 6, place, "corrected for clamp", size=11.3)
-    panel.drawing.text(panel.left + 6, place + 13.5, "and load cell, ±2 SD", size=11.3)
+    panel.drawing.write(panel.left + 6, place, "corrected for clamp", size=11.3)
+    panel.drawing.write(panel.left + 6, place + 13.5, "and load cell, ±2 SD", size=11.3)
     raw = np.degrees(np.angle(recorded.value)) if phase else np.log(np.abs(recorded.value))
     film = np.interp(recorded.frequency, lines.frequency, value if phase else np.log(value))
     j = int(np.argmax(np.where(np.isfinite(raw), np.abs(raw - film), 0)))
@@ -222,7 +235,7 @@ def _captions(
     x_raw = float(panel.px(recorded.frequency[[j]])[0])
     words = "as recorded" if phase else "as recorded, |F/x|"
     side = "end" if x_raw - 6 * len(words) > panel.left else None
-    panel.drawing.text(x_raw + (-9 if side else 9), y_raw + 4, words, size=11.3, colour="#6b747d", anchor=side)
+    panel.drawing.write(x_raw + (-9 if side else 9), y_raw + 4, words, size=11.3, colour="#6b747d", anchor=side)
 
 
 def _residuals(panel: Panel, curves: Sequence[Curve], *, phase: bool, alarm: bool) -> None:
@@ -235,13 +248,13 @@ def _residuals(panel: Panel, curves: Sequence[Curve], *, phase: bool, alarm: boo
     panel.level(0)
     x = panel.right
     if chosen:
-        panel.drawing.text(x, panel.top - 8, f"● {chosen.name} ✓", colour=MODEL, anchor="end", bold=True)
+        panel.drawing.write(x, panel.top - 8, f"● {chosen.name} ✓", colour=MODEL, anchor="end", bold=True)
         x -= 56
     if below:
         f, off = below.residual.frequency, below.residual.phase if phase else below.residual.magnitude
         drawn = bool(np.mean(np.abs(off) > panel.y.high) < 0.4) if off.size else False
         words = f"○ {below.name} order" if drawn else f"{below.name}: off the scale"
-        panel.drawing.text(x, panel.top - 8, words, colour="#2f7fb8", anchor="end")
+        panel.drawing.write(x, panel.top - 8, words, colour="#2f7fb8", anchor="end")
         if drawn:
             panel.held(f, off, LOWER, 4.2, open_=True)
     if chosen:
@@ -250,12 +263,14 @@ def _residuals(panel: Panel, curves: Sequence[Curve], *, phase: bool, alarm: boo
         if alarm and in_sd and np.any(np.abs(off) > 4):
             _worst(panel, f, off)
     title = "Residual of the record, SD" if chosen and chosen.residual.recorded else "Residual, SD of the noise"
+    if panel.width < _ROOM_FOR_WORDS:
+        title = "Residual, SD"
     if not in_sd:
         title = "Residual, degrees" if phase else "Residual, %"
     tick = nice(0.9 * panel.y.high)
     panel.axes(title, "Frequency, Hz", y_ticks=(-tick, 0, tick))
     if in_sd:
-        panel.drawing.text(panel.right + 6, float(panel.py([0])[0]) + 4, "±2 SD", size=11.3, colour=SECOND)
+        panel.drawing.write(panel.right + 6, float(panel.py([0])[0]) + 4, "±2 SD", size=11.3, colour=SECOND)
 
 
 def residual_reach(curves: Sequence[Curve], *, phase: bool) -> float:
@@ -277,8 +292,13 @@ def _worst(panel: Panel, f: Float, off: Float) -> None:
     x = float(panel.px(f[[i]])[0])
     anchor = "end" if x > panel.left + 0.4 * panel.width else None
     y = panel.top + 10 if off[i] > 0 else panel.bottom - 5
-    panel.drawing.text(x + (-34 if anchor else 12), y, text, colour=WRONG, anchor=anchor, bold=True, size=11.3)
+    panel.drawing.write(x + (-34 if anchor else 12), y, text, colour=WRONG, anchor=anchor, bold=True, size=11.3)
 
+
+_ROOM_FOR_WORDS = 300.0
+"""Width of a panel, px, from which on the title of the residual has room beside the names of the orders."""
+_CAPTION_WIDTH = 130.0
+"""Width of the words over the points, px: they stand above all of them."""
 
 OUTSIDE = 3.0
 """Residual from which on a point of the overview is drawn in the colour of what is wrong, SD."""
@@ -311,7 +331,8 @@ def find_jump(lines: Lines, model: Complex) -> tuple[float, float] | None:
     return (float(np.sqrt(f[place] * f[place + 1])), factor) if factor > _JUMP else None
 
 
-def multiple(item: Multiple, x: Scale, y: Scale, *, alt: str) -> Markup:
+@pictured("multiple")
+def multiple(item: Multiple, x: Scale, y: Scale, *, alt: str) -> Drawing:
     """A small response with its residual, on axes shared by all specimens."""
     drawing = Drawing(NARROW, 187)
     upper = Panel(drawing, 30, 6, 190, 94, x, y)
@@ -340,10 +361,11 @@ def multiple(item: Multiple, x: Scale, y: Scale, *, alt: str) -> Markup:
         (lower, "Residual, SD"),
     ):  # there is no room to write it
         panel.plot.x_title, panel.plot.y_title = "Frequency, Hz", title
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
-def correction(lines: Lines, recorded: Lines, expected: Complex | None, grid: Float, *, alt: str) -> Markup:
+@pictured("correction")
+def correction(lines: Lines, recorded: Lines, expected: Complex | None, grid: Float, *, alt: str) -> Drawing:
     """What the resonance of clamp and load cell did to the record: recorded over corrected, magnitude and phase."""
     ratio = np.interp(lines.frequency, recorded.frequency, recorded.value.real) + 1j * np.interp(
         lines.frequency, recorded.frequency, recorded.value.imag
@@ -372,10 +394,11 @@ def correction(lines: Lines, recorded: Lines, expected: Complex | None, grid: Fl
     lower.dots(lines.frequency[good], angle[good], INK, 4.0)
     upper.axes("Recorded over corrected, magnitude", x_labels=False)
     lower.axes("Recorded over corrected, degrees", "Frequency, Hz", y_most=4)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
-def amplification(lines: Lines, *, alt: str) -> Markup:
+@pictured("amplification")
+def amplification(lines: Lines, *, alt: str) -> Drawing:
     """Where the correction still carries information: its amplification of the noise, with the limit."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(lines.frequency, margin=0.015)
@@ -389,12 +412,12 @@ def amplification(lines: Lines, *, alt: str) -> Markup:
     over = np.nan_to_num(lines.amplification) > LIMIT
     panel.dots(lines.frequency[~over], lines.amplification[~over], INK, 4.0)
     panel.dots(lines.frequency[over], lines.amplification[over], WRONG, 4.4, open_=True)
-    panel.axes("Noise of the corrected over that of the recorded response, relative", "Frequency, Hz")
-    return drawing.image(alt)
+    panel.axes("Noise, corrected over recorded response, relative", "Frequency, Hz")
+    return drawing.told(alt)
 
 
 @pictured("spectrum")
-def spectrum(stages: Mapping[str, Lines], unit: str, *, alt: str) -> Markup:
+def spectrum(stages: Mapping[str, Lines], unit: str, *, alt: str) -> Drawing:
     """The response of one recording at each stage: magnitude above, phase below."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(*(s.frequency for s in stages.values()), margin=0.015)
@@ -421,4 +444,4 @@ def spectrum(stages: Mapping[str, Lines], unit: str, *, alt: str) -> Markup:
     upper.names(entries)
     upper.axes(f"Magnitude, {unit}", x_labels=False)
     lower.axes("Phase, degrees", "Frequency, Hz", y_most=4)
-    return drawing.image(alt)
+    return drawing.told(alt)

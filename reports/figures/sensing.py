@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BAND, BETTER, INK, LOWER, MODEL, RAW, SECOND, WRONG, group
-from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, note
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel, note
+from reports.figures.picture import pictured
+from reports.figures.scale import Scale, linear, logarithmic
 from schemas.arrays import Bool, Float
 from schemas.numbers import compact
 
@@ -35,7 +35,8 @@ class Run:
 _TITLES = {"voltage": "Voltage, kV", "capacitance": "Capacitance, pF", "force": "Drop of tension, mN"}
 
 
-def open_closed(runs: Sequence[Run], demand_pf: float | None, until_s: float, *, alt: str) -> Markup:
+@pictured("open-and-closed-loop")
+def open_closed(runs: Sequence[Run], demand_pf: float | None, until_s: float, *, alt: str) -> Drawing:
     """Voltage, capacitance and force of an open and a closed loop over the same time, one above the other."""
     height, gap = 112.0, 44.0
     drawing = Drawing(WIDE, 30 + 3 * (height + gap) + 14)
@@ -63,7 +64,7 @@ def open_closed(runs: Sequence[Run], demand_pf: float | None, until_s: float, *,
             names.append((demand_pf, "demand", BETTER, False))
         panel.names(names)
         panel.axes(title, "Time since the change, s" if i == 2 else "", x_labels=i == 2, y_most=4)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _trimmed(values: Float) -> Float:
@@ -83,7 +84,8 @@ class Gains:
     settled: Bool
 
 
-def gains(rows: Sequence[Gains], best: tuple[float, float] | None, *, alt: str) -> Markup:
+@pictured("gains")
+def gains(rows: Sequence[Gains], best: tuple[float, float] | None, *, alt: str) -> Drawing:
     """Rise, overshoot and overshoot of the force against the integral gain, a line per proportional gain."""
     height, gap = 96.0, 42.0
     drawing = Drawing(WIDE, 30 + 3 * (height + gap) + 18)
@@ -112,12 +114,13 @@ def gains(rows: Sequence[Gains], best: tuple[float, float] | None, *, alt: str) 
         panel.axes(title, "Integral gain, V/pF/s" if i == 2 else "", x_labels=i == 2, y_most=4)
         if i == 0:
             note(drawing, panel.left + 6, float(panel.py([limit])[0]) - 4, "goal")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
+@pictured("agreement")
 def agreement(
     names: Sequence[str], predicted: Float, measured: Float, low: Float, high: Float, shown: int | None, *, alt: str
-) -> Markup:
+) -> Drawing:
     """Measured against predicted sensitivity (n,), with 95 % limits; the specimen at hand is filled, the others open."""
     drawing = Drawing(WIDE, 290)
     scale = linear(predicted, low, high, [0.0], margin=0.08)
@@ -131,7 +134,7 @@ def agreement(
         entries.append((float(measured[i]), name, INK if i == shown else SECOND, i == shown))
     panel.names(entries)
     panel.axes("Sensitivity measured", "Sensitivity predicted from the geometry")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,8 @@ class Pairing:
     title: str
 
 
-def constraint(pairings: Sequence[Pairing], *, alt: str) -> Markup:
+@pictured("constraint")
+def constraint(pairings: Sequence[Pairing], *, alt: str) -> Drawing:
     """Force and capacitance of a held and a free film over voltage, one above the other (thesis, fig 5-11)."""
     height, gap = 128.0, 52.0
     drawing = Drawing(WIDE, 24 + len(pairings) * (height + gap))
@@ -162,10 +166,11 @@ def constraint(pairings: Sequence[Pairing], *, alt: str) -> Markup:
         ]
         panel.names([(float(values[-1]), name, colour, bold) for values, name, colour, bold in names])
         panel.axes(one.title, "Voltage, kV" if i == len(pairings) - 1 else "")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
-def sensitivity_map(names: Sequence[str], sensing: Float, rest: Float, measured: Float, *, alt: str) -> Markup:
+@pictured("sensitivity-map")
+def sensitivity_map(names: Sequence[str], sensing: Float, rest: Float, measured: Float, *, alt: str) -> Drawing:
     """Sensitivity 1/(R + R_d) over geometry as lines of equal values, with specimens (n,) at their places (thesis, eq 5.19 to 5.23).
 
     `sensing`: R, length of the sensing region over that of the active one; `rest`: R_d, that of what is free and neither; `measured`:
@@ -191,7 +196,7 @@ def sensitivity_map(names: Sequence[str], sensing: Float, rest: Float, measured:
             dy=4 + 14 * _above(i, sensing, rest),
         )
     panel.axes("R_d: free rest over active length", "R: sensing over active length")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _above(i: int, sensing: Float, rest: Float) -> int:
@@ -199,9 +204,10 @@ def _above(i: int, sensing: Float, rest: Float) -> int:
     return sum(abs(sensing[j] - sensing[i]) + abs(rest[j] - rest[i]) < 0.05 for j in range(i))
 
 
+@pictured("coats")
 def coats(
     number: Float, capacitance: Float, full: tuple[float, float, float] | None, cover: float | None, *, alt: str
-) -> Markup:
+) -> Drawing:
     """Capacitance (n,) over the number of coats; the covered region's with its limits, and the coats that it takes."""
     drawing = Drawing(WIDE, 270)
     extra = [] if full is None else list(full)
@@ -216,12 +222,13 @@ def coats(
         note(drawing, top + 4, panel.bottom - 6, "99 %")
     panel.dots(number, capacitance, INK, 5.0)
     panel.axes("Capacitance at rest, pF", "Coats")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
+@pictured("migration")
 def migration(
     cycle: Float, lines: Sequence[tuple[str, Float]], onset: tuple[float, float, float] | None, *, alt: str
-) -> Markup:
+) -> Drawing:
     """Harmonics over the fundamental, percent, by cycle; the onset with its limits."""
     drawing = Drawing(WIDE, 270)
     panel = Panel(
@@ -245,4 +252,4 @@ def migration(
         entries.append((float(np.median(value[-10:])), name, drawn, i == 0))
     panel.names(entries)
     panel.axes("Harmonics over the fundamental, %", "Cycle")
-    return drawing.image(alt)
+    return drawing.told(alt)

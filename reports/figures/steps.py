@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BAND, INK, MODEL, RAW, RULE, SECOND, WRONG, group
+from reports.figures.panel import WIDE, Drawing, Panel, note
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, Scale, linear, logarithmic, nice, note, symmetric, tick_text
-from reports.figures.svg import Drawing
+from reports.figures.scale import Scale, linear, logarithmic, nice, symmetric, tick_text
 from schemas.arrays import Bool, Float
 
 
 @pictured("voltage-squared")
-def against_square(voltage: Float, step: Float, wrinkled: Bool, slope: float | None, title: str, *, alt: str) -> Markup:
+def against_square(
+    voltage: Float, step: Float, wrinkled: Bool, slope: float | None, title: str, *, alt: str
+) -> Drawing:
     """The size of steps against V² with the line through zero; residual from that line below, in its own unit.
 
     voltage (n,) kV, step (n,), slope per kV².
@@ -55,8 +56,8 @@ def against_square(voltage: Float, step: Float, wrinkled: Bool, slope: float | N
     for t in ticks:
         p = float(lower.px([t**2])[0])
         drawing.segments([(p, lower.bottom, p, lower.bottom + 4.5)], SECOND)
-        drawing.text(p, lower.bottom + 17.3, tick_text(t), size=11.3, colour=SECOND, anchor="middle")
-    return drawing.image(alt)
+        drawing.write(p, lower.bottom + 17.3, tick_text(t), size=11.3, colour=SECOND, anchor="middle")
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class Trace:
 
 
 @pictured("step-response")
-def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Markup:
+def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Drawing:
     """The course of steps, one line per voltage, with the time of voltage shaded."""
     drawing = Drawing(WIDE, 262)
     end = max(float(t.time.max()) for t in steps)
@@ -83,7 +84,7 @@ def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Mark
     y = linear(*(t.change for t in steps), expected, [0.0], margin=0.12)
     panel = Panel(drawing, 46, 24, 338, 192, Scale(start, end), y)
     panel.column(0.0, min(on_s, end))
-    drawing.text(float(panel.px([0.0])[0]) + 5, panel.top + 12, "voltage on", size=10.7, colour=SECOND)
+    drawing.write(float(panel.px([0.0])[0]) + 5, panel.top + 12, "voltage on", size=10.7, colour=SECOND)
     entries = []
     for trace in steps:
         colour = WRONG if trace.wrinkled else RAW
@@ -103,16 +104,16 @@ def traces(steps: Sequence[Trace], on_s: float, title: str, *, alt: str) -> Mark
     panel.names(entries)
     if expected:
         upwards = abs(panel.y.high) > abs(panel.y.low)
-        drawing.text(
+        drawing.write(
             float(panel.px([end])[0]), panel.top - 8 if upwards else panel.bottom - 6, "– – simulated: ∝ V²",
             size=11.3, colour=MODEL, anchor="end",
         )  # fmt: skip
     panel.axes(title, "Time after switching on, s")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @pictured("sensing")
-def sensing(strain: Float, force: Float, slope: float | None, intercept: float, kept: Bool, *, alt: str) -> Markup:
+def sensing(strain: Float, force: Float, slope: float | None, intercept: float, kept: Bool, *, alt: str) -> Drawing:
     """Force step (mN) against capacitive strain (%), with the fitted line; steps left out of it open."""
     drawing = Drawing(WIDE, 290)
     x, y = linear(strain, [0.0], zero=True), linear(force, [0.0], zero=True)
@@ -123,7 +124,7 @@ def sensing(strain: Float, force: Float, slope: float | None, intercept: float, 
     panel.dots(strain[kept], force[kept], INK, 5.0)
     panel.dots(strain[~kept], force[~kept], WRONG, 5.0, open_=True)
     panel.axes("Force step, mN", "Capacitive strain, %")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,8 @@ class Level:
     level: Float
 
 
-def distortion(levels: Sequence[Level], unit: str, *, alt: str) -> Markup:
+@pictured("distortion")
+def distortion(levels: Sequence[Level], unit: str, *, alt: str) -> Drawing:
     """Levels of even and odd lines against the noise."""
     drawing = Drawing(WIDE, 262)
     x = logarithmic(*(v.frequency for v in levels), margin=0.03)
@@ -150,7 +152,7 @@ def distortion(levels: Sequence[Level], unit: str, *, alt: str) -> Markup:
             entries.append((float(np.median(positive)), v.kind, colour if v.kind != "noise" else SECOND, True))
     panel.names(entries)
     panel.axes(f"Level of lines left empty, {unit}", "Frequency, Hz")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class ForceSeries:
 
 
 @pictured("force-map")
-def forces(series: Sequence[ForceSeries], x_title: str, *, alt: str) -> Markup:
+def forces(series: Sequence[ForceSeries], x_title: str, *, alt: str) -> Drawing:
     """Static actuation force by pre-stretch per direction, with eq 3.7 and the residual from it below."""
     drawing = Drawing(WIDE, 344)
     x = linear(*(s.stretch for s in series))
@@ -195,4 +197,4 @@ def forces(series: Sequence[ForceSeries], x_title: str, *, alt: str) -> Markup:
     lower.axes("Residual from eq 3.7, SD of the repeats", x_title, y_ticks=(-5, 0, 5))
     if not expected:
         note(drawing, lower.left + 8, lower.top + 14, "no permittivity stated: nothing to predict from")
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import MODEL, RAW, group
-from reports.figures.plot import WIDE, Panel, linear, logarithmic
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
 from reports.figures.responses import Lines
-from reports.figures.svg import Drawing
+from reports.figures.scale import linear, logarithmic
 from schemas.arrays import Complex, Float
 
 
@@ -24,7 +24,8 @@ class Swing:
     model: Complex | None
 
 
-def by_amplitude(swings: Sequence[Swing], grid: Float, average: Complex | None, *, phase: bool, alt: str) -> Markup:
+@pictured("by-amplitude")
+def by_amplitude(swings: Sequence[Swing], grid: Float, average: Complex | None, *, phase: bool, alt: str) -> Drawing:
     """Magnitude or phase of each amplitude with its model, and of the model of their average."""
     drawing = Drawing(WIDE, 300)
 
@@ -49,4 +50,4 @@ def by_amplitude(swings: Sequence[Swing], grid: Float, average: Complex | None, 
         entries.append((float(shown(average[-1:])[0]), "average", MODEL, True))
     panel.names(entries)
     panel.axes("Phase of k, degrees" if phase else "Dynamic stiffness |k|, N/mm", "Frequency, Hz")
-    return drawing.image(alt)
+    return drawing.told(alt)

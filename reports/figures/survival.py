@@ -9,12 +9,11 @@ from statistics import NormalDist
 from textwrap import wrap
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import BAND, INK, RULE, SECOND, Group
+from reports.figures.panel import WIDE, Drawing, Panel, note
 from reports.figures.picture import pictured
-from reports.figures.plot import WIDE, Panel, Scale, logarithmic, note, symmetric, tick_text
-from reports.figures.svg import Drawing
+from reports.figures.scale import Scale, logarithmic, symmetric, tick_text
 from reports.names import short
 from schemas.arrays import Float, Int
 
@@ -79,7 +78,7 @@ class GroupCurve:
 
 
 @pictured("survival")
-def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> Markup:
+def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> Drawing:
     """Step curves with 95 % bands, open marks where specimens were still alive, numbers at risk under the ticks."""
     names = [wrap(short(g.name, 2 * _AT_RISK_LETTERS), _AT_RISK_LETTERS) for g in groups]
     drawing = Drawing(WIDE, 286 + 17.0 + sum(_row_height(n) for n in names))
@@ -97,7 +96,7 @@ def kaplan_meier(groups: Sequence[GroupCurve], time_title: str, *, alt: str) -> 
     panel.axes("Surviving, %", time_title, x_ticks=ticks, y_ticks=(0, 25, 50, 75, 100))
     _names(panel, groups)
     _at_risk(panel, groups, names, ticks)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def survival_time_scale(groups: Sequence[GroupCurve]) -> tuple[Scale, list[float]]:
@@ -126,7 +125,7 @@ def _names(panel: Panel, groups: Sequence[GroupCurve]) -> None:
     for g, own in zip(groups, paths, strict=True):
         if not g.failed:
             for line in reversed(_unfailed_words(g)):
-                panel.drawing.text(panel.right, y, line, size=11.3, colour=g.drawn.colour, anchor="end", bold=True)
+                panel.drawing.write(panel.right, y, line, size=11.3, colour=g.drawn.colour, anchor="end", bold=True)
                 y -= 14
             continue
         lines = [*wrap(short(g.name, 44), 22), f"{g.failed} of {g.total} failed"]
@@ -146,7 +145,7 @@ def _write_name(
     box = _find_room(panel, 6.6 * max(len(line) for line in lines), 14.0 * len(lines), own, curves, taken)
     taken.append(box)
     for i, line in enumerate(lines):
-        panel.drawing.text(box[0], box[2] + 11 + 14 * i, line, size=11.3, colour=g.drawn.colour, bold=True)
+        panel.drawing.write(box[0], box[2] + 11 + 14 * i, line, size=11.3, colour=g.drawn.colour, bold=True)
 
 
 def _find_room(
@@ -197,20 +196,20 @@ def _at_risk(
 ) -> None:
     top = panel.bottom + 50
     panel.drawing.line([(4, top - 8), (panel.right + 14, top - 8)], RULE, 0.9)
-    panel.drawing.text(panel.left - 12, top + 6, "At risk", size=11, colour=SECOND, anchor="end")
+    panel.drawing.write(panel.left - 12, top + 6, "At risk", size=11, colour=SECOND, anchor="end")
     y = top + 6.0
     for g, lines, before in zip(groups, names, [["At risk"], *names], strict=False):
         y += _row_height(before)
         for j, line in enumerate(lines):
-            panel.drawing.text(
+            panel.drawing.write(
                 panel.left - 12, y + 13 * j, line, size=10.7, colour=g.drawn.colour, anchor="end", bold=True
             )
         for p, t in zip(panel.px(list(ticks)).tolist(), ticks, strict=True):
-            panel.drawing.text(p, y, str(g.still_at_risk(t)), size=11.3, anchor="middle")
+            panel.drawing.write(p, y, str(g.still_at_risk(t)), size=11.3, anchor="middle")
 
 
 @pictured("lifetimes")
-def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt: str) -> Markup:
+def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt: str) -> Drawing:
     """Share failed on the scale of a law, with the band of its fit: points on the line where the law holds."""
     w, name = LAWS[law]
     drawing = Drawing(WIDE, 286 + 17.0 * (len(groups) + 1))
@@ -223,7 +222,7 @@ def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt:
     for share in (0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98):
         y = float(panel.py([w(share)])[0])
         drawing.segments([(panel.left - 4.5, y, panel.left, y)], SECOND)
-        drawing.text(panel.left - 7, y + 4, tick_text(100 * share), size=11.3, colour=SECOND, anchor="end")
+        drawing.write(panel.left - 7, y + 4, tick_text(100 * share), size=11.3, colour=SECOND, anchor="end")
     fitted = [(g, g.laws[law]) for g in groups if law in g.laws]
     for g, line in fitted:
         heights = panel.py([w(share) for share in line.share.tolist()]).tolist()
@@ -237,7 +236,7 @@ def probability(groups: Sequence[GroupCurve], law: str, time_title: str, *, alt:
         height = np.linspace(panel.y.low, panel.y.high, 3)
         panel.curve(np.exp(line.location + line.sigma * height), height, g.drawn.colour, 1.5)
     _name_lines(panel, fitted, points, w)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _name_lines(
@@ -295,7 +294,8 @@ class Share:
     predicted: float | None
 
 
-def regions(rows: Sequence[Share], *, alt: str) -> Markup:
+@pictured("regions")
+def regions(rows: Sequence[Share], *, alt: str) -> Drawing:
     """Share of the failures by region: found with its 95 % interval, expected as an open diamond."""
     height = 24.0
     drawing = Drawing(WIDE, 64 + height * len(rows))
@@ -307,15 +307,15 @@ def regions(rows: Sequence[Share], *, alt: str) -> Markup:
     for i, row in enumerate(rows):
         y = float(panel.py([i])[0])
         low, high = (float(v) for v in panel.px([100 * row.low, 100 * row.high]))
-        drawing.text(panel.left - 10, y + 4, row.label, size=11.3, anchor="end")
+        drawing.write(panel.left - 10, y + 4, row.label, size=11.3, anchor="end")
         drawing.line([(low, y), (high, y)], row.drawn.colour, 1.6)
         panel.dots([100 * row.observed], [i], row.drawn.colour, 7.0, marker=row.drawn.marker)
         if row.predicted is not None:
             panel.dots([100 * row.predicted], [i], INK, 8.0, marker="diamond", open_=True)
-        drawing.text(panel.right + 12, y + 4, f"{row.count} of {row.total}", size=11.3, colour=SECOND)
+        drawing.write(panel.right + 12, y + 4, f"{row.count} of {row.total}", size=11.3, colour=SECOND)
     if any(r.predicted is not None for r in rows):
         note(drawing, panel.right + 12, panel.bottom + 17, "◇ expected", INK)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 @dataclass(frozen=True)
@@ -330,7 +330,8 @@ class VoltageLife:
     standardised: Float
 
 
-def against_voltage(items: Sequence[VoltageLife], unit: str, *, alt: str) -> Markup:
+@pictured("against-voltage")
+def against_voltage(items: Sequence[VoltageLife], unit: str, *, alt: str) -> Drawing:
     """Life against voltage on logarithmic axes with the inverse power law, and what is left of it below."""
     drawing = Drawing(WIDE, 344)
     x = logarithmic(*(i.voltage for i in items), margin=0.08)
@@ -350,4 +351,4 @@ def against_voltage(items: Sequence[VoltageLife], unit: str, *, alt: str) -> Mar
     upper.names(entries)
     upper.axes(f"Weibull scale, {unit}; line: inverse power law", x_labels=False, y_most=5)
     lower.axes("Off the law, SD", "Voltage, kV", y_ticks=(-5, 0, 5))
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, MODEL, RAW, SECOND
-from reports.figures.plot import WIDE, Panel, linear, logarithmic
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
+from reports.figures.scale import linear, logarithmic
 from schemas.arrays import Float
 from schemas.numbers import NBSP, fixed
 
@@ -44,7 +44,8 @@ def shades(count: int) -> list[str]:
     return ["#" + "".join(f"{round(c):02x}" for c in _COLDEST + s * (_HOTTEST - _COLDEST)) for s in shares]
 
 
-def master(found: Sequence[Points], unit: str, *, in_time: bool, alt: str) -> Markup:
+@pictured("master-curve")
+def master(found: Sequence[Points], unit: str, *, in_time: bool, alt: str) -> Drawing:
     """Storage (circles) and loss (squares) against reduced frequency, temperatures from cold (ink) to hot (light), curve through them."""
     drawing = Drawing(WIDE, _HEIGHT)
     place = np.concatenate([p.place for p in found])
@@ -65,7 +66,7 @@ def master(found: Sequence[Points], unit: str, *, in_time: bool, alt: str) -> Ma
     _label_ends(panel, found)
     what = f"Relaxation, {unit}" if in_time else f"Storage ● and loss ■, {unit}"
     panel.axes(what, "Reduced time t/a, s" if in_time else "Reduced frequency a f, Hz", x_most=7)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
 def _label_ends(panel: Panel, found: Sequence[Points]) -> None:
@@ -76,6 +77,7 @@ def _label_ends(panel: Panel, found: Sequence[Points]) -> None:
         panel.label(float(points.place[middle]), float(points.storage[middle]), text, colour, anchor="middle", dy=down)
 
 
+@pictured("shifts")
 def shifts(
     temperature: Float,
     log_a: Float,
@@ -85,7 +87,7 @@ def shifts(
     name: str,
     *,
     alt: str,
-) -> Markup:
+) -> Drawing:
     """log10 a (n,) with its 95 % limits against temperature (n,) °C, and the law's course."""
     drawing = Drawing(WIDE, _HEIGHT)
     parts = [log_a, lower, upper] + ([course[1]] if course else [])
@@ -97,10 +99,11 @@ def shifts(
     panel.bars(temperature, lower, upper, SECOND)
     panel.dots(temperature, log_a, INK, 4.6)
     panel.axes("Shift log₁₀ a", "Temperature, °C", signed=True)
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
-def phase_over_magnitude(found: Sequence[Points], unit: str, *, alt: str) -> Markup:
+@pictured("phase-over-magnitude")
+def phase_over_magnitude(found: Sequence[Points], unit: str, *, alt: str) -> Drawing:
     """Phase against magnitude of all temperatures, unshifted: one curve where the superposition holds (van Gurp and Palmen)."""
     drawing = Drawing(WIDE, _HEIGHT)
     sizes = [np.hypot(p.storage, p.loss) for p in found]
@@ -114,10 +117,11 @@ def phase_over_magnitude(found: Sequence[Points], unit: str, *, alt: str) -> Mar
         panel.dots(sizes[i], points.phase, colour, 4.2, open_=bool(i % 2))
     panel.curve(size[order], phase[order], MODEL, 1.4)
     panel.axes("Phase, degrees", f"Magnitude, {unit}")
-    return drawing.image(alt)
+    return drawing.told(alt)
 
 
-def misfits(temperature: Float, misfit: Float, noise: float, title: str, *, alt: str) -> Markup:
+@pictured("misfits")
+def misfits(temperature: Float, misfit: Float, noise: float, title: str, *, alt: str) -> Drawing:
     """What the common curve leaves (n,) against temperature (n,) °C, beside the noise."""
     drawing = Drawing(WIDE, _HEIGHT)
     panel = Panel(drawing, _LEFT, 24, _WIDTH, 250, linear(temperature), linear(misfit, [noise, 0.0], zero=True))
@@ -125,4 +129,4 @@ def misfits(temperature: Float, misfit: Float, noise: float, title: str, *, alt:
     panel.names([(noise, "noise", SECOND, False)])
     panel.dots(temperature, misfit, INK, 4.6)
     panel.axes(title, "Temperature, °C")
-    return drawing.image(alt)
+    return drawing.told(alt)

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import base64
+import io
 import itertools
 import json
 import re
-import struct
-import zlib
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from reports.figures import film, recording, survival
+from reports.figures.backend import DENSE, write_svg
 from reports.figures.palette import group, misfit
-from reports.figures.plot import Panel, Scale, apart, linear, logarithmic, nice, tick_text
+from reports.figures.panel import Drawing, Panel
+from reports.figures.picture import pictured
 from reports.figures.responses import Curve, Lines, beyond, find_jump, residual, response
-from reports.figures.svg import DENSE, Drawing
+from reports.figures.scale import Scale, apart, linear, logarithmic, nice, tick_text
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -36,20 +38,12 @@ def markup(image: str) -> str:
 
 
 def png(data: bytes) -> tuple[np.ndarray, np.ndarray, set[int]]:
-    """Cells, palette and transparent indices of an unfiltered PNG with one byte per cell."""
-    assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    chunks, at = {}, 8
-    while at < len(data):
-        (size,) = struct.unpack(">I", data[at : at + 4])
-        kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + size]
-        assert struct.unpack(">I", data[at + 8 + size : at + 12 + size])[0] == zlib.crc32(kind + body)
-        chunks[kind], at = body, at + 12 + size
-    width, height, *rest = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
-    assert rest == [8, 3, 0, 0, 0]
-    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(height, width + 1)
-    assert not rows[:, 0].any()
-    clear = {i for i, alpha in enumerate(chunks.get(b"tRNS", b"")) if alpha == 0}
-    return rows[:, 1:], np.frombuffer(chunks[b"PLTE"], np.uint8).reshape(-1, 3), clear
+    """Cells, palette and transparent indices of a PNG with a palette."""
+    with Image.open(io.BytesIO(data)) as image:
+        assert image.mode == "P"
+        palette = np.array(image.getpalette(), dtype=np.uint8).reshape(-1, 3)
+        clear = image.info.get("transparency")
+        return np.asarray(image), palette, set() if clear is None else {clear}
 
 
 @settings(deadline=None)
@@ -103,7 +97,7 @@ def test_many_marks_become_one_image_of_bounded_size() -> None:
         drawing = Drawing(480, 300)
         panel = Panel(drawing, 40, 20, 400, 250, Scale(0, 1), Scale(0, 1))
         panel.dots(random.random(count), random.random(count), "#0069a8", 3)
-        sizes.append(len(drawing.svg()))
+        sizes.append(len(write_svg(drawing)))
     assert sizes[2] < 1.5 * sizes[1] < 200_000
 
 
@@ -111,7 +105,7 @@ def test_dense_marks_lie_where_they_should() -> None:
     drawing = Drawing(100, 100)
     panel = Panel(drawing, 0, 0, 100, 100, Scale(0, 1), Scale(0, 1))
     panel.dots(np.full(DENSE + 1, 0.25), np.full(DENSE + 1, 0.25), "#b8420a", 6)
-    uri = next(e for e in ElementTree.fromstring(drawing.svg()) if e.tag == SVG + "image").attrib["href"]
+    uri = next(e for e in ElementTree.fromstring(write_svg(drawing)) if e.tag == SVG + "image").attrib["href"]
     cells, palette, transparent = png(base64.b64decode(uri.partition(",")[2]))
     assert cells.shape == (200, 200)
     assert palette[cells[150, 50]].tolist() == [0xB8, 0x42, 0x0A]
@@ -124,14 +118,15 @@ def test_values_beyond_the_scale_are_marked_at_the_edge() -> None:
     drawing = Drawing(100, 100)
     panel = Panel(drawing, 0, 0, 100, 100, Scale(0, 1), Scale(-7, 7))
     panel.held([0.5, 0.5, 0.5], [0.0, 99.0, -99.0], "#0069a8")
-    assert len([e for e in ElementTree.fromstring(drawing.svg()) if e.tag == SVG + "path"]) == 3
+    assert len([e for e in ElementTree.fromstring(write_svg(drawing)) if e.tag == SVG + "path"]) == 3
 
 
 def test_a_gap_interrupts_the_line() -> None:
     drawing = Drawing(100, 100)
     panel = Panel(drawing, 0, 0, 100, 100, Scale(0, 4), Scale(0, 4))
     panel.curve([0, 1, 2, 3, 4], [1, 1, np.nan, 2, 2], "#000000")
-    assert len([e for e in ElementTree.fromstring(drawing.svg()) if e.tag == SVG + "path"]) == 2
+    (line,) = [e for e in ElementTree.fromstring(write_svg(drawing)) if e.tag == SVG + "path"]
+    assert re.sub(r"[^ML]", "", line.attrib["d"]) == "MLML"
 
 
 @settings(deadline=None)
@@ -257,7 +252,7 @@ def test_a_record_is_kept_denser_than_it_is_drawn() -> None:
     low = np.sin(time / 40)
     one = recording.Envelope("force", "N", time, low, low + 0.1)
     image = recording.channels([one], [], alt="a")
-    (plot,) = image.drawing.plots
+    (plot,) = image.draw().plots
     (series,) = plot.series
     assert series.x.size > 4 * recording.COLUMNS
     assert np.nanmin(series.y) == low.min()
@@ -265,15 +260,24 @@ def test_a_record_is_kept_denser_than_it_is_drawn() -> None:
     assert np.isnan(series.y).any(), "no line across the gap"
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(1, 99), st.floats(-1, 1)), min_size=1, max_size=200))
 def test_values_are_said_where_they_are(points: list[tuple[float, float]]) -> None:
     """At most 40 titles a panel, each over its point, in the unit of the axis; and the JSON of the same values is safe in HTML."""
-    drawing = Drawing(400, 300)
-    panel = Panel(drawing, 40, 20, 300, 200, Scale(1, 100, log=True), Scale(-1, 1))
-    panel.axes("Drop </script> & more, mN", "Frequency, Hz")
     x, y = (np.array(v) for v in zip(*points, strict=True))
-    panel.dots(x, y, "#000000")
-    image = drawing.image("a")
+    panels = []
+
+    @pictured("points")
+    def draw_points(*, alt: str) -> Drawing:
+        drawing = Drawing(400, 300)
+        panel = Panel(drawing, 40, 20, 300, 200, Scale(1, 100, log=True), Scale(-1, 1))
+        panel.axes("Drop </script> & more, mN", "Frequency, Hz")
+        panel.dots(x, y, "#000000")
+        panels.append(panel)
+        return drawing.told(alt)
+
+    image = draw_points(alt="a")
+    (panel,) = panels
     marks = re.findall(r'<path d="M(-?\d+) (-?\d+)h0"><title>([^<]*)</title>', image)
     assert 1 <= len(marks) <= 40
     for across, down, words in marks:
@@ -287,3 +291,35 @@ def test_values_are_said_where_they_are(points: list[tuple[float, float]]) -> No
     kept = json.loads(image.plot)[0]["series"][0]
     assert kept["x"] == pytest.approx(x.tolist(), rel=1e-4)
     assert kept["y"] == pytest.approx(y.tolist(), rel=1e-4, abs=1e-12)
+
+
+def test_a_page_has_the_same_bytes_twice_and_text_as_text() -> None:
+    """No date, no random name, no glyph as a path; a name with dollar signs is a name, not a formula."""
+    data = lines()
+
+    def draw() -> str:
+        drawing = Drawing(480, 300)
+        panel = Panel(drawing, 40, 20, 300, 200, Scale(1, 100, log=True), Scale(0, 3))
+        panel.axes("Force of $a$ < b, mN", "Frequency, Hz")
+        panel.curve(data.frequency, np.abs(data.value), "#0069a8")
+        panel.names([(1.0, "$PA-3$ & co", "#0069a8", True)])
+        return write_svg(drawing)
+
+    first = draw()
+    assert first == draw()
+    texts = [e.text for e in ElementTree.fromstring(first) if e.tag == SVG + "text"]
+    assert {"Force of $a$ < b, mN", "Frequency, Hz", "$PA-3$ & co", "100"} <= set(texts)
+    assert len(first) < 6000, "a curve with its axes weighs what a page can bear"
+
+
+def test_what_lies_outside_the_axes_is_cut_without_a_clipping_path() -> None:
+    drawing = Drawing(100, 100)
+    panel = Panel(drawing, 20, 20, 60, 60, Scale(0, 1), Scale(0, 1))
+    panel.curve([-1, 0.5, 2], [-5, 0.5, 6], "#0069a8")
+    panel.band([0, 1], [-9, -9], [9, 9], "#0069a8")
+    text = write_svg(drawing)
+    assert "clip" not in text
+    places = np.array([[float(v) for v in p] for p in re.findall(r"[ML]([-\d.]+),([-\d.]+)", text)])
+    assert len(places) > 5
+    assert places.min() >= 20 - 3.1
+    assert places.max() <= 80 + 3.1

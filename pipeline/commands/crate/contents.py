@@ -93,8 +93,7 @@ def _write_models(lab: Lab, results: Results) -> Iterator[tuple[str, bytes]]:
 
 def write_figures(site: Site) -> Iterator[tuple[str, bytes]]:
     """The first figure of each kind of every specimen and campaign, and the lab's control charts, as SVG."""
-    from reports.figures.printed.kinds import draw_picture
-    from reports.figures.printed.style import write_figure
+    from reports.figures.paper import write_figure
 
     specimens = [s for (s,) in site.ledger.each("SELECT specimen_id FROM specimens ORDER BY specimen_id")]
     things = [*specimens, *sorted(site.campaigns), *([OF_LAB] if site.controlled else [])]
@@ -102,7 +101,7 @@ def write_figures(site: Site) -> Iterator[tuple[str, bytes]]:
     for thing in things:
         for exhibit in _first_of_each(find_exhibits(site, thing), every=thing == OF_LAB):
             file = io.BytesIO()
-            figure = draw_picture(exhibit.picture)
+            figure = exhibit.picture.draw()
             write_figure(figure, file, "svg", title=f"{thing}: {exhibit.about}", finding=exhibit.finding)
             yield f"{FIGURES_FOLDER}/{names(thing)}/{exhibit.name}.svg", file.getvalue()
 

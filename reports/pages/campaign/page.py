@@ -29,8 +29,8 @@ from reports.blocks import (
     tag,
 )
 from reports.evidence import Standing, curve, drawable, measured
-from reports.figures.plot import Scale, logarithmic
 from reports.figures.responses import Multiple, find_jump, multiple
+from reports.figures.scale import Scale, logarithmic
 from reports.findings import causes_named, headline, kind, what_is_wrong
 from reports.names import short
 from reports.pages import found, listing, requirement

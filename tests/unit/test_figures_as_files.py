@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,17 +15,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
 from pipeline import Lab
 from pipeline.cli import main
+from reports import gallery
 from reports.figures import cycle, relaxation
 from reports.figures.cycle import CycleCurve
-from reports.figures.plot import Scale
-from reports.figures.printed.axes import draw_held
-from reports.figures.printed.kinds import KINDS, draw_picture
-from reports.figures.printed.style import WIDTHS_MM, open_axes, write_figure
+from reports.figures.panel import Drawing, Panel
+from reports.figures.paper import WIDTHS_MM, write_figure
+from reports.figures.scale import Scale
 from reports.gallery import PRINTED, Exhibit, find_exhibits
 from reports.results import Results
 from reports.site import Site
@@ -64,22 +66,38 @@ def texts(figure: Figure) -> str:
     return "\n".join(t.get_text() for t in figure.findobj(matplotlib.text.Text))
 
 
-def test_kinds_that_are_listed_are_those_that_can_be_drawn() -> None:
-    assert tuple(KINDS) == PRINTED
+def test_every_figure_of_a_page_is_listed() -> None:
+    """A figure that a page shows can be had as a file: only small multiples, and the overlay with a command of its own, are not."""
+    sources = (Path(gallery.__file__).parent / "figures").glob("*.py")
+    kinds = re.findall(r'@pictured\(\s*"([^"]+)"', "".join(f.read_text(encoding="utf-8") for f in sources))
+    assert len(kinds) == len(set(kinds)) > 50
+    assert set(kinds) - {"multiple", "overlay"} == set(PRINTED)
 
 
-def test_the_synthetic_lab_shows_nearly_all_kinds(exhibits: dict[str, Exhibit]) -> None:
-    assert set(PRINTED) - set(exhibits) <= {"cycle", "cycle-residual", "relaxation"}
+def test_the_synthetic_lab_shows_many_kinds(exhibits: dict[str, Exhibit]) -> None:
+    assert len(exhibits) >= 20
+    assert {
+        "response",
+        "diagnosis",
+        "survival",
+        "lifetimes",
+        "force-map",
+        "control",
+        "timeline",
+        "residual-map",
+    } <= set(exhibits)
 
 
 @pytest.mark.slow
 def test_every_kind_is_drawn_in_both_widths(exhibits: dict[str, Exhibit], untouched: None) -> None:
     for place, exhibit in enumerate(exhibits.values()):
         for width, size in list(WIDTHS_MM.items())[place % 2 :]:  # every second one in both
-            figure = draw_picture(exhibit.picture, width)
+            figure = exhibit.picture.draw(width)
             assert figure.get_figwidth() == pytest.approx(size / 25.4)
             assert figure.get_label() == exhibit.picture.finding
             assert all(ax.lines or ax.collections or ax.patches or ax.texts for ax in figure.axes)
+            left, right = figure.overhang(FigureCanvasAgg(figure).get_renderer())
+            assert max(left, right) < 2, f"{exhibit.name}: text is cut at the edge"
 
 
 def test_kinds_without_a_page_in_the_synthetic_lab_are_drawn(untouched: None) -> None:
@@ -87,24 +105,24 @@ def test_kinds_without_a_page_in_the_synthetic_lab_are_drawn(untouched: None) ->
     stretch = 1 + np.where(time < 10, time, 20 - time) / 5
     measured = 50 * (stretch - stretch**-2.0)
     curves = [CycleCurve(n, n == 2, time, stretch, measured, measured + n) for n in (1, 2)]
-    loop = draw_picture(cycle.loop(curves, alt="a cycle"))
+    loop = cycle.loop(curves, alt="a cycle").draw()
     assert "second order ✓" in texts(loop)
     assert np.allclose(loop.axes[1].lines[-1].get_ydata(), -2.0)  # measured less modelled of the chosen order
-    rest = draw_picture(cycle.rest(curves, 14.0, alt="what is left"))
+    rest = cycle.rest(curves, 14.0, alt="what is left").draw()
     assert "left out to judge" in texts(rest)
     t = np.geomspace(0.05, 5, 30)
-    relaxed = draw_picture(relaxation.relaxation(t, 1.02 * t**-0.1, t**-0.1, alt="relaxation"))
+    relaxed = relaxation.relaxation(t, 1.02 * t**-0.1, t**-0.1, alt="relaxation").draw()
     assert np.allclose(relaxed.axes[1].lines[-1].get_ydata(), 2.0)  # 2 % above the model everywhere
 
 
 def test_points_of_the_response_are_those_of_the_database(folder: Path, exhibits: dict[str, Exhibit]) -> None:
-    figure = draw_picture(exhibits["response"].picture)
+    figure = exhibits["response"].picture.draw()
     with Results(folder) as results:
         rows = results.rows(
             "SELECT frequency_hz, magnitude, phase_deg FROM frequency_responses WHERE specimen_id = 'P-07' AND usable"
             " AND loading = 'mechanical' AND stage = 'averaged' ORDER BY frequency_hz"
         )
-    for axes, column in ((figure.axes[0], "magnitude"), (figure.axes[1], "phase_deg")):
+    for axes, column in ((figure.axes[0], "magnitude"), (figure.axes[2], "phase_deg")):
         drawn = [np.asarray(line.get_xydata()) for line in axes.lines if line.get_marker() == "o"]
         wanted = np.array([(r["frequency_hz"], r[column]) for r in rows])
         assert any(d.shape == wanted.shape and np.allclose(d[np.argsort(d[:, 0])], wanted, rtol=1e-6) for d in drawn)
@@ -116,7 +134,7 @@ def test_a_pdf_has_its_fonts_in_it_and_no_date(exhibits: dict[str, Exhibit], tmp
         exhibit = exhibits[kind]
         files = [tmp_path / f"{kind}-{i}.pdf" for i in range(2)]
         for file in files:
-            write_figure(draw_picture(exhibit.picture), file, "pdf", title=kind, finding=exhibit.finding)
+            write_figure(exhibit.picture.draw(), file, "pdf", title=kind, finding=exhibit.finding)
         first, second = (file.read_bytes() for file in files)
         assert first == second
         assert b"/FontFile2" in first
@@ -129,7 +147,7 @@ def test_text_of_an_svg_stays_text_and_says_the_finding(exhibits: dict[str, Exhi
         written = []
         for _ in range(2):
             file = io.BytesIO()
-            write_figure(draw_picture(exhibit.picture), file, "svg", title="P-07: response", finding=exhibit.finding)
+            write_figure(exhibit.picture.draw(), file, "svg", title="P-07: response", finding=exhibit.finding)
             written.append(file.getvalue())
         assert written[0] == written[1]
         tree = ElementTree.fromstring(written[0].decode())
@@ -140,7 +158,7 @@ def test_text_of_an_svg_stays_text_and_says_the_finding(exhibits: dict[str, Exhi
 
 def test_a_png_says_its_finding(exhibits: dict[str, Exhibit], tmp_path: Path) -> None:
     exhibit = exhibits["force-map"]
-    write_figure(draw_picture(exhibit.picture), tmp_path / "a.png", "png", title="F-01", finding=exhibit.finding)
+    write_figure(exhibit.picture.draw(), tmp_path / "a.png", "png", title="F-01", finding=exhibit.finding)
     with Image.open(tmp_path / "a.png") as image:
         assert image.info["Description"] == exhibit.finding
         assert image.size[0] == pytest.approx(85 / 25.4 * 300, abs=2)
@@ -149,10 +167,11 @@ def test_a_png_says_its_finding(exhibits: dict[str, Exhibit], tmp_path: Path) ->
 @settings(deadline=None, max_examples=25)
 @given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=30))
 def test_no_point_is_cut_off_in_silence(values: list[float]) -> None:
-    figure, axes = open_axes("single", 40)
-    draw_held(axes[0, 0], np.arange(len(values)), np.array(values), Scale(-5.0, 5.0), "black")
-    assert sum(len(line.get_xdata()) for line in axes[0, 0].lines) == len(values)
-    assert figure.axes[0] is axes[0, 0]
+    figure = Drawing(480, 200)
+    panel = Panel(figure, 40, 20, 400, 150, Scale(0, 40), Scale(-5.0, 5.0))
+    panel.held(np.arange(len(values)), np.array(values), "black")
+    assert sum(len(line.get_xdata()) for line in panel.on.lines) == len(values)
+    assert figure.axes[0] is panel.on
 
 
 def test_the_command_lists_writes_and_adds_data(

@@ -6,23 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from reports.figures.palette import group
-from reports.figures.plot import Scale, linear, logarithmic
-from reports.figures.printed.axes import (
-    Name,
-    draw_band,
-    draw_curve,
-    draw_points,
-    mark_level,
-    name_curves,
-    scale_axes,
-    write_note,
-)
-from reports.figures.printed.style import CURVE_PT, DOUBLE, POINT_PT, open_axes, styled
+from reports.figures.panel import WIDE, Drawing, Panel, note
+from reports.figures.paper import DOUBLE
+from reports.figures.picture import pictured
 from reports.figures.responses import Curve, Lines
+from reports.figures.scale import Scale, linear, logarithmic
 from schemas.arrays import Complex, Float
 
 _GRID = 160
@@ -60,44 +50,40 @@ class Overlaid:
         return max(float(c.grid[0]) for _, c in self.members), min(float(c.grid[-1]) for _, c in self.members)
 
 
-@styled()
-def draw_overlay(items: Sequence[Overlaid], *, width: str = DOUBLE) -> Figure:
+@pictured("overlay", column=DOUBLE)
+def overlay(items: Sequence[Overlaid], *, alt: str) -> Drawing:
     """Dynamic stiffness and phase of several items, and below how far each is off the first, with 95 % bands."""
-    figure, axes = open_axes(width, 92 if width == DOUBLE else 160, (2.2, 1.2) if width == DOUBLE else (2.2, 1.2, 2.2, 1.2), 2 if width == DOUBLE else 1)  # fmt: skip
-    parts = [axes[:, 0], axes[:, 1]] if width == DOUBLE else [axes[:2, 0], axes[2:, 0]]
+    drawing = Drawing(WIDE, 374, parts=2)
     lines = [line for item in items for line, _ in item.members]
     x = logarithmic(*(line.frequency for line in lines), margin=0.015)
-    means = []
-    for item in items:
-        grid = np.geomspace(*item.reach, _GRID)
-        means.append((grid, *item.mean(grid)))
-    for phase, (upper, lower) in zip((False, True), parts, strict=True):
+    for part, phase in enumerate((False, True)):
+        drawing.begin_part(part)
         values = [_show(line.value[line.usable], phase=phase) for line in lines]
         y = linear(*values, [0.0], margin=0.08) if phase else logarithmic(*values, margin=0.06)
-        scale_axes(upper, x, y, "Phase of k, degrees" if phase else "Dynamic stiffness |k|, N/mm", x_labels=False)
-        names: list[Name] = []
-        for i, (item, (grid, log, turn, *_)) in enumerate(zip(items, means, strict=True)):
+        upper = Panel(drawing, 46, 24, 332, 186, x, y)
+        upper.axes("Phase of k, degrees" if phase else "Dynamic stiffness |k|, N/mm", x_labels=False)
+        names = []
+        for i, item in enumerate(items):
             drawn = group(i)
             for line, curve in item.members:
                 if len(item.members) > 1:
-                    draw_curve(upper, curve.grid, _show(curve.on_grid, phase=phase), drawn.colour, 0.35 * CURVE_PT)
+                    upper.curve(curve.grid, _show(curve.on_grid, phase=phase), drawn.colour, 0.7)
                     continue
                 good = np.flatnonzero(line.usable)[:: max(1, -(-line.size // _MARKS))]
-                draw_points(upper, line.frequency[good], _show(line.value[good], phase=phase), drawn.colour, 0.9 * POINT_PT, marker=drawn.marker)  # fmt: skip
-            shown = turn if phase else np.exp(log)
-            draw_curve(upper, grid, shown, drawn.colour)
-            names.append((float(shown[-1]), f"{drawn.sign} {item.name}", drawn.colour, True))
-        off = _draw_difference(lower, x, items, means, phase=phase)
-        name_curves(upper, names)
-        if not off:
-            write_note(lower, 0.03, 0.85, "no frequencies in common with the first")
-    return figure
+                shown = _show(line.value[good], phase=phase)
+                upper.dots(line.frequency[good], shown, drawn.colour, 4.2, marker=drawn.marker)
+            grid = np.geomspace(*item.reach, _GRID)
+            log, turn, *_ = item.mean(grid)
+            course = turn if phase else np.exp(log)
+            upper.curve(grid, course, drawn.colour)
+            names.append((float(course[-1]), f"{drawn.sign} {item.name}", drawn.colour, True))
+        upper.names(names)
+        _draw_difference(drawing, x, items, phase=phase)
+    return drawing.told(alt)
 
 
-def _draw_difference(
-    axes: Axes, x: Scale, items: Sequence[Overlaid], means: Sequence[tuple[Float, ...]], *, phase: bool
-) -> bool:
-    """How far each item is off the first where both were measured; false where nothing is in common."""
+def _draw_difference(drawing: Drawing, x: Scale, items: Sequence[Overlaid], *, phase: bool) -> None:
+    """How far each item is off the first where both were measured; says so where nothing is in common."""
     courses: list[tuple[int, Float, Float, Float, Float]] = []
     for i in range(1, len(items)):
         low, high = max(items[0].reach[0], items[i].reach[0]), min(items[0].reach[1], items[i].reach[1])
@@ -115,12 +101,14 @@ def _draw_difference(
     shown = [v for _, _, *three in courses for v in three]
     title = f"Phase less that of {items[0].name}, degrees" if phase else f"|k| over that of {items[0].name}, %"
     y = linear(*[v for v in shown if np.isfinite(v).any()], [0.0], margin=0.12)
-    scale_axes(axes, x, y, title, "Frequency, Hz", y_most=4, signed=True)
-    mark_level(axes, 0.0, group(0).colour)
+    panel = Panel(drawing, 46, 240, 332, 88, x, y)
+    panel.axes(title, "Frequency, Hz", y_most=4, signed=True)
+    panel.level(0.0, group(0).colour)
     for i, grid, value, lower, upper in courses:
-        draw_band(axes, grid, lower, upper, group(i).colour, 0.2)
-        draw_curve(axes, grid, value, group(i).colour, 0.8 * CURVE_PT)
-    return bool(courses)
+        panel.band(grid, lower, upper, group(i).colour, ".2")
+        panel.curve(grid, value, group(i).colour, 1.7)
+    if not courses:
+        note(drawing, panel.left + 8, panel.top + 14, "no frequencies in common with the first")
 
 
 def _show(value: Complex, *, phase: bool) -> Float:
