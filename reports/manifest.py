@@ -35,7 +35,7 @@ def code_digest() -> str:
     for folder in _SOURCES:
         for path in sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".j2", ".css", ".js")):
             digest.update(path.relative_to(folder.parent).as_posix().encode() + b"\0" + path.read_bytes())
-    for library in ("duckdb", "jinja2", "markupsafe", "numpy"):
+    for library in ("duckdb", "jinja2", "markupsafe", "matplotlib", "numpy", "pillow"):
         digest.update(f"{library} {importlib.metadata.version(library)}\n".encode())
     return digest.hexdigest()
 

@@ -220,17 +220,23 @@ def percent(share: float | None, digits: int = 2) -> str:
 
 
 _NEARLY_ALL = 0.995
-"""A share from which on what is left of it says more than the share."""
+"""A share from which on a bound says more than its digits."""
+
+
+_NINES = (0.9999, 0.999, 0.99)
+"""What a share of nearly all is told to exceed: nobody acts on more digits."""
 
 
 def removed(share: float | None, lower: float | None = None, upper: float | None = None) -> str:
-    """`97 % (95 % interval 96 % to 98 %)`; of what is nearly all, what is left: `all but 0.0012 % (… 0.0009 % to 0.0016 %)`."""
+    """`97 % (95 % interval 96 % to 98 %)`; of what is nearly all, what it surely exceeds: `more than 99.9 %`."""
     if share is None or not math.isfinite(share):
         return ABSENT
-    left = _NEARLY_ALL <= share < 1
-    value, *ends = (None if e is None else 1 - e if left else e for e in (share, lower, upper))
-    text = f"all but {percent(value)}" if left else percent(value)
-    known = sorted(e for e in ends if e is not None and math.isfinite(e))
+    least = share if lower is None or not math.isfinite(lower) else min(share, lower)
+    exceeded = next((n for n in _NINES if least > n), None)
+    if _NEARLY_ALL <= share < 1 and exceeded is not None:
+        return f"more than {100 * exceeded:g}{NBSP}%"
+    text = percent(share)
+    known = sorted(e for e in (lower, upper) if e is not None and math.isfinite(e))
     if len(known) < 2:
         return text
     first, second = percent(known[0]), percent(known[1])

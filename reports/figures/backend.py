@@ -33,6 +33,8 @@ DENSE = 2000
 """More marks than this are drawn as an image."""
 _EDGE = 2.0
 """Room for half a line beyond the axes, px."""
+_MARK = 40.0
+"""Largest mark, px."""
 _WIDE = 0.6
 """Mean width of a letter over its size, for the few places where matplotlib asks for it."""
 _CUT = 1e4
@@ -141,13 +143,17 @@ class _PageRenderer(RendererBase):
     ) -> None:
         places = (trans + self._down).transform(path.vertices)
         places = places[np.isfinite(places).all(axis=1)]
+        shape = marker_path.transformed(marker_trans + Affine2D().scale(1, -1))
+        if max(shape.get_extents().size) > _MARK:  # an area that matplotlib draws as if it were a mark
+            for x, y in places.tolist():
+                self.draw_path(gc, marker_path, marker_trans + Affine2D().translate(x, self.height - y), rgbFace)
+            return
         clip = self._clip(gc)
         if clip is not None:
             x, y = places.T
             places = places[(x >= clip.x0) & (x <= clip.x1) & (y >= clip.y0) & (y <= clip.y1)]
         if not len(places):
             return
-        shape = marker_path.transformed(marker_trans + Affine2D().scale(1, -1))
         outline = float(self.points_to_pixels(gc.get_linewidth()))
         edge, fill = to_hex(gc.get_rgb()), "none" if rgbFace is None else to_hex(rgbFace)
         size = shape.get_extents().width

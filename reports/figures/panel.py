@@ -411,10 +411,15 @@ class Panel:
     def band(
         self, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, opacity: str = ".18", *, steps: bool = False
     ) -> None:
-        """A shaded band between two curves; where either is NaN there is none."""
+        """A shaded band between two curves; where either is NaN there is none. Steps hold until the next x."""
+        across, down, up = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (x, low, high)))
+        if steps:
+            known = np.isfinite(down) & np.isfinite(up)
+            ends = ~known & np.append(False, known[:-1])
+            down, up = (np.where(ends, np.append(np.nan, v[:-1]), v) for v in (down, up))
         self.on.fill_between(
-            np.asarray(x, dtype=float), np.asarray(low, dtype=float), np.asarray(high, dtype=float), color=colour,
-            alpha=float(opacity), linewidth=0, step="post" if steps else None, zorder=self._next(),
+            across, down, up, color=colour, alpha=float(opacity), linewidth=0, step="post" if steps else None,
+            zorder=self._next(),
         )  # fmt: skip
 
     def area(self, points: Sequence[tuple[float, float]], colour: str, opacity: str = ".18") -> None:

@@ -229,21 +229,27 @@ def test_a_share_is_all_or_nothing_only_where_it_is(share: float) -> None:
 
 @settings(deadline=None)
 @given(st.floats(0.5, 1 - 1e-9), st.floats(1e-3, 0.9), st.floats(1e-3, 0.9))
-def test_what_is_removed_is_told_by_what_is_left_where_that_says_more(share: float, down: float, up: float) -> None:
-    """`99.99 % (99.99 to 99.99)` is no interval: of what is nearly all the rest is given, to its own digits."""
+def test_what_is_nearly_all_is_told_by_what_it_surely_exceeds(share: float, down: float, up: float) -> None:
+    """`99.99 % (99.99 to 99.99)` is no interval, and `all but 0.00096 %` no text: of nearly all a bound is given, never too high."""
     left = 1 - share
-    text = plain(numbers.removed(share, 1 - left * (1 + down), 1 - left * (1 - up)))
-    assert text.startswith("all but") == (share >= 0.995)
+    lower = 1 - left * (1 + down)
+    text = plain(numbers.removed(share, lower, 1 - left * (1 - up)))
+    assert text.startswith("more than") == (share >= 0.995 and lower > 0.99)
     found = re.search(r"interval (.*) to (.*)\)", text)
     assert found is None or found[1] != found[2]
-    if share >= 0.995:
-        assert read(text.split("(")[0].removeprefix("all but")) / 100 == pytest.approx(left, rel=0.06)
+    if text.startswith("more than"):
+        bound = read(text.removeprefix("more than ")) / 100
+        assert bound < lower
+        assert 1 - bound <= max(10 * (1 - lower) * (1 + 1e-9), 1.0001e-4), "no nine is kept back, up to four of them"
+    else:
+        assert read(text.split(" %")[0] + " %") / 100 == pytest.approx(share, rel=0.06)
 
 
-def test_a_gain_of_nearly_all_has_its_interval() -> None:
-    assert plain(numbers.removed(0.9999904, 0.99999, 0.9999907)) == (
-        "all but 0.00096 % (95 % interval 0.00093 % to 0.0010 %)"
-    )
+def test_a_gain_of_nearly_all_is_told_in_a_few_digits() -> None:
+    assert plain(numbers.removed(0.9999904, 0.99999, 0.9999907)) == "more than 99.99 %"
+    assert plain(numbers.removed(0.9996, 0.9991, 0.9998)) == "more than 99.9 %"
+    assert plain(numbers.removed(0.996, 0.98, 0.998)) == "99.6 % (95 % interval 98 % to 99.8 %)"
+    assert plain(numbers.removed(0.9999904)) == "more than 99.99 %"
     assert plain(numbers.removed(0.97, 0.95, 0.98)) == "97 % (95 % interval 95 % to 98 %)"
     assert plain(numbers.removed(0.97, 0.9701, 0.9702)) == "97 % (95 % interval within rounding)"
     assert numbers.removed(None) == "–"

@@ -323,3 +323,16 @@ def test_what_lies_outside_the_axes_is_cut_without_a_clipping_path() -> None:
     assert len(places) > 5
     assert places.min() >= 20 - 3.1
     assert places.max() <= 80 + 3.1
+
+
+@pytest.mark.parametrize("steps", [True, False])
+def test_a_band_smaller_than_the_figure_is_drawn(steps: bool) -> None:
+    """matplotlib draws it as if it were a mark at the figure's corner, which lies outside the axes."""
+    drawing = Drawing(480, 300)
+    panel = Panel(drawing, 40, 20, 300, 200, Scale(0, 10), Scale(0, 100))
+    panel.band([0, 2, 5], [80, 50, np.nan], [90, 70, np.nan], "#0069a8", ".14", steps=steps)
+    (band,) = [e for e in ElementTree.fromstring(write_svg(drawing)) if e.tag == SVG + "path"]
+    assert (band.attrib["fill"], band.attrib["fill-opacity"]) == ("#0069a8", "0.14")
+    x, y = np.array([[float(v) for v in p] for p in re.findall(r"[ML]([\d.]+),([\d.]+)", band.attrib["d"])]).T
+    assert (x.min(), x.max()) == (40, 190 if steps else 100)
+    assert (y.min(), y.max()) == (40, 120)
