@@ -18,6 +18,7 @@ from pathlib import Path
 from reports import manifest
 from reports.blocks import Link, Page, flow, name
 from reports.digests import digests
+from reports.figures.drawn import drawn_before
 from reports.figures.panel import styled
 from reports.ledger import Ledger, batches
 from reports.names import short
@@ -110,10 +111,10 @@ def _build(
             count, stale = (ledger.number(f"SELECT count(*) FROM {table}") for table in ("pages", "stale"))
             waiting = (Planned(*row) for row in ledger.each(_STALE))
             if workers is None or stale < _FEWEST:
-                _note(ledger, problems, (_write(folder, site, one) for one in waiting))
+                _note(ledger, problems, (_write(folder, site, one, force) for one in waiting))
             else:
-                _note(ledger, problems, [_write(folder, site, next(waiting))])
-                _note(ledger, problems, _shared(lab, memory, interactive, waiting, stale - 1, workers, jobs))
+                _note(ledger, problems, [_write(folder, site, next(waiting), force)])
+                _note(ledger, problems, _shared(lab, memory, interactive, force, waiting, stale - 1, workers, jobs))
             manifest.remove_stale(folder, ledger)
             if stale or ledger.number("SELECT count(*) FROM known") != count:
                 manifest.write(folder, ledger, script=interactive)
@@ -155,6 +156,7 @@ def _shared(
     lab: Path,
     memory: str,
     interactive: bool,
+    force: bool,
     waiting: Iterator[Planned],
     count: int,
     workers: Callable[[], Executor],
@@ -168,16 +170,18 @@ def _shared(
             if len(tasks) > 2 * jobs:
                 yield from tasks.popleft().result()
             tasks.append(
-                executor.submit(write_pages, lab, memory, interactive, (state.st_ino, state.st_mtime_ns), some)
+                executor.submit(write_pages, lab, memory, interactive, force, (state.st_ino, state.st_mtime_ns), some)
             )
         for task in tasks:
             yield from task.result()
 
 
-def write_pages(lab: Path, memory: str, interactive: bool, state: tuple[int, int], pages: list[Planned]) -> list[Made]:
+def write_pages(
+    lab: Path, memory: str, interactive: bool, force: bool, state: tuple[int, int], pages: list[Planned]
+) -> list[Made]:
     """Writes some pages of a lab whose database is in this `state`; a worker that is asked again knows the site already."""
     site = _known_site(lab, memory, interactive, state)
-    return [_write(lab / "reports", site, one) for one in pages]
+    return [_write(lab / "reports", site, one, force) for one in pages]
 
 
 @functools.lru_cache(maxsize=1)
@@ -185,10 +189,12 @@ def _known_site(lab: Path, memory: str, interactive: bool, state: tuple[int, int
     return Site(Results(lab, memory), interactive=interactive)
 
 
-def _write(folder: Path, site: Site, planned: Planned) -> Made:
+def _write(folder: Path, site: Site, planned: Planned, force: bool) -> Made:
+    """Makes a page; figures that it had already from the same data are taken over, unless `force`."""
     problem = ""
     try:
-        with styled():
+        before = None if force else folder / planned.path
+        with styled(), drawn_before(before, with_values=site.interactive):
             page = make(site, planned)
         entries = site.entries() if site.interactive and planned.kind == "index" else ()
         text = html(page, interactive=site.interactive, site=entries)

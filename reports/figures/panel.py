@@ -91,17 +91,18 @@ class Sheet:
 
 
 PAGE = Sheet()
-_SHEET: ContextVar[Sheet] = ContextVar("_SHEET", default=PAGE)
+SHEET: ContextVar[Sheet] = ContextVar("SHEET", default=PAGE)
+"""What is drawn for at the moment; `on_sheet` sets it."""
 
 
 @contextmanager
 def on_sheet(sheet: Sheet) -> Iterator[None]:
     """Within it, drawings are made for that sheet."""
-    token = _SHEET.set(sheet)
+    token = SHEET.set(sheet)
     try:
         yield
     finally:
-        _SHEET.reset(token)
+        SHEET.reset(token)
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class Drawing(Figure):
     """
 
     def __init__(self, width: float, height: float, *, parts: int = 1) -> None:
-        sheet = _SHEET.get()
+        sheet = SHEET.get()
         self.sheet, self.unit, self._drawn_for = sheet, sheet.unit, width
         self.width = sheet.width or width
         abreast = self.width >= _ABREAST * parts * width

@@ -17,7 +17,8 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from reports.figures.backend import number, write_svg
-from reports.figures.panel import Drawing, Plot, styled
+from reports.figures.drawn import Drawn, digest_data, find_drawn, mark
+from reports.figures.panel import SHEET, Drawing, Plot, styled
 from reports.figures.paper import SINGLE, draw_for_column
 from schemas.numbers import significant, with_unit
 
@@ -66,11 +67,10 @@ def pictured(
     def embed_what_is_drawn(draw: Callable[P, Drawing]) -> Callable[P, Picture]:
         @functools.wraps(draw)
         def embed(*data: P.args, **options: P.kwargs) -> Picture:
-            with styled():
-                drawing = draw(*data, **options)
-                svg = write_svg(drawing)
-            picture = Picture(_embed(drawing, svg))
-            picture.plot, picture.finding = write_values(drawing), str(drawing.get_label())
+            digest = digest_data(kind, data, options, SHEET.get())
+            html, values = find_drawn(digest) or _draw(functools.partial(draw, *data, **options), digest)
+            picture = Picture(html)
+            picture.plot, picture.finding = values, str(options["alt"])
             picture.kind, picture.data, picture.options = kind, data, options
             picture.figure, picture.column, picture.whole = draw, column, whole or {}
             return picture
@@ -78,6 +78,13 @@ def pictured(
         return embed
 
     return embed_what_is_drawn
+
+
+def _draw(draw: Callable[[], Drawing], digest: str | None) -> Drawn:
+    with styled():
+        drawing = draw()
+        svg = write_svg(drawing)
+    return mark(_embed(drawing, svg), digest), write_values(drawing)
 
 
 def _embed(drawing: Drawing, svg: str) -> Markup:

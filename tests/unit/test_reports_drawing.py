@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,6 +18,7 @@ from PIL import Image
 
 from reports.figures import film, recording, survival
 from reports.figures.backend import DENSE, write_svg
+from reports.figures.drawn import drawn_before
 from reports.figures.palette import group, misfit
 from reports.figures.panel import Drawing, Panel
 from reports.figures.picture import pictured
@@ -336,3 +338,40 @@ def test_a_band_smaller_than_the_figure_is_drawn(steps: bool) -> None:
     x, y = np.array([[float(v) for v in p] for p in re.findall(r"[ML]([\d.]+),([\d.]+)", band.attrib["d"])]).T
     assert (x.min(), x.max()) == (40, 190 if steps else 100)
     assert (y.min(), y.max()) == (40, 120)
+
+
+def test_a_page_takes_over_the_figures_that_it_had_from_the_same_data(tmp_path: Path) -> None:
+    """Not drawn again: the same data; drawn again: other data, a figure changed by hand, values that the old page has not."""
+    drawn: list[float] = []
+
+    @pictured("points")
+    def draw_points(x: float, *, alt: str) -> Drawing:
+        drawn.append(x)
+        drawing = Drawing(100, 100)
+        panel = Panel(drawing, 20, 20, 60, 60, Scale(0, 10), Scale(0, 10))
+        panel.axes("Force, mN")
+        panel.dots([x], [1.0], "#000000")
+        return drawing.told(alt)
+
+    page = tmp_path / "page.html"
+    first, second = draw_points(1.0, alt="a < b"), draw_points(2.0, alt="a")
+    page.write_text(f"<p>{first}</p>{second}".replace(" mN", "\u00a0mN"), encoding="utf-8")
+    drawn.clear()
+    with drawn_before(page, with_values=False):
+        again = draw_points(1.0, alt="a < b")
+        assert (str(again).replace("\u00a0", " "), again.finding) == (str(first).replace("\u00a0", " "), "a < b")
+        assert drawn == []
+        draw_points(1.5, alt="a < b")
+        draw_points(1.0, alt="other words")
+        assert drawn == [1.5, 1.0]
+    drawn.clear()
+    with drawn_before(page, with_values=True):
+        assert draw_points(1.0, alt="a < b").plot
+    page.write_text(page.read_text(encoding="utf-8").replace("M", "m", 1), encoding="utf-8")
+    with drawn_before(page, with_values=False):
+        assert str(draw_points(1.0, alt="a < b")) == str(first)
+        draw_points(2.0, alt="a")
+    assert drawn == [1.0, 1.0]
+    with drawn_before(tmp_path / "no page.html", with_values=False):
+        draw_points(2.0, alt="a")
+    assert drawn == [1.0, 1.0, 2.0]
