@@ -24,7 +24,7 @@ Drawn = tuple[Markup, Markup]
 """A figure as HTML, and its values as JSON; the latter is empty on pages without a script."""
 
 _FIGURE = re.compile(
-    r'(?P<html>(?:<span class="plot">)?<img data-drawn="(?P<data>[0-9a-f]{32})-(?P<result>[0-9a-f]{16})"[^>]*>'
+    r'(?P<html>(?:<span class="plot">)?<img [^>]* data-drawn="(?P<data>[0-9a-f]{32})-(?P<result>[0-9a-f]{16})">'
     r'(?:<svg class="said".*?</svg>)?(?P<asked></span>)?)'
     r'(?:<script type="application/json" class="values">(?P<values>[^<]*)</script>)?',
     re.S,
@@ -81,7 +81,10 @@ def mark(html: Markup, digest: str | None) -> Markup:
     """The figure with both digests in it, for the page after this one."""
     if digest is None:
         return html
-    return Markup(str(html).replace("<img ", f'<img data-drawn="{digest}-{digest_result(html)}" ', 1))  # noqa: S704
+    before, image, after = str(html).partition("<img ")
+    attributes, _, rest = after.partition(">")  # within an attribute it is escaped
+    said = f' data-drawn="{digest}-{digest_result(html)}"'
+    return Markup(f"{before}{image}{attributes}{said}>{rest}")  # noqa: S704
 
 
 def _without_digest(html: str) -> str:
