@@ -224,7 +224,7 @@ def _captions(
     above = y > panel.top + 70
     beside = good[panel.px(lines.frequency[good]) < panel.left + _CAPTION_WIDTH]
     heights = panel.py(value[beside])
-    place = max(panel.top + 12, min(y - 48, float(heights.min()) - 24)) if above else y + 52
+    place = max(panel.top + 12, min(y - 48, float(heights.min(initial=y)) - 24)) if above else y + 52
     pointer(panel.drawing, (x, y + (-6 if above else 6)), (x, place + (20 if above else -12)), INK)
     panel.drawing.write(panel.left + 6, place, "corrected for clamp", size=11.3)
     panel.drawing.write(panel.left + 6, place + 13.5, "and load cell, ±2 SD", size=11.3)

@@ -375,3 +375,11 @@ def test_a_page_takes_over_the_figures_that_it_had_from_the_same_data(tmp_path: 
     with drawn_before(tmp_path / "no page.html", with_values=False):
         draw_points(2.0, alt="a")
     assert drawn == [1.0, 1.0, 2.0]
+
+
+def test_points_far_to_the_right_have_their_name() -> None:
+    """A film whose first usable lines lie beyond the words that name them: there was no page."""
+    data = lines(40)
+    late = Lines(data.frequency, data.value, data.error, data.frequency > 60, data.amplification)
+    texts = [e.text for e in parsed(response(late, data, [], phase=False, alt="x")) if e.tag == SVG + "text"]
+    assert "corrected for clamp" in texts
