@@ -479,18 +479,14 @@ class Panel:
         )
 
     def across(self, low: float, high: float, colour: str = BAND) -> None:
-        """A horizontal stripe between two y values."""
-        self.on.axhspan(low, high, color=colour, linewidth=0, zorder=0)
+        """A horizontal stripe between two y values, behind lines and data."""
+        top, bottom = np.clip(self.py([high, low]), self.top, self.bottom).tolist()
+        self.drawing.box(self.left, top, self.width, bottom - top, colour)
 
     def column(self, low: float, high: float, colour: str = BAND) -> None:
-        """A vertical stripe between two x values, never too thin to be seen."""
+        """A vertical stripe between two x values, never too thin to be seen, behind lines and data."""
         left, right = np.clip(self.px([low, high]), self.left, self.right).tolist()
-        self.on.add_artist(
-            Rectangle(
-                (left, self.top), max(right - left, 1.5), self.height, facecolor=colour, linewidth=0, zorder=0,
-                transform=self.drawing.px,
-            )
-        )  # fmt: skip
+        self.drawing.box(left, self.top, max(right - left, 1.5), self.height, colour)
 
     def label(
         self,

@@ -383,3 +383,15 @@ def test_points_far_to_the_right_have_their_name() -> None:
     late = Lines(data.frequency, data.value, data.error, data.frequency > 60, data.amplification)
     texts = [e.text for e in parsed(response(late, data, [], phase=False, alt="x")) if e.tag == SVG + "text"]
     assert "corrected for clamp" in texts
+
+
+def test_a_stripe_hides_no_line() -> None:
+    """The instant that a migration begins is drawn over the stripe of its uncertainty, which is narrower than the line."""
+    drawing = Drawing(480, 300)
+    panel = Panel(drawing, 40, 20, 300, 200, Scale(0, 10), Scale(0, 100))
+    panel.column(4.9, 5.1, "#eef0f2")
+    panel.across(-2, 2, "#eef0f2")
+    drawing.line([(190, 20), (190, 220)], "#b8420a", 1.2)
+    panel.curve([0, 10], [0, 100], "#0069a8")
+    looks = [e.attrib.get("stroke") or e.attrib["fill"] for e in ElementTree.fromstring(write_svg(drawing))]
+    assert looks == ["#eef0f2", "#eef0f2", "#b8420a", "#0069a8"]
