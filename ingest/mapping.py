@@ -24,9 +24,12 @@ from ingest.formats import list_formats, list_options
 from ingest.mapping_keys import (
     CHANNEL_METADATA,
     COLUMN,
+    COVARIATE,
+    COVARIATES,
     EACH,
     IGNORE,
     KINDS,
+    LIFETIMES,
     RECORDING,
     SELECT,
     TABLE_COLUMN,
@@ -42,6 +45,7 @@ from ingest.mapping_keys import (
 )
 from ingest.toml_files import content_hash, load_toml
 from schemas.errors import RefusedError
+from schemas.life_covariates import LAWS, check_name
 from schemas.lifetimes import FAILURE_MODES
 from schemas.quantities import QUANTITIES
 
@@ -66,7 +70,8 @@ class ColumnMapping:
 
     `metadata` holds the channel's own keys (`sensor`, `delay_s`, `resolution`, `filter_hz`) as text, as MCAP has them.
     `value` stands for a column that is the same in every row (tables only); `meanings` says which cell values mean
-    failed, censored and left-censored, or which failure mode (columns of lifetime tables). `says_scale`: the mapping gives a scale
+    failed, censored and left-censored, or which failure mode (columns of lifetime tables). `law`: how a covariate of the laboratory's
+    own enters a regression of lives. `says_scale`: the mapping gives a scale
     or offset, be it 1 or 0.
     """
 
@@ -82,6 +87,7 @@ class ColumnMapping:
     overrule_unit: bool = False
     value: Any = None
     meanings: Mapping[str, tuple[Any, ...]] = dataclass_field(default_factory=dict)
+    law: str | None = None
     metadata: Mapping[str, str] = dataclass_field(default_factory=dict)
 
     @property
@@ -174,7 +180,7 @@ class FileMapping:
         Raises `RefusedError` for keys that are unknown, of a wrong type or missing.
         """
         content = {k: _with_stem(v, stem) for k, v in content.items() if k != "match"}
-        known = {*TOP, "time", "columns", "recording", "rig", "select", *list_options()}
+        known = {*TOP, "time", "columns", COVARIATES, "recording", "rig", "select", *list_options()}
         for key in content:
             if key not in known:
                 raise unknown(source, key, known)
@@ -184,7 +190,7 @@ class FileMapping:
         if kind == IGNORE:
             columns: dict[str, ColumnMapping] = {}
         else:
-            columns = _columns(content, kind, chosen, source)
+            columns = _columns(content, kind, chosen, source) | _covariates(content, kind, source)
         return cls(
             kind=kind,
             format=chosen,
@@ -216,7 +222,7 @@ def list_faults(
                 faults.append(error)
             return None
 
-    known = {*TOP, "time", "columns", "recording", "rig", "select", *list_options()}
+    known = {*TOP, "time", "columns", COVARIATES, "recording", "rig", "select", *list_options()}
     faults += [unknown(source, key, known) for key in content if key not in known]
     kind = attempt(lambda: choice(content.get("kind", RECORDING), "kind", KINDS, source)) or RECORDING
     chosen = attempt(lambda: _format(content, source)) or format_of_suffix(suffix)
@@ -228,6 +234,7 @@ def list_faults(
     for name in columns if isinstance(columns, dict) and kind != IGNORE else ():
         alone = {"columns": {name: columns[name]}}
         attempt(functools.partial(_columns, alone, kind, chosen, source))
+    attempt(lambda: _covariates(content, kind, source))
     attempt(lambda: _time(content, kind, source))
     attempt(lambda: _selections(content, source))
     if not faults:
@@ -344,6 +351,21 @@ def _columns(content: Mapping[str, Any], kind: str, chosen: str | None, source: 
     return mapped
 
 
+def _covariates(content: Mapping[str, Any], kind: str, source: str) -> dict[str, ColumnMapping]:
+    """The columns of `[covariates.<name>]`, by `covariates.<name>`."""
+    entries = table(content, COVARIATES, source)
+    if entries and kind != LIFETIMES:
+        raise refused(source, f'{COVARIATES} is not used for kind "{kind}"', f'kind "{LIFETIMES}"')
+    mapped = {}
+    for name, entry in entries.items():
+        key = f"{COVARIATES}.{name}"
+        check_name(name, key, source)
+        mapped[key] = _column(entry, key, COVARIATE, source)
+        if mapped[key].law is not None:
+            choice(mapped[key].law, f"{key}.law", LAWS, source)
+    return mapped
+
+
 def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> ColumnMapping:
     entry = checked(entry, name, keys, source)
     if ("column" in entry) == ("value" in entry):
@@ -373,6 +395,7 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         overrule_unit=entry.get("overrule_unit", False),
         value=entry.get("value"),
         meanings=meanings,
+        law=entry.get("law"),
         metadata={k: str(entry[k]) for k in CHANNEL_METADATA if k in entry},
     )
 

@@ -156,6 +156,17 @@ TABLE_COLUMN: Mapping[str, Key] = {
     "other_values": Key((list,), "column `failure_mode`: cells that mean any other failure"),
 }
 """Keys of `columns.<name>` of a table."""
+COVARIATES = "covariates"
+COVARIATE: Mapping[str, Key] = {
+    **{name: key for name, key in _ANY_COLUMN.items() if name != "overrule_unit"},
+    "value": Key((str, int, float), "in place of a column: the same in every row"),
+    "law": Key(
+        (str,),
+        '"inverse power" (by its logarithm), "exponential" (as it is), "arrhenius" (a temperature in °C) or "category"; absent:'
+        " exponential where all cells are numbers, else category",
+    ),
+}
+"""Keys of `covariates.<name>` of a table of lives: whatever a life may depend on, under a name of the laboratory's own."""
 SELECT: Mapping[str, Key] = {
     "column": Key(_COLUMN, "the column that is looked at"),
     "equals": Key((list, str, int, float, bool), "the value, or list of values, of the rows that are read"),

@@ -7,10 +7,13 @@ from typing import Any
 
 from ingest.mapping_keys import (
     COLUMN,
+    COVARIATE,
+    COVARIATES,
     EACH,
     FORMATS,
     IGNORE,
     KINDS,
+    LIFETIMES,
     OPTIONS,
     RECORDING,
     SELECT,
@@ -38,6 +41,7 @@ def mapping_schema() -> dict[str, Any]:
             "match": {"type": "string", "description": "of an entry of recordings.toml: which files it is for"},
             "time": _table(TIME),
             "columns": {"type": "object"},
+            COVARIATES: {"type": "object", "additionalProperties": _refer("covariate")},
             "recording": {"type": "object"},
             "rig": describe_keys(RigConstants, placeholders=_PLACEHOLDERS),
             "select": {"type": "array", "items": _table(SELECT)},
@@ -51,6 +55,7 @@ def mapping_schema() -> dict[str, Any]:
         "entry": {"allOf": [_refer("mapping")], "required": ["match"]},
         "channel": _table(COLUMN),
         "column": _table(TABLE_COLUMN),
+        "covariate": _table(COVARIATE),
         "recording": describe_keys(RecordingMetadata, placeholders=_PLACEHOLDERS, required=False, has_zone=True),
         "table": describe_keys(TableMetadata, placeholders=_PLACEHOLDERS, has_zone=True),
     }
@@ -82,7 +87,8 @@ def _of_kind(kind: str) -> dict[str, Any]:
         columns = {name: {"description": said} | _refer("column") for name, said in TABLE_COLUMNS[kind].items()}
         about = _refer("table")
     named = {"type": "object", "properties": columns, "additionalProperties": False}
-    return {"if": is_kind, "then": {"properties": {"columns": named, "recording": about}}}
+    others: dict[str, Any] = {} if kind == LIFETIMES else {COVARIATES: False}
+    return {"if": is_kind, "then": {"properties": {"columns": named, "recording": about, **others}}}
 
 
 def _refer(name: str) -> dict[str, Any]:

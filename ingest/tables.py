@@ -26,6 +26,7 @@ from ingest.columns import ColumnFile
 from ingest.lives import read_failure_modes, read_lives
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import TAN_DELTA
+from ingest.own_covariates import read_covariates
 from ingest.table_rows import TableRows, cell_text, ordered, standard_error, stiffness_scale
 from schemas.arrays import Complex, Float
 from schemas.assumptions import Assumption
@@ -107,11 +108,12 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
     modes = read_failure_modes(table)
     conditions = {
         "temperature": table.numbers_or("temperature", "degC", metadata.temperature_c, count),
-        "humidity": table.numbers_or("humidity", "1", None, count),
+        "humidity": table.numbers_or("humidity", "1", metadata.humidity, count),
         "frequency": table.numbers_or("frequency", "Hz", None, count),
     }
     _check_conditions(table, conditions)
-    electrodes, batches = (table.texts_or(name, None, count) for name in ("electrode", "batch"))
+    electrodes, batches = (table.texts_or(name, getattr(metadata, name), count) for name in ("electrode", "batch"))
+    covariates = read_covariates(table)
     rows = []
     for i in range(count):
         if math.isnan(lives.life_s[i]):
@@ -141,6 +143,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
                 frequency_hz=_number_or_none(conditions["frequency"][i]),
                 electrode=electrodes[i],
                 batch=batches[i],
+                covariates=covariates[i],
             )
             for specimen in (name if copies[i] == 1 else f"{name}-{k}" for k in range(1, copies[i] + 1))
         ]

@@ -11,6 +11,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from schemas.life_covariates import OwnCovariate
+
 END_OF_TEST = "end of test"
 SWITCHED_OFF = "switched off"
 END_OF_RECORD = "end of record"
@@ -65,7 +67,7 @@ class LifetimeRow:
     right-censored. `entered_s` is the age at which the specimen came under watch where that is not 0: one that had
     failed before would not be in the table. `failure_mode` is one of `FAILURE_MODES`, `written_mode` what the table
     says. `temperature_c`, `humidity` (0 to 1), `frequency_hz` (of an alternating voltage), `electrode` and `batch` are
-    what the life may depend on beside the voltage.
+    what the life may depend on beside the voltage, `covariates` what else the laboratory says it may depend on.
     """
 
     specimen_id: str
@@ -99,6 +101,7 @@ class LifetimeRow:
     frequency_hz: float | None = None
     electrode: str | None = None
     batch: str | None = None
+    covariates: tuple[OwnCovariate, ...] = ()
 
     @property
     def undecided(self) -> bool:
@@ -109,6 +112,13 @@ class LifetimeRow:
     def mode(self) -> str | None:
         """The mode of a failure: as the table says, else that of the failure site; None where neither tells it."""
         return (self.failure_mode or _MODE_OF_SITE.get(self.failure_site or "")) if self.failed else None
+
+    def condition(self, name: str) -> float | str | None:
+        """What the life may depend on, by its name: a member of its own, or one of the laboratory's covariates."""
+        if name in self.__dataclass_fields__:
+            found: float | str | None = getattr(self, name)
+            return found
+        return next((one.value for one in self.covariates if one.name == name), None)
 
     @property
     def lower_s(self) -> float:

@@ -117,6 +117,16 @@ def _parsed_time(text: str) -> datetime:
         raise ValueError("an ISO 8601 time with zone, such as 2026-03-01T14:05:00+01:00") from None
 
 
+def _share(value: Any) -> float:
+    """From 0 to 1; what is above 1 or has a percent sign is percent."""
+    text = str(value).strip()
+    number = _number(text.removesuffix("%").strip())
+    share = number / 100 if text.endswith("%") or number > 1 else number
+    if not 0 <= share <= 1:
+        raise ValueError("a number from 0 to 1, or from 0 to 100 %")
+    return share
+
+
 def _choice(*allowed: str) -> Callable[[Any], str]:
     def check(value: Any) -> str:
         text = _text(value).strip()
@@ -221,7 +231,12 @@ class RecordingMetadata:
         "distance that separate electrodes keep from the axes of the rods; absent: one electrode over all of the film",
     )
     coats: int | None = _key(_count, "coats of electrode so far")
-    temperature_c: float | None = _key(_temperature, "temperature of a table's rows, °C, where no column says it")
+    temperature_c: float | None = _key(
+        _temperature, "temperature of the test, or of a table's rows, °C, where no column says it"
+    )
+    humidity: float | None = _key(_share, "relative humidity of the test: 0 to 1, or percent above 1")
+    electrode: str | None = _key(_text, "material of the electrode")
+    batch: str | None = _key(_text, "batch of film, or of specimens")
     reference_temperature_c: float | None = _key(
         _temperature, "where a master curve of several temperatures stands, °C; absent: at the one nearest to 23 °C"
     )
@@ -304,6 +319,9 @@ class TableMetadata:
     failure_site: str | None = _key(_choice("rod", "lead", "active", "edge", "none", "unknown"))
     failure_region: str | None = _key(_choice("left", "centre", "right"))
     temperature_c: float | None = _key(_temperature)
+    humidity: float | None = _key(_share)
+    electrode: str | None = _key(_text)
+    batch: str | None = _key(_text)
     reference_temperature_c: float | None = _key(_temperature)
     vertical_shift: str | None = _key(_choice("none", "free"))
     extra: Mapping[str, str] = field(default_factory=dict)

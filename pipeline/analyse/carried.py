@@ -27,6 +27,7 @@ from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.step import StepAnalysis, StepResponse
 from pipeline.transform.step_levels import SlowChange
+from schemas.life_covariates import OwnCovariate
 from schemas.lifetimes import LifetimeRow
 from schemas.tables import TABLES
 
@@ -120,6 +121,7 @@ KINDS: tuple[type, ...] = (
     Coat,
     LoopResponse,
     LifetimeRow,
+    OwnCovariate,
     Lifetime,
     TapCalibration,
     WeightCalibration,

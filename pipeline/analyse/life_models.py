@@ -93,6 +93,7 @@ def _coefficients(one: CampaignLives) -> list[dict[str, Any]]:
             "family": model.regression.family,
             "stress_law": model.stress_law or None,
             "coefficient": found.name,
+            **_kind_of(one, found.name, model.stress_law),
             **_bounded("value", found.value),
             "standard_error": found.standard_error,
             "p_value": found.p_value,
@@ -131,6 +132,15 @@ def _coefficients(one: CampaignLives) -> list[dict[str, Any]]:
     return rows
 
 
+def _kind_of(one: CampaignLives, coefficient: str, stress_law: str) -> dict[str, Any]:
+    """Law and unit of the covariate that a coefficient is of, the voltage by the law of its model."""
+    for covariate in one.covariates:
+        if coefficient == covariate.name or (covariate.is_category and coefficient.startswith(f"{covariate.name}: ")):
+            law = stress_law if covariate.name == "voltage_kv" else covariate.law
+            return {"law": law, "unit": covariate.unit or None}
+    return {}
+
+
 def _factor(one: CampaignLives, coefficient: str, value: Estimate) -> dict[str, Any]:
     """The effect of a coefficient over the contrast of its covariate, as a factor."""
     for contrast in one.contrasts:
@@ -161,6 +171,8 @@ def _groups(one: CampaignLives) -> list[dict[str, Any]]:
                 "stress": point and point.stress,
                 "stress_value": point and point.value,
                 "life_s": point and point.life_s,
+                "category": point and point.category,
+                "line_life_s": point and point.line_life_s,
             }
         )
     return rows
@@ -172,6 +184,8 @@ def _lines(one: CampaignLives) -> list[dict[str, Any]]:
             "campaign": one.campaign,
             "category": point.group,
             "stress": point.stress,
+            "stress_law": point.stress_law,
+            "stress_unit": point.stress_unit or None,
             "stress_value": point.value,
             **_bounded("life_s", point.life_s),
             "extrapolated": point.is_extrapolated,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,8 @@ from pipeline.transform.respond import respond
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
 from pipeline.transform.step import StepAnalysis, measure_steps
 from schemas.errors import NotIdentifiableError
+from schemas.life_covariates import as_json
+from schemas.lifetimes import LifetimeRow
 from schemas.metadata import RecordingMetadata
 from schemas.protocols import CALIBRATION, ELECTRICAL, MECHANICAL, OTHER
 from schemas.recording import Recording
@@ -137,7 +140,7 @@ def analyse_table(table: LifetimeTable | ResponseTable | RelaxationTable) -> Ana
     analysis = Analysis()
     if isinstance(table, LifetimeTable):
         analysis.carry(*table.rows)
-        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects(table.rows, failure_mode=lambda life: life.mode)})
+        analysis.add({"lifetimes": lifetimes_table(table.rows)})
     elif isinstance(table, RelaxationTable):
         curve = relaxation_of(table)
         analysis.carry(curve)
@@ -190,11 +193,18 @@ def calibration_table(recording_id: str, found: Calibration) -> pa.Table:
     )
 
 
+def lifetimes_table(lives: Sequence[LifetimeRow]) -> pa.Table:
+    """Rows of `lifetimes`."""
+    return TABLES["lifetimes"].from_objects(
+        lives, failure_mode=lambda life: life.mode, covariates=lambda life: as_json(life.covariates)
+    )
+
+
 def _life(analysis: Analysis, recording: Recording) -> None:
     life = analysis.attempt("breakdown", detect_breakdown, recording)
     if life is not None:
         analysis.carry(life)
-        analysis.add({"lifetimes": TABLES["lifetimes"].from_objects([life], failure_mode=life.mode)})
+        analysis.add({"lifetimes": lifetimes_table([life])})
         if life.contradiction:
             analysis.problems.append(f"breakdown: {life.contradiction}")
         if life.undecided:

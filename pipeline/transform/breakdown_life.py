@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pipeline.transform.breakdown_falls import FAST_S
 from pipeline.transform.breakdown_model import FAILED, posterior
 from pipeline.transform.breakdown_signal import Trace
+from schemas.life_covariates import from_metadata
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import RecordingMetadata
 
@@ -130,6 +131,12 @@ def lifetime(
         evidence=verdict.evidence,
         contradiction="; ".join(contradictions) or None,
         warnings=tuple(dict.fromkeys(notes)),
+        temperature_c=metadata.temperature_c,
+        humidity=metadata.humidity,
+        frequency_hz=metadata.frequency_hz,
+        electrode=metadata.electrode,
+        batch=metadata.batch,
+        covariates=from_metadata(metadata.extra, where=metadata.recording_id),
         start_s=start_s,
         end_s=end_s,
         confirmed_by=confirmed,

@@ -47,7 +47,10 @@ def against_stress(lines: Sequence[StressLine], title: str, unit: str, *, log: b
         if side.size:
             low, high = (side.min(), _next(every, side.max())) if side[0] < every.max() else (side.min(), side.max())
             panel.column(float(low), float(high))
-            note(drawing, float(panel.px(low)) + 5, panel.top + 12, "not tested:\nextrapolated")
+            # In the corner that lines leave free: below them where lives become shorter along the axis.
+            is_falling = lines[0].life[0] > lines[0].life[-1]
+            y_of_note = panel.bottom - 20 if is_falling == (side[0] < np.min(every[_inside(lines)])) else panel.top + 12
+            note(drawing, float(panel.px(low)) + 5, y_of_note, "not tested:\nextrapolated")
     entries = []
     for line in lines:
         panel.band(line.stress, line.lower, line.upper, line.drawn.colour, ".13")
@@ -90,7 +93,7 @@ def forest(rows: Sequence[Effect], *, alt: str) -> Drawing:
     height = 2 * _ROW * len(rows)
     drawing = Drawing(WIDE, 84 + height)
     ends = [v for r in rows for v in (r.low, r.high, 1.0, *(r.by_cox[1:] if r.by_cox else ())) if 1e-9 < v < 1e9]
-    panel = Panel(drawing, 150, 26, 210, height, logarithmic(ends, margin=0.06), Scale(len(rows) - 0.5, -0.5))
+    panel = Panel(drawing, 176, 26, 190, height, logarithmic(ends, margin=0.06), Scale(len(rows) - 0.5, -0.5))
     one = float(panel.px(1.0))
     drawing.line([(one, panel.top), (one, panel.bottom)], RULE, 1.0)
     panel.axes("", "Life multiplied by", y_ticks=[], x_most=5)
@@ -98,8 +101,8 @@ def forest(rows: Sequence[Effect], *, alt: str) -> Drawing:
         y = float(panel.py(i - 0.1 if row.by_cox else i))
         _bar(panel, y, row.low, row.high, row.factor, INK)
         label_y = float(panel.py(i))
-        drawing.write(panel.left - 10, label_y - 3, short(row.label, 24), size=11.3, anchor="end", bold=True)
-        note(drawing, panel.left - 10, label_y + 11, short(row.contrast, 26), anchor="end")
+        drawing.write(panel.left - 10, label_y - 3, short(row.label, 22), size=11.3, anchor="end", bold=True)
+        note(drawing, panel.left - 10, label_y + 11, short(row.contrast, 28), anchor="end")
         drawing.write(panel.right + 12, label_y + 4, f"× {row.factor:.3g}", size=11.3)
         if row.by_cox:
             _bar(panel, float(panel.py(i + 0.22)), *row.by_cox[1:], row.by_cox[0], MODEL, open_=True)

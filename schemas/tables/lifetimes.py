@@ -62,6 +62,10 @@ TABLES: tuple[Table, ...] = (
             real("frequency_hz", "Hz", "frequency of an alternating voltage; NULL for a constant one"),
             text("electrode", "material of the electrode"),
             text("batch", "the batch of film, or of specimens"),
+            text(
+                "covariates",
+                "what else the laboratory says the life may depend on, JSON: name and value; NULL: nothing",
+            ),
         ),
         key=("configuration", "voltage_kv", "lifetime_s", "specimen_id", "recording_id"),
         made_by=(MadeBy("recording"),),
@@ -303,6 +307,8 @@ TABLES: tuple[Table, ...] = (
             ),
             real("standard_error", "as value", "its standard error"),
             real("p_value", "", "that the covariate has no effect: likelihood ratio, of Cox's model Wald's"),
+            text("law", "of the covariate: inverse power, exponential, arrhenius or category; NULL of the intercept"),
+            text("unit", "of the covariate; NULL where it has none"),
             text("contrast", "what factor is over, such as 6 kV over 4 kV; NULL for models that were not chosen"),
             *with_bounds(
                 "factor", "", "how many times as long lives are over the contrast; of Cox's model the ratio of hazards"
@@ -326,6 +332,8 @@ TABLES: tuple[Table, ...] = (
             text("stress", "the stress that the line of life is drawn over"),
             real("stress_value", "see stress", "its value in the group"),
             real("life_s", "s", "median life of the group by its own location"),
+            text("category", "as in life_lines"),
+            real("line_life_s", "s", "that life, moved to the conditions of its line of life_lines by the regression"),
         ),
         key=("campaign", "conditions"),
         made_by=(MadeBy("group", group="survival"),),
@@ -338,6 +346,8 @@ TABLES: tuple[Table, ...] = (
             CAMPAIGN,
             text("category", "configuration or electrode; empty where none was varied"),
             text("stress", "the stress"),
+            text("stress_law", "its law: inverse power, exponential or arrhenius"),
+            text("stress_unit", "the unit of its values; NULL where they have none"),
             real("stress_value", "see stress", "its value"),
             *with_bounds("life_s", "s", "median life"),
             truth("extrapolated", "outside of the stresses that were tested"),

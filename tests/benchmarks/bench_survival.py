@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.fit.survival.covariates import CATEGORY, EXPONENTIAL_LAW, Covariate, make_design
+from pipeline.fit.survival.covariates import Covariate, make_design
 from pipeline.fit.survival.cox_regression import fit_cox
 from pipeline.fit.survival.kaplan_meier import kaplan_meier
 from pipeline.fit.survival.life_regression import FAMILIES, fit_life_regression
 from pipeline.fit.survival.lifetime_distributions import WEIBULL, Lives, fit_distribution
 from pipeline.fit.survival.tests import permutation_test
 from pipeline.transform.breakdown import detect_breakdown
+from schemas.life_covariates import CATEGORY, EXPONENTIAL_LAW
 from tests.helpers.breakdown_circuits import simulate
 from tests.helpers.drawn_lives import KINDS, draw_regression, draw_samples
 

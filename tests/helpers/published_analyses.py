@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from pipeline.fit.survival.batch_scatter import BatchScatter, fit_batch_scatter
-from pipeline.fit.survival.covariates import ARRHENIUS, EXPONENTIAL_LAW, INVERSE_POWER, Covariate, make_design
+from pipeline.fit.survival.covariates import Covariate, make_design
 from pipeline.fit.survival.cox_regression import EFRON, EXACT, CoxRegression, fit_cox
 from pipeline.fit.survival.kaplan_meier import kaplan_meier
 from pipeline.fit.survival.life_regression import LifeRegression, fit_life_regression
@@ -23,6 +23,7 @@ from pipeline.fit.survival.profile_likelihood import LARGE_SAMPLE_DROP
 from pipeline.fit.survival.proportional_hazards import ALL_COVARIATES, check_proportional_hazards
 from pipeline.fit.survival.tests import rank_test
 from pipeline.fit.survival.turnbull import estimate_turnbull
+from schemas.life_covariates import ARRHENIUS, EXPONENTIAL_LAW, INVERSE_POWER
 from tests.helpers.published_lives import (
     BALL_BEARINGS,
     DEVICE_A,

@@ -9,10 +9,11 @@ import pytest
 from scipy import integrate
 
 from pipeline.fit.survival.batch_scatter import BatchScatter, fit_batch_scatter
-from pipeline.fit.survival.covariates import CATEGORY, INVERSE_POWER, Covariate
+from pipeline.fit.survival.covariates import Covariate
 from pipeline.fit.survival.lifetime_distributions import Lives
 from pipeline.fit.survival.profile_likelihood import LARGE_SAMPLE_DROP
 from schemas.errors import DealabError
+from schemas.life_covariates import CATEGORY, INVERSE_POWER
 from tests.helpers.published_lives import DYESTUFF
 
 pytestmark = pytest.mark.quick

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.fit.survival.covariates import INVERSE_POWER, Covariate
+from pipeline.fit.survival.covariates import Covariate
 from pipeline.fit.survival.endurance_limit import EnduranceLimit, find_endurance_limit
 from pipeline.fit.survival.lifetime_distributions import Lives
 from schemas.errors import DealabError
+from schemas.life_covariates import INVERSE_POWER
 from tests.helpers.published_lives import INSULATING_FLUID
 
 pytestmark = pytest.mark.quick

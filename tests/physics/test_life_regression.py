@@ -11,19 +11,14 @@ import pytest
 from pipeline.analyse.survival import analyse_survival
 from pipeline.fit.survival import life_regression
 from pipeline.fit.survival.cause_regression import fit_cause_regression, fit_fine_gray
-from pipeline.fit.survival.covariates import (
-    CATEGORY,
-    EXPONENTIAL_LAW,
-    INVERSE_POWER,
-    Covariate,
-    make_design,
-)
+from pipeline.fit.survival.covariates import Covariate, make_design
 from pipeline.fit.survival.cox_regression import EFRON, EXACT, fit_cox
 from pipeline.fit.survival.error_distributions import log_gamma
 from pipeline.fit.survival.life_regression import FAMILIES, LifeRegression, fit_life_regression
 from pipeline.fit.survival.lifetime_distributions import Lives, estimate_quantiles, fit_distribution
 from pipeline.fit.survival.log_location_scale import NORMAL
 from schemas.errors import DealabError
+from schemas.life_covariates import CATEGORY, EXPONENTIAL_LAW, INVERSE_POWER
 from schemas.lifetimes import LifetimeRow
 from tests.helpers.published_lives import (
     BALL_BEARINGS,
@@ -360,6 +355,25 @@ def test_many_small_batches_are_a_random_effect() -> None:
     assert not any("without exponential" in text or "without weibull" in text for text in tests)
     random = [row for row in tables["life_coefficients"].to_pylist() if row["family"] == "batches at random"]
     assert {row["coefficient"] for row in random} == {"intercept", "voltage_kv", "electrode: silver"}
+
+
+def test_groups_of_few_failures_are_not_said_to_be_off_a_law_that_they_follow() -> None:
+    rng = np.random.default_rng(4)
+    group = np.repeat(np.arange(10), 3)
+    voltage = 4 + 0.2 * group
+    off = tested = 0
+    for _ in range(60):
+        life = np.exp(18 - 6 * np.log(voltage) + 0.6 * np.log(rng.exponential(size=30)))
+        covariates = [Covariate("voltage", INVERSE_POWER, voltage)]
+        fit = fit_life_regression(Lives(life, life), covariates, "weibull", groups=[str(g) for g in group])
+        (test,) = [t for t in fit.tests if t.against == "location per group"]
+        tested += 1
+        off += test.p_value < 0.05
+    assert tested == 60
+    assert off <= 8  # 3 are due; the χ² distribution of many lives says it of 13
+
+    alone = fit_life_regression(Lives(life, life), covariates, "weibull", groups=[f"g{k}" for k in range(30)])
+    assert "location per group" not in {t.against for t in alone.tests}  # no scatter would be left to judge by
 
 
 def life(name: str, lifetime_s: float, **more: Any) -> LifetimeRow:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.fit.survival.covariates import CATEGORY, EXPONENTIAL_LAW, Covariate, make_design
+from pipeline.fit.survival.covariates import Covariate, make_design
 from pipeline.fit.survival.cox_regression import fit_cox
 from pipeline.fit.survival.lifetime_distributions import Lives
 from pipeline.fit.survival.proportional_hazards import ALL_COVARIATES, ProportionalityTest, check_proportional_hazards
+from schemas.life_covariates import CATEGORY, EXPONENTIAL_LAW
 from tests.helpers.published_lives import OVARIAN
 
 pytestmark = pytest.mark.quick

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from pipeline.cli import main
-from pipeline.fit.survival.covariates import INVERSE_POWER, Covariate
+from pipeline.fit.survival.covariates import Covariate
 from pipeline.fit.survival.lifetime_distributions import Lives
 from pipeline.fit.survival.resampling import CORRECTED, PIVOTS, simulate_limits
 from schemas.errors import DealabError
+from schemas.life_covariates import INVERSE_POWER
 from schemas.lifetimes import LifetimeRow
 
 pytestmark = pytest.mark.quick

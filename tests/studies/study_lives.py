@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.fit.survival.batch_scatter import fit_batch_scatter
-from pipeline.fit.survival.covariates import CATEGORY, INVERSE_POWER, Covariate, make_design
+from pipeline.fit.survival.covariates import Covariate, make_design
 from pipeline.fit.survival.cox_regression import fit_cox
 from pipeline.fit.survival.endurance_limit import find_endurance_limit
 from pipeline.fit.survival.error_distributions import LOGISTIC, log_gamma
@@ -43,6 +43,7 @@ from pipeline.fit.survival.log_location_scale import (
 from pipeline.fit.survival.resampling import CORRECTED, PIVOTS, simulate_limits
 from schemas.arrays import Float
 from schemas.errors import DealabError
+from schemas.life_covariates import CATEGORY, INVERSE_POWER
 
 VOLTAGES_KV, USE_KV = (4.0, 5.0, 6.0), 3.0
 INTERCEPT, EXPONENT, SIGMA, SHAPE = 18.0, -6.0, 0.6, 0.5

@@ -9,6 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from ingest.mapping_keys import (
     COLUMN,
+    COVARIATE,
+    COVARIATES,
     FORMATS,
     KINDS,
     OPTIONS,
@@ -78,6 +80,7 @@ def mapping_keys() -> str:
         rows += _rows(keys, name)
     rows += _rows(COLUMN, "columns.<quantity>")
     rows += _rows({name: key for name, key in TABLE_COLUMN.items() if name not in COLUMN}, "columns.<name>")
+    rows += _rows(COVARIATE, f"{COVARIATES}.<name>")
     rows += _rows(SELECT, "select")
     of_tables = (
         [f"`{kind}`", f"`{name}`", meaning] for kind, names in TABLE_COLUMNS.items() for name, meaning in names.items()

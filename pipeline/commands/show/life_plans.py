@@ -90,7 +90,7 @@ def plan_lifetimes(asked: Asked, lab: Lab | None, *, as_json: bool) -> str:
 def read_lives(lab: Lab) -> list[LifetimeRow]:
     """All lives of the lab's database."""
     lab.require_database()
-    names = set(LifetimeRow.__dataclass_fields__) - {"warnings", "staircase"}
+    names = set(LifetimeRow.__dataclass_fields__) - {"warnings", "staircase", "covariates"}
     with Reader(lab.database) as reader:
         rows = reader.rows("lifetimes")
     return [

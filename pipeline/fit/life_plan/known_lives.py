@@ -10,12 +10,13 @@ import numpy as np
 
 from pipeline.fit.life_plan.assumptions import ERRORS, LifeAssumptions, assume_as_fitted, doubt
 from pipeline.fit.life_plan.designs import Known, LifePlan, Planner, Rig
-from pipeline.fit.survival.covariates import INVERSE_POWER, Covariate
+from pipeline.fit.survival.covariates import Covariate
 from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.life_regression import LifeRegression, fit_life_regression
 from pipeline.fit.survival.lifetime_distributions import LOG_NORMAL, WEIBULL, Lives
 from schemas.arrays import Float
 from schemas.errors import DealabError, NotIdentifiableError
+from schemas.life_covariates import INVERSE_POWER
 from schemas.lifetimes import LifetimeRow
 from schemas.numbers import significant
 

@@ -13,11 +13,10 @@ import numpy as np
 
 from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError, RefusedError
+from schemas.life_covariates import ARRHENIUS, CATEGORY, EXPONENTIAL_LAW, INVERSE_POWER
 
 BOLTZMANN_EV_PER_K = 8.617333262e-5
 _ZERO_CELSIUS_K = 273.15
-
-INVERSE_POWER, EXPONENTIAL_LAW, ARRHENIUS, CATEGORY = "inverse power", "exponential", "arrhenius", "category"
 
 
 @dataclass(frozen=True)

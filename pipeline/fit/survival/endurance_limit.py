@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, special
 
-from pipeline.fit.survival.covariates import INVERSE_POWER, Covariate, make_design
+from pipeline.fit.survival.covariates import Covariate, make_design
 from pipeline.fit.survival.kaplan_meier import Estimate
 from pipeline.fit.survival.life_regression import GENERALISED_GAMMA, limit_drop, log_likelihood_of
 from pipeline.fit.survival.lifetime_distributions import EXPONENTIAL, Lives
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
+from schemas.life_covariates import INVERSE_POWER
 
 _FEWEST_STRESSES = 3
 _POINTS = 33

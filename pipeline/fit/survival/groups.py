@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.fit.survival.comparisons import NO_TEST, Comparison, compare, corrected
 from pipeline.fit.survival.competing_causes import CompetingCauses, aalen_johansen
 from pipeline.fit.survival.kaplan_meier import UNKNOWN, Estimate, KaplanMeier, kaplan_meier
-from pipeline.fit.survival.life_models import CONDITIONS, CampaignLives, fit_life_models
+from pipeline.fit.survival.life_models import CampaignLives, fit_life_models, name_conditions
 from pipeline.fit.survival.lifetime_distributions import (
     DISTRIBUTIONS,
     EXPONENTIAL,
@@ -161,7 +161,7 @@ def survival_group(lifetimes: Sequence[LifetimeRow]) -> SurvivalResults:
 
 def _varied(row: LifetimeRow, other: LifetimeRow) -> bool:
     """Whether two lives differ in anything that a life may depend on."""
-    return any(getattr(row, name) != getattr(other, name) for name in CONDITIONS)
+    return any(row.condition(name) != other.condition(name) for name in name_conditions((row, other)))
 
 
 def usable_lives(lifetimes: Sequence[LifetimeRow]) -> list[LifetimeRow]:

@@ -15,15 +15,7 @@ import numpy as np
 
 from pipeline.fit.survival.batch_scatter import BatchScatter, fit_batch_scatter
 from pipeline.fit.survival.cause_regression import CauseRegression, fit_cause_regression
-from pipeline.fit.survival.covariates import (
-    ARRHENIUS,
-    CATEGORY,
-    EXPONENTIAL_LAW,
-    INVERSE_POWER,
-    LAWS,
-    Covariate,
-    make_design,
-)
+from pipeline.fit.survival.covariates import LAWS, Covariate, make_design
 from pipeline.fit.survival.cox_regression import CoxRegression, fit_cox
 from pipeline.fit.survival.endurance_limit import EnduranceLimit, find_endurance_limit
 from pipeline.fit.survival.kaplan_meier import Estimate
@@ -31,9 +23,10 @@ from pipeline.fit.survival.life_regression import FAMILIES, GENERALISED_GAMMA, L
 from pipeline.fit.survival.lifetime_distributions import WEIBULL, Lives
 from pipeline.fit.survival.proportional_hazards import ProportionalityTest, check_proportional_hazards
 from schemas.arrays import Float
-from schemas.errors import DealabError, NotIdentifiableError
+from schemas.errors import DealabError, NotIdentifiableError, RefusedError
+from schemas.life_covariates import ARRHENIUS, CATEGORY, EXPONENTIAL_LAW, INVERSE_POWER
 from schemas.lifetimes import LifetimeRow
-from schemas.numbers import compact, with_unit
+from schemas.numbers import compact, joined, with_unit
 
 NO_FAMILY = "none"
 _STRESSES = (
@@ -45,7 +38,7 @@ _STRESSES = (
 """Humidity by a power law is Peck's, in ln of the relative humidity."""
 _CATEGORIES = ("configuration", "electrode", "batch")
 """A batch is also looked at as a random effect, which many batches of few specimens can carry."""
-CONDITIONS = (*(name for name, *_ in _STRESSES), *_CATEGORIES)
+_CONDITIONS = (*(name for name, *_ in _STRESSES), *_CATEGORIES)
 _BATCH = "batch"
 _PER_COLUMN = 2
 """Distinct failures that a column of the design needs: with fewer, profiles of all coefficients are open."""
@@ -74,16 +67,23 @@ class LifePoint:
     value: float
     life_s: Estimate
     is_extrapolated: bool
+    stress_law: str
+    stress_unit: str
 
 
 @dataclass(frozen=True)
 class GroupPoint:
-    """Where a group of specimens stands against the chosen model: its stress, and its own median life in s."""
+    """Where a group of specimens stands against the chosen model: its stress, and its own median life in s.
+
+    `line_life_s` is that life moved to where the line of its `category` is drawn, with all other covariates at their mean.
+    """
 
     group: str
     stress: str
     value: float
     life_s: float
+    category: str
+    line_life_s: float
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class _Campaign:
     refused: list[str] = field(default_factory=list)
 
     def fit(self) -> CampaignLives | None:
-        varied = [name for name in CONDITIONS if self._values(name) > 1]
+        varied = [name for name in name_conditions(self.rows) if self._values(name) > 1]
         if not varied:
             return None
         for name in varied:
@@ -214,22 +214,20 @@ class _Campaign:
         return CampaignLives(self.name, tuple(self.rows), (), None, (), (), (), tuple(self.refused), batches=batches)
 
     def _values(self, name: str) -> int:
-        return len({getattr(row, name) for row in self.rows} - {None})
+        return len({row.condition(name) for row in self.rows} - {None})
 
     def _keep_those_with(self, name: str) -> None:
-        without = [row for row in self.rows if getattr(row, name) is None]
+        without = [row for row in self.rows if row.condition(name) is None]
         if without:
-            self.rows = [row for row in self.rows if getattr(row, name) is not None]
+            self.rows = [row for row in self.rows if row.condition(name) is not None]
             self.refused.append(f"{len(without)} lives have no {name}: left out of the regression")
 
     def _informative(self, varied: Sequence[str], failed: np.ndarray, distinct: int) -> list[Covariate]:
         """The covariates that the lives tell something about; the reasons of the others are kept."""
         kept: list[Covariate] = []
         for name in varied:
-            law, unit = next(((law, unit) for n, law, unit in _STRESSES if n == name), (CATEGORY, ""))
-            values = [getattr(row, name) for row in self.rows]
-            one = Covariate(name, law, values if law == CATEGORY else np.array(values, dtype=float), unit)
             try:
+                one = _covariate(name, self.rows)
                 design = make_design([*kept, one], failed)
                 if distinct < _PER_COLUMN * design.x.shape[1] + 2:
                     raise NotIdentifiableError(f"{distinct} distinct failures do not carry {design.x.shape[1]} effects")
@@ -322,6 +320,31 @@ def _best_without_shape(models: Sequence[LifeModel]) -> str | None:
     return min(able, key=lambda fit: fit.aic).family if able else None
 
 
+def name_conditions(rows: Sequence[LifetimeRow]) -> tuple[str, ...]:
+    """Everything that the lives may depend on: what every life has a place for, and the laboratory's own covariates."""
+    own = {one.name for row in rows for one in row.covariates}
+    return (*_CONDITIONS, *sorted(own - set(LifetimeRow.__dataclass_fields__)))
+
+
+def _covariate(name: str, rows: Sequence[LifetimeRow]) -> Covariate:
+    """A condition of lives that all have it.
+
+    Raises
+    ------
+    RefusedError
+        The tables and recordings of the campaign give a covariate of the laboratory's own in different ways.
+    """
+    law, unit = next(((law, unit) for n, law, unit in _STRESSES if n == name), (CATEGORY, ""))
+    if name not in _CONDITIONS:
+        given = sorted({(one.law, one.unit) for row in rows for one in row.covariates if one.name == name})
+        if len(given) > 1:
+            ways = joined([f"{law} in {unit}" if unit else f"{law} without a unit" for law, unit in given])
+            raise RefusedError(f"it is given in different ways ({ways})", expected="one law and one unit")
+        law, unit = given[0]
+    values = [row.condition(name) for row in rows]
+    return Covariate(name, law, list(map(str, values)) if law == CATEGORY else np.array(values, dtype=float), unit)
+
+
 def _limits(rows: Sequence[LifetimeRow]) -> Lives:
     """What is known of the lives; a failure at 0 s came before the shortest life above 0."""
     shortest = min(row.lifetime_s for row in rows if row.lifetime_s > 0)
@@ -339,6 +362,7 @@ def _describe_conditions(row: LifetimeRow) -> str:
     for name, _, unit in _STRESSES:
         value = getattr(row, name)
         shown += [] if value is None else [f"{value:g} {unit or name}"]
+    shown += [one.words for one in row.covariates]
     return ", ".join(shown)
 
 
@@ -374,21 +398,36 @@ def _stress_lines(
     is_ratio = LAWS[stress.law].above == 0.0 or stress.name == "voltage_kv"
     spread: Callable[..., Float] = np.geomspace if is_ratio else np.linspace
     below = _BELOW * low if is_ratio else low - _BEYOND * (high - low)
+    if low >= 0 and stress.law == EXPONENTIAL_LAW:  # of what is never negative, such as a time or a count
+        below = max(below, 0.0)
     reach = np.concatenate((spread(below, low, _POINTS)[:-1], spread(low, high, 2 * _POINTS)))
     points: list[LifePoint] = []
-    for level in category.levels if category else ("",):
+
+    def on_line(level: str) -> Float:
+        """Conditions of the line of a category."""
         x = design.x.mean(axis=0)
         for i, name in enumerate(design.names):
             if category and design.owners[i] == category.name:
                 x[i] = float(name == f"{category.name}: {level}")
+        return np.asarray(x)
+
+    for level in category.levels if category else ("",):
+        x = on_line(level)
         for value, entered in zip(reach, LAWS[stress.law].transform(reach), strict=True):
             x[column] = entered
             outside = not low * (1 - 1e-9) <= value <= high * (1 + 1e-9)
-            points.append(LifePoint(level, stress.name, float(value), fit.life_at(x), outside))
+            life = fit.life_at(x)
+            points.append(LifePoint(level, stress.name, float(value), life, outside, stress.law, stress.unit))
     names = np.array(groups)
     found = []
     for group in fit.groups:
         first = int(np.argmax(names == group.name))
         median = fit.life_at(design.x[first]).value
-        found.append(GroupPoint(group.name, stress.name, float(own[first]), median * group.factor))
+        level = str(category.values[first]) if category else ""
+        x = on_line(level)
+        x[column] = design.x[first, column]
+        moved = fit.life_at(x).value
+        found.append(
+            GroupPoint(group.name, stress.name, float(own[first]), median * group.factor, level, moved * group.factor)
+        )
     return tuple(points), tuple(found)

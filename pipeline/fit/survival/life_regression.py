@@ -7,7 +7,7 @@ What enters the design is in `covariates`, the solver in `log_location_scale`, C
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, special
@@ -29,6 +29,7 @@ from pipeline.fit.survival.profile_likelihood import (
     LARGE_SAMPLE_DROP,
     critical_deviations,
     critical_drop,
+    few_failures_p_value,
     profile_limits,
 )
 from schemas.arrays import Bool, Float
@@ -58,6 +59,8 @@ WIDE_INFORMATION = (
 )
 _FEW = 50
 """Failures below which that was seen: studies/results.md, 30 lives of which 21 failed."""
+_PER_GROUP = 2
+"""Failures per group of equal conditions below which locations of their own are no test."""
 _FAR = 60.0
 """A standardised coefficient beyond this, in units of the scatter, is on its way to infinity."""
 
@@ -451,7 +454,15 @@ class _Fitted:
         smaller = self.names.without(owner)
         lost = self.names.x.shape[1] - smaller.x.shape[1]
         value = _Model(self.model.lives, smaller.x, self.model.family).maximum().log_likelihood
-        return _ratio_test(owner, self.best.log_likelihood - value, lost)
+        return self._test_effect(owner, self.best.log_likelihood - value, lost, self.coefficients)
+
+    def _test_effect(self, against: str, gain: float, freedom: int, coefficients: int) -> RatioTest:
+        """A test of `freedom` coefficients of the larger model's `coefficients`, with the critical values of the intervals."""
+        failures = self.model.lives.failures
+        test = _ratio_test(against, gain, freedom)
+        if self.model.family == EXPONENTIAL or failures <= coefficients:
+            return test
+        return replace(test, p_value=few_failures_p_value(test.statistic, freedom, failures, coefficients))
 
     def test_families(self) -> list[RatioTest]:
         """Of the families within this one, whether they are enough."""
@@ -504,7 +515,8 @@ class _Fitted:
                 column = here.astype(np.float64)[:, None]
                 if np.linalg.matrix_rank(np.column_stack((model.design, column)), tol=1e-8) > self.coefficients:
                     own = _Model(model.lives, np.column_stack((model.x, column)), model.family).maximum()
-                    p_value = _ratio_test(name, own.log_likelihood - self.best.log_likelihood, 1).p_value
+                    gain = own.log_likelihood - self.best.log_likelihood
+                    p_value = self._test_effect(name, gain, 1, self.coefficients + 1).p_value
                     factor = float(np.exp(own.coefficients[-1]))
             found.append(
                 GroupFit(name, int(here.sum()), int(failed[here].sum()), float(residuals[here].sum()), factor, p_value)
@@ -512,14 +524,17 @@ class _Fitted:
         return tuple(found), self._test_locations(names, failing)
 
     def _test_locations(self, names: np.ndarray, failing: Sequence[str]) -> list[RatioTest]:
-        """A location for each group in place of the covariates; groups without a failure follow their own survivors."""
+        """A location for each group in place of the covariates; groups without a failure follow their own survivors.
+
+        There is none where hardly a group has two failures: locations of their own would leave no scatter to judge them by.
+        """
         freedom = len(failing) - self.coefficients
-        if freedom < 1:
+        if freedom < 1 or self.model.lives.failures < _PER_GROUP * len(failing):
             return []
         kept = np.isin(names, failing)
         columns = (names[kept, None] == np.array(failing[1:])[None, :]).astype(np.float64)
         free = _Model(self.model.lives.keep(kept), columns, self.model.family).maximum().log_likelihood
-        return [_ratio_test("location per group", free - self.best.log_likelihood, freedom)]
+        return [self._test_effect("location per group", free - self.best.log_likelihood, freedom, len(failing))]
 
     def intervals(self, p_values: dict[str, float]) -> tuple[tuple[Coefficient, ...], Estimate, Estimate | None, str]:
         """Coefficients, σ and shape with their limits, and where these come from."""

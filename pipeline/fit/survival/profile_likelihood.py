@@ -36,6 +36,17 @@ def critical_drop(failures: int, coefficients: int = 1) -> float:
     return failures * float(np.log1p(t**2 / freedom)) / 2
 
 
+def few_failures_p_value(statistic: float, freedom: int, failures: int, coefficients: int) -> float:
+    """p-value of a likelihood ratio for `failures` failures, as `critical_drop` for several coefficients at once.
+
+    F = (e^{Λ/r} − 1)(r − p)/ν of ν and r − p degrees of freedom with the ratio Λ, r failures, and p location `coefficients` of the
+    larger model of which the smaller lacks ν: exact for a normal linear model, χ² in the limit.
+    """
+    rest = failures - coefficients
+    ratio = float(np.expm1(min(statistic / failures, 600.0))) * rest / freedom
+    return float(special.fdtrc(freedom, rest, ratio))
+
+
 def critical_deviations(failures: int, coefficients: int = 1) -> float:
     """Standard deviations of the observed information on either side of a 95 % interval for `failures` failures.
 

@@ -16,7 +16,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from schemas.arrays import Float
+from schemas.arrays import Bool, Float
 from schemas.numbers import (
     ABSENT,
     bounds,
@@ -35,7 +35,7 @@ _SQL = {
 FROM life_regressions
 WHERE campaign = $campaign
 ORDER BY chosen DESC, aic, family, stress_law""",
-    "effects": """SELECT c.coefficient, c.contrast, c."value", c.value_lower, c.value_upper, c.factor, c.factor_lower, c.factor_upper,
+    "effects": """SELECT c.coefficient, c.law, c.unit, c.contrast, c."value", c.value_lower, c.value_upper, c.factor, c.factor_lower, c.factor_upper,
        c.p_value, x.factor AS hazard_ratio, x.factor_lower AS hazard_ratio_lower, x.factor_upper AS hazard_ratio_upper,
        x.p_value AS p_value_by_cox
 FROM life_coefficients c
@@ -44,11 +44,11 @@ JOIN life_regressions r ON r.chosen AND r.campaign = c.campaign AND r.family = c
 LEFT JOIN life_coefficients x ON x.family = 'cox' AND x.campaign = c.campaign AND x.coefficient = c.coefficient
 WHERE c.campaign = $campaign AND c.coefficient <> 'intercept'
 ORDER BY c.coefficient""",
-    "groups": """SELECT conditions, specimens, failures, expected_failures, factor, p_value, stress, stress_value, life_s
+    "groups": """SELECT conditions, specimens, failures, expected_failures, factor, p_value, stress, stress_value, life_s, category, line_life_s
 FROM life_group_fits
 WHERE campaign = $campaign
 ORDER BY conditions""",
-    "lines": """SELECT category, stress, stress_value, life_s, life_s_lower, life_s_upper, extrapolated
+    "lines": """SELECT category, stress, stress_law, stress_unit, stress_value, life_s, life_s_lower, life_s_upper, extrapolated
 FROM life_lines
 WHERE campaign = $campaign
 ORDER BY category, stress_value""",
@@ -82,11 +82,12 @@ _COVARIATES = {
 }
 """How covariates are called in text, and on an axis."""
 _MEANINGS = {
-    "slope": "The coefficient of voltage is the change of ln t per kV. ",
-    "exponent": "The coefficient of a stress is the exponent of its power law. ",
-    "energy": "The coefficient of temperature is the activation energy in eV. ",
+    "exponential": "The coefficient of {name} is the change of ln t per {unit}. ",
+    "inverse power": "The coefficient of {name} is the exponent of {its} power law. ",
+    "arrhenius": "The coefficient of {name} is the activation energy in eV. ",
+    "category": "",
 }
-_LINEAR = ("temperature_c",)
+"""What coefficients are, by the law of their covariates."""
 _MOST_STRIPS = 14
 
 
@@ -120,7 +121,9 @@ def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
         return Section("depends", "What the lives depend on", "What lives depend on", tuple(only))
     blocks: list[Block | Fold] = [_evidence(draft, found, unit), _checks(draft, found)]
     blocks.append(_coefficient_table(found, f"Not in the regression: {refused}." if refused else ""))
-    blocks.append(_group_table(found, unit))
+    groups = _group_table(found, unit)
+    many = len(groups.rows) > _MOST_STRIPS
+    blocks.append(Fold(f"Each of the {len(groups.rows)} groups against the regression", (groups,)) if many else groups)
     if found.rows["batches"]:
         blocks.append(_batch_table(found))
     if found.rows["modes"]:
@@ -179,30 +182,31 @@ def _stress_figure(draft: Draft, found: _Found, unit: tuple[float, str]) -> Figu
     if not rows or best is None:
         return None
     stress = rows[0]["stress"]
-    name, axis = _COVARIATES.get(stress, (stress, capital(stress)))
+    unit_of_stress = rows[0]["stress_unit"]
+    title = capital(stress) if unit_of_stress is None else f"{capital(stress)}, {visible(unit_of_stress)}"
+    name, axis = _COVARIATES.get(stress, (stress, title))
     categories = list(dict.fromkeys(r["category"] for r in rows))
     lines = []
     for i, category in enumerate(categories):
         own = [r for r in rows if r["category"] == category]
-        groups = [
-            g for g in found.rows["groups"] if g["life_s"] and (not category or category in g["conditions"].split(", "))
-        ]
+        groups = [g for g in found.rows["groups"] if g["line_life_s"] and (g["category"] or "") == (category or "")]
         lines.append(
             StressLine(
                 category or "", palette.group(i), _numbers(own, "stress_value"), unit[0] * _numbers(own, "life_s"),
                 unit[0] * _numbers(own, "life_s_lower"), unit[0] * _numbers(own, "life_s_upper"),
-                np.array([bool(r["extrapolated"]) for r in own]), _numbers(groups, "stress_value"), unit[0] * _numbers(groups, "life_s"),
+                np.array([bool(r["extrapolated"]) for r in own]), _numbers(groups, "stress_value"), unit[0] * _numbers(groups, "line_life_s"),
             )
         )  # fmt: skip
     tested = [r["stress_value"] for r in rows if not r["extrapolated"]]
     span = f"tested from {compact(min(tested))} to {compact(max(tested))}"
+    beside = {r["coefficient"].partition(":")[0] for r in found.effects} - {stress}
     others = (
-        " Other stresses at their mean."
-        if len({r["coefficient"].partition(":")[0] for r in found.effects} & set(_COVARIATES)) > 1
+        " All else at its mean, where the points are moved to by the regression."
+        if len(beside) > (len(categories) > 1)
         else ""
     )
     return Figure(
-        figures.against_stress(lines, axis, unit[1], log=stress not in _LINEAR, alt=f"Median life against {name}, {span}."),
+        figures.against_stress(lines, axis, unit[1], log=stress == "voltage_kv" or rows[0]["stress_law"] == "inverse power", alt=f"Median life against {name}, {span}."),
         flow(
             bold(f"Life against {name}."), f" Median life by the {_family(best)} regression with 95 % band; points: each group by itself.",
             f" Dashed where nothing was tested: there the line rests on the law alone.{others}",
@@ -249,15 +253,7 @@ def _checks(draft: Draft, found: _Found) -> Pair:
     href = draft.data("life_residuals", {n: [r[n] for r in rows] for n in rows[0]})
     failed = np.array([bool(r["failed"]) for r in rows])
     residual, observed, deviance = (_numbers(rows, n) for n in ("cox_snell", "observed_hazard", "deviance"))
-    conditions = list(dict.fromkeys(r["conditions"] for r in rows))
-    shown = sorted(conditions, key=lambda c: -sum(r["conditions"] == c for r in rows))[:_MOST_STRIPS]
-    strips = []
-    for name in (c for c in conditions if c in shown):
-        here = np.array([r["conditions"] == name for r in rows])
-        strips.append(Strip(_own_words(name, conditions), deviance[here], failed[here]))
-    left = (
-        f" The {len(conditions) - len(shown)} smallest groups are in the data." if len(conditions) > len(shown) else ""
-    )
+    strips, left = _strips([r["conditions"] for r in rows], deviance, failed)
     outside = int((np.abs(deviance) > 1.96).sum())
     first = Figure(
         figures.cox_snell(residual, observed, failed, alt="Cumulative hazard of the Cox–Snell residuals against themselves."),
@@ -270,6 +266,20 @@ def _checks(draft: Draft, found: _Found) -> Pair:
         href,
     )  # fmt: skip
     return Pair((first, second))
+
+
+def _strips(conditions: Sequence[str], deviance: Float, failed: Bool) -> tuple[list[Strip], str]:
+    """The residuals of each group of equal conditions; of many groups those of all lives that share one condition."""
+    names = list(dict.fromkeys(conditions))
+    if len(names) <= _MOST_STRIPS:
+        members = {_own_words(name, names): np.array([c == name for c in conditions]) for name in names}
+        return [Strip(name, deviance[here], failed[here]) for name, here in members.items()], ""
+    parts = list(dict.fromkeys(part for name in names for part in name.split(", ")))
+    members = {part: np.array([part in c.split(", ") for c in conditions]) for part in parts}
+    telling = [part for part in parts if not members[part].all()]
+    shown = sorted(telling, key=lambda part: -int(members[part].sum()))[:_MOST_STRIPS]
+    said = f" A strip for all lives that share a condition: there are {len(names)} groups of equal ones."
+    return [Strip(p, deviance[members[p]], failed[members[p]]) for p in telling if p in shown], said
 
 
 def _own_words(conditions: str, everyone: Sequence[str]) -> str:
@@ -306,7 +316,7 @@ def _coefficient_table(found: _Found, below: str) -> Table:
     if best is not None:
         scatter = f"Scatter of ln t {bounds(best['sigma'], best['sigma_lower'], best['sigma_upper'])}; limits: {best['method']}. "
         scatter += f"{capital(_in_words(visible(best['tests'])))}. " if best["tests"] else ""
-    meaning = "".join(_MEANINGS[name] for name in dict.fromkeys(_meaning(r, best) for r in found.effects) if name)
+    meaning = _meanings(found.effects)
     caption = f"Regression of the lives: {_family(best)}" if best is not None else "Regression of the lives"
     below = meaning + scatter + _limit_in_words(found) + _proportionality_in_words(found) + below
     query = found.queries["effects"].shown()
@@ -333,25 +343,33 @@ def _proportionality_in_words(found: _Found) -> str:
     tests = found.rows["proportionality"]
     if not tests:
         return ""
-    changing = [r for r in tests if r["p_value"] < 0.05]
+    every = [r for r in tests if r["p_value"] < 0.05]
+    changing = [r for r in every if r["covariate"] != "all covariates"] or every
     if not changing:
         return f"Hazards are proportional as far as is seen ({p_equals(tests[-1]['p_value'])}). "
     shown = joined([f"{_covariate(r['covariate'])} ({p_equals(r['p_value'])})" for r in changing])
     return f"Hazards are not proportional over the life, by {shown}: Cox’s ratios are averages over it. "
 
 
-def _meaning(coefficient: Record, best: Record | None) -> str:
-    name = coefficient["coefficient"]
-    if name == "voltage_kv" and best is not None and best["stress_law"] == "exponential":
-        return "slope"
-    return "energy" if name == "temperature_c" else "exponent" if name in _COVARIATES else ""
+def _meanings(effects: Sequence[Record]) -> str:
+    """What the coefficients are, a sentence per law."""
+    said = ""
+    for law, words in _MEANINGS.items():
+        own = [r for r in effects if r["law"] == law]
+        # Slopes have a unit each; of exponents and energies one sentence tells all.
+        for group in [[r] for r in own] if law == "exponential" else [own] if own else []:
+            names = joined([_covariate(r["coefficient"]) for r in group])
+            unit = visible(group[0]["unit"] or "unit")
+            said += words.format(name=names, unit=unit, its="its" if len(group) == 1 else "each one’s")
+    return said
 
 
 def _group_table(found: _Found, unit: tuple[float, str]) -> Table:
+    everyone = [r["conditions"] for r in found.rows["groups"]]
     rows = tuple(
         Row(
             (
-                short(r["conditions"] or ABSENT, 60), f"{r['failures']} of {r['specimens']}", significant(r["expected_failures"], 2),
+                short(_own_words(r["conditions"], everyone) or ABSENT, 100), f"{r['failures']} of {r['specimens']}", significant(r["expected_failures"], 2),
                 ABSENT if not r["life_s"] else significant(unit[0] * r["life_s"]), ABSENT if not r["factor"] else f"× {significant(r['factor'], 2)}",
                 p_value(r["p_value"]),
             )
