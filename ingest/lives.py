@@ -10,7 +10,7 @@ without it the failures alone would be left, or the survivors counted as failure
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,10 @@ from schemas.errors import RefusedError
 from schemas.lifetimes import OTHER, classify_failure_mode
 from schemas.numbers import counted
 from schemas.units import conversion
+
+_CYCLES = {"cycle": 1.0, "cycles": 1.0, "kcycle": 1e3, "kcycles": 1e3, "Mcycle": 1e6, "Mcycles": 1e6}
+"""Units of lives that count cycles of an alternating voltage or of a motion."""
+_AGES = ("lifetime", "alive_at", "entered", "test_duration")
 
 
 @dataclass(frozen=True)
@@ -43,8 +47,10 @@ def read_lives(table: TableRows) -> Lives:
     """Lives and failures of a table. Raises `RefusedError` with the row that cannot be read, or contradicts itself."""
     table.require("lifetime")
     _leave_out_no_specimens(table)
+    period = _take_cycles(table)
     numbers, unit = table.written("lifetime", "s")
     seconds = conversion(unit, "s", where=f"{table.where}: lifetime").apply(numbers.values)[table.rows]
+    seconds = seconds * period["lifetime"]
     rows = table.row_numbers - 1
     for why, here in find_unbelievable(numbers.values[table.rows], seconds, "s").items():
         row = int(rows[int(np.argmax(here))])
@@ -55,9 +61,9 @@ def read_lives(table: TableRows) -> Lives:
     cells = [cell_text(cell) or "" for cell in table.cells("lifetime")]
     flags, earlier = _flags(table, bounds)
     failed = bounds <= 0 if flags is None else flags
-    alive = table.numbers_or("alive_at", "s", None, seconds.size)
-    entered = table.numbers_or("entered", "s", None, seconds.size)
-    planned = _planned(table, seconds.size)
+    alive = table.numbers_or("alive_at", "s", None, seconds.size) * period["alive_at"]
+    entered = table.numbers_or("entered", "s", None, seconds.size) * period["entered"]
+    planned = _planned(table, seconds.size) * period["test_duration"]
     lives = seconds.copy()
     blank = []
     filled = 0
@@ -116,6 +122,36 @@ def read_lives(table: TableRows) -> Lives:
         because = "no column says which specimens failed"
         table.assumptions.append(Assumption("lives that are not written as survived", "failures", because, "survival"))
     return Lives(lives, failed, alive, entered)
+
+
+def _take_cycles(table: TableRows) -> dict[str, Float]:
+    """(n,) seconds that one unit of each age stands for, by its name: 1 but for ages in cycles, which are then read as numbers.
+
+    Raises
+    ------
+    RefusedError
+        A row in cycles has no frequency above 0, which alone says how long a cycle took.
+    """
+    count = int(table.rows.sum())
+    seconds = {name: np.ones(count) for name in _AGES}
+    columns = dict(table.mapping.columns)
+    in_cycles = [name for name in _AGES if name in columns and (columns[name].unit or "").strip() in _CYCLES]
+    if not in_cycles:
+        return seconds
+    frequency = table.numbers_or("frequency", "Hz", None, count)
+    for i in np.flatnonzero(~(frequency > 0))[:1]:
+        raise table.refused_row(
+            int(table.row_numbers[i]) - 1,
+            f"the {in_cycles[0]} is in cycles, and the row has no frequency above 0",
+            "the frequency of the cycles",
+            'Map columns.frequency, or state the same one for all rows: value = 1 and unit = "Hz"',
+        )
+    for name in in_cycles:
+        seconds[name] = _CYCLES[str(columns[name].unit).strip()] / frequency
+        columns[name] = replace(columns[name], unit="s", overrule_unit=True)
+    table.mapping = replace(table.mapping, columns=columns)
+    table.notes.append("lives in cycles are times by the frequency of their row")
+    return seconds
 
 
 def _leave_out_no_specimens(table: TableRows) -> None:

@@ -183,7 +183,7 @@ EACH = "{each}"
 """Stands for the value that a part of a file has, in the texts of `[recording]`."""
 TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     LIFETIMES: {
-        "lifetime": "required; a unit of time",
+        "lifetime": "required; a unit of time, or cycles (kcycles, Mcycles) with a frequency. So are all other ages of the row",
         "failed": "`failed_values` and `censored_values` say which cells mean what: numbers are compared as numbers,"
         " other cells as text, and a value in none of the lists refuses the table; `left_censored_values` are lives that are"
         " only known to be shorter. Where no column says it, a life written as survived (`> 3600`, `3600+`) is censored"

@@ -136,3 +136,36 @@ def test_a_remark_below_a_table_without_outcomes_is_a_note(tmp_path: Path) -> No
     assert found.problems == ()
     assert any("without a life and without a voltage" in note for note in found.notes)
     assert [(row.specimen_id, row.failed) for row in found.rows] == [("S-1", True), ("S-2", False), ("S-3", True)]
+
+
+def in_cycles(tmp_path: Path, rows: list[str]) -> LifetimeTable:
+    path = tmp_path / "cycled.csv"
+    path.write_text("\n".join(["life,failed,f,seen", *rows]) + "\n")
+    columns = {
+        "lifetime": {"column": "life", "unit": "kcycles"},
+        "failed": {"column": "failed", "failed_values": ["yes"], "censored_values": ["no"]},
+        "frequency": {"column": "f", "unit": "Hz"},
+        "alive_at": {"column": "seen", "unit": "h"},
+    }
+    content = {"kind": "lifetimes", "columns": columns, "recording": {"recording_id": "cycled"}}
+    found = read_raw(path, FileMapping.parse(content, stem="cycled", suffix=".csv", source="cycled.csv.toml"))
+    assert isinstance(found, LifetimeTable)
+    return found
+
+
+def test_lives_in_cycles_are_times_by_the_frequency_of_their_row(tmp_path: Path) -> None:
+    found = in_cycles(tmp_path, ["36,yes,10,0.5", "> 20,no,0.5,"])
+    assert [(row.lifetime_s, row.failed, row.frequency_hz) for row in found.rows] == [
+        (3600.0, True, 10.0),
+        (40_000.0, False, 0.5),
+    ]
+    assert found.rows[0].alive_at_s == 1800.0
+    assert "lives in cycles are times by the frequency of their row" in found.notes
+
+
+@pytest.mark.parametrize("frequency", ["", "0"])
+def test_cycles_without_a_frequency_are_refused(tmp_path: Path, frequency: str) -> None:
+    with pytest.raises(
+        RefusedError, match="row 2 of the data: the lifetime is in cycles, and the row has no frequency"
+    ):
+        in_cycles(tmp_path, ["36,yes,10,", f"20,no,{frequency},"])
