@@ -118,12 +118,11 @@ def _parsed_time(text: str) -> datetime:
 
 
 def _share(value: Any) -> float:
-    """From 0 to 1; what is above 1 or has a percent sign is percent."""
-    text = str(value).strip()
-    number = _number(text.removesuffix("%").strip())
-    share = number / 100 if text.endswith("%") or number > 1 else number
+    """From 0 to 1; a number above 1 is percent."""
+    number = _number(value)
+    share = number / 100 if number > 1 else number
     if not 0 <= share <= 1:
-        raise ValueError("a number from 0 to 1, or from 0 to 100 %")
+        raise ValueError("a number from 0 to 1, or percent up to 100")
     return share
 
 

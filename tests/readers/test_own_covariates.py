@@ -89,7 +89,7 @@ def test_laws_as_stated_and_numbers_that_are_names(tmp_path: Path) -> None:
 def test_metadata_of_a_recording_have_covariates() -> None:
     stated = {
         "recording_id": "r", "protocol": "lifetime", "loading": "electrical", "specimen_id": "s", "started_at": "2026-01-01T00:00:00Z",
-        "covariate_cure": "3 h", "covariate_cure_law": "inverse power", "covariate_operator": "Anna", "humidity": "45 %", "electrode": "carbon",
+        "covariate_cure": "3 h", "covariate_cure_law": "inverse power", "covariate_operator": "Anna", "humidity": "45", "electrode": "carbon",
     }  # fmt: skip
     metadata = RecordingMetadata.parse(stated)
     assert from_metadata(metadata.extra) == (
