@@ -23,6 +23,7 @@ from ingest.csv_dialect import UNREADABLE, WHITESPACE, Dialect, as_utf8, wrong_e
 from ingest.csv_rows import checked_end, cut_reason, parsed_rows
 from ingest.mapping import ColumnName, FileMapping, column_label
 from ingest.notations import read_cell, read_column
+from ingest.repeats import REPEATED, find_repeated_heads
 from schemas.arrays import Float
 from schemas.errors import RefusedError
 
@@ -128,6 +129,7 @@ def parse_csv(
         header, body = _row(body, dialect, where)
     if dialect.unit_row:
         units, body = _row(body, dialect, where)
+    body, again = _without_repeated_heads(body, header, dialect)
     first = next((line for line in _lines(body) if line.strip()), None)
     if first is None:
         raise RefusedError("there are no rows of data", where=where, expected="rows after the header")
@@ -136,7 +138,7 @@ def parse_csv(
     _check_names(names, wanted, dialect, where)
     positions = range(len(names)) if wanted is None else sorted({named_column(names, w, where) for w in wanted})
     body, suspect, problems, notes = checked_end(body, len(names), positions, dialect)
-    notes += unreadable
+    notes += [*unreadable, *again]
     table, wrong, odd = parsed_rows(body, names, positions, dialect, where, keep_blank=keep_blank)
     if suspect and table.num_rows:
         reason = cut_reason(table[str(len(names) - 1)].combine_chunks())
@@ -196,6 +198,20 @@ def _row(body: bytes, dialect: Dialect, where: str) -> tuple[list[str], bytes]:
     line = body[start:end].decode("utf-8", "replace").rstrip("\r\n")
     fields = dialect.fields(re.sub(r"[\r\n]+", " ", line))
     return [" ".join(field.split()) for field in fields], body[end:]
+
+
+def _without_repeated_heads(body: bytes, header: Sequence[str], dialect: Dialect) -> tuple[bytes, list[str]]:
+    """The rows without heads that are said again between them, and a note where there were some."""
+    longest = max(header, key=len, default="")
+    if not longest or longest.encode() not in body:
+        return body, []
+    lines = list(_lines(body))
+    fields = [dialect.fields(line.decode("utf-8", "replace").rstrip("\r\n")) for line in lines]
+    repeated = find_repeated_heads(fields, header, dialect.decimal)
+    if not repeated:
+        return body, []
+    kept = b"".join(line for i, line in enumerate(lines) if i not in repeated)
+    return kept, [REPEATED.format(rows=len(repeated))]
 
 
 class _Quotes:

@@ -140,7 +140,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     for name, column in chosen.items():
         entry: dict[str, Any] = make_place(column)
         if name in ("failed", "censored"):
-            entry |= find_meanings(column, opened)
+            entry |= find_meanings(column, opened, chosen.get("lifetime"))
             text = f"which values mean failed (as it stands {entry['censored_values']} mean censored)"
             questions.append(Question(f"columns.{name}.failed_values", text, entry["failed_values"]))
         elif name not in _WORDS:

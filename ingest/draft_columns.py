@@ -27,13 +27,29 @@ _PHASE = r"phase|phi|φ|delta|δ|winkel"
 _FREQUENCY = r"freq|omega|ω|^f$"
 _RELAXED = r"relax|^[eg]\s?\(t\)|modul"
 _COMPLIANCE = r"complian|nachgiebigkeit"
-_FAILED = r"cens|fail|event|status|state|death|broke|^breakdown$|^bd$|runout|durchschlag"
-_LIFE = r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit"
+_FAILED = (
+    r"[cz]ens|fail|event|status|state|death|broke|^breakdown$|^bd$|runout|durchschlag|ausfall|ausgefallen|defekt|versag"
+    r"|surviv|alive|überleb|lebt|outcome|ergebnis|^end$|^ended|d[ée]faill|claqu|panne"
+)
+_LIFE = (
+    r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit|laufzeit|ausfallzeit|haltbarkeit"
+    r"|dur[ée]e de vie"
+)
 _CONFIGURATION = r"config|group|electrode|design|layout|bauart|gruppe|^type$"
 _SPECIMEN = r"specimen|sample|probe|^id$"
 _COUNT = r"^n$|^count$|^anzahl$"
 _PLANNED = r"^test\b|test duration|planned|^on rig"
-_YES = r"1|y|ja|oui|true|bd|fail|broke|break|dead|death"
+_YES = (
+    r"1|y|j$|ja|oui|s[ií]$|true|wahr|x$|[✓✔]|bd|fail|broke|break|dead|death|ausgef|ausfall|defekt|durchschl|durchgeschl|kaputt"
+    r"|gerissen|tot$|versagt"
+)
+_OUTCOMES = (
+    r"[01]|y|yes|n|no|j|ja|nein|oui|non|s[ií]|true|false|wahr|falsch|x|[✓✔]|-|failed|survived|suspended|censored|alive|dead"
+    r"|ausgefallen|zensiert|lebt|läuft|f|c|s"
+)
+"""What a column of outcomes holds, and no other column of words: by it one is found that no name tells."""
+_ALIVE = r"[cz]ens|runout|surv|alive|überleb|lebt|intakt|läuft|running|läufer"
+"""Names of columns whose yes means that a film has not failed."""
 _MODULI = ("Pa", "kPa", "MPa", "GPa", "N/mm", "N/m", "kN/m")
 
 
@@ -95,7 +111,10 @@ def find_lifetime_columns(opened: Opened) -> dict[str, GuessedColumn]:
     """
     columns = opened.columns
     named = next((c for c in columns if c.unit != "kV" and re.search(_LIFE, label_column(c))), None)
-    outcome = _first([c for c in columns if c is not named], _FAILED)
+    others = [c for c in columns if c is not named]
+    outcome = _choose_outcome([c for c in others if re.search(_FAILED, label_column(c))], opened)
+    if outcome is None and named is not None:
+        outcome = next((c for c in others if c.meaning is None and _holds_outcomes(c, opened)), None)
     life = named or next((c for c in columns if outcome is not None and c.meaning == TIME and c is not outcome), None)
     channels = {c.meaning for c in columns} & {"force", "displacement", "leakage_current"}
     if life is None and not channels and (_first(columns, _SPECIMEN) or _first(columns, _CONFIGURATION)):
@@ -116,6 +135,21 @@ def find_lifetime_columns(opened: Opened) -> dict[str, GuessedColumn]:
     return found
 
 
+def _choose_outcome(named: Sequence[GuessedColumn], opened: Opened) -> GuessedColumn | None:
+    """Of the columns named as outcomes the one that holds them; `Failure mode` and `Failed` may stand side by side."""
+    return next((c for c in named if _holds_outcomes(c, opened)), named[0] if named else None)
+
+
+def _holds_outcomes(column: GuessedColumn, opened: Opened) -> bool:
+    """Whether all cells that are filled say yes or no, failed or alive, at least one of them in a word."""
+    texts = {_plain(cell) for cell in opened.cells(column)} - {""}
+    return 0 < len(texts) <= _MOST_NUMBERS and all(re.fullmatch(_OUTCOMES, t) for t in texts) and texts != {"1"}
+
+
+def _plain(cell: Any) -> str:
+    return str(int(cell) if isinstance(cell, float) and cell.is_integer() else cell).strip().lower()
+
+
 def _runs(cells: Sequence[Any], options: Mapping[str, Any]) -> bool:
     """Whether times go up from row to row, as samples do."""
     found = [read_cell(str(c).strip(), options.get("decimal", ".")) for c in cells]
@@ -133,15 +167,29 @@ _MOST_NUMBERS = 8
 """Different numbers of a column of failures that are proposed; words are proposed all."""
 
 
-def find_meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
-    """The values of a column of failures, as they seem to be meant: which ones depends on the table."""
+def find_meanings(failed: GuessedColumn, opened: Opened, life: GuessedColumn | None = None) -> dict[str, list[Any]]:
+    """The values of a column of failures, as they seem to be meant: which ones depends on the table.
+
+    An empty cell beside a life has the meaning that no other value has: people mark the one kind alone.
+    """
+    found = _meanings(failed, opened)
+    if life is None or bool(found["failed_values"]) == bool(found["censored_values"]):
+        return found
+    pairs = zip(opened.cells(failed), opened.cells(life), strict=False)
+    if any(not _plain(cell) and _plain(lived) for cell, lived in pairs):
+        lacking = "censored_values" if found["failed_values"] else "failed_values"
+        return {**found, lacking: [""]}
+    return found
+
+
+def _meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
     cells = opened.cells(failed)
     filled = [c for c in cells if str(c).strip()]
     values = list(dict.fromkeys(int(c) if isinstance(c, float) and c.is_integer() else c for c in filled)) or [1, 0]
     plain = [v if isinstance(v, int) and not isinstance(v, bool) else str(v) for v in values]
     if not any(isinstance(v, str) for v in values):
         plain = plain[:_MOST_NUMBERS]
-    turned = re.search("cens|runout|surv", str(failed.column).lower()) is not None
+    turned = re.search(_ALIVE, str(failed.column).lower()) is not None
     if not any(re.match(_YES, str(v).strip().lower()) or isinstance(v, int) for v in plain):
         alive = [v for v in plain if re.fullmatch(_NOWHERE, str(v).strip().lower())]
         if alive and len(alive) < len(plain):  # places of failure, and a dash where there was none

@@ -22,6 +22,7 @@ from ingest.clocks import seconds_of_day
 from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column
 from ingest.mapping import ColumnName, FileMapping
 from ingest.notations import read_cell, read_column
+from ingest.repeats import REPEATED, find_repeated_heads
 from schemas.arrays import Float
 from schemas.errors import RefusedError
 
@@ -109,6 +110,10 @@ def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
         header, rows = _texts(rows[0]), rows[1:]
     if options.get("unit_row", False) and rows:
         units, rows = _texts(rows[0]), rows[1:]
+    decimal = str(options.get("decimal", "."))
+    repeated = find_repeated_heads(rows, header, decimal)
+    notes = (REPEATED.format(rows=len(repeated)),) if repeated else ()
+    rows = [row for i, row in enumerate(rows) if i not in repeated]
     filled = [row for row in rows if not _is_blank(row)]
     if not filled:
         raise RefusedError("there are no rows of data", where=path.name, expected="rows after the header")
@@ -118,8 +123,7 @@ def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
         blank = last + 1 - len(filled)
         filled = list(rows[: last + 1])
         problems = (f"{blank} rows are blank: samples that were lost",) if blank else ()
-    decimal = str(options.get("decimal", "."))
-    return SheetFile(path.name, header or ("",) * len(filled[0]), units, tuple(filled), decimal, problems)
+    return SheetFile(path.name, header or ("",) * len(filled[0]), units, tuple(filled), decimal, problems, notes)
 
 
 def _is_blank(row: Sequence[Any]) -> bool:

@@ -29,6 +29,11 @@ _SETTLES, _GOES_ON = 0.02, 0.002
 _ALIKE = 0.12
 """Spread of the periods of a sinusoid that a sampling of ten points a period leaves."""
 
+_STRAIGHT, _SPEEDS = 0.85, 10
+"""Median speed over a fast one, of ten to each half period: 0.72 in a sinusoid, above 0.95 in triangles with rounded turning points."""
+_MOST_TRIANGLES = 50
+"""More triangles than these are a cyclic test: a fit of the large cycle looks at a thousand samples, twenty to each."""
+
 
 @dataclass(frozen=True)
 class Trace:
@@ -140,6 +145,10 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
         return Shape("pull", "mechanical", SURE, f"{name} rises to {broken:.4g}, where the {answer} is lost")
     if crossings < _FEWEST_CROSSINGS and drive.turns.size <= 1:
         return _one_cycle(name, answer, drive, traces)
+    if drive.turns.size >= 3 and _is_even(drive) and _is_straight(drive):
+        return Shape(
+            "cycle", "mechanical", SURE, f"{(drive.turns.size + 1) // 2} triangles of {name} up to {drive.high:.4g}"
+        )
     if drive.turns.size >= 3 and _is_even(drive):
         frequency = 0.5 / float(np.mean(drive.halves_s))
         known: dict[str, float | str] = {"frequency_hz": float(f"{frequency:.5g}")}
@@ -306,6 +315,22 @@ def _is_even(drive: _Drive) -> bool:
         return float(np.std(drive.periods_s)) < _ALIKE * float(np.mean(drive.periods_s))
     halves = drive.halves_s
     return halves.size >= 2 and float(np.std(halves)) < 2 * _ALIKE * float(np.mean(halves))
+
+
+def _is_straight(drive: _Drive) -> bool:
+    """Whether a trace that repeats itself goes up and down at one speed: triangles, few enough to be looked at one by one.
+
+    Speeds are those over a twentieth of a period, so that noise and the rounding of turning points do not count.
+    """
+    halves = drive.turns.size
+    if halves > 2 * _MOST_TRIANGLES:
+        return False
+    inside = slice(int(drive.turns[0]), int(drive.turns[-1]) + 1)
+    time_s, values = drive.time_s[inside], drive.values[inside]
+    count = _SPEEDS * (halves - 1)
+    speeds = np.abs(np.diff(np.interp(np.linspace(time_s[0], time_s[-1], count + 1), time_s, values)))
+    fast = float(np.quantile(speeds, 0.9))
+    return fast > 0 and float(np.median(speeds)) > _STRAIGHT * fast
 
 
 def _is_smooth(drive: _Drive) -> bool:

@@ -97,7 +97,10 @@ def _first_row(lines: Sequence[str], start: int, dialect: Dialect, fields: int) 
 def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, int, int] | None:
     """The dialect of a table in which words and dates stand beside numbers; None where the lines are no table."""
     best: tuple[float, Dialect, int, int] | None = None
-    filled = [(i, line) for i, line in enumerate(lines) if line.strip()]
+    filled = [
+        (i, line) for line, i in {line: i for i, line in reversed(list(enumerate(lines)))}.items() if line.strip()
+    ]
+    filled.sort()  # each line once: heads may be said again above each interval
     if len(filled) < _FEWEST:
         return None
     for delimiter in _DELIMITERS[:-1]:

@@ -15,6 +15,7 @@ from ingest.encodings import guess_encoding
 from ingest.faults import find_faults
 from ingest.harvest import harvest_lines
 from ingest.inspect import FITS, inspect
+from ingest.repeats import find_repeated_heads
 from ingest.shapes import Trace, find_shape
 from pipeline.cli import main
 from pipeline.commands import add
@@ -342,3 +343,74 @@ def test_files_with_times_of_their_own_say_when_they_began(tmp_path: Path) -> No
 def test_midnight_that_is_stated_stays_midnight(line: str, started_at: str) -> None:
     (fact,) = harvest_lines([line])
     assert (fact.key, fact.value) == ("started_at", started_at)
+
+
+# Tables and traces as machines of new users write them
+
+
+def test_a_head_said_again_above_each_interval_is_no_row(tmp_path: Path) -> None:
+    head = [
+        "Interval and data points:\t{n}\t3",
+        "Interval data:\tPoint No.\tTemperature\tAngular Frequency\tStorage Modulus",
+    ]
+    head[1] += "\tLoss Modulus\tStatus"
+    blocks = []
+    for number, degrees in enumerate((-20, 0, 20), 1):
+        rows = [f"\t{i}\t{degrees + 0.01 * i:.2f}\t{10**i}\t{1000 * i}\t{100 * i}\tok" for i in range(1, 7)]
+        blocks += ["", head[0].format(n=number), head[1], "\t\t\t\t\t\t", "\t\t[°C]\t[rad/s]\t[Pa]\t[Pa]\t", *rows]
+    path = tmp_path / "sweep.csv"
+    path.write_bytes("\r\n".join(["Project:\tx", *blocks, ""]).encode("utf-16"))
+    assert main(["add", str(path), "--yes", "specimen_id=V-1"]) == 0
+    assert inspect(path).verdict == FITS, inspect(path).as_text()
+    assert len(tomllib.loads(path.with_name("sweep.csv.toml").read_text())["select"]) == 1
+
+
+def test_heads_are_found_again_in_sheets_as_in_texts() -> None:
+    header = ("w", "G1", "state")
+    rows = [
+        ["1", "2", "a"],
+        ["", "", ""],
+        ["Interval", "2", ""],
+        ["w", "G1", "state"],
+        ["rad/s", "Pa", ""],
+        [3.0, 4.0, "a"],
+    ]
+    assert find_repeated_heads(rows, header) == {1, 2, 3, 4}
+    assert find_repeated_heads(rows[:1], header) == set()
+
+
+@pytest.mark.parametrize(
+    ("name", "failed", "alive"),
+    [
+        ("Ausfall (ja/nein)", "ja", "nein"),
+        ("Defekt", "x", ""),
+        ("lebt noch", "nein", "ja"),
+        ("Zensiert", "0", "1"),
+        ("Bemerkung 1", "nein", "ja"),
+        ("Survived?", "no", "yes"),
+    ],
+)
+def test_outcomes_of_lives_are_found_by_name_or_by_what_they_say(
+    tmp_path: Path, name: str, failed: str, alive: str
+) -> None:
+    cells = [failed, failed, alive, failed]
+    lives = [f"P-{i};4,0;{10 * i},5;{cell};{'Rand' if cell == failed else ''}" for i, cell in enumerate(cells, 1)]
+    path = tmp_path / "lives.csv"
+    path.write_text("\n".join([f"Probe;Spannung [kV];Standzeit [h];{name};Ort", *lives, ""]))
+    columns = make_draft(path).content["columns"]
+    assert columns["failed"]["column"] == name
+    if name != "Bemerkung 1":  # nothing tells there which is which: it is asked
+        assert [str(v) for v in columns["failed"]["failed_values"]] == [failed]
+        assert [str(v) for v in columns["failed"]["censored_values"]] == [alive]
+
+
+@pytest.mark.parametrize(("shape", "protocol"), [("triangle", "cycle"), ("sinusoid", "cyclic"), ("rounded", "cycle")])
+def test_triangles_are_large_cycles_and_sinusoids_are_not(shape: str, protocol: str) -> None:
+    t = np.arange(0, 33, 0.02)
+    phase = t / 6.6
+    x = 20 * np.abs((2 * phase) % 2 - 1) if shape != "sinusoid" else 10 - 10 * np.cos(2 * np.pi * phase)
+    if shape == "rounded":
+        x = np.convolve(np.pad(x, 10, "edge"), np.ones(21) / 21, "valid")
+    x = x + np.random.default_rng(3).normal(0, 0.01, t.size)
+    found = find_shape({"displacement": Trace(t, x), "force": Trace(t, 0.1 * x)})
+    assert (found.protocol, found.certainty) == (protocol, "sure")

@@ -56,7 +56,8 @@ def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
         failed = sum(row.failed for row in raw.rows)
         lives = [row.lifetime_s for row in raw.rows]
         span = f"{min(lives):g} to {max(lives):g} s"
-        yield f"  read       {len(raw.rows)} lives from {span}: {failed} failed, the others censored"
+        alive = len(raw.rows) - failed
+        yield f"  read       {len(raw.rows)} lives from {span}: {failed} failed, {alive} still alive (censored)"
         yield "  will give  survival curves of each configuration, Weibull parameters where enough films failed"
     elif isinstance(raw, RelaxationTable):
         yield f"  read       {raw.time_s.size} rows from {raw.time_s.min():g} to {raw.time_s.max():g} s"
