@@ -31,6 +31,8 @@ _ALIKE = 0.12
 
 _STRAIGHT, _SPEEDS = 0.85, 10
 """Median speed over a fast one, of ten to each half period: 0.72 in a sinusoid, above 0.95 in triangles with rounded turning points."""
+_SLOW_S = 5.0
+"""Shortest cycle of a voltage in which a film follows at rest: relaxation that is faster than a second is over on its flanks."""
 _MOST_TRIANGLES = 50
 """More triangles than these are a cyclic test: a fit of the large cycle looks at a thousand samples, twenty to each."""
 
@@ -121,12 +123,28 @@ def _electrical(traces: Mapping[str, Trace]) -> Shape:
     if drive.held > _HELD:
         times = max(1, len(drive.crossings_s))
         return Shape("step", "electrical", SURE, f"{times} steps of voltage up to {drive.high:.3g} kV", steps)
+    if (slow := _find_slow_cycles(drive)) is not None:
+        return slow
     if len(drive.crossings_s) >= 3 and drive.periods_s.std() < _ALIKE * drive.periods_s.mean():
         return Shape("sphs", "electrical", LIKELY, "a voltage that repeats with one frequency")
     if _is_smooth(drive) and not _period(drive):
         return _sweep("electrical", drive)
     seen = f"a voltage that passes its mean {len(drive.crossings_s)} times in changing intervals"
     return Shape("sphs", "electrical", SURE if _period(drive) else LIKELY, seen)
+
+
+def _find_slow_cycles(drive: _Drive) -> Shape | None:
+    """A voltage that goes up and down so slowly that the film follows it at rest, in triangles or not; None: another test."""
+    count = (drive.turns.size + 1) // 2
+    if count == 0 or drive.range <= 0 or drive.duration_s < _SLOW_S * count:
+        return None
+    if drive.turns.size == 1:
+        return Shape("cycle", "electrical", SURE, f"the voltage goes once up to {drive.high:.3g} kV and back")
+    if not _is_even(drive):
+        return None
+    straight = _is_straight(drive)
+    seen = f"{count} slow {'triangles' if straight else 'cycles'} of the voltage up to {drive.high:.3g} kV"
+    return Shape("cycle", "electrical", SURE if straight else LIKELY, seen)
 
 
 def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:

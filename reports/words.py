@@ -39,6 +39,7 @@ _PROTOCOLS = {
     ("lifetime", "electrical"): "life under voltage",
     ("isotonic", "electrical"): "strokes at constant load",
     ("force_map", "electrical"): "static force",
+    ("cycle", "electrical"): "slow cycles of the voltage",
     ("cycle", "mechanical"): "large load–unload cycle",
     ("creep", "mechanical"): "creep and recovery",
     ("pull", "mechanical"): "pull to failure",

@@ -77,6 +77,13 @@ _ALL = (
     ),
     Protocol("cycle", MECHANICAL, _DRIVEN, (), "one large load-unload cycle (triangle)"),
     Protocol(
+        "cycle",
+        ELECTRICAL,
+        (("voltage", "force"),),
+        ("command", "capacitance", "leakage_current"),
+        "a voltage that goes up and down slowly, once or several times",
+    ),
+    Protocol(
         "creep", MECHANICAL, _DRIVEN, ("temperature",), "a load that is put on, held and taken off: creep and recovery"
     ),
     Protocol("pull", MECHANICAL, _DRIVEN, (), "pulled at one rate until it breaks"),

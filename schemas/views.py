@@ -210,6 +210,10 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
         "SELECT recording_id, frequency_hz, 1000 * magnitude AS mn_per_kv2, phase_deg FROM frequency_responses"
         " WHERE quantity = 'force_per_voltage_squared_n_per_kv2' AND stage = 'measured' AND frequency_hz BETWEEN 0.8 AND 1.2",
     ),
+    (
+        "How much force does a film give per squared voltage, driven slowly?",
+        "SELECT recording_id, drop_n_per_kv2, drop_n_per_kv2_lower, drop_n_per_kv2_upper, exponent FROM voltage_cycles",
+    ),
     ("How many live longer than 60 s, per configuration?", "SELECT * FROM survival_at(60)"),
     (
         "How long do films live at each voltage?",

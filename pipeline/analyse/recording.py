@@ -23,6 +23,8 @@ from pipeline.analyse.pull import NOT_ASKED, analyse_pull, pull_tables
 from pipeline.analyse.responses import distortion_table, relaxation_table, response_table
 from pipeline.analyse.session_features import SessionFeatures
 from pipeline.analyse.signs import find_negative, sign_table
+from pipeline.analyse.slow_voltage import NOT_ASKED as SLOW_VOLTAGE_NOT_ASKED
+from pipeline.analyse.slow_voltage import analyse_slow_voltage
 from pipeline.analyse.temperatures import TEMPERATURE
 from pipeline.diagnose.features.encode import pack
 from pipeline.diagnose.features.reduce import reduce, reducible
@@ -96,6 +98,8 @@ def analyse_recording(recording: Recording) -> Analysis:
         _steps(analysis, recording)
     elif about.protocol == "force_map":
         _force_map(analysis, recording)
+    elif about.protocol == "cycle" and about.loading == ELECTRICAL:
+        _slow_voltage(analysis, recording)
     elif about.protocol == "cycle":
         _cycle(analysis, recording)
     elif about.protocol == "creep":
@@ -273,6 +277,11 @@ def _creep(analysis: Analysis, recording: Recording) -> None:
 def _isotonic(analysis: Analysis, recording: Recording) -> None:
     made = analysis.attempt("strokes at constant load", analyse_isotonic, recording)
     _note_and_add(analysis, made, ISOTONIC_NOT_ASKED)
+
+
+def _slow_voltage(analysis: Analysis, recording: Recording) -> None:
+    made = analysis.attempt("force under a slow voltage", analyse_slow_voltage, recording)
+    _note_and_add(analysis, made, SLOW_VOLTAGE_NOT_ASKED)
 
 
 def _note_and_add(analysis: Analysis, made: tuple[tuple[str, ...], dict[str, pa.Table]] | None, not_asked: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from schemas.tables.table import (
     CONFIGURATION,
+    RECORDING_ID,
     SPECIMEN_ID,
     MadeBy,
     Table,
@@ -141,5 +142,43 @@ TABLES: tuple[Table, ...] = (
         key=("configuration_a", "configuration_b", "direction", "stretch_1", "stretch_2", "voltage_kv"),
         made_by=(MadeBy("group", group="force_maps"),),
         pages=("campaign",),
+    ),
+    Table(
+        "voltage_cycles",
+        "force of a film under a voltage that goes up and down slowly: its drop over the squared voltage",
+        (
+            RECORDING_ID,
+            SPECIMEN_ID,
+            whole("cycles", "how often the voltage went up and down"),
+            real("peak_kv", "kV", "largest voltage as recorded"),
+            *with_bounds(
+                "drop_n_per_kv2",
+                "N/kV^2",
+                "drop of the force over V², positive where the tension falls; limits by the scatter from cycle to cycle, NULL for one",
+            ),
+            real("exponent", "", "power of the voltage that the force follows"),
+            real("rest_n", "N", "force without voltage at the start of the record"),
+            real("drift_n_per_min", "N/min", "its drift"),
+            real("misfit_n", "N", "root mean square of what is left of the force"),
+            text("warnings", "what limits the numbers"),
+        ),
+        key=("recording_id",),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
+    ),
+    Table(
+        "voltage_cycle_curves",
+        "drop of the force under a slow voltage, its drift taken off, as measured and by V²",
+        (
+            RECORDING_ID,
+            whole("point", "number of the point, from 0"),
+            real("time_s", "s", "since the recording's first sample"),
+            real("voltage_kv", "kV", "voltage"),
+            real("drop_n", "N", "drop of the force against its drifting rest"),
+            real("modelled_n", "N", "the same by drop_n_per_kv2"),
+        ),
+        key=("recording_id", "point"),
+        made_by=(MadeBy("recording"),),
+        pages=("specimen",),
     ),
 )

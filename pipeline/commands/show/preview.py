@@ -31,6 +31,7 @@ _GIVES = {
     ("isotonic", "electrical"): "the stroke of each level of the voltage, at once and slowly, and its law",
     ("force_map", "electrical"): "static force in two directions at this pre-stretch",
     ("coverage", "electrical"): "capacitance over coats of electrode",
+    ("cycle", "electrical"): "drop of the force over the squared voltage, its rest and drift",
     ("cycle", "mechanical"): "hysteresis and the stiffness of a large cycle",
     ("creep", "mechanical"): "compliance, retardation times of order 1 to 3, and the share that comes back",
     ("pull", "mechanical"): "stiffness, strength and stretch at break, and a hyperelastic law",

@@ -30,6 +30,7 @@ from reports.pages.specimen import (
     permittivity,
     pulls,
     relaxing,
+    slow_voltage,
     stepping,
     strains,
     temperatures,
@@ -159,6 +160,8 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
         candidates.append(creeping.of_specimen(draft))
     if recorded("isotonic_tests"):
         candidates.append(lifting.of_specimen(draft))
+    if recorded("voltage_cycles"):
+        candidates.append(slow_voltage.of_specimen(draft))
     if recorded("pull_tests"):
         candidates.append(pulls.of_specimen(draft))
     if has("order_ladders"):

@@ -1,0 +1,135 @@
+"""The force under a voltage that goes up and down slowly: its drop over the squared voltage, rest and drift beside it.
+
+    F(t) = F0 + d t − c V²        and, to see whether it is the square, F0 + d t − c V^p
+
+Belongs here: one record of triangles or slow sinusoids. Does not belong here: steps (`pipeline.transform.step`), responses over frequency
+(`pipeline.transform.sphs`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import minimize_scalar
+from scipy.signal import find_peaks
+
+from pipeline.transform.sampling import seconds
+from schemas.arrays import Float, Int
+from schemas.errors import NotIdentifiableError
+from schemas.recording import Recording
+
+_FEWEST = 20
+"""Samples of a record, from which three numbers and their spread can be told."""
+_PROMINENCE = 0.5
+"""Share of the largest voltage by which a top stands out: less is noise, or a pause on the way."""
+_POWERS = 0.5, 4.0
+_SQUARE = 0.1
+"""Distance of the power of V from 2 beyond which the force is not proportional to V²: a film that softens or yields, or an offset of a
+monitor of some per cent of the range."""
+
+
+@dataclass(frozen=True)
+class SlowVoltage:
+    """What one record tells.
+
+    Parameters
+    ----------
+    peak_kv : largest voltage as recorded, `cycles` how often it was reached
+    drop_n_per_kv2 : drop of the force over V², positive where the tension falls; `lower`, `upper` its 95 % limits by the scatter from cycle
+        to cycle, NaN for one cycle
+    exponent : power of the voltage that the force follows
+    rest_n, drift_n_per_min : force without voltage at the start of the record, and its drift
+    misfit_n : root mean square of what is left
+    time_s, voltage_kv, force_n, modelled_n : (n,) samples of the voltage that were used, s since the start of the recording
+    """
+
+    peak_kv: float
+    cycles: int
+    drop_n_per_kv2: float
+    lower: float
+    upper: float
+    exponent: float
+    rest_n: float
+    drift_n_per_min: float
+    misfit_n: float
+    time_s: Float
+    voltage_kv: Float
+    force_n: Float
+    modelled_n: Float
+    warnings: tuple[str, ...] = ()
+
+
+def measure_slow_voltage(recording: Recording) -> SlowVoltage:
+    """Drop of force over squared voltage. Raises `NotIdentifiableError` where the voltage does not change, or nothing is measured with it."""
+    where = recording.metadata.recording_id
+    time, voltage = seconds(recording.channels["voltage"], recording.start_ns)
+    force_time, force = seconds(recording.channels["force"], recording.start_ns)
+    seen = np.isfinite(force)
+    if seen.sum() < _FEWEST:
+        raise NotIdentifiableError(f"{int(seen.sum())} samples of force", where=where, expected=f"at least {_FEWEST}")
+    force = np.interp(time, force_time[seen], force[seen], left=np.nan, right=np.nan)
+    good = np.isfinite(voltage) & np.isfinite(force)
+    time, voltage, force = time[good], voltage[good], force[good]
+    size = np.abs(voltage)
+    peak = float(np.quantile(size, 0.999)) if size.size else 0.0
+    if size.size < _FEWEST or float(np.ptp(voltage)) < _PROMINENCE * peak or peak <= 0:
+        raise NotIdentifiableError(
+            "the voltage does not go up and down where the force is recorded",
+            where=where,
+            expected="a voltage that goes from near 0 to its peak and back, at least once",
+        )
+    values, modelled = _fit(time, size**2, force)
+    exponent = _find_power(time, size / peak, force)
+    parts = _cycles(size, peak)
+    each = np.array([-_fit(time[part], size[part] ** 2, force[part])[0][2] for part in parts])
+    spread = math.nan
+    if each.size > 1:
+        spread = float(stats.t.ppf(0.975, each.size - 1) * each.std(ddof=1) / math.sqrt(each.size))
+    warnings = []
+    if abs(exponent - 2) > _SQUARE:
+        warnings.append(f"the force goes with the power {exponent:.3g} of the voltage, not with its square")
+    drop = -float(values[2])
+    return SlowVoltage(
+        peak_kv=peak,
+        cycles=len(parts),
+        drop_n_per_kv2=drop,
+        lower=drop - spread,
+        upper=drop + spread,
+        exponent=exponent,
+        rest_n=float(values[0]),
+        drift_n_per_min=60 * float(values[1]),
+        misfit_n=float(np.sqrt(np.mean((force - modelled) ** 2))),
+        time_s=time,
+        voltage_kv=voltage,
+        force_n=force,
+        modelled_n=modelled,
+        warnings=tuple(warnings),
+    )
+
+
+def _fit(time: Float, drive: Float, force: Float) -> tuple[Float, Float]:
+    """Force at time 0, its drift per s and its change per unit of the drive; and the force by them."""
+    columns = np.column_stack([np.ones_like(time), time, drive])
+    values = np.linalg.lstsq(columns, force, rcond=None)[0]
+    return values, columns @ values
+
+
+def _find_power(time: Float, size: Float, force: Float) -> float:
+    def misfit(power: float) -> float:
+        return float(np.sum((force - _fit(time, size**power, force)[1]) ** 2))
+
+    return float(minimize_scalar(misfit, bounds=_POWERS, method="bounded", options={"xatol": 1e-4}).x)
+
+
+def _cycles(size: Float, peak: float) -> list[slice]:
+    """Samples of each cycle, from one lowest voltage to the next; rests before and after belong to the outer ones."""
+    width = max(1, size.size // 2000)
+    smooth = np.convolve(np.pad(size, width, "edge"), np.ones(2 * width + 1) / (2 * width + 1), "valid")
+    tops: Int = find_peaks(np.pad(smooth, 1), prominence=_PROMINENCE * peak)[0] - 1
+    between = [int(a + np.argmin(smooth[a:b])) for a, b in itertools.pairwise(tops)]
+    ends = [0, *between, size.size]
+    return [slice(a, b) for a, b in itertools.pairwise(ends) if b - a >= _FEWEST]

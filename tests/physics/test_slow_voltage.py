@@ -1,0 +1,72 @@
+"""The force under a slow voltage against numbers that are put in, from the draft to the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ingest.shapes import Trace, find_shape
+from pipeline import Lab
+from pipeline.cli import main
+from schemas.arrays import Float
+
+DROP, REST, DRIFT = 0.0043, 0.62, -2e-5
+"""N/kV², N and N/s."""
+TIME = np.arange(0, 100, 0.05)
+
+
+def triangles(time_s: Float, *, pause_s: float = 0.0) -> Float:
+    """Four triangles to 5 kV, 20 s each, from 10 s on."""
+    since = (time_s - 10) % (20 + pause_s)
+    on = (time_s >= 10) & (time_s < 10 + 4 * (20 + pause_s)) & (since < 20)
+    return np.where(on, 5 * (1 - np.abs(since / 10 - 1)), 0.0)
+
+
+def force(voltage: Float, power: float = 2.0) -> Float:
+    noise = np.random.default_rng(5).normal(0, 1e-3, voltage.size)
+    return REST + DRIFT * TIME - DROP * 25 * (voltage / 5) ** power + noise
+
+
+@pytest.mark.parametrize(
+    ("voltage", "protocol"),
+    [
+        (triangles(TIME), "cycle"),
+        (triangles(TIME, pause_s=3), "cycle"),
+        (5 * (1 - np.abs(TIME / 50 - 1)), "cycle"),
+        (2.5 - 2.5 * np.cos(2 * np.pi * TIME / 20), "cycle"),
+        (2.5 - 2.5 * np.cos(2 * np.pi * TIME / 0.5), "sphs"),
+        (5.0 * (triangles(TIME) > 2), "step"),
+    ],
+)
+def test_slow_triangles_of_the_voltage_are_told_from_steps_and_fast_ones(voltage: Float, protocol: str) -> None:
+    found = find_shape({"voltage": Trace(TIME, voltage), "force": Trace(TIME, force(voltage))})
+    assert (found.protocol, found.loading) == (protocol, "electrical")
+
+
+@pytest.mark.parametrize("power", [2.0, 1.5])
+def test_a_night_gives_the_drop_over_the_squared_voltage_that_was_put_in(
+    tmp_path: Path, power: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    voltage = triangles(TIME)
+    rows = [f"{t:.2f},{v:.4f},{f:.6f}" for t, v, f in zip(TIME, voltage, force(voltage, power), strict=True)]
+    (raw / "slow.csv").write_text("\n".join(["time (s),HV (kV),Force (N)", *rows, ""]))
+    assert main(["add", str(raw / "slow.csv"), "--yes", "specimen_id=A-1", "started_at=2026-03-01T10:00:00Z"]) == 0
+    assert "drop of the force over the squared voltage" in capsys.readouterr().out
+    assert main(["nightly", str(raw), "--lab", str(tmp_path / "lab")]) == 0
+    row = Lab(tmp_path / "lab").sql("SELECT * FROM voltage_cycles").iloc[0]
+    assert (row["cycles"], row["peak_kv"]) == (4, pytest.approx(5, abs=0.01))
+    assert row["exponent"] == pytest.approx(power, abs=0.03)
+    if power == 2:
+        assert row["rest_n"] == pytest.approx(REST, abs=3e-3)
+        assert row["drop_n_per_kv2"] == pytest.approx(DROP, rel=0.005)
+        assert row["drop_n_per_kv2_lower"] < DROP < row["drop_n_per_kv2_upper"]
+        assert row["drift_n_per_min"] == pytest.approx(60 * DRIFT, abs=2e-4)
+    else:
+        assert "not with its square" in row["warnings"]
+    page = (tmp_path / "lab" / "reports" / "specimens" / "A-1.html").read_text(encoding="utf-8")
+    assert "The force drops by 0.00" in page
+    assert "Squared voltage, kV²" in page or "<img" in page
