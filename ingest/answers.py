@@ -19,7 +19,7 @@ from ingest.meanings import TIME as TIMES
 from ingest.questions import Question, unstretched
 from ingest.select import same_cell
 from schemas.alike import ask_meant
-from schemas.errors import UsageError
+from schemas.errors import DealabError, UsageError
 from schemas.metadata import RecordingMetadata, known_keys
 from schemas.quantities import QUANTITIES
 
@@ -79,6 +79,29 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
     if wrong:
         raise UsageError("; ".join(wrong), where=path.name, expected="columns of the file, or keys of the mapping")
     return draft, placed
+
+
+def find_keys(path: Path, answers: Mapping[str, str]) -> set[str]:
+    """The answers' keys that are meant for a file: its columns, keys of its mapping, scales of its channels in volts.
+
+    None where it cannot be drafted.
+    """
+    try:
+        draft = make_draft(path)
+    except DealabError:
+        return set()
+    columns = {str(c) for c in _columns_of(draft)}
+    return {key for key in answers if key in columns or _is_meant_for(key, draft)}
+
+
+def _is_meant_for(key: str, draft: Draft) -> bool:
+    full = _full_key(key, draft)
+    if full is None or not full.startswith("columns."):
+        return full is not None
+    table, _, last = full.rpartition(".")
+    if last in ("scale", "offset"):
+        return any(q.key == f"{table}.scale" for q in draft.questions)
+    return table.removeprefix("columns.") in draft.content.get("columns", {})
 
 
 def answered(draft: Draft, answers: Mapping[str, Any]) -> Draft:

@@ -139,11 +139,11 @@ def _find_slow_cycles(drive: _Drive) -> Shape | None:
     if count == 0 or drive.range <= 0 or drive.duration_s < _SLOW_S * count:
         return None
     if drive.turns.size == 1:
-        return Shape("cycle", "electrical", SURE, f"the voltage goes once up to {drive.high:.3g} kV and back")
+        return Shape("cycle", "electrical", SURE, "the voltage goes up and back once, slowly")
     if not _is_even(drive):
         return None
     straight = _is_straight(drive)
-    seen = f"{count} slow {'triangles' if straight else 'cycles'} of the voltage up to {drive.high:.3g} kV"
+    seen = f"{count} slow {'triangles' if straight else 'cycles'} of the voltage"
     return Shape("cycle", "electrical", SURE if straight else LIKELY, seen)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import shlex
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pipeline.commands.command import ATTENTION, DONE, FAILED, RIGS, Command, argument, parse_path
@@ -27,11 +28,32 @@ REPLACE = argument("--replace", action="store_true", help="writes a new mapping 
 
 
 def run(arguments: Namespace) -> int:
-    return max(add_file(path, arguments) for path in arguments.file)
+    shared = _find_shared(arguments.file, arguments.yes or [])
+    return max(add_file(path, arguments, shared=shared) for path in arguments.file)
 
 
-def add_file(path: Path, arguments: Namespace, ask: Callable[[str], str] = input) -> int:
-    """Drafts, asks, checks and writes the mapping of one file; returns the exit status."""
+def _find_shared(paths: Sequence[Path], given: Sequence[str]) -> dict[Path, set[str]]:
+    """For each of several files the answers that mean something in another of them: `force.scale` for the trace, not for the lives."""
+    from ingest.answers import find_keys, split_answers
+
+    if len(paths) < 2 or not given:
+        return {}
+    answers = split_answers(list(given))
+    known = {path: find_keys(path, answers) for path in paths if path.is_file()}
+    every = set().union(*known.values()) if known else set()
+    return {path: every - keys for path, keys in known.items()}
+
+
+def add_file(
+    path: Path,
+    arguments: Namespace,
+    ask: Callable[[str], str] = input,
+    shared: Mapping[Path, Collection[str]] = MappingProxyType({}),
+) -> int:
+    """Drafts, asks, checks and writes the mapping of one file; returns the exit status.
+
+    `shared`: by file, the answers that are meant for others.
+    """
     from ingest.answers import split_answers
     from ingest.mapping import own_mapping
     from schemas.errors import UsageError
@@ -48,6 +70,7 @@ def add_file(path: Path, arguments: Namespace, ask: Callable[[str], str] = input
             remedy=f"`dealab inspect {shlex.quote(str(path))}` says what it gives; --replace writes another",
         )
     given = split_answers(arguments.yes or [])
+    given = {key: value for key, value in given.items() if key not in shared.get(path, ())}
     draft, said = _ready(path, given, ask, is_asked=arguments.yes is None)
     if draft is None:
         for line in said:

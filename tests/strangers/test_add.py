@@ -414,3 +414,21 @@ def test_triangles_are_large_cycles_and_sinusoids_are_not(shape: str, protocol: 
     x = x + np.random.default_rng(3).normal(0, 0.01, t.size)
     found = find_shape({"displacement": Trace(t, x), "force": Trace(t, 0.1 * x)})
     assert (found.protocol, found.certainty) == (protocol, "sure")
+
+
+def test_an_answer_about_a_channel_goes_to_the_files_that_have_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t = np.arange(0, 100, 0.1)
+    v = 5 * (1 - np.abs((t / 10) % 2 - 1))
+    trace, lives = tmp_path / "scope.csv", tmp_path / "lives.csv"
+    rows = [f"{a:.1f},{b:.3f},{0.6 - 0.004 * b * b:.4f}" for a, b in zip(t, v, strict=True)]
+    trace.write_text("\n".join(["Time (s),Voltage (V),Force (V)", *rows, ""]))
+    lives.write_text("Probe;Spannung [kV];Standzeit [h];Ausfall\nA;4;10;ja\nB;4;20;nein\nC;5;2;ja\n")
+    scales = ["columns.voltage.scale=1.1", "force.scale=0.2"]
+    assert main(["add", str(trace), str(lives), "--yes", "specimen_id=A-1", *scales]) == 0
+    assert tomllib.loads((tmp_path / "scope.csv.toml").read_text())["columns"]["force"]["scale"] == 0.2
+    assert "scale" not in tomllib.loads((tmp_path / "lives.csv.toml").read_text())["columns"]["voltage"]
+    assert "2 failed, 1 still alive" in capsys.readouterr().out
+    assert main(["add", str(trace), str(lives), "--replace", "--yes", "forse.scale=1", *scales]) == 2
+    assert "forse.scale" in capsys.readouterr().err
