@@ -31,6 +31,8 @@ _ALIKE = 0.12
 
 _STRAIGHT, _SPEEDS = 0.85, 10
 """Median speed over a fast one, of ten to each half period: 0.72 in a sinusoid, above 0.95 in triangles with rounded turning points."""
+_STAIR_PARTS, _LOWEST_STAIR, _FEWEST_STAIRS = 200, 0.05, 4
+"""Parts of a record that are looked at, the lowest step of a staircase as a share of its range, and its fewest levels, rest included."""
 _SLOW_S = 5.0
 """Shortest cycle of a voltage in which a film follows at rest: relaxation that is faster than a second is over on its flanks."""
 _MOST_TRIANGLES = 50
@@ -120,6 +122,9 @@ def _electrical(traces: Mapping[str, Trace]) -> Shape:
             return Shape(
                 "isotonic", "electrical", SURE, seen, {"drive_kv": _rounded(_plateau(traces["voltage"].values))}
             )
+    if drive.held > _HELD and (stairs := _count_stairs(drive)) >= _FEWEST_STAIRS:
+        seen = f"a staircase of the voltage with {stairs} levels on its way up"
+        return Shape("cycle", "electrical", SURE, seen)
     if drive.held > _HELD:
         times = max(1, len(drive.crossings_s))
         return Shape("step", "electrical", SURE, f"{times} steps of voltage up to {drive.high:.3g} kV", steps)
@@ -131,6 +136,19 @@ def _electrical(traces: Mapping[str, Trace]) -> Shape:
         return _sweep("electrical", drive)
     seen = f"a voltage that passes its mean {len(drive.crossings_s)} times in changing intervals"
     return Shape("sphs", "electrical", SURE if _period(drive) else LIKELY, seen)
+
+
+def _count_stairs(drive: _Drive) -> int:
+    """Levels that follow each other upwards without going back between; 1 for steps that go on and off."""
+    parts = np.array_split(drive.values, min(_STAIR_PARTS, drive.values.size))
+    levels = np.array([float(np.median(part)) for part in parts])
+    still = np.array([float(np.ptp(np.quantile(part, (0.1, 0.9)))) for part in parts]) < _LOWEST_STAIR * drive.range
+    held = levels[still]
+    most = count = 1
+    for move in np.diff(held) / drive.range:
+        count = count + 1 if move > _LOWEST_STAIR else 1 if move < -_LOWEST_STAIR else count
+        most = max(most, count)
+    return most
 
 
 def _find_slow_cycles(drive: _Drive) -> Shape | None:

@@ -80,6 +80,8 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     if labels and not said and len(columns) == len(labels):
         guessed = guess_columns(labels, known, fields)
         columns = tuple(replace(g, column=c.column) for g, c in zip(guessed, columns, strict=True))
+    if interval is not None:  # the first column counts samples: the interval beside its name makes times of them
+        columns = tuple(replace(c, meaning=None) if c.column in ("X", "x") else c for c in columns)
     return GuessedTable(dialect, columns, rows, facts if interval is None else (interval, *facts))
 
 

@@ -38,6 +38,8 @@ def force(voltage: Float, power: float = 2.0) -> Float:
         (2.5 - 2.5 * np.cos(2 * np.pi * TIME / 20), "cycle"),
         (2.5 - 2.5 * np.cos(2 * np.pi * TIME / 0.5), "sphs"),
         (5.0 * (triangles(TIME) > 2), "step"),
+        (np.array([0, 1, 2, 3, 4, 5, 4, 3, 2, 1, 0, 0])[np.minimum(TIME // 8, 11).astype(int)] * 1.0, "cycle"),
+        (np.array([0, 1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 0])[np.minimum(TIME // 8, 11).astype(int)] * 1.0, "step"),
     ],
 )
 def test_slow_triangles_of_the_voltage_are_told_from_steps_and_fast_ones(voltage: Float, protocol: str) -> None:

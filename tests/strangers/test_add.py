@@ -432,3 +432,12 @@ def test_an_answer_about_a_channel_goes_to_the_files_that_have_it(
     assert "2 failed, 1 still alive" in capsys.readouterr().out
     assert main(["add", str(trace), str(lives), "--replace", "--yes", "forse.scale=1", *scales]) == 2
     assert "forse.scale" in capsys.readouterr().err
+
+
+def test_samples_that_a_scope_counts_are_no_displacement(tmp_path: Path) -> None:
+    rows = [f"{i},{2 * (i // 100 % 2)}.0,{0.1 * (i // 100 % 2):.2f}," for i in range(1200)]
+    path = tmp_path / "scope.csv"
+    path.write_text("\n".join(["X,CH1,CH2,Start,Increment,", "Sequence,Volt,Volt,-8.0,1.0e-02", *rows, ""]))
+    content = make_draft(path, {"CH1": "voltage", "CH2": "force"}).content
+    assert set(content["columns"]) == {"voltage", "force"}
+    assert content["time"] == {"sample_rate_hz": 100.0}
