@@ -88,9 +88,11 @@ def find_keys(path: Path, answers: Mapping[str, str]) -> set[str]:
     """
     try:
         draft = make_draft(path)
+        columns = {str(c) for c in _columns_of(draft)}
+        said = {key: value for key, value in answers.items() if key in columns}
+        draft = make_draft(path, said) if said else draft
     except DealabError:
         return set()
-    columns = {str(c) for c in _columns_of(draft)}
     return {key for key in answers if key in columns or _is_meant_for(key, draft)}
 
 

@@ -131,5 +131,6 @@ def _cycles(size: Float, peak: float) -> list[slice]:
     smooth = np.convolve(np.pad(size, width, "edge"), np.ones(2 * width + 1) / (2 * width + 1), "valid")
     tops: Int = find_peaks(np.pad(smooth, 1), prominence=_PROMINENCE * peak)[0] - 1
     between = [int(a + np.argmin(smooth[a:b])) for a, b in itertools.pairwise(tops)]
-    ends = [0, *between, size.size]
+    low = [place for place in between if smooth[place] < (1 - _PROMINENCE) * peak]  # tops of equal height are one
+    ends = [0, *low, size.size]
     return [slice(a, b) for a, b in itertools.pairwise(ends) if b - a >= _FEWEST]

@@ -10,7 +10,10 @@ import pytest
 from ingest.shapes import Trace, find_shape
 from pipeline import Lab
 from pipeline.cli import main
+from pipeline.transform.slow_voltage import measure_slow_voltage
 from schemas.arrays import Float
+from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.recording import Channel, Recording
 
 DROP, REST, DRIFT = 0.0043, 0.62, -2e-5
 """N/kV², N and N/s."""
@@ -45,6 +48,28 @@ def force(voltage: Float, power: float = 2.0) -> Float:
 def test_slow_triangles_of_the_voltage_are_told_from_steps_and_fast_ones(voltage: Float, protocol: str) -> None:
     found = find_shape({"voltage": Trace(TIME, voltage), "force": Trace(TIME, force(voltage))})
     assert (found.protocol, found.loading) == (protocol, "electrical")
+
+
+def test_a_converters_equal_readings_on_a_level_are_one_top() -> None:
+    stairs = np.array([0, 2, 4, 6, 4, 2, 0])[np.minimum(TIME // 14, 6).astype(int)]
+    voltage = stairs + 0.04 * np.round(np.random.default_rng(2).normal(0, 0.7, TIME.size))
+    made = measure_slow_voltage(record(voltage))
+    assert (made.cycles, made.drop_n_per_kv2) == (1, pytest.approx(DROP, rel=0.01))
+    assert np.isnan(made.lower)
+
+
+def record(voltage: Float) -> Recording:
+    start = 1_772_000_000_000_000_000
+    stamps = start + np.round(TIME * 1e9).astype(np.int64)
+    channels = {"voltage": Channel("voltage", stamps, voltage), "force": Channel("force", stamps, force(voltage))}
+    about = {
+        "recording_id": "slow",
+        "protocol": "cycle",
+        "loading": "electrical",
+        "specimen_id": "A-1",
+        "started_at": "2026-03-01T10:00:00Z",
+    }
+    return Recording(metadata=RecordingMetadata.parse(about), rig=RigConstants(), channels=channels)
 
 
 @pytest.mark.parametrize("power", [2.0, 1.5])
