@@ -114,8 +114,8 @@ def measure_slow_voltage(recording: Recording) -> SlowVoltage:
 def _fit(time: Float, drive: Float, force: Float) -> tuple[Float, Float]:
     """Force at time 0, its drift per s and its change per unit of the drive; and the force by them."""
     columns = np.column_stack([np.ones_like(time), time, drive])
-    values = np.linalg.lstsq(columns, force, rcond=None)[0]
-    return values, columns @ values
+    values: Float = np.asarray(np.linalg.lstsq(columns, force, rcond=None)[0], dtype=np.float64)
+    return values, np.asarray(columns @ values, dtype=np.float64)
 
 
 def _find_power(time: Float, size: Float, force: Float) -> float:
