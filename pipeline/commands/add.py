@@ -33,7 +33,7 @@ def run(arguments: Namespace) -> int:
 
 
 def _find_shared(paths: Sequence[Path], given: Sequence[str]) -> dict[Path, set[str]]:
-    """For each of several files the answers that mean something in another of them: `force.scale` for the trace, not for the lives."""
+    """By file, of several, the answers that are meant for others: `force.scale` for a trace, not for lives."""
     from ingest.answers import find_keys, split_answers
 
     if len(paths) < 2 or not given:
