@@ -24,7 +24,7 @@ LAB = "lab"
 """The word for what belongs to no single thing: control charts."""
 PRINTED = (
     "response", "spectrum", "correction", "amplification", "force-under-voltage", "blocked-force", "orders", "distortion",
-    "voltage-squared", "step-response", "isotonic", "sensing", "force-map", "relaxation", "error-by-arms", "parameter-study", "cycle",
+    "voltage-squared", "slow-voltage", "step-response", "isotonic", "sensing", "force-map", "relaxation", "error-by-arms", "parameter-study", "cycle",
     "cycle-residual", "creep", "tension", "by-amplitude", "compliance", "master-curve", "shifts", "phase-over-magnitude",
     "misfits", "open-and-closed-loop", "gains", "controllers", "agreement", "constraint", "sensitivity-map", "coats", "migration",
     "force-stroke", "diagnosis", "residual-map", "held-out", "survival", "lifetimes", "against-voltage", "against-stress",

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.figures.palette import INK, MODEL
-from reports.figures.plot import WIDE, Panel, linear
-from reports.figures.svg import Drawing
+from reports.figures.panel import WIDE, Drawing, Panel
+from reports.figures.picture import pictured
+from reports.figures.scale import linear
 from schemas.arrays import Float
 
 
@@ -22,7 +22,8 @@ class DropCurve:
     per_square: float
 
 
-def slow_voltage(curve: DropCurve, *, alt: str) -> Markup:
+@pictured("slow-voltage")
+def slow_voltage(curve: DropCurve, *, alt: str) -> Drawing:
     """Samples over V², and the line that goes with it."""
     drawing = Drawing(WIDE, 330)
     squares = curve.voltage**2
@@ -32,4 +33,4 @@ def slow_voltage(curve: DropCurve, *, alt: str) -> Markup:
     panel.dots(squares, curve.drop, INK, 2.0)
     panel.curve(line, curve.per_square * line, MODEL, 1.4)
     panel.axes("Drop of force, N", "Squared voltage, kV²")
-    return drawing.image(alt)
+    return drawing.told(alt)
