@@ -45,7 +45,7 @@ def page_of(folder: Path, measured: list[Measured]) -> str:
     lab = story.write(folder / "lab")
     build_reports(lab)
     page = (lab / "reports" / "specimens" / "T-1.html").read_text(encoding="utf-8")
-    page = re.sub(r'<img[^>]*alt="([^"]*)">', r" \1 ", page)
+    page = re.sub(r'<img[^>]*alt="([^"]*)"[^>]*>', r" \1 ", page)
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page)).replace("\xa0", " ")
 
 

@@ -144,7 +144,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     texts = {}
     for path in ("specimens/S-1.html", "campaigns/film-dynamics.html"):
         page = (lab / "reports" / path).read_text(encoding="utf-8")
-        page = re.sub(r'<img[^>]*alt="([^"]*)">', r" \1 ", page)
+        page = re.sub(r'<img[^>]*alt="([^"]*)"[^>]*>', r" \1 ", page)
         texts[path[:8]] = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page)).replace("\xa0", " ")
     return texts
 
