@@ -19,7 +19,6 @@ from reports import manifest
 from reports.blocks import Link, Page, flow, name
 from reports.digests import digests
 from reports.figures.drawn import drawn_before
-from reports.figures.panel import styled
 from reports.ledger import Ledger, batches
 from reports.names import short
 from reports.plan import Planned, make, plan
@@ -194,7 +193,7 @@ def _write(folder: Path, site: Site, planned: Planned, force: bool) -> Made:
     problem = ""
     try:
         before = None if force else folder / planned.path
-        with styled(), drawn_before(before, with_values=site.interactive):
+        with drawn_before(before, with_values=site.interactive):
             page = make(site, planned)
         entries = site.entries() if site.interactive and planned.kind == "index" else ()
         text = html(page, interactive=site.interactive, site=entries)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from reports import manifest
 from reports.blocks import Page
 from reports.digests import Digests
-from reports.pages.campaign import page as campaign
-from reports.pages.index import control, lists
-from reports.pages.index import page as index
-from reports.pages.recording import page as recording
-from reports.pages.specimen import page as specimen
+from reports.pages.index import lists
 from reports.site import CONTROL, INDEX, Site
 
 
@@ -26,11 +23,25 @@ class Planned:
     item: str
 
 
-_ALONE: dict[str, Callable[[Site], Page]] = {"index": index.page, "control": control.page}
+def _made_by(module: str) -> Callable[..., Page]:
+    """`page` of a module, which is imported with the first page: what draws is not needed where nothing is new."""
+
+    def page(*of: Site | str) -> Page:
+        with importlib.import_module("reports.figures.panel").styled():
+            made: Page = importlib.import_module(module).page(*of)
+        return made
+
+    return page
+
+
+_ALONE: dict[str, Callable[[Site], Page]] = {
+    "index": _made_by("reports.pages.index.page"),
+    "control": _made_by("reports.pages.index.control"),
+}
 _ABOUT: dict[str, Callable[[Site, str], Page]] = {
-    "campaign": campaign.page,
-    "specimen": specimen.page,
-    "recording": recording.page,
+    "campaign": _made_by("reports.pages.campaign.page"),
+    "specimen": _made_by("reports.pages.specimen.page"),
+    "recording": _made_by("reports.pages.recording.page"),
 }
 
 

@@ -9,8 +9,8 @@ from reports.blocks import Block, Fold, Head, Link, Page, Pages, Row, Section, T
 from reports.ledger import batches
 from reports.names import short
 from reports.pages import listing
-from reports.pages.campaign.page import specimen_table
 from reports.pages.index.trouble import refused_table
+from reports.pages.specimens import specimen_table
 from reports.results import Query, day, literal
 from reports.site import RECORDINGS, REFUSED, SPECIMENS, USED_SQL, Site
 from schemas.numbers import ABSENT, capital, counted, digits, seconds, whole

@@ -27,6 +27,7 @@ from reports.pages.campaign import lives
 from reports.pages.campaign import page as campaign
 from reports.pages.draft import Draft
 from reports.pages.index import arrived, changes, headlines, trouble
+from reports.pages.specimens import specimen_table
 from reports.results import Query, moment
 from reports.results import Row as Record
 from reports.site import INDEX, SPECIMENS, Site
@@ -229,7 +230,7 @@ def _specimens(site: Site, standings: Sequence[Brief]) -> Section | None:
             )
         )  # fmt: skip
         blocks.append(Many(figures))
-    blocks.append(campaign.specimen_table(site, "", "true", "", "Models and verdicts", limit=_SPECIMENS_SHOWN))
+    blocks.append(specimen_table(site, "", "true", "", "Models and verdicts", limit=_SPECIMENS_SHOWN))
     more = len(standings) - _SPECIMENS_SHOWN
     text = f"{digits(more, 'specimen')} more are not shown here. " if more > 0 else ""
     blocks.append(Text(flow(text, link("All specimens", SPECIMENS)), "sub"))

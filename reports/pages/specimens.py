@@ -1,0 +1,68 @@
+"""Specimens with their models and verdicts as a table, as a campaign's page, the first page and the list of all show them."""
+
+from __future__ import annotations
+
+from reports.blocks import Head, Piece, Row, Table, tag
+from reports.names import short
+from reports.results import Query
+from reports.site import Site
+from schemas.mechanisms import plain_name
+from schemas.numbers import ABSENT, percent, pm, significant
+
+_SPECIMEN_SQL = """WITH used AS (
+    SELECT specimen_id, min(material) AS material, count(*) AS recordings
+    FROM recordings AS r
+    WHERE status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes' AND {where}
+    GROUP BY specimen_id
+), fit AS (
+    SELECT *, row_number() OVER (
+        PARTITION BY specimen_id
+        ORDER BY loading <> 'mechanical', loading <> 'joint', method <> 'forward') AS preference
+    FROM model_fits WHERE selected AND coalesce(extension, '') = ''
+)
+SELECT used.specimen_id, used.material, used.recordings, fit.model_order, fit.k0_n_per_mm, fit.k0_n_per_mm_sd,
+       fit.modulus_mpa, fit.reduced_chi2, d.verdict, d.mechanisms, d.gain
+FROM used
+LEFT JOIN fit ON fit.specimen_id = used.specimen_id AND fit.preference = 1
+LEFT JOIN diagnoses AS d ON d.specimen_id = used.specimen_id
+WHERE fit.specimen_id IS NOT NULL OR d.specimen_id IS NOT NULL
+ORDER BY d.verdict IS NULL OR d.verdict = 'none', used.specimen_id
+LIMIT {limit} OFFSET {offset}"""
+
+
+def specimen_table(
+    site: Site, root: str, where: str, value: str, caption: str, *, limit: int = 200, offset: int = 0
+) -> Table:
+    """Specimens with a model or a diagnosis, findings first."""
+    query = Query(
+        _SPECIMEN_SQL.format(where=where, limit=limit, offset=offset), {"item": value} if "$item" in where else {}
+    )
+    rows = []
+    specimens = site.results.rows(query)
+    diagnosed = any(r["verdict"] for r in specimens)
+    for r in specimens:
+        modulus_sd = None
+        if r["modulus_mpa"] and r["k0_n_per_mm"] and r["k0_n_per_mm_sd"]:
+            modulus_sd = r["modulus_mpa"] * r["k0_n_per_mm_sd"] / r["k0_n_per_mm"]
+        cells: list[Piece] = [
+            site.specimen(r["specimen_id"], root), short(r["material"] or ABSENT, 40), str(r["recordings"]),
+            ABSENT if r["model_order"] is None else str(r["model_order"]), pm(r["k0_n_per_mm"], r["k0_n_per_mm_sd"]),
+            pm(r["modulus_mpa"], modulus_sd), significant(r["reduced_chi2"]),
+        ]  # fmt: skip
+        if diagnosed:
+            cells += [
+                tag(r["verdict"]) if r["verdict"] else "not diagnosed",
+                ", ".join(plain_name(m) for m in r["mechanisms"] or []) or ABSENT,
+                percent(r["gain"]),
+            ]
+        rows.append(Row(tuple(cells)))
+    heads = [
+        Head("Specimen"), Head("Material"), Head("Recordings", "n"), Head("Order", "n"), Head("k₀, N/mm", "n"),
+        Head("Modulus, MPa", "n"), Head("Red. χ²", "n"),
+    ]  # fmt: skip
+    if diagnosed:
+        heads += [Head("Verdict"), Head("Cause"), Head("Gain", "n")]
+    below = "± is one standard deviation." + (
+        " Gain: share of the removable held-out error that the extension removes." if diagnosed else ""
+    )
+    return Table(caption, tuple(heads), tuple(rows), query.shown(), below=below)
