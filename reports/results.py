@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
 from pathlib import Path
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.ledger import AT_ONCE, Ledger
-from reports.names import Verbatim, seen
+from reports.names import Verbatim, seen, visible
 from schemas.database import connect
 from schemas.errors import LabError
 from schemas.numbers import bounds
@@ -39,6 +39,12 @@ _OUT_OF_MEMORY = ("failed to allocate", "failed to pin")
 def write_bounds(row: Row, column: str, scale: float = 1.0) -> str:
     """A column of a row with its 95 % limits, in words for a cell."""
     return bounds(row[column], row[f"{column}_lower"], row[f"{column}_upper"], scale)
+
+
+def tell_warnings(found: Iterable[Row], what: str) -> str:
+    """` The tests warn: …`, a sentence to go on with about what the rows of a table warn of, each warning once; empty where none does."""
+    warnings = dict.fromkeys(w for r in found for w in (r["warnings"] or "").split("; ") if w)
+    return f" The {what} warn: {visible('; '.join(warnings))}." if warnings else ""
 
 
 def short_of_memory(error: Exception) -> bool:
@@ -68,9 +74,9 @@ def literal(value: str | float | None) -> str:
     if not isinstance(value, str):
         return repr(value)
     texts: list[str] = []
-    for visible, run in itertools.groupby(value, key=seen):
+    for is_seen, run in itertools.groupby(value, key=seen):
         text = "".join(run)
-        texts += ["'" + text.replace("'", "''") + "'"] if visible else [f"chr({ord(c)})" for c in text]
+        texts += ["'" + text.replace("'", "''") + "'"] if is_seen else [f"chr({ord(c)})" for c in text]
     if len(texts) == 1 and texts[0].startswith("'"):
         return texts[0]
     return f"({' || '.join(texts)})" if texts else "''"

@@ -10,7 +10,7 @@ from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold,
 from reports.figures.creep import HeldCurve, creep
 from reports.names import short, visible
 from reports.pages.draft import Draft
-from reports.results import Query, write_bounds
+from reports.results import Query, tell_warnings, write_bounds
 from reports.results import Row as Record
 from schemas.numbers import ABSENT, NBSP, compact, percent, pm, significant, with_unit
 
@@ -112,9 +112,7 @@ def _tests(draft: Draft, query: Query, found: list[Record]) -> Table:
         "Values with their 95 % intervals. What is left is read off the record; its interval knows noise and wander of the"
         " displacement, and holds both readings of a constant drift: none, and the one that the fit finds."
     )
-    warnings = dict.fromkeys(w for r in found for w in (r["warnings"] or "").split("; ") if w)
-    if warnings:
-        below += f" The tests warn: {visible('; '.join(warnings))}."
+    below += tell_warnings(found, "tests")
     return Table("Creep and recovery", heads, tuple(rows), query.shown(), below=below, kind="narrow")
 
 

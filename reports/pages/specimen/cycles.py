@@ -13,7 +13,7 @@ from reports.blocks import Block, Figure, Fold, Head, Pair, Piece, Row, Section,
 from reports.figures.cycle import CycleCurve, loop, rest
 from reports.names import short, visible
 from reports.pages.draft import Draft
-from reports.results import Query
+from reports.results import Query, tell_warnings
 from reports.results import Row as Record
 from schemas.numbers import ABSENT, NBSP, capital, ordinal, percent, pm, significant, with_unit, word
 
@@ -208,10 +208,8 @@ def _table(draft: Draft, query: Query, found: Sequence[Record]) -> Table:
         Head("Recording"), Head("Equilibrium stress"), Head("Order", "n"), Head("RMS error, kPa", "n"), Head("of the peak", "n"),
         Head("On the part left out, kPa", "n"), Head("Correlation of residuals", "n"),
     )  # fmt: skip
-    warnings = dict.fromkeys(w for r in found if r["selected"] for w in (r["warnings"] or "").split("; ") if w)
     below = "The order is chosen by the error on the last 30 % of the cycle, which the fit has not seen."
-    if warnings:
-        below += f" The fits warn: {visible('; '.join(warnings))}."
+    below += tell_warnings((r for r in found if r["selected"]), "fits")
     return Table("Orders of the large cycles", heads, tuple(rows), query.shown(), below=below, kind="narrow")
 
 

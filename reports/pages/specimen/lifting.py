@@ -8,9 +8,9 @@ import numpy as np
 
 from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold, flow
 from reports.figures.isotonic import StrokeCurve, isotonic
-from reports.names import short, visible
+from reports.names import short
 from reports.pages.draft import Draft
-from reports.results import Query, write_bounds
+from reports.results import Query, tell_warnings, write_bounds
 from reports.results import Row as Record
 from schemas.numbers import ABSENT, compact, percent, significant, with_unit
 
@@ -93,9 +93,7 @@ def _tests(draft: Draft, query: Query, found: list[Record]) -> Table:
         Head("Free strain", "n"), Head("Strain over field², (m/MV)²", "n"), Head("Drift, mm/h", "n"),
     )  # fmt: skip
     below = "Values with their 95 % intervals. Free strain is the largest stroke over the length of the film under its load."
-    warnings = dict.fromkeys(w for r in found for w in (r["warnings"] or "").split("; ") if w)
-    if warnings:
-        below += f" The tests warn: {visible('; '.join(warnings))}."
+    below += tell_warnings(found, "tests")
     return Table("Tests at constant load", heads, tuple(rows), query.shown(), below=below, kind="narrow")
 
 

@@ -10,7 +10,7 @@ from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold,
 from reports.figures.pull import PullCurve, pull
 from reports.names import short, visible
 from reports.pages.draft import Draft
-from reports.results import Query
+from reports.results import Query, tell_warnings
 from reports.results import Row as Record
 from schemas.numbers import ABSENT, bounds, percent, pm, significant, with_unit
 
@@ -99,9 +99,7 @@ def _tests(draft: Draft, query: Query, found: list[Record]) -> Table:
         " break lies between the last sample before and the first after it. ≥: not broken. One film tells nothing of how much"
         " films of its kind differ."
     )
-    warnings = dict.fromkeys(w for r in found for w in (r["warnings"] or "").split("; ") if w)
-    if warnings:
-        below += f" The pulls warn: {visible('; '.join(warnings))}."
+    below += tell_warnings(found, "pulls")
     return Table("Pulls to failure", heads, tuple(rows), query.shown(), below=below, kind="narrow")
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, bold, flow
 from reports.figures.slow_voltage import DropCurve, slow_voltage
-from reports.names import short, visible
+from reports.names import short
 from reports.pages.draft import Draft
-from reports.results import Query, write_bounds
+from reports.results import Query, tell_warnings, write_bounds
 from reports.results import Row as Record
 from schemas.numbers import compact, significant, with_unit
 
@@ -73,7 +73,5 @@ def _tests(draft: Draft, query: Query, found: list[Record]) -> Table:
         Head("Force at rest, N", "n"), Head("Drift, mN/min", "n"), Head("Left over, mN", "n"),
     )  # fmt: skip
     below = "Positive where the tension falls under voltage. 95 % limits by the scatter from cycle to cycle."
-    warnings = dict.fromkeys(w for r in found for w in (r["warnings"] or "").split("; ") if w)
-    if warnings:
-        below += f" The tests warn: {visible('; '.join(warnings))}."
+    below += tell_warnings(found, "tests")
     return Table("Tests under a slow voltage", heads, tuple(rows), query.shown(), below=below, kind="narrow")
