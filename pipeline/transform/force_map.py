@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.transform.static_force import fit_static_force
 from pipeline.transform.step import measure_steps
-from pipeline.transform.step_edges import describe_unsteady, on_phases
+from pipeline.transform.step_edges import Edges, describe_unsteady, on_phases
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Channel, Recording
@@ -117,6 +117,10 @@ def _readings(recording: Recording, direction: int) -> tuple[list[ForceReading],
     unsteady = [(step.cycle, describe_unsteady(*voltage, phases[step.cycle - 1])) for step in steps]
     said = [f"cycle {cycle}: {text}" for cycle, text in unsteady if text]
     settle_s = max(_SETTLED_S, *(one.settle_s for one in times))
+    for cycle in sorted({*range(1, len(phases) + 1)} - {one.cycle for one in times}):
+        begins = "" if phases[cycle - 1].has_rest else " begins with the record, without a level before it, and"
+        said.append(f"cycle {cycle}{begins} gives no reading: what it shows is left out")
+        force = _without(force, phases[cycle - 1], settle_s)
     try:
         found = fit_static_force(*force, [(one.on_s, one.off_s) for one in times], settle_s)
     except NotIdentifiableError as error:
@@ -157,6 +161,13 @@ def _time_of_voltage(cycle: int, on: float, off: float, voltage: Samples) -> _Ti
     settle = max(float(up[0]) - begin, float(gone[0]) - end if gone.size else 0.0)
     inside = volts[(times >= up[0]) & (times <= end)]
     return _TimeOfVoltage(cycle, begin, end, settle, float(np.sqrt(np.mean(inside**2))))
+
+
+def _without(force: Samples, phase: Edges, settle_s: float) -> Samples:
+    """Samples outside an on-phase and of what settles after it: else its force would pass for drift of the rest."""
+    times, values = force
+    keep = (times < phase.on) | (times > phase.off + settle_s)
+    return times[keep], values[keep]
 
 
 def _finite(channel: Channel, start_ns: int) -> Samples:

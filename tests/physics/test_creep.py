@@ -210,6 +210,16 @@ def test_a_record_that_begins_with_the_load_is_taken_from_zero() -> None:
     assert film(found).k0 == pytest.approx(SOLID.k0, rel=0.02)
 
 
+@pytest.mark.parametrize("load", [0.1, 0.5])
+def test_the_way_of_a_film_under_one_load_all_the_time_is_not_left_to_rounding(load: float) -> None:
+    """A load that never changes has no covariance with anything: the sign came from its last bits, and half of these crashed."""
+    part = (TIMES > ON_S + RAMP_S) & (TIMES < OFF_S)
+    force = load + np.random.default_rng(0 if load < 0.3 else 1).normal(0, 1e-3, part.sum())
+    found = measure_creep(with_force(recorded(TIMES[part], EXTENSION[part] * load / 0.3 - 0.7), force))
+    assert found.retardation.sign == 1
+    assert film(found).k0 == pytest.approx(SOLID.k0, rel=0.05)
+
+
 def with_force(record: Recording, force: Float) -> Recording:
     """The record with another force."""
     return replace(record, channels={**record.channels, "force": replace(record.channels["force"], values=force)})

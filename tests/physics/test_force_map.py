@@ -98,6 +98,22 @@ def recording(
     )
 
 
+def test_a_cycle_that_begins_with_the_record_is_left_out_aloud() -> None:
+    """Its force stood in the level before the next cycle, and nothing told that it gave no reading."""
+    whole = recording(cycles=3, noise=1e-3)
+    channels = {
+        name: replace(channel, time_ns=channel.time_ns[500:], values=channel.values[500:])
+        for name, channel in whole.channels.items()
+    }
+    found = measure_force_map(replace(whole, channels=channels))
+    assert [(r.direction, r.cycle) for r in found.readings] == [(1, 2), (1, 3), (2, 2), (2, 3)]
+    for direction, force in ((1, 0.35), (2, 0.17)):
+        readings = [r for r in found.readings if r.direction == direction]
+        np.testing.assert_allclose([r.force_n for r in readings], force, atol=1e-3)
+        assert all(r.force_sd_n < 1e-3 for r in readings)
+        assert any(f"force_{direction}: cycle 1 begins with the record" in w for w in found.warnings)
+
+
 def test_readings_of_a_record() -> None:
     found = measure_force_map(recording())
     for direction, force in ((1, 0.35), (2, 0.17)):

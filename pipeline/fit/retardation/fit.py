@@ -128,9 +128,11 @@ def fit_retardation(record: HeldRecord, *, drifts: bool, orders: Sequence[int] =
 
 
 def _sign_of(record: HeldRecord) -> float:
-    """1 where the film gives way along the drive, −1 where it contracts under it."""
-    drive = record.mean @ record.drive
-    return 1.0 if float((record.displacement - record.displacement.mean()) @ (drive - drive.mean())) >= 0 else -1.0
+    """1 where the film gives way along the drive, −1 where it contracts under it; both from rest where there is no offset."""
+    drive, moved = record.mean @ record.drive, record.displacement
+    if record.offset:
+        drive, moved = drive - drive.mean(), moved - moved.mean()
+    return 1.0 if float(moved @ drive) >= 0 else -1.0
 
 
 def _first_noise(record: HeldRecord) -> SlowNoise:
