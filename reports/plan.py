@@ -24,11 +24,10 @@ class Planned:
 
 
 def _made_by(module: str) -> Callable[..., Page]:
-    """`page` of a module, which is imported with the first page: what draws is not needed where nothing is new."""
+    """`page` of a module, which is imported with the first page of its kind."""
 
     def page(*of: Site | str) -> Page:
-        with importlib.import_module("reports.figures.panel").styled():
-            made: Page = importlib.import_module(module).page(*of)
+        made: Page = importlib.import_module(module).page(*of)
         return made
 
     return page

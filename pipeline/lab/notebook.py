@@ -173,7 +173,7 @@ class Lab(pipeline.lab.lab.Lab):
 
         if width is not None and width not in WIDTHS_MM:
             raise UsageError(f'"{width}" is no width', expected=" or ".join(WIDTHS_MM))
-        return choose_exhibit(self._find_exhibits(thing), thing, kind).picture.draw(width)
+        return choose_exhibit(self._find_exhibits(thing), thing, kind).picture.draw(width).figure
 
     def _find_exhibits(self, thing: str) -> list[Exhibit]:
         from reports.gallery import find_exhibits

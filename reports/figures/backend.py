@@ -1,4 +1,4 @@
-"""A figure of matplotlib as SVG for a page: a small backend, because matplotlib's own writes for editors rather than for pages.
+"""A drawing as SVG for a page: a small backend, because matplotlib's own writes for editors rather than for pages.
 
 What it leaves out is what a page does not need: a group and a name for every artist, a clipping path beside each line, a mark
 per point, an element per tick. Lines are simplified and cut at the axes as they are written, marks of one kind are one path,
@@ -16,7 +16,6 @@ import numpy as np
 from markupsafe import escape
 from matplotlib.backend_bases import GraphicsContextBase, RendererBase
 from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.path import Path
 from matplotlib.transforms import Affine2D, Bbox, Transform
@@ -24,6 +23,8 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from reports.figures.palette import INK
+from reports.figures.panel import Drawing
+from reports.figures.scale import number
 from schemas.arrays import Float
 
 FONT = "-apple-system,'Segoe UI',Roboto,'Helvetica Neue','Noto Sans','Liberation Sans',Arial,sans-serif"
@@ -43,19 +44,14 @@ _CUT = 1e4
 Colour = Sequence[float]
 
 
-def write_svg(figure: Figure) -> str:
-    """The figure as an SVG document, in px as large as its drawing was laid out."""
+def write_svg(drawing: Drawing) -> str:
+    """Its figure as an SVG document, in px as large as the drawing was laid out."""
+    figure = drawing.figure
     renderer = _PageRenderer(*(figure.get_size_inches() * figure.dpi))
     figure.patch.set_visible(False)  # the page is the paper
     figure.draw(renderer)
     figure.patch.set_visible(True)
     return renderer.document()
-
-
-def number(value: float) -> str:
-    """A coordinate to a tenth of a pixel."""
-    text = f"{value:.1f}"
-    return text[:-2] if text.endswith(".0") else text
 
 
 class _PageRenderer(RendererBase):

@@ -1,8 +1,8 @@
 """Figures by matplotlib in the look of the house: a drawing laid out in px, panels of axes in it, names at the curves.
 
-A drawing is a `matplotlib.figure.Figure`, its panels are real axes with the data in their own units: what a page shows can be
-changed and saved in a notebook. No grid, no frame, no legend. Nothing here reads or changes the state of pyplot. The layout is
-that of the page; for print the same drawing is made as wide as a column, its panels take what the text beside them leaves.
+A drawing lays out a `matplotlib.figure.Figure`, its panels are real axes with the data in their own units: what a page shows can
+be changed and saved in a notebook. No grid, no frame, no legend. Nothing here reads or changes the state of pyplot. The layout
+is that of the page; for print the same drawing is made as wide as a column, its panels take what the text beside them leaves.
 Which data answer which question is decided in `reports.figures`.
 """
 
@@ -13,24 +13,19 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
-from matplotlib.image import BboxImage
-from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon, Rectangle
-from matplotlib.text import Text
-from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
-from matplotlib.transforms import Affine2D, TransformedBbox
 from numpy.typing import ArrayLike, NDArray
 
+from reports.figures import artists
 from reports.figures.palette import BAND, INK, RULE, SECOND
 from reports.figures.scale import Scale, apart, tick_text
 from schemas.arrays import Bool, Float
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
 WIDE, NARROW = 480.0, 227.0
 """Widths of a figure in px: one of a pair, one of small multiples."""
@@ -72,9 +67,9 @@ def styled() -> Iterator[None]:
         return
     token = _STYLED.set(True)
     try:
-        with matplotlib.rc_context():
-            matplotlib.rcParams.update(matplotlib.rcParamsDefault)
-            matplotlib.rcParams.update(_STYLE)
+        with artists.rc_context():
+            artists.rcParams.update(artists.rcParamsDefault)
+            artists.rcParams.update(_STYLE)
             yield
     finally:
         _STYLED.reset(token)
@@ -131,8 +126,8 @@ class Plot:
     names: list[tuple[float, str, str]] = field(default_factory=list)
 
 
-class Drawing(Figure):
-    """A figure of `width` × `height` px of layout; y counts downwards from the top, as on a page.
+class Drawing:
+    """A `figure` of `width` × `height` px of layout; y counts downwards from the top, as on a page.
 
     Of several parts of that size each has its own place: side by side where the sheet is wide enough, else below each other.
     """
@@ -147,9 +142,9 @@ class Drawing(Figure):
         self._at = (0.0, 0.0)
         self.height = height if abreast else parts * height
         size = (self.width * self.unit / 72, self.height * self.unit / 72)
-        super().__init__(figsize=size, dpi=72 / self.unit)
+        self.figure = artists.Figure(figsize=size, dpi=72 / self.unit)
         self.plots: list[Plot] = []
-        self.px = Affine2D.from_values(1 / self.width, 0, 0, -1 / self.height, 0, 1) + self.transFigure
+        self.px = artists.Affine2D.from_values(1 / self.width, 0, 0, -1 / self.height, 0, 1) + self.figure.transFigure
 
     def begin_part(self, index: int) -> None:
         """What is placed from now on belongs to that part."""
@@ -157,7 +152,7 @@ class Drawing(Figure):
 
     def told(self, finding: str) -> Drawing:
         """The same with what it shows in words, for who cannot see it."""
-        self.set_label(finding)
+        self.figure.set_label(finding)
         return self
 
     def place(self, left: float, top: float, width: float) -> tuple[float, float, float]:
@@ -172,8 +167,8 @@ class Drawing(Figure):
     def line(self, points: Points, colour: str, width: float = 2.1, *, dash: str | None = None) -> None:
         """A line through points in px."""
         x, y = np.asarray(points, dtype=float).T
-        self.add_artist(
-            Line2D(
+        self.figure.add_artist(
+            artists.Line2D(
                 x, y, color=colour, linewidth=self.pt(width), linestyle=self.dashes(dash, width), transform=self.px, zorder=_UNDER
             )
         )  # fmt: skip
@@ -186,14 +181,14 @@ class Drawing(Figure):
         """Separate straight lines (x1, y1, x2, y2) in px."""
         ends = [((a, b), (c, d)) for a, b, c, d in pairs]
         if ends:
-            self.add_artist(
-                LineCollection(ends, colors=colour, linewidths=self.pt(width), transform=self.px, zorder=_UNDER)
+            self.figure.add_artist(
+                artists.LineCollection(ends, colors=colour, linewidths=self.pt(width), transform=self.px, zorder=_UNDER)
             )
 
     def box(self, x: float, y: float, width: float, height: float, fill: str, stroke: str | None = None) -> None:
         """A filled rectangle in px, behind everything."""
-        self.add_artist(
-            Rectangle(
+        self.figure.add_artist(
+            artists.Rectangle(
                 (x, y), width, height, facecolor=fill, edgecolor=stroke or "none", linewidth=self.pt(1.0) if stroke else 0.0,
                 transform=self.px, zorder=_BEHIND,
             )
@@ -212,8 +207,8 @@ class Drawing(Figure):
         turn: float | None = None,
     ) -> None:
         """A line of text with its base line at (x, y) px; `anchor` is `middle` or `end`; `turn` in degrees clockwise."""
-        self.add_artist(
-            Text(
+        self.figure.add_artist(
+            artists.Text(
                 x, y, content, fontsize=self.pt(size), color=colour or INK, ha=_SIDES[anchor], va="baseline",
                 fontweight="bold" if bold else "normal", rotation=-(turn or 0.0), rotation_mode="anchor",
                 transform=self.px, zorder=_WORDS,
@@ -225,7 +220,7 @@ class Drawing(Figure):
         if points:
             x, y = np.asarray(points, dtype=float).T
             look = self.mark(marker, colour, size, open_=open_)
-            self.add_artist(Line2D(x, y, transform=self.px, zorder=_OVER, **look))
+            self.figure.add_artist(artists.Line2D(x, y, transform=self.px, zorder=_OVER, **look))
 
     def mark(self, marker: str, colour: str, size: float, *, open_: bool) -> dict[str, Any]:
         """How marks of so many px are drawn, in matplotlib's words."""
@@ -240,18 +235,18 @@ class Drawing(Figure):
         self, x: float, y: float, width: float, height: float, shade: NDArray[np.uint8], palette: NDArray[np.uint8]
     ) -> None:
         """A picture of (rows, columns) indices into a palette (n, 3), its cells as sharp as they are."""
-        box = TransformedBbox(matplotlib.transforms.Bbox.from_bounds(x, y + height, width, -height), self.px)
-        image = BboxImage(box, interpolation="none", zorder=_BEHIND, origin="upper")
+        box = artists.TransformedBbox(artists.Bbox.from_bounds(x, y + height, width, -height), self.px)
+        image = artists.BboxImage(box, interpolation="none", zorder=_BEHIND, origin="upper")
         image.set_data(palette[shade])
-        self.add_artist(image)
+        self.figure.add_artist(image)
 
     def overhang(self, renderer: Any) -> tuple[float, float]:
         """How far text beside panels reaches over the left and the right edge of its part, px of layout."""
-        self.draw_without_rendering()
-        above = {axes.get_title(loc="left") for axes in self.axes}
-        scale = self.dpi * self.unit / 72
+        self.figure.draw_without_rendering()
+        above = {axes.get_title(loc="left") for axes in self.figure.axes}
+        scale = self.figure.dpi * self.unit / 72
         left = right = 0.0
-        for text in self.findobj(Text):
+        for text in self.figure.findobj(artists.Text):
             if text.get_visible() and text.get_text() not in above:
                 box = text.get_window_extent(renderer)
                 middle = (box.x0 + box.x1) / 2 / scale
@@ -291,7 +286,7 @@ class Panel:
         self.plot = Plot((left, top, width, height), (x.low, x.high, x.log), (y.low, y.high, y.log))
         drawing.plots.append(self.plot)
         across, down = drawing.width, drawing.height
-        self.on: Axes = drawing.add_axes(
+        self.on: Axes = drawing.figure.add_axes(
             (left / across, 1 - (top + height) / down, width / across, height / down), zorder=_AXES, frameon=True
         )
         self.on.patch.set_visible(False)
@@ -299,8 +294,8 @@ class Panel:
             if scale.log:
                 (self.on.set_xscale if axis is self.on.xaxis else self.on.set_yscale)("log")
             limit(scale.low, scale.high)
-            axis.set_major_locator(NullLocator())
-            axis.set_minor_locator(NullLocator())
+            axis.set_major_locator(artists.NullLocator())
+            axis.set_minor_locator(artists.NullLocator())
         self.on.set_axis_off()
         self._drawn = 0
 
@@ -367,8 +362,8 @@ class Panel:
         for axis, places, pad in ((on.xaxis, xs, 1.5 + size), (on.yaxis, ys, 2.5)):
             plus = signed and axis is on.yaxis
             words = [("+" if plus and v > 0 else "") + tick_text(v) for v in places]
-            axis.set_major_locator(FixedLocator(places))
-            axis.set_major_formatter(FixedFormatter(words))
+            axis.set_major_locator(artists.FixedLocator(places))
+            axis.set_major_formatter(artists.FixedFormatter(words))
             axis.set_tick_params(length=pt(4.5), width=pt(0.9), pad=pt(pad), labelsize=pt(size))
         on.tick_params(axis="x", labelbottom=x_labels)
         for label in on.get_xticklabels():
@@ -387,7 +382,7 @@ class Panel:
         ends += [((self.left - 2.7, p), (self.left, p)) for p in self.py(list(y)).tolist()]
         if ends:
             self.on.add_collection(
-                LineCollection(
+                artists.LineCollection(
                     ends, colors=SECOND, linewidths=self.drawing.pt(0.8), transform=self.drawing.px, clip_on=False, zorder=2.4
                 ),
                 autolim=False,
@@ -396,7 +391,7 @@ class Panel:
     def curve(self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 2.1, *, dash: str | None = None) -> None:
         """A line; a NaN interrupts it."""
         across, up = self._keep("c", x, y, colour, width, dash)
-        self._add(Line2D(across, up, color=colour, linewidth=self.drawing.pt(width), linestyle=self.drawing.dashes(dash, width)))  # fmt: skip
+        self._add(artists.Line2D(across, up, color=colour, linewidth=self.drawing.pt(width), linestyle=self.drawing.dashes(dash, width)))  # fmt: skip
 
     def _add(self, line: Line2D, *, clipped: bool = True) -> None:
         """A line among what the axes hold, without a look at their limits: they are set."""
@@ -407,7 +402,7 @@ class Panel:
     def steps(self, x: ArrayLike, y: ArrayLike, colour: str, width: float = 2.1) -> None:
         """A step line: the value holds until the next x."""
         across, up = self._keep("t", x, y, colour, width)
-        self._add(Line2D(across, up, color=colour, linewidth=self.drawing.pt(width), drawstyle="steps-post"))
+        self._add(artists.Line2D(across, up, color=colour, linewidth=self.drawing.pt(width), drawstyle="steps-post"))
 
     def band(
         self, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str, opacity: str = ".18", *, steps: bool = False
@@ -427,7 +422,7 @@ class Panel:
         """A shaded area around points in px, cut at the edges of the axes."""
         if len(points) > 2:
             self.on.add_artist(
-                Polygon(points, facecolor=colour, alpha=float(opacity), linewidth=0, transform=self.drawing.px, zorder=self._next())
+                artists.Polygon(points, facecolor=colour, alpha=float(opacity), linewidth=0, transform=self.drawing.px, zorder=self._next())
             )  # fmt: skip
 
     def dots(
@@ -438,7 +433,7 @@ class Panel:
         inside = self._inside(across, up)
         if inside.any():
             self._add(
-                Line2D(across[inside], up[inside], **self.drawing.mark(marker, colour, size, open_=open_)),
+                artists.Line2D(across[inside], up[inside], **self.drawing.mark(marker, colour, size, open_=open_)),
                 clipped=False,
             )
 
@@ -453,7 +448,7 @@ class Panel:
         ):
             if beyond.any():
                 look = self.drawing.mark(marker, colour, size * 1.1, open_=open_)
-                self._add(Line2D(places[beyond], np.full(int(beyond.sum()), edge), **look), clipped=False)
+                self._add(artists.Line2D(places[beyond], np.full(int(beyond.sum()), edge), **look), clipped=False)
 
     def _inside(self, x: Float, y: Float) -> Bool:
         h, v = self.px(x), self.py(y)
@@ -470,7 +465,7 @@ class Panel:
         ends[:, :2, 0] = places[known][:, None]
         ends[:, 0, 1], ends[:, 1, 1] = a[known], b[known]
         if ends.size:
-            self._add(Line2D(*ends.reshape(-1, 2).T, color=colour, linewidth=self.drawing.pt(width)))
+            self._add(artists.Line2D(*ends.reshape(-1, 2).T, color=colour, linewidth=self.drawing.pt(width)))
 
     def level(self, y: float, colour: str = SECOND, width: float = 0.8, *, dash: str | None = None) -> None:
         """A horizontal line across the panel."""

@@ -7,9 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
 from reports.figures.panel import TEXT, Drawing, Sheet, on_sheet, styled
 
 WIDTHS_MM = {"single": 85.0, "double": 175.0}
@@ -27,24 +24,26 @@ _TRIES = 3
 
 def draw_for_column(draw: Callable[[], Drawing], width: str) -> Drawing:
     """The figure in that width; panels leave the room that the text beside them takes in the font of the file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     unit = _TEXT_PT / TEXT
     sheet = Sheet(unit, WIDTHS_MM[width] / 25.4 * 72 / unit)
     for _ in range(_TRIES):
         with styled(), on_sheet(sheet):
             drawing = draw()
-            left, right = drawing.overhang(FigureCanvasAgg(drawing).get_renderer())
+            left, right = drawing.overhang(FigureCanvasAgg(drawing.figure).get_renderer())
         if left < 1 and right < 1:
             break
         sheet = replace(sheet, left=sheet.left + left, right=sheet.right + right)
     return drawing
 
 
-def write_figure(figure: Figure, file: Path | IO[bytes], form: str, *, title: str, finding: str) -> None:
-    """Writes a figure as `pdf`, `svg` or `png`; title and finding stand in the file for who cannot see it."""
+def write_figure(drawing: Drawing, file: Path | IO[bytes], form: str, *, title: str, finding: str) -> None:
+    """Writes its figure as `pdf`, `svg` or `png`; title and finding stand in the file for who cannot see it."""
     known: Mapping[str, dict[str, Any]] = {
         "pdf": {"Title": title, "Subject": finding, "Creator": "dealab", "Producer": None, "CreationDate": None},
         "svg": {"Title": title, "Description": finding, "Creator": "dealab", "Date": None, "Format": None, "Type": None},
         "png": {"Title": title, "Description": finding, "Software": None},
     }  # fmt: skip
     with styled():
-        figure.savefig(file, format=form, dpi=_PNG_DPI, metadata=known[form])
+        drawing.figure.savefig(file, format=form, dpi=_PNG_DPI, metadata=known[form])

@@ -16,10 +16,10 @@ from typing import Any, ParamSpec
 import numpy as np
 from markupsafe import Markup, escape
 
-from reports.figures.backend import number, write_svg
 from reports.figures.drawn import Drawn, digest_data, find_drawn, mark
 from reports.figures.panel import SHEET, Drawing, Plot, styled
 from reports.figures.paper import SINGLE, draw_for_column
+from reports.figures.scale import number
 from schemas.numbers import significant, with_unit
 
 P = ParamSpec("P")
@@ -81,6 +81,8 @@ def pictured(
 
 
 def _draw(draw: Callable[[], Drawing], digest: str | None) -> Drawn:
+    from reports.figures.backend import write_svg
+
     with styled():
         drawing = draw()
         svg = write_svg(drawing)
@@ -91,7 +93,7 @@ def _embed(drawing: Drawing, svg: str) -> Markup:
     """`<img>` with the drawing inside, over it what says its values under the pointer."""
     uri = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode("ascii")
     size = Markup('width="{}" height="{}"').format(round(drawing.width), round(drawing.height))
-    picture = Markup('<img src="{}" {} alt="{}">').format(uri, size, drawing.get_label())
+    picture = Markup('<img src="{}" {} alt="{}">').format(uri, size, drawing.figure.get_label())
     return Markup('<span class="plot">{}{}</span>').format(picture, _said(drawing)) if _asked(drawing) else picture
 
 

@@ -112,6 +112,12 @@ def nice(value: float) -> float:
     return max(s * decade for s in (1, 2, 5) if s * decade <= value * (1 + 1e-9))
 
 
+def number(value: float) -> str:
+    """A coordinate to a tenth of a pixel."""
+    text = f"{value:.1f}"
+    return text[:-2] if text.endswith(".0") else text
+
+
 def tick_text(value: float) -> str:
     """`0.01`, `5`, `20 000`, `10⁻⁶`."""
     if value == 0:

@@ -92,11 +92,12 @@ def test_the_synthetic_lab_shows_many_kinds(exhibits: dict[str, Exhibit]) -> Non
 def test_every_kind_is_drawn_in_both_widths(exhibits: dict[str, Exhibit], untouched: None) -> None:
     for place, exhibit in enumerate(exhibits.values()):
         for width, size in list(WIDTHS_MM.items())[place % 2 :]:  # every second one in both
-            figure = exhibit.picture.draw(width)
+            drawing = exhibit.picture.draw(width)
+            figure = drawing.figure
             assert figure.get_figwidth() == pytest.approx(size / 25.4)
             assert figure.get_label() == exhibit.picture.finding
             assert all(ax.lines or ax.collections or ax.patches or ax.texts for ax in figure.axes)
-            left, right = figure.overhang(FigureCanvasAgg(figure).get_renderer())
+            left, right = drawing.overhang(FigureCanvasAgg(figure).get_renderer())
             assert max(left, right) < 2, f"{exhibit.name}: text is cut at the edge"
 
 
@@ -105,18 +106,18 @@ def test_kinds_without_a_page_in_the_synthetic_lab_are_drawn(untouched: None) ->
     stretch = 1 + np.where(time < 10, time, 20 - time) / 5
     measured = 50 * (stretch - stretch**-2.0)
     curves = [CycleCurve(n, n == 2, time, stretch, measured, measured + n) for n in (1, 2)]
-    loop = cycle.loop(curves, alt="a cycle").draw()
+    loop = cycle.loop(curves, alt="a cycle").draw().figure
     assert "second order ✓" in texts(loop)
     assert np.allclose(loop.axes[1].lines[-1].get_ydata(), -2.0)  # measured less modelled of the chosen order
-    rest = cycle.rest(curves, 14.0, alt="what is left").draw()
+    rest = cycle.rest(curves, 14.0, alt="what is left").draw().figure
     assert "left out to judge" in texts(rest)
     t = np.geomspace(0.05, 5, 30)
-    relaxed = relaxation.relaxation(t, 1.02 * t**-0.1, t**-0.1, alt="relaxation").draw()
+    relaxed = relaxation.relaxation(t, 1.02 * t**-0.1, t**-0.1, alt="relaxation").draw().figure
     assert np.allclose(relaxed.axes[1].lines[-1].get_ydata(), 2.0)  # 2 % above the model everywhere
 
 
 def test_points_of_the_response_are_those_of_the_database(folder: Path, exhibits: dict[str, Exhibit]) -> None:
-    figure = exhibits["response"].picture.draw()
+    figure = exhibits["response"].picture.draw().figure
     with Results(folder) as results:
         rows = results.rows(
             "SELECT frequency_hz, magnitude, phase_deg FROM frequency_responses WHERE specimen_id = 'P-07' AND usable"
@@ -167,11 +168,11 @@ def test_a_png_says_its_finding(exhibits: dict[str, Exhibit], tmp_path: Path) ->
 @settings(deadline=None, max_examples=25)
 @given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=30))
 def test_no_point_is_cut_off_in_silence(values: list[float]) -> None:
-    figure = Drawing(480, 200)
-    panel = Panel(figure, 40, 20, 400, 150, Scale(0, 40), Scale(-5.0, 5.0))
+    drawing = Drawing(480, 200)
+    panel = Panel(drawing, 40, 20, 400, 150, Scale(0, 40), Scale(-5.0, 5.0))
     panel.held(np.arange(len(values)), np.array(values), "black")
     assert sum(len(line.get_xdata()) for line in panel.on.lines) == len(values)
-    assert figure.axes[0] is panel.on
+    assert drawing.figure.axes[0] is panel.on
 
 
 def test_the_command_lists_writes_and_adds_data(
