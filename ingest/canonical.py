@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ingest.plausible import find_impossible, find_losses_by_value, find_marks
+from ingest.plausible import find_impossible, find_losses_by_value, find_marks, is_strain
 from ingest.timing import sampling_notes
 from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
@@ -204,6 +204,12 @@ def _without_marks(values: Float, name: str, problems: list[str]) -> Float:
 
 def _possible(values: Float, quantity: Quantity, unit: str, problems: list[str]) -> Float:
     """The values without those that the quantity cannot have. `_Unusable` when most of them are of that kind."""
+    if quantity.name == "stretch" and is_strain(values):
+        raise _Unusable(
+            f"it begins at {values[np.isfinite(values)][0]:.4g} and has a median of {np.nanmedian(values):.4g}: a strain",
+            "length over undeformed length, 1 where the film is not deformed",
+            "Give offset = 1 in [columns.stretch] of the mapping TOML, in the column's unit: 100 where that is %",
+        )
     impossible = find_impossible(values, quantity)
     count = int(impossible.sum())
     if not count:

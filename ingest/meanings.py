@@ -27,6 +27,7 @@ _NAMES: tuple[tuple[str, str], ...] = (
     ("stretch", r"stretch|lambda|strain|dehnung|déformation|应变"),
     ("stress", r"stress|sigma|^p$|contrainte|应力"),
     ("voltage", r"volt|spannung|^tension|^u$|^hv|^v$|^u_?(mon|out|ist)|电压"),
+    ("stress", r"spannung|tensi[oó]n"),
     ("pressure", r"press|druck|压力"),
     ("force_1", r"^(force|load|kraft|f)[ _-]?1$"),
     ("force_2", r"^(force|load|kraft|f)[ _-]?2$"),
@@ -105,7 +106,7 @@ def guess_columns(
             raw = by_name and meaning is None and unit.lower() in _SENSOR_UNITS and named_as(plain) in _WITH_SENSOR
             if raw:
                 meaning = named_as(plain)
-            if by_name and meaning is not None and not raw and named_as(plain) != meaning:
+            if by_name and meaning is not None and not raw and meaning not in _named(plain):
                 meaning = None  # by its unit alone: after those that have the name
             if meaning in taken or (not by_name and (named_as(plain) is not None or _OF_COUNTS.match(plain.lower()))):
                 meaning, raw = None, False
@@ -166,7 +167,7 @@ def guess_meaning(name: str, unit: str) -> str | None:
         return None
     if plain == "s" and not unit:
         return TIME
-    named = [meaning for meaning, pattern in _NAMES if re.search(pattern, plain)]
+    named = _named(plain)
     fitting = [meaning for meaning in named if _fits(meaning, unit)]
     if fitting:
         return fitting[0]
@@ -190,7 +191,12 @@ def is_any_unit(unit: str) -> bool:
 
 def named_as(name: str) -> str | None:
     """The first meaning whose words stand in a name; None where none does."""
-    return next((meaning for meaning, pattern in _NAMES if re.search(pattern, name.strip().lower())), None)
+    return next(iter(_named(name)), None)
+
+
+def _named(name: str) -> list[str]:
+    """All meanings whose words stand in a name, the likeliest first: a German stress is called as a voltage is."""
+    return [meaning for meaning, pattern in _NAMES if re.search(pattern, name.strip().lower())]
 
 
 def _fits(meaning: str, unit: str) -> bool:

@@ -54,6 +54,18 @@ def find_impossible(values: Float, quantity: Quantity) -> Bool:
         return (values < quantity.least) | (values > quantity.largest)
 
 
+_FLATTENED, _AT_FIRST = 0.3, 5
+"""A stretch that no film bears, neither in the first samples of a record, where it is hardly deformed, nor in most of it."""
+
+
+def is_strain(stretch: Float) -> bool:
+    """Whether samples (n,) of a stretch are those of a strain: they begin at 0, or stay below a third."""
+    seen = stretch[np.isfinite(stretch)]
+    if seen.size < _AT_FIRST:
+        return False
+    return bool(min(abs(np.median(seen[:_AT_FIRST])), abs(np.median(seen))) < _FLATTENED)
+
+
 _FEWEST_GAPS = 3
 _BY_CHANCE = 5e-7
 """Probability of edges of gaps at so low ranks among all other kept samples where gaps fall by chance: once in two million channels."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ingest.samples import preview
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
-from pipeline.analyse.alone import alone_of
+from pipeline.analyse.alone import alone_of, lacks_stretch
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
 from pipeline.analyse.creep import NOT_ASKED as CREEP_NOT_ASKED
@@ -32,6 +32,7 @@ from pipeline.fit.sensing.migration import migration
 from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.calibration import Calibration, TapCalibration, calibrate
 from pipeline.transform.capacitance_cycles import capacitance_cycles
+from pipeline.transform.channels import STANDS_STILL
 from pipeline.transform.coats import measure_coat
 from pipeline.transform.correction import judged_machine
 from pipeline.transform.force_map import measure_force_map
@@ -113,7 +114,11 @@ def analyse_recording(recording: Recording) -> Analysis:
     else:
         _responses(analysis, recording)
     if reducible(about.protocol, about.loading) or about.loading == OTHER:
-        features = analysis.attempt("features for the diagnosis", session_features, recording)
+        still = next((reason for reason in analysis.missing if STANDS_STILL in reason), None)
+        if still is not None:
+            features: SessionFeatures | None = SessionFeatures("", still)  # noise over noise has no clock and no film
+        else:
+            features = analysis.attempt("features for the diagnosis", session_features, recording)
         if features is not None:
             analysis.carry(features)
     return analysis
@@ -121,6 +126,8 @@ def analyse_recording(recording: Recording) -> Analysis:
 
 def session_features(recording: Recording) -> SessionFeatures:
     """The recording's features for the diagnosis of its specimen, or why there are none."""
+    if lacks_stretch(recording):
+        return SessionFeatures("", "film_length_mm is missing: how far the film was stretched is not known")
     alone = alone_of(recording)
     try:
         return SessionFeatures(pack(reduce(_from_one_turn(recording))), alone=alone)
@@ -208,6 +215,7 @@ def _life(analysis: Analysis, recording: Recording) -> None:
     life = analysis.attempt("breakdown", detect_breakdown, recording)
     if life is not None:
         analysis.carry(life)
+        analysis.note(life.warnings)
         analysis.add({"lifetimes": lifetimes_table([life])})
         if life.contradiction:
             analysis.problems.append(f"breakdown: {life.contradiction}")

@@ -33,7 +33,7 @@ def analyse_slow_voltage(recording: Recording) -> tuple[tuple[str, ...], dict[st
         "drop_n_per_kv2": found.drop_n_per_kv2,
         "drop_n_per_kv2_lower": found.lower if bounded else None,
         "drop_n_per_kv2_upper": found.upper if bounded else None,
-        "exponent": found.exponent,
+        "exponent": found.exponent if math.isfinite(found.exponent) else None,
         "rest_n": found.rest_n,
         "drift_n_per_min": found.drift_n_per_min,
         "misfit_n": found.misfit_n,

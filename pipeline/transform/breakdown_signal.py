@@ -6,6 +6,7 @@ Belongs here: what can be said from the voltage alone before any verdict. Does n
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,9 @@ _REGULAR = 0.02
 """Scatter of the distances of falls, over their mean, up to which a clock makes them and no film."""
 _ELSEWHERE = 20.0
 """A voltage that is so many times the set point, or its inverse, has been given in other units than kV."""
+_CLEARLY, _OFF, _PER_DIFFERENCE = 10.0, 0.02, 1.4826 / math.sqrt(2)
+"""No voltage: less than so many standard deviations of its noise (one for the median difference of neighbours), and than so much of the set
+point. The largest median of a test that was never switched on is four of them."""
 _STEP = 0.075
 """A rise by this share of the set point from one sample to the next is a step, not a ramp."""
 
@@ -93,10 +97,18 @@ def voltage_trace(channel: Channel, set_point: float | None, *, leakage_times: F
     if abs(float(value.min())) > abs(float(value.max())) and _median_on(-value) > _median_on(value):
         value = -value
         notes.append("the monitored voltage is negative: its magnitude is taken")
-    if set_point is None:
-        set_point = _first_plateau(value, interval)
-        notes.append(f"no voltage_setpoint_kv: {set_point:.3g} kV taken from the record")
     plateau = _first_plateau(value, interval)
+    noise = float(np.median(np.abs(np.diff(value)))) * _PER_DIFFERENCE
+    if plateau < min(_CLEARLY * noise, _OFF * set_point if set_point else np.inf):
+        raise NotIdentifiableError(
+            f"the monitor shows no voltage above its noise of {noise:.2g} kV",
+            where=channel.quantity,
+            expected=f"a test at {set_point:g} kV" if set_point else "the voltage of a test",
+            remedy="Look whether the amplifier was on and its monitor connected",
+        )
+    if set_point is None:
+        set_point = plateau
+        notes.append(f"no voltage_setpoint_kv: {set_point:.3g} kV taken from the record")
     if set_point > 0 and plateau > 0 and max(plateau / set_point, set_point / plateau) > _ELSEWHERE:
         notes.append(f"the voltage settles at {plateau:.3g} kV, the set point is {set_point:g} kV: look at the unit")
         set_point = plateau

@@ -26,6 +26,11 @@ _FEWEST = 20
 """Samples of a record, from which three numbers and their spread can be told."""
 _PROMINENCE = 0.5
 """Share of the largest voltage by which a top stands out: less is noise, or a pause on the way."""
+_CLEARLY, _PER_DIFFERENCE = 10.0, 1.4826 / math.sqrt(2)
+"""Standard deviations of its noise that a voltage has to reach, and of one sample for the median difference of neighbours. A voltage that is
+sampled ten times on its way up moves no more than a tenth of its peak from sample to sample."""
+_FOLLOWS = 1e-3
+"""Probability that a force which does not depend on the voltage gives what is seen, above which nothing is said of its power."""
 _POWERS = 0.5, 4.0
 _SQUARE = 0.1
 """Distance of the power of V from 2 beyond which the force is not proportional to V²: a film that softens or yields, or an offset of a
@@ -41,7 +46,7 @@ class SlowVoltage:
     peak_kv : largest voltage as recorded, `cycles` how often it was reached
     drop_n_per_kv2 : drop of the force over V², positive where the tension falls; `lower`, `upper` its 95 % limits by the scatter from cycle
         to cycle, NaN for one cycle
-    exponent : power of the voltage that the force follows
+    exponent : power of the voltage that the force follows, NaN where it does not follow it beyond its noise
     rest_n, drift_n_per_min : force without voltage at the start of the record, and its drift
     misfit_n : root mean square of what is left
     time_s, voltage_kv, force_n, modelled_n : (n,) samples of the voltage that were used, s since the start of the recording
@@ -76,7 +81,8 @@ def measure_slow_voltage(recording: Recording) -> SlowVoltage:
     time, voltage, force = time[good], voltage[good], force[good]
     size = np.abs(voltage)
     peak = float(np.quantile(size, 0.999)) if size.size else 0.0
-    if size.size < _FEWEST or float(np.ptp(voltage)) < _PROMINENCE * peak or peak <= 0:
+    noise = float(np.median(np.abs(np.diff(voltage)))) * _PER_DIFFERENCE if voltage.size > 1 else 0.0
+    if size.size < _FEWEST or float(np.ptp(voltage)) < _PROMINENCE * peak or peak <= _CLEARLY * noise:
         raise NotIdentifiableError(
             "the voltage does not go up and down where the force is recorded",
             where=where,
@@ -90,7 +96,10 @@ def measure_slow_voltage(recording: Recording) -> SlowVoltage:
     if each.size > 1:
         spread = float(stats.t.ppf(0.975, each.size - 1) * each.std(ddof=1) / math.sqrt(each.size))
     warnings = []
-    if abs(exponent - 2) > _SQUARE:
+    if not _follows(time, size / peak, force, exponent):
+        exponent = math.nan
+        warnings.append("the force does not follow the voltage beyond its noise: no power of the voltage is told")
+    elif abs(exponent - 2) > _SQUARE:
         warnings.append(f"the force goes with the power {exponent:.3g} of the voltage, not with its square")
     drop = -float(values[2])
     return SlowVoltage(
@@ -123,6 +132,16 @@ def _find_power(time: Float, size: Float, force: Float) -> float:
         return float(np.sum((force - _fit(time, size**power, force)[1]) ** 2))
 
     return float(minimize_scalar(misfit, bounds=_POWERS, method="bounded", options={"xatol": 1e-4}).x)
+
+
+def _follows(time: Float, size: Float, force: Float, power: float) -> bool:
+    """Whether the force depends on the voltage (n,) over its peak, by an F test for the amount and the power of a dependence."""
+    still = float(np.sum((force - _fit(time, np.zeros_like(size), force)[1]) ** 2))
+    left = float(np.sum((force - _fit(time, size**power, force)[1]) ** 2))
+    freedom = size.size - 4
+    if left <= np.finfo(float).eps * still or freedom < 1:
+        return still > 0
+    return bool(stats.f.sf((still - left) / 2 / (left / freedom), 2, freedom) < _FOLLOWS)
 
 
 def _cycles(size: Float, peak: float) -> list[slice]:

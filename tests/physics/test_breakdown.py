@@ -414,6 +414,16 @@ def test_nothing_to_judge_is_refused_with_the_reason() -> None:
         detect_breakdown(replace(record(bench.t, {"voltage": bench.v}), channels={}))
 
 
+@pytest.mark.parametrize("set_point", [6.0, None])
+def test_an_amplifier_that_was_never_on_is_no_life_of_its_noise(set_point: float | None) -> None:
+    """The largest of its noise was taken for a level in another unit: a breakdown after 0 s."""
+    t = np.arange(0, 300, 0.1)
+    noise = np.random.default_rng(4).normal(0, 1e-3, t.size)
+    keys = {} if set_point is None else {"voltage_setpoint_kv": set_point}
+    with pytest.raises(NotIdentifiableError, match=r"no voltage above its noise of 0\.001 kV"):
+        detect_breakdown(record(t, {"voltage": noise}, **keys))
+
+
 def test_slow_logger_is_not_all_gaps() -> None:
     bench = Bench(seconds=100.0, rate=1.0)
     bench.fall(60.0, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from pipeline import Lab
 from pipeline.cli import main
 from pipeline.transform.slow_voltage import measure_slow_voltage
 from schemas.arrays import Float
+from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
 
@@ -97,3 +99,19 @@ def test_a_night_gives_the_drop_over_the_squared_voltage_that_was_put_in(
     page = (tmp_path / "lab" / "reports" / "specimens" / "A-1.html").read_text(encoding="utf-8")
     assert "The force drops by 0.00" in page
     assert "Squared voltage, kV²" in page or "<img" in page
+
+
+def test_no_voltage_has_no_power() -> None:
+    """Its noise was taken for triangles, and the force said to go with their fourth power."""
+    with pytest.raises(NotIdentifiableError, match="does not go up and down"):
+        measure_slow_voltage(record(np.random.default_rng(1).normal(0, 1e-3, TIME.size)))
+
+
+def test_a_force_that_does_not_follow_the_voltage_is_told_no_power() -> None:
+    slow = record(triangles(TIME))
+    still = REST + np.random.default_rng(6).normal(0, 1e-3, TIME.size)
+    channels = {**slow.channels, "force": Channel("force", slow.channels["force"].time_ns, still)}
+    found = measure_slow_voltage(replace(slow, channels=channels))
+    assert np.isnan(found.exponent)
+    assert any("does not follow the voltage" in w for w in found.warnings)
+    assert found.lower < 0 < found.upper

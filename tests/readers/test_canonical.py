@@ -290,6 +290,22 @@ def test_stretch_and_stress_with_geometry() -> None:
     assert set(found.channels) == {"stretch", "stress"}
 
 
+@pytest.mark.parametrize(
+    ("values", "unit"),
+    [
+        (np.arange(N) / 50, "1"),
+        (np.arange(N) * 5.0, "%"),
+        (np.arange(N) / N, "%"),
+        (np.full(N, 0.2) + np.arange(N) / 1e4, "mm/mm"),
+    ],
+)
+def test_a_strain_is_no_stretch(values: np.ndarray, unit: str) -> None:
+    """Of a strain from 0 to 100 % the zeros were lost and the rest taken for a film that is pressed to a thousandth."""
+    with pytest.raises(RefusedError, match="a strain") as refused:
+        check(channel("stretch", unit, values), channel("stress", "kPa", np.arange(N)), protocol="cycle")
+    assert "offset = 1" in refused.value.remedy
+
+
 def test_stretch_and_stress_as_a_cube() -> None:
     found = check(channel("stretch", "%", 100 + np.arange(N)), channel("stress", "kPa", np.arange(N), resolution="2"))
     driven = drive(found)

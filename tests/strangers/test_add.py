@@ -252,7 +252,12 @@ def test_a_strain_is_a_stretch_that_counts_from_0(tmp_path: Path, unit: str, per
     rows = [f"{a:.1f};{b * per:.5f};{3 + b * np.exp(-a / 9):.4f}" for a, b in zip(t, strain, strict=True)]
     path = tmp_path / "run.csv"
     path.write_text("\n".join(["Zeit;Dehnung;Spannung", f"s;{unit};kPa", *rows, ""]), encoding="utf-8")
-    assert make_draft(path).content["columns"]["stretch"] == {"column": "Dehnung", "unit": unit, "offset": offset}
+    columns = make_draft(path).content["columns"]
+    assert columns["stretch"] == {"column": "Dehnung", "unit": unit, "offset": offset}
+    assert columns["stress"] == {
+        "column": "Spannung",
+        "unit": "kPa",
+    }  # called as a voltage is, and no voltage by its unit
 
 
 @pytest.mark.parametrize(

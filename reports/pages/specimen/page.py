@@ -85,6 +85,8 @@ def page(site: Site, specimen: str) -> Page:
     unchosen = models.without_model(fits) if standing.fit is None else None
     if unchosen is not None:
         opening.append(unchosen)
+    elif standing.fit is None and not failed:
+        opening += _why_no_model(draft)
     sections = _sections(draft, standing, fits, recordings)
     shown_list = listing.recordings(
         site, recordings, query, f"Recordings of {short(specimen, 40)}", note=_status_note(recordings)
@@ -193,10 +195,22 @@ def _sections(draft: Draft, standing: Standing, fits: list[Row], recordings: lis
     return [s for s in candidates if s is not None]
 
 
+_MODELS = "models: "
+"""How the notes of a specimen begin where its models could not be had."""
+
+
 def _title(standing: Standing, used: list[Row]) -> str:
     if standing.diagnosis and standing.verdict:
         return standing.verdict
     return f"{standing.fit['model_order']} relaxations" if standing.fit else digits(len(used), "recording")
+
+
+def _why_no_model(draft: Draft) -> list[Text]:
+    """What the fits of a specimen without a model lacked; nothing where none was tried."""
+    query = "SELECT notes FROM items WHERE item_id = $item AND notes LIKE $begin"
+    rows = draft.results.rows(Query(query, {"item": f"specimen:{draft.item}", "begin": f"{_MODELS}%"}))
+    reasons = [str(r["notes"]).removeprefix(_MODELS).split("; expected ")[0] for r in rows]
+    return [Text(flow("No model: ", short(reason, 300), "."), "") for reason in reasons]
 
 
 def _life_or_count(draft: Draft, used: list[Row]) -> str:
