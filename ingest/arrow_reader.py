@@ -1,11 +1,13 @@
 """Parquet, Feather and Arrow files through pyarrow, in a process of their own.
 
 A column is named; `a.b` is a field of a column of structures. The metadata `unit` of a field is its unit. Dates are times,
-of UTC where their type has a zone; durations are seconds. Does not belong here: which rows and columns are meant (`ingest.select`, `ingest.mapping`).
+of UTC where their type has a zone; durations are seconds. Feather and Arrow without their end are read by whole blocks of rows;
+Parquet without its end is nothing: what stands where is said there alone. Does not belong here: which rows and columns are meant (`ingest.select`, `ingest.mapping`).
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC
@@ -24,7 +26,12 @@ from ingest.mapping import ColumnName, FileMapping, column_label
 from schemas.arrays import Float
 from schemas.errors import RefusedError
 
-_PARQUET, _FEATHER_1 = b"PAR1", b"FEA1"
+_PARQUET, _FEATHER_1, _ARROW = b"PAR1", b"FEA1", b"ARRO"
+_SMALLEST_PARQUET = 12
+_BEFORE_SEQUENCE = 8
+"""Bytes of an Arrow file with a directory before its sequence of blocks, which is the same as in one without."""
+_END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+"""What stands behind the last block."""
 _LARGEST = 1 << 31
 """Most bytes that a column, or a batch of rows, may take once it is inflated."""
 _UNITS = (b"unit", b"units", b"Unit", b"Units")
@@ -122,7 +129,7 @@ class ArrowFile:
 def read_arrow(path: Path, mapping: FileMapping) -> ArrowFile:
     """The columns of a Parquet, Feather or Arrow file. Raises `RefusedError` for a damaged or oversized one."""
     parsed = Apart(path)
-    rows, listed = parsed(_list_columns, path)
+    rows, listed, problems = parsed(_list_columns, path)
     if not listed:
         raise RefusedError("the file has no columns", where=path.name, expected="columns")
     if rows is not None and not 0 < rows <= CELL_LIMIT:
@@ -133,11 +140,12 @@ def read_arrow(path: Path, mapping: FileMapping) -> ArrowFile:
         )
     names = [one.name for one in listed]
     twice = "one of several columns of that name"
-    return ArrowFile(path, tuple(replace(o, refusal=twice) if names.count(o.name) > 1 else o for o in listed), parsed)
+    columns = tuple(replace(o, refusal=twice) if names.count(o.name) > 1 else o for o in listed)
+    return ArrowFile(path, columns, parsed, problems)
 
 
-def _list_columns(path: Path) -> tuple[int | None, tuple[_Listed, ...]]:
-    """The number of rows, None where only reading tells it, and the columns; runs in the child."""
+def _list_columns(path: Path) -> tuple[int | None, tuple[_Listed, ...], tuple[str, ...]]:
+    """The number of rows, None where only reading tells it, the columns, and what was lost; runs in the child."""
     try:
         with pa.OSFile(str(path)) as file:
             start = file.read(4)
@@ -145,9 +153,14 @@ def _list_columns(path: Path) -> tuple[int | None, tuple[_Listed, ...]]:
             if start == _PARQUET:
                 import pyarrow.parquet as pq
 
+                _refuse_without_end(file, path)
                 found = pq.ParquetFile(file)
-                return found.metadata.num_rows, tuple(_list_fields(found.schema_arrow))
-            return None, tuple(_list_fields(_open_batches(file, start, path).schema))
+                return found.metadata.num_rows, tuple(_list_fields(found.schema_arrow)), ()
+            source = _open_batches(file, start, path)
+            if start == _ARROW and source.is_directory:
+                return None, tuple(_list_fields(source.reader.schema)), ()
+            lost = _find_loss(source, path)
+            return None, tuple(_list_fields(source.reader.schema)), lost
     except _DAMAGED as error:
         raise _unreadable(path, error) from None
 
@@ -176,8 +189,24 @@ def _is_readable(kind: Any) -> bool:
     return any(test(kind) for test in tests)
 
 
-def _open_batches(file: Any, start: bytes, path: Path) -> Any:
-    """The batches of an Arrow file: with a directory at its end, or one after the other as a program sent them."""
+@dataclass(frozen=True)
+class _Batches:
+    """The blocks of rows of an Arrow file: by the directory at its end, or one after the other as a program sent them."""
+
+    file: Any
+    reader: Any
+    is_directory: bool
+
+    def __iter__(self) -> Iterator[Any]:
+        """The blocks; of a sequence those before its end or before the first that is damaged."""
+        if self.is_directory:
+            yield from (self.reader.get_batch(i) for i in range(self.reader.num_record_batches))
+            return
+        with contextlib.suppress(pa.ArrowException, OSError):
+            yield from self.reader
+
+
+def _open_batches(file: Any, start: bytes, path: Path) -> _Batches:
     if start == _FEATHER_1:
         raise RefusedError(
             "the file is Feather of version 1, which is no longer written",
@@ -185,7 +214,49 @@ def _open_batches(file: Any, start: bytes, path: Path) -> Any:
             expected="Parquet, or Feather of version 2",
             remedy="Read it with the program that wrote it, and write it anew",
         )
-    return pa.ipc.open_file(file) if start == b"ARRO" else pa.ipc.open_stream(file)
+    if start != _ARROW:
+        return _Batches(file, pa.ipc.open_stream(file), is_directory=False)
+    try:
+        return _Batches(file, pa.ipc.open_file(file), is_directory=True)
+    except (pa.ArrowException, OSError):
+        file.seek(_BEFORE_SEQUENCE)
+        return _Batches(file, pa.ipc.open_stream(file), is_directory=False)
+
+
+def _find_loss(source: _Batches, path: Path) -> tuple[str, ...]:
+    """What is lost of a sequence of blocks: nothing where its mark of the end is there and no directory should follow it."""
+    rows = sum(batch.num_rows for batch in source)
+    at = source.file.tell()
+    source.file.seek(max(0, at - len(_END)))
+    is_ended = source.file.read(len(_END)) == _END
+    source.file.seek(0)
+    if not rows:
+        raise RefusedError(
+            "the file ends before its first block of rows does" if not is_ended else "there are no rows of data",
+            where=path.name,
+            expected="a block of rows that is whole",
+            remedy="Copy the file again, or write it anew",
+        )
+    if not is_ended:
+        return (f"the file ends too early: {rows} rows in whole blocks are read, what comes after them is lost",)
+    if source.file.read(len(_ARROW)) == _ARROW:
+        return (f"the file's directory, at its end, is damaged or missing: the {rows} rows before it are read",)
+    return ()
+
+
+def _refuse_without_end(file: Any, path: Path) -> None:
+    """Raises `RefusedError` for Parquet whose last bytes are not those of Parquet."""
+    file.seek(max(0, file.size() - len(_PARQUET)))
+    ending = file.read(len(_PARQUET))
+    file.seek(0)
+    if ending != _PARQUET or file.size() < _SMALLEST_PARQUET:
+        raise RefusedError(
+            "the end of the file is missing, and with it the only list of what its columns are, of which type, and where they"
+            " stand: nothing of it can be read",
+            where=path.name,
+            expected="a whole Parquet file",
+            remedy="Copy the file again, or write it anew",
+        )
 
 
 def _read_column(path: Path, one: _Listed) -> Any:
@@ -228,10 +299,8 @@ def _path_in(top: Any, name: str) -> Iterator[int]:
 
 
 def _read_batches(file: Any, start: bytes, one: _Listed, path: Path) -> list[Any]:
-    source = _open_batches(file, start, path)
-    batches = (source.get_batch(i) for i in range(source.num_record_batches)) if start == b"ARRO" else iter(source)
     chunks, rows = [], 0
-    for batch in batches:
+    for batch in _open_batches(file, start, path):
         _check_size(batch.nbytes, path)
         batch.validate(full=True)
         rows += batch.num_rows

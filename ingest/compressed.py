@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
+from ingest.zip_cut import list_members
 from schemas.errors import RefusedError
 
 TEXTS = ("csv", "lvm", "trios", "uff")
@@ -163,10 +164,6 @@ _DAMAGED = (
     OverflowError, LookupError,
 )  # fmt: skip
 """What the decompressors raise for damaged files."""
-_MEMBER = struct.Struct("<4s2xHH4xL8xHH")
-"""What stands before a file in an archive: mark, flags, compression, checksum, lengths of its name and of what follows."""
-_CHECKSUM_BEHIND = 8
-"""Flag of a file whose checksum stands behind it."""
 _BEGINNINGS = {".gz": b"\x1f\x8b", ".bz2": b"BZh", ".xz": b"\xfd7zXZ\x00"}
 
 
@@ -192,29 +189,32 @@ def _read_archive(path: Path) -> Plain:
 def _read_cut_archive(path: Path) -> Plain:
     """The one file of an archive without its end, as far as it goes. Raises `RefusedError` where there is none."""
     content = path.read_bytes()
+    limit = _limit(len(content))
     with _refused(path):
-        at = 0
-        while True:
-            mark, flags, how, checksum, names, extra = _MEMBER.unpack_from(content, at)
-            at += _MEMBER.size + names + extra
-            if content[at - extra - 1 : at - extra] != b"/":  # a folder has no content
-                break
-        if mark != b"PK\x03\x04" or flags & 1 or how != zipfile.ZIP_DEFLATED:
+        members = [m for m in list_members(content) if not _is_no_file(m.name)]
+        if not members or not members[0].deflated:
             raise zipfile.BadZipFile("it is no archive, or its end is missing")
-        inflated = bytearray()
-        end = _inflate_stream(zlib.decompressobj(wbits=-15), content, at, inflated, _limit(len(content)), path)
-    if end is not None and not flags & _CHECKSUM_BEHIND and zlib.crc32(inflated) != checksum:
-        raise _damaged(path, zipfile.BadZipFile("its end is missing, and its checksum does not agree"))
-    if end is not None and b"PK\x03\x04" in content[end:]:
-        raise _damaged(path, zipfile.BadZipFile("its end is missing, and it holds several files"))
-    whole = len(inflated) if end is not None else inflated.rfind(b"\n") + 1
+        if len(members) > 1:
+            raise zipfile.BadZipFile("its end is missing, and it holds several files")
+        (member,) = members
+        inflated = member.begin(limit + 1)
+        if len(inflated) > limit:
+            raise _too_large(path, limit)
+        if member.is_there and not member.is_whole:
+            raise zipfile.BadZipFile("its end is missing, and its checksum does not agree")
+    whole = len(inflated) if member.is_there else inflated.rfind(b"\n") + 1
     if not whole:
         raise _damaged(path, EOFError("it ends before its first line does"))
-    return Plain(bytes(inflated[:whole]), ("the compressed file ends too early: what comes after is lost",))
+    return Plain(inflated[:whole], ("the compressed file ends too early: what comes after is lost",))
+
+
+def _is_no_file(name: str) -> bool:
+    """A folder, or what a Mac adds."""
+    return name.endswith("/") or name.startswith(_OF_A_MAC)
 
 
 def _only_member(archive: zipfile.ZipFile, path: Path) -> zipfile.ZipInfo:
-    members = [m for m in archive.infolist() if not m.is_dir() and not m.filename.startswith(_OF_A_MAC)]
+    members = [m for m in archive.infolist() if not _is_no_file(m.filename)]
     if len(members) != 1:
         shown = ", ".join(m.filename[:60] for m in members[:10]) + (", …" if len(members) > 10 else "")
         raise RefusedError(

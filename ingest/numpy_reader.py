@@ -1,13 +1,14 @@
 """NumPy files: `.npz` by the names of its arrays, `.npy` as its one array `arr_0`. Pickled objects are never opened.
 
 `index` is the column of a matrix; a field of a structured array is `array/field`. Sizes are checked before anything is
-inflated. A `.npy` that was cut keeps its whole rows. Does not belong here: what is done with arrays (`ingest.arrays`).
+inflated. A `.npy` that was cut keeps its whole rows, a `.npz` its whole arrays and what there is of the last. Does not belong here: what is done with arrays (`ingest.arrays`).
 """
 
 from __future__ import annotations
 
 import ast
 import functools
+import io
 import math
 import struct
 import warnings
@@ -24,12 +25,15 @@ from numpy.lib import format as npy
 from ingest.arrays import ArrayFile, Held
 from ingest.columns import CELL_LIMIT
 from ingest.mapping import FileMapping
+from ingest.zip_cut import Member, is_cut, list_members
 from schemas.errors import RefusedError
 
 _ONLY = "arr_0"
 """What NumPy itself calls an array without a name."""
 _LARGEST = CELL_LIMIT * 8
 _LARGEST_HEAD = 1 << 16
+_MOST_TIMES = 2000
+"""An array that says it is this many times larger than what there is of it is damaged itself; zeros deflate a thousandfold."""
 _DAMAGED = (
     OSError, ValueError, TypeError, EOFError, RuntimeError, KeyError, SyntaxError, MemoryError, OverflowError,
     zipfile.BadZipFile, zlib.error, struct.error, AttributeError,
@@ -60,7 +64,13 @@ def read_numpy(path: Path, mapping: FileMapping) -> ArrayFile:
     with path.open("rb") as file:
         is_archive = file.read(2) == b"PK"
     problems: list[str] = []
-    held = dict(_list_archive(path) if is_archive else _list_single(path, problems))
+    if not is_archive:
+        listed = _list_single(path, problems)
+    elif is_cut(path):
+        listed = _list_cut_archive(path, problems)
+    else:
+        listed = _list_archive(path)
+    held = dict(listed)
     if not held:
         raise RefusedError("the file holds no arrays", where=path.name, expected="arrays")
     return ArrayFile(
@@ -112,6 +122,61 @@ def _list_archive(path: Path) -> Iterator[tuple[str, Held]]:
     for member, head in zip(members, heads, strict=True):
         name = member.filename.removesuffix(".npy")
         yield from _hold(path, name, head, functools.partial(_read_member, path, member.filename, head), head.rows)
+
+
+def _list_cut_archive(path: Path, problems: list[str]) -> Iterator[tuple[str, Held]]:
+    """The arrays of an archive without its end; rows that are lost of the last one are NaN."""
+    problems.append("the file ends too early: arrays that stood behind its end are lost")
+    for member in list_members(path.read_bytes()):
+        name = member.name.removesuffix(".npy")
+        try:
+            head = _read_head(io.BytesIO(member.begin(_LARGEST_HEAD)))
+        except _DAMAGED:
+            problems.append(f"{name[:60]} is left out: its beginning is damaged or cut")
+            continue
+        if member.is_whole:
+            yield from _hold(path, name, head, functools.partial(_read_begin, path, member, head), head.rows)
+            continue
+        rows = 0 if member.is_there else _count_rows(member, head)
+        if not rows:
+            problems.append(
+                f"{name[:60]} is left out: " + ("its checksum does not agree" if member.is_there else "it is cut")
+            )
+            continue
+        problems.append(f"{name[:60]} has {rows} of {head.rows} rows: the file is cut")
+        kept = rows if head.kind.names else head.rows  # fields are all as long
+        yield from _hold(path, name, head, functools.partial(_read_begin, path, member, head, rows), kept)
+
+
+def _count_rows(member: Member, head: _Head) -> int:
+    """Whole rows that are there of an array that is cut; none where they cannot be told apart or completed."""
+    by_rows = not head.by_columns or len(head.shape) < 2
+    whole = head.rows * head.row_bytes
+    if (
+        not by_rows
+        or head.kind.kind not in "iufV"
+        or head.kind.hasobject
+        or not 0 < whole <= min(_LARGEST, _MOST_TIMES * len(member.packed))
+    ):
+        return 0
+    try:
+        return max(0, len(member.begin(head.size + whole)) - head.size) // head.row_bytes
+    except zlib.error:
+        return 0
+
+
+def _read_begin(path: Path, member: Member, head: _Head, rows: int | None = None) -> Any:
+    """The array of a member; of one that is cut its first `rows`, and NaN."""
+    try:
+        there = head.rows if rows is None else rows
+        content = member.begin(head.size + there * head.row_bytes)[head.size :]
+        array = _as_array(content, head, there)
+        if rows is None or head.kind.names:
+            return array
+        lost = np.full((head.rows - rows, *head.shape[1:]), np.nan)
+        return np.concatenate((array.astype(np.float64), lost))
+    except _DAMAGED as error:
+        raise _unreadable(path, error) from None
 
 
 def _read_member(path: Path, name: str, head: _Head) -> Any:

@@ -29,6 +29,8 @@ from schemas.errors import PendingError, RefusedError, UnmappedError
 from schemas.recording import RawRecording
 
 Content: TypeAlias = RawRecording | LifetimeTable | ResponseTable | RelaxationTable
+_MOST_TOLD = 3
+"""What is wrong with a file is told beside the reason for which it is refused, at most so much of it."""
 
 
 def read_raw(path: Path, mapping: FileMapping | None) -> Content:
@@ -85,6 +87,18 @@ def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:
             remedy=f"`dealab inspect {shlex.quote(path.name)}` lists them; the nightly reads each",
         )
     file = open_columns(path, found, mapping)
+    try:
+        return _take_columns(file, path, mapping)
+    except RefusedError as error:
+        if not file.problems:
+            raise
+        lost = "; ".join(file.problems[:_MOST_TOLD])
+        raise RefusedError(
+            f"{error.problem} ({lost})", where=error.where, expected=error.expected, remedy=error.remedy
+        ) from None
+
+
+def _take_columns(file: ColumnFile, path: Path, mapping: FileMapping) -> Content:
     if mapping.kind == LIFETIMES:
         return lifetime_table(file, mapping, stem=find_stem(path), where=path.name)
     if mapping.kind == FREQUENCY_RESPONSE:

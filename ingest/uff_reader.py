@@ -39,10 +39,17 @@ _TYPES = {
 _ACCELERATION = 12
 _MARK = re.compile(rb"(?m)^ {4}-1[ ]*\r?$")
 """The line before and behind each data set."""
-_BINARY = re.compile(rb"[^\n]*\n *58b")
+_MARK_BEHIND = re.compile(rb" {4}-1[ ]*(?:\r?\n|\r?\Z)")
+"""The mark behind binary numbers, which need not begin a line."""
+_BINARY = re.compile(rb"[^\n]*\n *58b(?P<order>.{6}).{6}(?P<lines>.{12})(?P<size>.{12})[^\n]*\n", re.IGNORECASE)
+"""The first two lines of a set of binary numbers: how many lines of text follow, and how many bytes behind them."""
 _END = b"    -1\n"
 _HEAD = 14
 """Lines of a set of type 58 up to its first values: the mark, the type, eleven lines of what it is."""
+_FORM = 8
+"""Which of them says how many values there are, of what type, and whether each has an abscissa of its own."""
+_SIZES = {2: (4, 1), 4: (8, 1), 5: (4, 2), 6: (8, 2)}
+"""Type of values → bytes of a number, numbers of a value."""
 _NO_LABEL = ("", "NONE")
 
 
@@ -159,18 +166,18 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
 
 @contextlib.contextmanager
 def _ended(path: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
-    """The file; where it ends within a data set, a copy in which that set ends behind its last whole line; and its problems.
+    """The file; where it ends within a data set, a copy in which that set ends behind its last whole value; and its problems.
 
-    The parser passes over a set without an end. Of one in binary numbers nobody knows where a line ends: it is left as it is.
+    The parser passes over a set without an end.
     """
     content = path.read_bytes()
-    marks = [match.start() for match in _MARK.finditer(content)]
-    begin = marks[-1] if len(marks) % 2 else len(content)
-    if _BINARY.match(content, begin) or begin == len(content):
+    begin = _find_open_set(content)
+    if begin is None:
         yield path, ()
         return
-    whole = content[: content.rfind(b"\n") + 1]
-    if whole.count(b"\n", begin) < _HEAD:
+    binary = _BINARY.match(content, begin)
+    whole = _whole_values(content, begin, binary) if binary else content[: content.rfind(b"\n") + 1]
+    if whole is None or (not binary and whole.count(b"\n", begin) < _HEAD):
         whole, end, lost = content[:begin], b"", "the file ends in the head of a data set, which is lost"
     else:
         end, lost = _END, "the last data set has no end"
@@ -178,6 +185,57 @@ def _ended(path: Path) -> Iterator[tuple[Path, tuple[str, ...]]]:
         copy = Path(folder) / "ended.uff"
         copy.write_bytes(whole + end)
         yield copy, (lost,)
+
+
+def _find_open_set(content: bytes) -> int | None:
+    """Where the data set begins that has no end; None where each has one."""
+    at = 0
+    while (mark := _MARK.search(content, at)) is not None:
+        binary = _BINARY.match(content, mark.start())
+        if binary:
+            values = _begin_of_values(content, mark.start(), binary)
+            behind = values + max(0, _number(binary["size"]))  # a number of bytes that is wrong may lead beyond the end
+            end = _MARK_BEHIND.search(content, behind) or _MARK_BEHIND.search(content, values)
+        else:
+            end = _MARK.search(content, mark.end())
+        if end is None:
+            return mark.start()
+        at = end.end()
+    return None
+
+
+def _begin_of_values(content: bytes, begin: int, binary: re.Match[bytes]) -> int:
+    """Where the numbers of a binary set begin; the end of the content where its head is not whole."""
+    at = binary.end()
+    for _ in range(_number(binary["lines"]) if _number(binary["lines"]) >= 0 else _HEAD - 3):
+        at = content.find(b"\n", at) + 1
+        if not at:
+            return len(content)
+    return at
+
+
+def _whole_values(content: bytes, begin: int, binary: re.Match[bytes]) -> bytes | None:
+    """The content up to the last whole value of a binary set that has no end; None where there is none."""
+    at = _begin_of_values(content, begin, binary)
+    head = content[begin:at].split(b"\n")
+    if len(head) < _HEAD:
+        return None
+    form = head[_FORM]
+    size, numbers = _SIZES.get(_number(form[:10]), (0, 0))
+    value = size * (numbers + (_number(form[20:30]) == 0))
+    there = len(content) - at
+    if 0 < _number(binary["size"]) <= there:
+        there = _number(binary["size"])
+    kept = there // value * value if value else 0
+    return content[: at + kept] if kept else None
+
+
+def _number(text: bytes) -> int:
+    """A whole number of a head; −1 where there is none."""
+    try:
+        return int(text)
+    except ValueError:
+        return -1
 
 
 def _checked(found: Mapping[str, Any], number: int) -> tuple[Mapping[str, Any], str]:
