@@ -251,8 +251,8 @@ def _refuse_without_end(file: Any, path: Path) -> None:
     file.seek(0)
     if ending != _PARQUET or file.size() < _SMALLEST_PARQUET:
         raise RefusedError(
-            "the end of the file is missing, and with it the only list of what its columns are, of which type, and where they"
-            " stand: nothing of it can be read",
+            "the file cannot be read: its end is missing, and with it the only list of what its columns are, of which type and where"
+            " they stand",
             where=path.name,
             expected="a whole Parquet file",
             remedy="Copy the file again, or write it anew",

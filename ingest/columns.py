@@ -6,8 +6,9 @@ and `ingest.tables` take it from there. Does not belong here: any file format, u
 
 from __future__ import annotations
 
+import contextlib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -18,6 +19,8 @@ from schemas.units import Conversion
 
 CELL_LIMIT = 1 << 28
 """Most numbers that one column or array may hold (2 GiB of doubles)."""
+_MOST_TOLD = 4
+"""Things that are wrong with a file and told beside the reason for which it is refused, at most."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,18 @@ def named_column(names: Sequence[str], column: ColumnName, where: str) -> int:
 def plain_name(name: str) -> str:
     """A name as it looks: what the eye cannot tell apart (blanks, µ and μ, composed letters) is the same."""
     return " ".join(unicodedata.normalize("NFKC", name).split())
+
+
+@contextlib.contextmanager
+def telling(problems: Sequence[str]) -> Iterator[None]:
+    """A refusal within it tells beside its reason what is wrong with the file: what is asked for may be lost with it."""
+    try:
+        yield
+    except RefusedError as error:
+        if not problems:
+            raise
+        told = f"{error.problem} ({'; '.join(problems[:_MOST_TOLD])})"
+        raise RefusedError(told, where=error.where, expected=error.expected, remedy=error.remedy) from None
 
 
 def missing_column(names: Sequence[str], column: ColumnName, where: str) -> RefusedError:

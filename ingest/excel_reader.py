@@ -5,11 +5,13 @@ Does not belong here: formulas (their stored results are read), units and time (
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
+import tempfile
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
 from pathlib import Path, PurePosixPath
@@ -19,10 +21,12 @@ import numpy as np
 
 from ingest.apart import Apart
 from ingest.clocks import seconds_of_day
-from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column
+from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column, telling
 from ingest.mapping import ColumnName, FileMapping
 from ingest.notations import read_cell, read_column
 from ingest.repeats import REPEATED, find_repeated_heads
+from ingest.workbook_cut import mend_workbook
+from ingest.zip_cut import is_cut
 from schemas.arrays import Float
 from schemas.errors import RefusedError
 
@@ -103,7 +107,8 @@ class SheetFile:
 def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
     """The sheet that a mapping names. Raises `RefusedError` when it is missing, damaged, locked or oversized."""
     options = mapping.options
-    rows = sheet_rows(path, options.get("sheet"))[options.get("skip_rows", 0) :]
+    rows, lost = _read_sheet(path, options.get("sheet"))
+    rows = rows[options.get("skip_rows", 0) :]
     header: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     if options.get("header", True) and rows:
@@ -117,12 +122,12 @@ def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
     filled = [row for row in rows if not _is_blank(row)]
     if not filled:
         raise RefusedError("there are no rows of data", where=path.name, expected="rows after the header")
-    problems: tuple[str, ...] = ()
+    problems = lost
     if mapping.counts_rows_as_time:
         last = max(i for i, row in enumerate(rows) if not _is_blank(row))
         blank = last + 1 - len(filled)
         filled = list(rows[: last + 1])
-        problems = (f"{blank} rows are blank: samples that were lost",) if blank else ()
+        problems += (f"{blank} rows are blank: samples that were lost",) if blank else ()
     return SheetFile(path.name, header or ("",) * len(filled[0]), units, tuple(filled), decimal, problems, notes)
 
 
@@ -138,7 +143,8 @@ def _is_plain(text: str, decimal: str) -> bool:
 
 def sheet_names(path: Path) -> tuple[str, ...]:
     """Names of the sheets of a workbook."""
-    return _open_apart(path)(_list_sheets, path)
+    with _whole_workbook(path) as (apart, whole, _):
+        return apart(_list_sheets, whole)
 
 
 def _list_sheets(path: Path) -> tuple[str, ...]:
@@ -147,7 +153,27 @@ def _list_sheets(path: Path) -> tuple[str, ...]:
 
 def sheet_rows(path: Path, sheet: str | int | None) -> list[list[Any]]:
     """All rows of a sheet, by name or number from 0; the only sheet where `sheet` is None."""
-    return _open_apart(path)(_read_rows, path, sheet)
+    return _read_sheet(path, sheet)[0]
+
+
+def _read_sheet(path: Path, sheet: str | int | None) -> tuple[list[list[Any]], tuple[str, ...]]:
+    """All rows of a sheet, and what is lost of its workbook."""
+    with _whole_workbook(path) as (apart, whole, lost), telling(lost):
+        return apart(_read_rows, whole, sheet), lost
+
+
+@contextlib.contextmanager
+def _whole_workbook(path: Path) -> Iterator[tuple[Apart, Path, tuple[str, ...]]]:
+    """What parses the file apart; the file, or a workbook of what is left of it where its end is missing; and what is lost."""
+    apart = _open_apart(path)
+    if not is_cut(path):
+        yield apart, path, ()
+        return
+    content, lost = apart(mend_workbook, path)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        copy.write_bytes(content)
+        yield apart, copy, lost
 
 
 def _open_apart(path: Path) -> Apart:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from ingest.arrays import ArrayFile, Held
-from ingest.columns import CELL_LIMIT
+from ingest.columns import CELL_LIMIT, telling
 from ingest.mapping import FileMapping
 from ingest.zip_cut import Member, is_cut, list_members
 from schemas.errors import RefusedError
@@ -72,7 +72,8 @@ def read_numpy(path: Path, mapping: FileMapping) -> ArrayFile:
         listed = _list_archive(path)
     held = dict(listed)
     if not held:
-        raise RefusedError("the file holds no arrays", where=path.name, expected="arrays")
+        with telling(problems):
+            raise RefusedError("the file holds no arrays", where=path.name, expected="arrays")
     return ArrayFile(
         where=path.name,
         held=held,

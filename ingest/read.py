@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from ingest.assemble import assemble
-from ingest.columns import ColumnFile
+from ingest.columns import ColumnFile, telling
 from ingest.compressed import TEXTS, find_stem, is_compressed
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION
@@ -29,8 +29,6 @@ from schemas.errors import PendingError, RefusedError, UnmappedError
 from schemas.recording import RawRecording
 
 Content: TypeAlias = RawRecording | LifetimeTable | ResponseTable | RelaxationTable
-_MOST_TOLD = 3
-"""What is wrong with a file is told beside the reason for which it is refused, at most so much of it."""
 
 
 def read_raw(path: Path, mapping: FileMapping | None) -> Content:
@@ -87,15 +85,8 @@ def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:
             remedy=f"`dealab inspect {shlex.quote(path.name)}` lists them; the nightly reads each",
         )
     file = open_columns(path, found, mapping)
-    try:
+    with telling(file.problems):
         return _take_columns(file, path, mapping)
-    except RefusedError as error:
-        if not file.problems:
-            raise
-        lost = "; ".join(file.problems[:_MOST_TOLD])
-        raise RefusedError(
-            f"{error.problem} ({lost})", where=error.where, expected=error.expected, remedy=error.remedy
-        ) from None
 
 
 def _take_columns(file: ColumnFile, path: Path, mapping: FileMapping) -> Content:
