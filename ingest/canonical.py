@@ -156,7 +156,7 @@ def _checked(raw: RawChannel, required: bool, problems: list[str], notes: list[s
     if raw.values.size == 0:
         raise _Unusable("the channel is empty", "samples")
     time, values = _ascending(raw, problems, notes)
-    chosen = find_losses_by_value(np.where(np.isfinite(values), values, np.nan))
+    chosen = find_losses_by_value(values)
     if chosen:
         raise _Unusable(
             f"of its samples {chosen} are lost, all over the record: a choice by value and no damage",

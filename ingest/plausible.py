@@ -37,13 +37,16 @@ the only one."""
 
 def find_marks(raw: Float) -> dict[str, Bool]:
     """Samples as the file has them that are marks: what they are → (n,) true where one stands."""
-    size = np.abs(np.where(np.isfinite(raw), raw, 0.0))
+    size = np.where(np.isfinite(raw), raw, 0.0)
+    np.abs(size, out=size)
     overload = size >= _SCPI
     found = {"overload (9.9E37) of an instrument": overload} if overload.any() else {}
     for dummy in _DUMMIES:
         here = size == dummy
+        if not here.any():
+            continue
         others = size[~here & ~overload]
-        if here.any() and others.size and dummy > _BEYOND * others.max() and here.sum() < others.size:
+        if others.size and dummy > _BEYOND * others.max() and here.sum() < others.size:
             found[f"the dummy value {raw[int(np.argmax(here))]:g}"] = here
     return found
 
@@ -76,7 +79,7 @@ _SPREAD = 0.5
 
 
 def find_losses_by_value(values: Float) -> str:
-    """What is common to all lost samples (NaN) of (n,) values, where they are lost by what they were; empty where by chance.
+    """What is common to all lost samples (not finite) of (n,) values, where they are lost by what they were; empty where by chance.
 
     Each gap is looked at by the samples on both sides of it, which are about as large as what was lost. Where the edges
     of all gaps lie below nearly everything that was kept, the low ones were lost; in the same way the small ones of either
@@ -84,7 +87,7 @@ def find_losses_by_value(values: Float) -> str:
 
     Ranks of gaps that fall by chance are uniform: the mean of k of them is below m with a probability of (e m)^k at most.
     """
-    lost = np.isnan(values)
+    lost = ~np.isfinite(values)
     edges = np.flatnonzero(np.diff(lost.astype(np.int8)))
     starts = edges[~lost[edges]]
     ends = edges[lost[edges]] + 1

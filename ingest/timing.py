@@ -34,7 +34,10 @@ def uneven(time_ns: Int) -> str:
         return ""
     steps = np.diff(time_ns)
     median = float(np.median(steps))
-    off = np.abs(steps - median) > max(_EVEN * median, 1.0)
+    away = steps - median
+    np.abs(away, out=away)
+    off = away > max(_EVEN * median, 1.0)
+    del away
     if not off.any():
         return ""
     gaps = steps > GAP * median

@@ -12,7 +12,7 @@ import shutil
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -137,6 +137,7 @@ class RecordingTask:
                 raw = read_source(self.source)
                 if isinstance(raw, RawRecording):
                     recording = check_recording(raw, self.source, sha256=self.sha256, rigs=self.rigs)
+                    raw = replace(raw, channels=())  # its samples are those of the recording, in other units
                     samples = self._write(functools.partial(write_samples, recording, self.lab, staged=self.staged))
                     return _Finding(name_rig(raw), *analyse_content(recording, kind), samples)
                 return _Finding(name_rig(raw), *analyse_content(raw, kind))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
@@ -77,9 +78,12 @@ class Trace:
 
 def finite_samples(channel: Channel, origin_ns: int) -> tuple[Float, Float]:
     """(time in s since `origin_ns` with the channel's delay taken off, value) of the finite samples."""
-    time: Float = np.asarray((channel.time_ns - origin_ns) * 1e-9 - (channel.delay_s or 0.0))
+    time = np.empty(channel.time_ns.shape)
+    np.subtract(channel.time_ns, origin_ns, out=time)  # of whole ns, exact
+    time *= 1e-9
+    time -= channel.delay_s or 0.0
     finite = np.isfinite(channel.values)
-    return time[finite], channel.values[finite]
+    return (time, channel.values) if finite.all() else (time[finite], channel.values[finite])
 
 
 def voltage_trace(channel: Channel, set_point: float | None, *, leakage_times: Float | None = None) -> Trace:
@@ -92,13 +96,16 @@ def voltage_trace(channel: Channel, set_point: float | None, *, leakage_times: F
     time, value = finite_samples(channel, int(channel.time_ns[0]) if channel.time_ns.size else 0)
     if time.size < 3:
         raise NotIdentifiableError("the voltage has fewer than three usable samples", where=channel.quantity)
-    interval = float(np.median(np.diff(time)))
+    interval = float(np.median(np.diff(time), overwrite_input=True))
     notes: list[str] = []
     if abs(float(value.min())) > abs(float(value.max())) and _median_on(-value) > _median_on(value):
         value = -value
         notes.append("the monitored voltage is negative: its magnitude is taken")
     plateau = _first_plateau(value, interval)
-    noise = float(np.median(np.abs(np.diff(value)))) * _PER_DIFFERENCE
+    differences = np.diff(value)
+    np.abs(differences, out=differences)
+    noise = float(np.median(differences, overwrite_input=True)) * _PER_DIFFERENCE
+    del differences
     if plateau < min(_CLEARLY * noise, _OFF * set_point if set_point else np.inf):
         raise NotIdentifiableError(
             f"the monitor shows no voltage above its noise of {noise:.2g} kV",
@@ -120,8 +127,9 @@ def voltage_trace(channel: Channel, set_point: float | None, *, leakage_times: F
     level = _running_level(value, interval, set_point)
     lost = _dropouts(time, value, level, set_point, leakage_times)
     dropouts = int(lost.sum()) + _isolated_missing(channel)
-    keep = ~lost
-    return Trace(time[keep], value[keep], interval, set_point, level[keep], dropouts, tuple(notes))
+    if lost.any():
+        time, value, level = time[~lost], value[~lost], level[~lost]
+    return Trace(time, value, interval, set_point, level, dropouts, tuple(notes))
 
 
 def _median_on(value: Float) -> float:
@@ -161,7 +169,7 @@ def _running_level(value: Float, interval: float, set_point: float) -> Float:
     level = np.where(known > 0, ordered[np.arange(ordered.shape[0]), np.maximum(known - 1, 0) // 2], np.nan)
     level[0] = set_point if np.isnan(level[0]) else level[0]
     filled = np.maximum.accumulate(np.where(np.isnan(level), 0, np.arange(level.size)))
-    return np.repeat(level[filled], size)[np.minimum(np.arange(value.size), level.size * size - 1)]
+    return np.repeat(level[filled], size)[: value.size]  # one block more than there are samples
 
 
 def _dropouts(time: Float, value: Float, level: Float, set_point: float, leakage_times: Float | None) -> Bool:
@@ -277,11 +285,12 @@ def check_constant(trace: Trace, start: int) -> None:
 def _find_switching(trace: Trace, start: int) -> str:
     """In words how the voltage goes off and comes back as no film makes it; empty where it does not."""
     value, time = trace.value[start:], trace.time[start:]
-    state = np.where(value >= FULL * trace.set_point, 1, np.where(value < HALF * trace.set_point, -1, 0))
+    state = _state(value, FULL * trace.set_point, HALF * trace.set_point)
     last = np.flatnonzero(state == 1)
     state = state[: int(last[-1]) + 1 if last.size else 0]
-    away = float(np.mean(state == -1)) if state.size else 0.0
-    known = np.flatnonzero(state)
+    away = np.count_nonzero(state == -1) / state.size if state.size else 0.0
+    changes = np.concatenate(([0], np.flatnonzero(np.diff(state)) + 1)) if state.size else np.empty(0, dtype=np.int64)
+    known = changes[state[changes] != 0]
     turns = np.diff(state[known])
     returns, falls = int(np.count_nonzero(turns > 0)), time[known[1:][turns < 0]]
     below = float(value.min())
@@ -293,6 +302,13 @@ def _find_switching(trace: Trace, start: int) -> str:
     if apart.size >= _RETURNS and np.ptp(apart) < _REGULAR * apart.mean() + 2 * trace.interval < 0.5 * apart.mean():
         return f"the voltage went off every {apart.mean():.3g} s and came back {returns} times: not constant"
     return ""
+
+
+def _state(value: Float, up: float, down: float) -> NDArray[np.int8]:
+    """(n,) 1 from `up` on, −1 below `down`, 0 between."""
+    state = (value >= up).astype(np.int8)
+    state[value < down] = -1
+    return state
 
 
 def _find_swings(trace: Trace, start: int) -> str:

@@ -19,9 +19,10 @@ from ingest.mapping import FileMapping
 from ingest.read import read_raw
 from schemas.errors import RefusedError
 from schemas.recording import RawRecording, Recording
-from tests.bad_files.seeds import ABOUT
 from tests.helpers.cut_workbooks import write_excel, write_open_document
+from tests.helpers.mcap_files import METADATA
 
+ABOUT = {**METADATA, "started_at": "2026-02-25T06:13:20+00:00"}
 ROWS = 400
 TIME = np.arange(ROWS) / 100
 CHANNELS = {"force": ("F", "N", np.sin(4 * TIME) + 2), "displacement": ("x", "mm", np.cos(4 * TIME))}
