@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,9 @@ _WINDOWS, _ALL_WINDOWS, _LEAST_WINDOWS = 30, 300, 6
 _FEWEST_SAMPLES = 4
 _WANDERS: Float = np.concatenate([[0.0], np.geomspace(1e-2, 1e10, 25)])
 """Variance of the course's second derivative over a record's length, in units of the variance of a window's noise, that is tried."""
+_NO_WANDER = float(np.log(_WANDERS.size - 1))
+"""Log of the prior probability that the drift is a logarithm of time, over that of each wander: as much as all of them together, as a slow part
+of the force is as probable as none. Were each as probable, wanders that no record needs would widen the intervals."""
 _MEMORIES: Float = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0])
 """Times for which noise remembers, in lengths of a window, that are tried."""
 _COARSE = (0, 6, 10, 14, 18, 22)
@@ -82,7 +85,7 @@ def fit_static_force(time: Float, force: Float, cycles: Sequence[tuple[float, fl
     Notes
     -----
     Samples are taken together to means over windows. Forms differ in whether a part of the force comes slowly, how much the drift
-    wanders off a logarithm of time, and how long noise remembers. The force is the mean over all forms by their probability, its
+    wanders off a logarithm of time, and how long noise remembers; that it does not wander is as probable beforehand as that it does. The force is the mean over all forms by their probability, its
     variance that within forms and that between them (nested Laplace approximations: Rue, Martino and Chopin 2009).
     """
     windows = _take_windows(time, force, cycles, settle_s)
@@ -145,7 +148,9 @@ class _Forms:
             wander, memory = place
             self.whiteners[place] = Whitener.of(self.noise[memory] + _WANDERS[wander] * self.course)
         fits = (fit_form(self.windows, self.whiteners[place], searched, start) for start in starts)
-        return max(fits, key=lambda fit: fit.log_probability)
+        best = max(fits, key=lambda fit: fit.log_probability)
+        prior = _NO_WANDER if place[0] == 0 else 0.0
+        return replace(best, log_probability=best.log_probability + prior)
 
     def _neighbours(self, place: tuple[int, int]) -> list[tuple[int, int]]:
         wander, memory = place

@@ -383,6 +383,23 @@ def test_intervals_of_the_force_hold_where_the_drift_is_no_logarithm() -> None:
 
 
 @pytest.mark.slow
+def test_wanders_that_no_record_needs_hardly_widen_the_interval() -> None:
+    """Of a drift that is a logarithm of time they made it a third wider than that of who knows that it is one."""
+    wider = []
+    for seed in range(8):
+        rng, time = np.random.default_rng(seed), np.arange(0, 30, 0.02)
+        on = (time >= 10) & (time < 20)
+        tension = 1 - 0.02 * np.log(time + 1) - 0.3 * on + rng.normal(0, 1e-3, time.size)
+        found = fit_static_force(time, tension, [(10, 20)], 0.05)
+        seen = time[(time > 0.05) & ~((np.abs(time - 10.025) < 0.025) | (np.abs(time - 20.025) < 0.025))]
+        since = seen + 1.0
+        design = np.column_stack([np.ones(seen.size), np.log(since), 1 / since, (seen >= 10) & (seen < 20)])
+        known = 1e-3 * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])
+        wider.append(found.force_sd_n[0] / known)
+    assert 1.0 < np.mean(wider) < 1.25
+
+
+@pytest.mark.slow
 def test_noise_that_remembers_makes_no_interval_too_narrow() -> None:
     """Neighbouring samples go together over 0.2 s, as long as a window: their means are not independent."""
     square = []
