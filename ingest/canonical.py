@@ -94,14 +94,13 @@ def canonical(
 def _tell_unknown_keys(
     name: str, about: RecordingMetadata | RigConstants, problems: list[str], notes: list[str]
 ) -> None:
-    """Keys that the contract does not have: a near miss is a problem, what was meant is lost; the others are a note."""
+    """Keys that the contract does not have: a near miss of one that is not given is a problem, what was meant is lost; the others are a note."""
     meant = {key: near_miss(key, type(about)) for key in about.extra}
+    lost = {key: known for key, known in meant.items() if known is not None and getattr(about, known, None) is None}
     problems += [
-        f'{name} key "{key[:80]}" is unknown: did you mean {known}? It is not used'
-        for key, known in meant.items()
-        if known is not None and getattr(about, known, None) is None
+        f'{name} key "{key[:80]}" is unknown: did you mean {known}? It is not used' for key, known in lost.items()
     ]
-    others = [key[:80] for key, known in meant.items() if known is None]
+    others = [key[:80] for key in meant if key not in lost]
     if others:
         notes.append(f"keys of {name} that the contract does not have, kept and not used: {', '.join(others[:40])}")
 

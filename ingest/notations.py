@@ -81,6 +81,8 @@ _NUMBER = re.compile(
     rf"(?P<exponent>[eEdD][+-]?\d{{1,3}}|[+-]\d{{3}})?(?P<unit>[{_BLANKS}]*[^\d{_BLANKS}.,'’+-][^\d]{{0,11}}\d?)?"
 )
 _LIKE_A_NUMBER = re.compile(r"[^\w\s]{0,3}\s*[.,]?\d")
+_AFTER_A_WORD = re.compile(r"[^\W\d_][^\d]{0,15}\d*[.,]\d")
+"""A fraction behind a word, `minus 0.017`: a number in words, where it is another one from cell to cell, and no code of a fault."""
 _MOST = 20
 """So many times more fractions with the decimal mark of the mapping than cells with the other one: the mapping is right."""
 ALIKE = 3
@@ -277,6 +279,12 @@ def _check_understood(
     shapes: Counter[str] = Counter()
     for text, n in numbers.items():
         shapes[_shape(text)] += n
+    words = [text for text in unknown if text not in numbers and _AFTER_A_WORD.match(text)]
+    for shape, alike in Counter(_shape(text) for text in words).items():
+        if alike >= ALIKE:
+            example = next(text for text in words if _shape(text) == shape)
+            n = sum(unknown[text] for text in words if _shape(text) == shape)
+            raise refused_notation(example, n, count, first[example], column, where)
     if not shapes:
         return
     shape, n = shapes.most_common(1)[0]

@@ -341,6 +341,13 @@ def test_a_key_that_is_nearly_one_of_the_contract_is_asked_about() -> None:
     assert [n for n in found.notes if "weather, x_film_length" in n]
 
 
+def test_a_misspelt_twin_of_a_key_that_is_given_is_named() -> None:
+    """It was no problem, since the key itself is there, and no note either."""
+    found = check(*GOOD, film_length_mm=50, film_lenght_mm=40)
+    assert not [p for p in found.problems if "film_lenght_mm" in p]
+    assert [n for n in found.notes if "film_lenght_mm" in n]
+
+
 def test_a_key_beside_the_one_it_is_like_is_no_question() -> None:
     assert check(*GOOD, film_width_mm=10, film_width_um=10_000).status == "ok"
 

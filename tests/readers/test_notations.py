@@ -142,6 +142,15 @@ def test_a_notation_that_is_not_read_refuses_the_column(tmp_path: Path, write: A
         read(tmp_path / "run.csv", cells)
 
 
+def test_a_number_in_words_refuses_the_column_and_a_code_of_a_fault_does_not(tmp_path: Path) -> None:
+    """Only the negative forces were written so, and only they were lost."""
+    cells = [f"{v:.3f}" if v >= 0 else f"minus {-v:.3f}" for v in np.linspace(-0.05, 0.4, 100)]
+    with pytest.raises(RefusedError, match=r"minus 0\.050"):
+        read(tmp_path / "words.csv", cells)
+    cells = ["Err 4.2" if i in (7, 8, 40, 41, 90) else f"{i / 100:.3f}" for i in range(100)]
+    assert np.isnan(force(read(tmp_path / "codes.csv", cells))).sum() == 5
+
+
 def test_prefix_on_top_of_a_prefix_has_no_meaning(tmp_path: Path) -> None:
     cells, _ = wave(lambda v: f"{1e3 * v:.1f}m" if abs(v) < 0.5 else f"{v:.4f}")
     with pytest.raises(RefusedError, match=r'holds ".*m" in row'):
