@@ -94,6 +94,10 @@ class NotIdentifiableError(DealabError):
     """The data cannot carry the estimate that was asked for; the estimate is refused, the reason kept."""
 
 
+class PremiseError(NotIdentifiableError):
+    """The recording is not of the kind that its protocol says: no analysis of it as one tells anything, a diagnosis neither."""
+
+
 class UsageError(DealabError):
     """A command was called with arguments that cannot be right (exit status 2)."""
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from schemas.errors import DealabError
+from schemas.errors import DealabError, PremiseError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -27,6 +27,7 @@ class Analysis:
     carried : results for the later stages
     notes : what the data could not carry, which is no fault of anyone, and what is worth knowing
     missing : of the notes those that say why a step has no value
+    premises : of what is missing what follows from a recording of another kind than its protocol says
     problems : what somebody has to look at
     failures : unexpected errors with their tracebacks, `summary` line first
     """
@@ -35,6 +36,7 @@ class Analysis:
     carried: list[Any] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
+    premises: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
 
@@ -55,6 +57,8 @@ class Analysis:
         except DealabError as error:
             self.missing.append(f"{what}: {error}")
             self.notes.append(self.missing[-1])
+            if isinstance(error, PremiseError):
+                self.premises.append(error.shortcoming)
             return None
         except MemoryError:
             raise

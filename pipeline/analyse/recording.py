@@ -32,7 +32,6 @@ from pipeline.fit.sensing.migration import migration
 from pipeline.transform.breakdown import detect_breakdown
 from pipeline.transform.calibration import Calibration, TapCalibration, calibrate
 from pipeline.transform.capacitance_cycles import capacitance_cycles
-from pipeline.transform.channels import STANDS_STILL
 from pipeline.transform.coats import measure_coat
 from pipeline.transform.correction import judged_machine
 from pipeline.transform.force_map import measure_force_map
@@ -114,9 +113,8 @@ def analyse_recording(recording: Recording) -> Analysis:
     else:
         _responses(analysis, recording)
     if reducible(about.protocol, about.loading) or about.loading == OTHER:
-        still = next((reason for reason in analysis.missing if STANDS_STILL in reason), None)
-        if still is not None:
-            features: SessionFeatures | None = SessionFeatures("", still)  # noise over noise has no clock and no film
+        if analysis.premises:
+            features: SessionFeatures | None = SessionFeatures("", analysis.premises[0])
         else:
             features = analysis.attempt("features for the diagnosis", session_features, recording)
         if features is not None:

@@ -15,9 +15,6 @@ from schemas.protocols import ELECTRICAL, MECHANICAL
 from schemas.recording import Channel, Recording
 from schemas.units import Conversion
 
-STANDS_STILL = "the input does not move"
-"""Why a recording has no response, and nothing to be simulated either."""
-
 
 @dataclass(frozen=True)
 class Drive:

@@ -13,12 +13,12 @@ import numpy as np
 
 from pipeline.transform import quality
 from pipeline.transform.averaging import SAME_AMPLITUDE
-from pipeline.transform.channels import STANDS_STILL, Drive, drive, stretched_length
+from pipeline.transform.channels import Drive, drive, stretched_length
 from pipeline.transform.harmonics import Harmonics, harmonics, refined_frequency, slow_terms
 from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sampling import seconds
 from schemas.arrays import Float
-from schemas.errors import NotIdentifiableError
+from schemas.errors import NotIdentifiableError, PremiseError
 from schemas.numbers import ordinal
 from schemas.recording import Channel, Recording
 
@@ -78,11 +78,11 @@ def cyclic_response(
     if abs(u) < 5 * np.sqrt(given.variance[0]) or abs(u) == 0:
         _refuse_another_frequency(t_x, x, frequency, first, last, where)
         if low > _NEVER_STILL * high:
-            raise NotIdentifiableError(
+            raise PremiseError(
                 changing, where=where, expected="one amplitude", remedy="Cut the recording into one for each amplitude"
             )
-        raise NotIdentifiableError(
-            f"{STANDS_STILL} at {frequency:.4g} Hz: amplitude {abs(u):.3g} ± {np.sqrt(given.variance[0]):.2g}",
+        raise PremiseError(
+            f"the input does not move at {frequency:.4g} Hz: amplitude {abs(u):.3g} ± {np.sqrt(given.variance[0]):.2g}",
             where=where,
             expected="a sinusoid well above the noise",
         )
@@ -205,7 +205,7 @@ def _cycles(time: Float, x: Float, recording: Recording) -> tuple[float, float, 
     where = recording.metadata.recording_id
     amplitude = float(x.max() - x.min()) / 2 if x.size else 0.0
     if x.size < 16 or amplitude == 0:
-        raise NotIdentifiableError(STANDS_STILL, where=where, expected="a sinusoid")
+        raise PremiseError("the input does not move", where=where, expected="a sinusoid")
     edge = max(4, x.size // 500)
     moving = np.flatnonzero(np.abs(x - np.median(x[:edge])) > 0.02 * amplitude)
     still = np.flatnonzero(np.abs(x - np.median(x[-edge:])) > 0.02 * amplitude)

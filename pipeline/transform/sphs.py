@@ -29,7 +29,7 @@ from pipeline.transform.response import Distortion, FrequencyResponse
 from pipeline.transform.sampling import Sampled, sample, without_short_gaps
 from pipeline.transform.spectrum import delay_between
 from schemas.arrays import Bool, Complex, Float, Int
-from schemas.errors import NotIdentifiableError
+from schemas.errors import NotIdentifiableError, PremiseError
 from schemas.protocols import ELECTRICAL
 from schemas.recording import Recording
 
@@ -264,7 +264,7 @@ def _check_periodic(u: Complex, groups: list[Int], period_s: float, where: str) 
         mean = u[group].mean(axis=0)
         share = (u[group] @ mean.conj()).real / float(np.sum(np.abs(mean) ** 2))
         if np.abs(share - 1).max() > SAME_AMPLITUDE:
-            raise NotIdentifiableError(
+            raise PremiseError(
                 f"the input goes from {100 * share.min():.0f} to {100 * share.max():.0f} % of its mean from period to period",
                 where=where,
                 expected="a multisine that repeats itself",

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from pipeline.transform.channels import STANDS_STILL
 from schemas.arrays import Float
-from schemas.errors import NotIdentifiableError
+from schemas.errors import PremiseError
 
 _MOVING = 0.02
 """Share of the amplitude that counts as movement."""
@@ -65,10 +64,10 @@ class Slices:
 
 
 def motion(values: Float) -> Motion:
-    """Where a finite signal moves. Raises `NotIdentifiableError` for one that never does."""
+    """Where a finite signal moves. Raises `PremiseError` for one that never does."""
     amplitude = float(values.max() - values.min()) / 2
     if amplitude == 0:
-        raise NotIdentifiableError(f"{STANDS_STILL} at all", expected="a sweep")
+        raise PremiseError("the input does not move at all", expected="a sweep")
     edge = int(np.clip(values.size // 200, 8, 256))
     first, level, threshold = _first_move(values, edge, amplitude)
     stop, _, _ = _first_move(values[::-1], edge, amplitude)

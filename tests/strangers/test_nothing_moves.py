@@ -50,6 +50,17 @@ def test_noise_is_no_cyclic_test_and_has_no_clock(tmp_path: Path) -> None:
     assert made.value("SELECT verdict FROM diagnoses") is None
 
 
+def test_a_sinusoid_that_is_a_sweep_is_neither_answered_nor_diagnosed(tmp_path: Path) -> None:
+    """It has no response for want of one amplitude and one frequency, and its page said that its clock is wrong."""
+    rng, t = np.random.default_rng(6), np.arange(0, 20, 0.005)
+    x = np.sin(2 * np.pi * (2 * t + 0.02 * t**2))
+    columns = {"t": t, "x": x, "f": 0.4 * x + rng.normal(0, 1e-3, t.size)}
+    made = night(tmp_path, "cyclic", columns, "frequency_hz = 2")
+    assert made.exit_status == 4
+    assert "from cycle to cycle" in made.value("SELECT what_was_missing FROM without_result")
+    assert made.value("SELECT verdict FROM diagnoses") is None
+
+
 @pytest.mark.slow
 def test_a_large_cycle_of_unknown_length_is_not_diagnosed_as_a_cube(tmp_path: Path) -> None:
     """A neo-Hookean film of 50 mm, read as 1 mm and stretched to 51, was said to soften by 40.1 ± 1.5 %."""
