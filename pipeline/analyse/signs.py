@@ -18,12 +18,13 @@ from pipeline.physics.rig import TONNES_PER_KG
 from pipeline.transform.force_map import ForceMapReadings
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
+from pipeline.transform.slow_voltage import measure_slow_voltage
 from pipeline.transform.step import StepAnalysis
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.numbers import compact, significant
-from schemas.protocols import MECHANICAL
+from schemas.protocols import ELECTRICAL, MECHANICAL
 from schemas.recording import Recording
 from schemas.tables import TABLES
 
@@ -36,6 +37,7 @@ _CLEAR = 5.0
 """Standard deviations below 0 from which a value is negative: by chance in one of 3 million recordings."""
 _BELOW_RESONANCE = 0.7
 """Share of the clamp's own frequency up to which its inertia cannot turn the sign of a stiffness."""
+_NORMAL_95 = 1.96
 _CORRELATED = -0.5
 """Correlation of stress and stretch of a cycle from which on the stress falls with the stretch."""
 _TURNED = "force or displacement counts the other way, or the two are swapped"
@@ -61,6 +63,8 @@ def find_negative(recording: Recording | None, results: Sequence[Any]) -> tuple[
     found = [one for result in results for one in _of_result(result, None if recording is None else recording.rig)]
     if recording is not None and recording.metadata.protocol == "cycle" and recording.metadata.loading == MECHANICAL:
         found += _of_cycle(recording)
+    if recording is not None and recording.metadata.protocol == "cycle" and recording.metadata.loading == ELECTRICAL:
+        found += _of_slow_voltage(recording)
     return tuple(found)
 
 
@@ -144,6 +148,17 @@ def _of_cycle(recording: Recording) -> Iterator[Negative]:
         slope = r * float(stress[good].std() / stretch[good].std())
         sd = abs(slope / r) * math.sqrt((1 - r**2) / (good.sum() - 2))
         yield from _judge("the stiffness is negative", slope, max(sd, 1e-9), "kPa per stretch", _TURNED)
+
+
+def _of_slow_voltage(recording: Recording) -> Iterator[Negative]:
+    """By the drop over the squared voltage: its scatter from cycle to cycle, for one cycle all that is left of the force at the peak."""
+    try:
+        found = measure_slow_voltage(recording)
+    except NotIdentifiableError:
+        return
+    of_cycles = (found.upper - found.lower) / (2 * _NORMAL_95)
+    sd = of_cycles if math.isfinite(of_cycles) else found.misfit_n / found.peak_kv**2
+    yield from _judge("the actuation is negative", found.drop_n_per_kv2, sd, "N/kV²", _RAISED)
 
 
 def _judge(what: str, value: float, sd: float, unit: str, why: str) -> Iterator[Negative]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,16 @@ def test_the_load_is_that_of_the_channel_or_of_the_metadata() -> None:
     changing = measure_isotonic(recorded(force_change=-0.2))
     assert any("not constant" in w for w in changing.warnings)
     assert changing.load_change_n == pytest.approx(-0.2, abs=1e-3)
+
+
+def test_a_load_that_moves_by_itself_is_told() -> None:
+    """It went from 1 to 1.45 N in steps, and the page spoke of strokes at a constant load."""
+    still = recorded()
+    force = still.channels["force"]
+    stairs = force.values + 0.15 * np.floor(4 * TIME / TIME[-1])
+    moving = replace(still, channels={**still.channels, "force": replace(force, values=stairs)})
+    assert any("goes from 1 to 1.45 N without voltage" in w for w in measure_isotonic(moving).warnings)
+    assert not any("not constant" in w for w in measure_isotonic(still).warnings)
 
 
 def test_steps_up_without_a_return_are_a_staircase() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from ingest.shapes import Trace, find_shape
 from pipeline import Lab
+from pipeline.analyse.signs import find_negative
 from pipeline.cli import main
 from pipeline.transform.slow_voltage import measure_slow_voltage
 from schemas.arrays import Float
@@ -115,3 +116,12 @@ def test_a_force_that_does_not_follow_the_voltage_is_told_no_power() -> None:
     assert np.isnan(found.exponent)
     assert any("does not follow the voltage" in w for w in found.warnings)
     assert found.lower < 0 < found.upper
+
+
+def test_a_force_that_rises_with_the_voltage_is_a_finding() -> None:
+    slow = record(triangles(TIME))
+    turned = replace(slow.channels["force"], values=-slow.channels["force"].values)
+    channels = {**slow.channels, "force": turned}
+    (found,) = find_negative(replace(slow, channels=channels), ())
+    assert found.statement.startswith("the actuation is negative, \N{MINUS SIGN}0.0043")
+    assert not find_negative(slow, ())

@@ -21,7 +21,7 @@ from pipeline.physics.film import integrate_arms
 from pipeline.transform.channels import stretched_length
 from pipeline.transform.holds import HeldRecord, Hold, find_holds, reduce_record
 from pipeline.transform.sampling import seconds
-from schemas.arrays import Float, Int
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 from schemas.recording import Recording
@@ -32,6 +32,8 @@ _ALIKE = 0.02
 """Share of the largest voltage within which two levels are one."""
 _CONSTANT = 0.05
 """Share of the load by which it may change with the voltage and still be called constant."""
+_PIECES = 20
+"""Pieces of the time without voltage whose medians tell whether the load moves by itself."""
 _LAW = 0.01
 _LATE, _RINGS = 0.2, 6.0
 """Share of a level after which nothing rings any more, and times its noise by which a window is off while it does."""
@@ -159,6 +161,10 @@ def measure_isotonic(recording: Recording) -> Isotonic:
         warnings.append("neither a force channel nor load_n in the metadata says which load the film moves")
     elif change is not None and abs(change) > _CONSTANT * abs(load):
         warnings.append(f"the load changes by {change:.3g} N while the voltage is on: it is not constant")
+    if load is not None and "force" in recording.channels:
+        low, high = _load_at_rest(recording, v_s, voltage, top)
+        if high - low > _CONSTANT * abs(load):
+            warnings.append(f"the load goes from {low:.3g} to {high:.3g} N without voltage: it is not constant")
     length, thickness = stretched_length(about), _thickness(about)
     largest = strokes[-1].stroke_mm
     drift, drift_sd = found.selected.drift
@@ -356,10 +362,23 @@ def _load(recording: Recording, v_s: Float, voltage: Float, top: float) -> tuple
     """The load in N, by the force channel or the metadata, and what it changes by while the voltage is on."""
     if "force" not in recording.channels:
         return recording.metadata.load_n, None
-    f_s, force = seconds(recording.channels["force"], recording.start_ns)
-    on = np.abs(np.interp(f_s, v_s, voltage)) > _OFF * top
+    force, on = _force_under(recording, v_s, voltage, top)
     off = float(np.median(force[~on])) if (~on).any() else float(np.median(force))
     return off, float(np.median(force[on])) - off if on.any() and (~on).any() else None
+
+
+def _load_at_rest(recording: Recording, v_s: Float, voltage: Float, top: float) -> tuple[float, float]:
+    """Lowest and highest load in N without voltage, medians of pieces; a load that rings about its own is constant."""
+    force, on = _force_under(recording, v_s, voltage, top)
+    rest = force[~on] if (~on).any() else force
+    medians = [float(np.median(piece)) for piece in np.array_split(rest, min(_PIECES, rest.size))]
+    return min(medians), max(medians)
+
+
+def _force_under(recording: Recording, v_s: Float, voltage: Float, top: float) -> tuple[Float, Bool]:
+    """Samples of the force channel, and which of them were taken with the voltage on."""
+    f_s, force = seconds(recording.channels["force"], recording.start_ns)
+    return force, np.abs(np.interp(f_s, v_s, voltage)) > _OFF * top
 
 
 def _thickness(about: RecordingMetadata) -> float | None:
