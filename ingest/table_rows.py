@@ -49,6 +49,9 @@ class TableRows:
         self.metadata = TableMetadata.parse(with_zone(mapping.recording, zone), where=where)
         self.problems: list[str] = list(file.problems)
         self.notes: list[str] = list(file.notes)
+        if self.metadata.extra:
+            unused = ", ".join(key[:80] for key in list(self.metadata.extra)[:40])
+            self.notes.append(f"keys of recording that no table uses, kept and not used: {unused}")
         self.assumptions: list[Assumption] = []
         self.rows = self._selected()
 

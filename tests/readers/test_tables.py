@@ -406,3 +406,10 @@ def test_a_life_that_there_cannot_be_refuses_the_table_with_its_row(tmp_path: Pa
     with pytest.raises(RefusedError, match=r"row 2 of the data: the life.* overload"):
         lives(tmp_path, "t,f\n1,1\n9.9e37,1\n4,0\n")
     assert [r.lifetime_s for r in lives(tmp_path, "t,f\n0.05,1\n999,1\n").rows] == [3.0, 999 * 60.0]
+
+
+def test_keys_of_recordings_that_no_table_uses_are_named(tmp_path: Path) -> None:
+    """The rods of a table of lives were accepted, and its weak regions never looked at, without a word."""
+    made = read(tmp_path, "t,f\n1,yes\n2,no\n", LIFE, recording={"rods": 3, "rod_spacing_mm": 10, "x_shelf": "B"})
+    assert isinstance(made, LifetimeTable)
+    assert [note for note in made.notes if "no table uses" in note and "rods, rod_spacing_mm, x_shelf" in note]

@@ -58,10 +58,15 @@ def section(site: Site) -> Section | None:
     )
 
 
-_CAMPAIGN_SQL = """SELECT campaign, count(*) FILTER (WHERE status IN ('ok', 'damaged')) AS used,
-       count(*) FILTER (WHERE status = 'quarantined') AS refused, count(DISTINCT specimen_id) AS specimens,
+_CAMPAIGN_SQL = """WITH tested AS (
+    SELECT campaign, count(DISTINCT specimen_id) AS specimens
+    FROM (SELECT campaign, specimen_id FROM recordings UNION SELECT campaign, specimen_id FROM lifetimes)
+    GROUP BY campaign
+)
+SELECT campaign, count(*) FILTER (WHERE status IN ('ok', 'damaged')) AS used,
+       count(*) FILTER (WHERE status = 'quarantined') AS refused, any_value(specimens) AS specimens,
        min(started_at) AS first, max(started_at) AS last
-FROM recordings
+FROM recordings JOIN tested USING (campaign)
 WHERE campaign <> ''
 GROUP BY campaign
 ORDER BY last DESC, campaign
