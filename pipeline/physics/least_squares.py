@@ -338,7 +338,8 @@ class _Search:
 
     def _begin(self) -> _Asking:
         residual, jacobian = yield self.x[None]
-        self.residual, self.chi2 = residual[0], float(residual[0] @ residual[0])
+        with np.errstate(over="ignore"):  # a start as far off as that is taken for hopeless below
+            self.residual, self.chi2 = residual[0], float(residual[0] @ residual[0])
         if not self.lent:
             self.jacobian = np.zeros((self.residual.size, self.x.size))
         if not np.isfinite(self.chi2):

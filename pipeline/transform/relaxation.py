@@ -135,7 +135,7 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     level = _rest_level(rest, float(variance[-1]), t_f, force, step, ramp_noise)
     coarse = _rounding_variance(source.output.resolution, ramp_noise)
     variance = np.maximum(variance, coarse)
-    interval = (t_x[-1] - t_x[0]) / (t_x.size - 1)
+    interval = _interval_at(t_x, step)
     if step.end_s - step.start_s < 3 * interval:
         variance[:-1] += (np.gradient(means, times) * interval) ** 2 / 12
     scatter = _scatter(time, values, starts, counts)
@@ -190,6 +190,13 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     return curve, tuple(warnings)
 
 
+def _interval_at(time: Float, step: _Step) -> float:
+    """Mean interval of the samples from before the ramp to after it: many machines take fewer while they hold."""
+    first = max(int(np.searchsorted(time, step.start_s)) - 1, 0)
+    near = time[first : int(np.searchsorted(time, step.end_s)) + 2]
+    return float((near[-1] - near[0]) / (near.size - 1))
+
+
 def _rest_level(rest: Float, variance: float, time: Float, force: Float, step: _Step, noise: float) -> _Level:
     """Mean of the rest, with the variance that it has; without rest the force at the beginning of the ramp.
 
@@ -222,7 +229,7 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
         raise NotIdentifiableError(
             "the input holds no step above its noise", where=where, expected="a step and its hold"
         )
-    after = float(np.median(x[away > reach / 2]))
+    after = _median_over_time(time, x, away > reach / 2)
     progress = (x - before) / (after - before)
     t10, t90 = _crossing(time, progress, 0.1), _crossing(time, progress, 0.9)
     first = _find_hold_within(time, x, t10, t90, max(_CLEARLY * noise, _STILL * reach))
@@ -246,6 +253,14 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
         )
     begin = float(rest.mean()) if rest.size >= _FEWEST_REST else before
     return _Step(start, end, until, begin, float(held.mean()), noise)
+
+
+def _median_over_time(time: Float, x: Float, chosen: Bool) -> float:
+    """Level that the input has for half of the time: samples of a ramp may outnumber those of a hold that thins out."""
+    values, lasting = x[chosen], np.gradient(time)[chosen]
+    order = np.argsort(values)
+    reached = np.cumsum(lasting[order])
+    return float(values[order][np.searchsorted(reached, reached[-1] / 2)])
 
 
 def _find_hold_within(time: Float, x: Float, first_s: float, last_s: float, tolerance: float) -> float | None:

@@ -24,6 +24,7 @@ from pipeline.fit.relaxation.reference import find_reference, refuse_hopeless, w
 from pipeline.fit.relaxation.results import CORRECTED, FORWARD, MECHANICAL, RelaxationFit, SpecimenFits, Spread
 from pipeline.fit.relaxation.search import OrderFit, Search
 from pipeline.fit.relaxation.spread import by_group, with_spread
+from pipeline.fit.relaxation.unresolved import PASSES, describe_left_out, is_resolved, lowered, without_first_windows
 from pipeline.physics.rig import missing_constants, rig_prior
 from pipeline.transform.correction import HIGHEST_AMPLIFICATION, correct_mechanical
 from pipeline.transform.relaxation import RelaxationCurve
@@ -74,19 +75,33 @@ def fit_specimen(
     if any(missing_constants(one) for one in (*response_rigs, *curve_rigs)):
         geometry = None  # the stiffness is that of film and load cell together, which is no modulus
     name = specimen_id or _specimen(responses, relaxations)
-    return identify(
-        observations,
-        unknown,
-        orders=orders,
-        specimen_id=name,
-        loading=MECHANICAL,
-        method=FORWARD,
-        measured=measured,
-        geometry=geometry,
-        gains=gains,
-        profile_all=profile_all,
-        warnings=warnings,
-    )
+
+    def fits_of(kept: Observations, told: tuple[str, ...]) -> SpecimenFits:
+        return identify(
+            kept,
+            unknown,
+            orders=orders,
+            specimen_id=name,
+            loading=MECHANICAL,
+            method=FORWARD,
+            measured=measured,
+            geometry=geometry,
+            gains=gains,
+            profile_all=profile_all,
+            warnings=warnings + told,
+        )
+
+    found = fits_of(observations, ())
+    if measured:
+        return found
+    kept, unresolved = observations, found.selected_order
+    for _ in range(PASSES):
+        fewer = None if is_resolved(found.selected) else without_first_windows(kept, found.selected)
+        if fewer is None:
+            break
+        kept = fewer
+        found = fits_of(kept, (describe_left_out(observations, kept, unresolved),))
+    return lowered(found)
 
 
 def fit_corrected(
