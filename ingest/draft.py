@@ -212,7 +212,7 @@ def _recording(opened: Opened) -> Draft:
         opened = _as_electrical(opened)
         time_of = next((c for c in opened.columns if c.meaning == TIME), None)
         content["columns"], questions = _channels(opened, about_times)
-        shape = replace(shape, loading="electrical")
+        shape, unread = _shape(opened, content)
     about |= {"protocol": shape.protocol, "loading": shape.loading}
     remarks["recording.protocol"] = f"{shape.certainty}: {shape.seen}"
     if shape.certainty != SURE:

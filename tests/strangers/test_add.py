@@ -434,3 +434,34 @@ def test_samples_that_a_scope_counts_are_no_displacement(tmp_path: Path) -> None
     content = make_draft(path, {"CH1": "voltage", "CH2": "force"}).content
     assert set(content["columns"]) == {"voltage", "force"}
     assert content["time"] == {"sample_rate_hz": 100.0}
+
+
+def test_triangles_of_both_signs_on_a_scope_are_slow_cycles_of_a_voltage(tmp_path: Path) -> None:
+    """Two nameless channels were taken for a multisine, and still were when they had become voltage and force."""
+    t = np.arange(-5, 125, 0.05)
+    volts = 10 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * np.clip(t, 0, 120) / 40))
+    noise = np.random.default_rng(0).normal(0, [[0.02], [0.4]], (2, t.size))
+    rows = [
+        f"{a:.2f};{b:.5f};{c:.5f}".replace(".", ",")
+        for a, b, c in zip(t, volts + noise[0], 209 - 0.55 * volts**2 + noise[1], strict=True)
+    ]
+    path = tmp_path / "scope.csv"
+    path.write_text("\n".join(["Zeit;Kanal A;Kanal B", "(s);(V);(mV)", "", *rows, ""]))
+    about = make_draft(path).content["recording"]
+    assert (about["protocol"], about["loading"]) == ("cycle", "electrical")
+
+
+def test_what_follows_a_hold_in_the_same_file_is_told_before_it_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    t = np.arange(0, 360, 0.1)
+    x = 10 * np.clip((t - 2) / 0.5, 0, 1) - 4 * np.abs((np.maximum(t - 300, 0) / 10 + 1) % 2 - 1)
+    x = np.where(t < 300, 10 * np.clip((t - 2) / 0.5, 0, 1), x + 4)
+    force = 0.2 * x * (1 + 0.3 * np.exp(-np.maximum(t - 2.5, 0) / 20))
+    noise = np.random.default_rng(1).normal(0, 1e-3, (2, t.size))
+    rows = [f"{a:.1f};{b:.4f};{c:.4f}" for a, b, c in zip(t, x + noise[0], force + noise[1], strict=True)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["Time [s];Displacement [mm];Force [N]", *rows, ""]))
+    assert main(["add", str(path), "--yes", "specimen_id=A-1", "protocol=step"]) == 0
+    said = capsys.readouterr().out
+    assert "note       the film is moved again" in said

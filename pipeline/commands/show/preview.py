@@ -12,7 +12,9 @@ from ingest.mapping import FileMapping
 from ingest.parts import list_parts, part_of
 from ingest.read import read_raw
 from ingest.tables import LifetimeTable, RelaxationTable
+from pipeline.transform.relaxation import relaxation_curve
 from schemas.arrays import Float
+from schemas.errors import NotIdentifiableError
 from schemas.quantities import QUANTITIES
 from schemas.recording import RawRecording, Recording
 
@@ -94,8 +96,18 @@ def _describe_recording(recording: Recording) -> Iterator[str]:
         yield f"             no modulus: {', '.join(missing)} missing"
     if about.rig_id is None and about.protocol in ("chirp", "cyclic"):
         yield "             the resonance of clamp and load cell stays in: no rig_id"
+    if (about.protocol, about.loading) == ("step", "mechanical"):
+        yield from (f"  note       {remark}" for remark in _remark_relaxation(recording))
     for problem in recording.problems:
         yield f"  problem    {problem}"
+
+
+def _remark_relaxation(recording: Recording) -> tuple[str, ...]:
+    """What a relaxation takes for granted and leaves out of its record, or why there is none."""
+    try:
+        return relaxation_curve(recording)[1]
+    except NotIdentifiableError as error:
+        return (str(error),)
 
 
 def draw(x: Float, y: Float) -> list[str]:
