@@ -204,7 +204,10 @@ def _read_head(file: IO[bytes]) -> _Head:
     text = file.read(length).decode("utf-8" if start[6] > 2 else "latin-1")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what Python has to say about the text of a damaged head
-        said = ast.literal_eval(text.strip())
+        try:
+            said = ast.literal_eval(text.strip())
+        except Exception:  # its reasons name places in memory
+            raise ValueError("its head does not describe an array") from None
     shape, kind = said["shape"], npy.descr_to_dtype(said["descr"])
     if not isinstance(shape, tuple) or not all(isinstance(n, int) and n >= 0 for n in shape):
         raise ValueError(f"the shape {str(shape)[:60]}")

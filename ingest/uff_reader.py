@@ -155,7 +155,7 @@ def read_uff(path: Path, mapping: FileMapping) -> UffFile:
             where=path.name,
             expected="time responses or frequency responses",
         )
-    read = [_checked(found, i) for i, found in enumerate(sets)]
+    read = [_checked(found, i, path.name) for i, found in enumerate(sets)]
     return UffFile(
         path.name,
         tuple(found for found, _ in read),
@@ -238,8 +238,15 @@ def _number(text: bytes) -> int:
         return -1
 
 
-def _checked(found: Mapping[str, Any], number: int) -> tuple[Mapping[str, Any], str]:
+def _checked(found: Mapping[str, Any], number: int, where: str) -> tuple[Mapping[str, Any], str]:
     """A set with as many values as it says, and what is wrong where it has fewer."""
+    if "data" not in found:  # pyuff passes over numbers of a type that it does not know
+        raise RefusedError(
+            f"set {number} has values of type {found.get('ord_data_type')}",
+            where=where,
+            expected=f"one of the types {', '.join(map(str, _SIZES))}",
+            remedy="Copy the file again, or export it anew",
+        )
     count, values, x = int(found.get("num_pts", 0)), np.asarray(found["data"]), np.asarray(found["x"])
     size = min(values.size, x.size)
     if size < count:

@@ -160,10 +160,12 @@ points AS (
     UNION ALL SELECT 'batch', batch, 'modulus_mpa', 'MPa', 'specimen', specimen_id, "at", modulus_mpa, modulus_sd,
         modulus_mpa, modulus_sd, batch FROM fits WHERE batch <> ''
     UNION ALL SELECT 'night', 'all', 'refused_share', '', 'run', run_id, started_at, quarantined / found, NULL,
-        asin(sqrt((quarantined + 0.375) / (found + 0.75))), 0.5 / sqrt(found + 0.5), 'all' FROM runs WHERE found > 0
+        asin(sqrt((quarantined + 0.375) / (found + 0.75))), 0.5 / sqrt(found + 0.5), 'all' FROM runs
+    WHERE found > coalesce(reused, 0)
 )
 """
-"""Points of all charts. `z` is what limits are computed in: for shares their arcsine (Anscombe), else the value itself."""
+"""Points of all charts. `z` is what limits are computed in: for shares their arcsine (Anscombe), else the value itself. A night with
+nothing new says nothing of its own: it is no point."""
 
 CONTROL_POINTS = f"""{_POINTS},
 centred AS (

@@ -18,6 +18,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from ingest.mapping import FileMapping
+from tests.helpers.cut_workbooks import write_excel, write_open_document
 from tests.helpers.mcap_files import METADATA, START, packaged
 from tests.helpers.xlsx_files import write_xlsx
 
@@ -139,10 +140,18 @@ def csv() -> list[Seed]:
 
 
 def excel() -> list[Seed]:
-    """A workbook of two sheets."""
+    """A workbook of two sheets with its texts in the cells; one with its lists behind the sheet, and one of OpenDocument."""
     rows: list[list[Any]] = [["t", "F", "x"], *(list(map(float, row)) for row in zip(TIME, FORCE, TRAVEL, strict=True))]
     content = _made(lambda path: write_xlsx(path, {"run": rows, "notes": [["slow", 1]]}), ".xlsx")
-    return [Seed("excel", "workbook", ".xlsx", content, _mapped(".xlsx", excel={"sheet": "run"}))]
+    lines = [list(map(float, row)) for row in zip(TIME, FORCE, TRAVEL, strict=True)]
+    header = ["t", "F", "x"]
+    return [
+        Seed("excel", "workbook", ".xlsx", content, _mapped(".xlsx", excel={"sheet": "run"})),
+        Seed("excel", "lists", ".xlsx", write_excel(header, lines, book_first=True), _mapped(".xlsx")),
+        Seed(
+            "excel", "OpenDocument", ".ods", write_open_document(header, lines), _mapped(".ods", excel={"sheet": "run"})
+        ),
+    ]
 
 
 def matlab() -> list[Seed]:
@@ -209,10 +218,21 @@ def tdms() -> list[Seed]:
 
 
 def uff() -> list[Seed]:
-    """Two time responses, laid out in columns as the format says."""
+    """Two time responses, laid out in columns as the format says, and the same in binary numbers."""
     channels = (("F", "N", FORCE), ("x", "mm", TRAVEL))
     content = "".join(_data_set_58(name, unit, values) for name, unit, values in channels).encode()
-    return [Seed("uff", "time responses", ".uff", content, _mapped(".uff", time=None))]
+    binary = b"".join(_binary_set_58(name, unit, values) for name, unit, values in channels)
+    return [
+        Seed("uff", "time responses", ".uff", content, _mapped(".uff", time=None)),
+        Seed("uff", "binary", ".uff", binary, _mapped(".uff", time=None)),
+    ]
+
+
+def _binary_set_58(name: str, unit: str, values: Any) -> bytes:
+    """The same set with its numbers as bytes, the mark of its end right behind them."""
+    head = _data_set_58(name, unit, values).splitlines(keepends=True)[:13]
+    head[1] = f"{58:6}b{1:6}{2:6}{11:12}{8 * len(values):12}{0:6}{0:6}{0:12}{0:12}\n"
+    return "".join(head).encode() + values.astype("<f8").tobytes() + f"{-1:6}\n".encode()
 
 
 def _data_set_58(name: str, unit: str, values: Any) -> str:

@@ -201,3 +201,20 @@ def test_numbers_that_look_like_a_mark_do_not_end_a_set(tmp_path: Path) -> None:
     recording = read(path, mapping(".uff", time=False))
     assert recording.status == "damaged"
     assert "set 1 has 300 of 400 values: it is cut" in recording.problems
+
+
+def test_binary_values_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
+    content = written(universal, tmp_path)
+    path = tmp_path / "run.uff"
+    path.write_bytes(content.replace(f"{4:10}{ROWS:10}".encode(), f"{3:10}{ROWS:10}".encode()))
+    with pytest.raises(RefusedError, match="set 0 has values of type 3; expected one of the types 2, 4, 5, 6"):
+        read(path, mapping(".uff", time=False))
+
+
+def test_a_damaged_head_of_an_array_is_refused_in_the_same_words_each_time(tmp_path: Path) -> None:
+    content = written(lambda path: archive(path, np.savez), tmp_path).replace(b"False", b"Falsa")
+    start = content.index(b"\x93NUMPY")
+    path = tmp_path / "run.npy"
+    path.write_bytes(content[start:])
+    with pytest.raises(RefusedError, match="its head does not describe an array"):
+        read(path, mapping(".npy"))

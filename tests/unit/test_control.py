@@ -141,6 +141,14 @@ def test_refused_files_are_judged_as_a_share_of_all(database: Any) -> None:
     assert all(0 <= r["lower"] <= r["upper"] <= 1 for r in rows)
 
 
+def test_a_night_with_nothing_new_is_no_point(database: Any) -> None:
+    """It says again what the one before it said, and a figure would be drawn for it each night."""
+    for i, (found, reused) in enumerate(((4, 0), (6, 4), (6, 6), (6, 6), (7, 6))):
+        insert(database, "runs", {"run_id": f"{i:06d}", "started_at": START + timedelta(days=i), "found": found, "reused": reused, "quarantined": 1})  # fmt: skip
+    rows = asked(database, "FROM control_points WHERE grouped_by = 'night'")
+    assert [r["point"] for r in rows] == ["000000", "000001", "000004"]
+
+
 def test_calibrations_stand_in_the_chart_of_their_rig(database: Any) -> None:
     for i in range(5):
         insert(database, "recordings", {"recording_id": f"tap-{i}", "status": "ok", "loading": "calibration", "rig_id": "shaker", "started_at": START + timedelta(days=i)})  # fmt: skip
