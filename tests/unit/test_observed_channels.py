@@ -48,6 +48,21 @@ def test_an_input_that_stops_in_the_middle_is_told_with_its_share() -> None:
     assert find_stopped(voltage, "voltage")["held_share_voltage"] == pytest.approx(900 / voltage.size)
 
 
+def test_an_input_lost_at_the_value_where_it_rests_is_told_by_an_output_that_goes_on() -> None:
+    """A monitor that falls to zero between two cycles of the drive; a drive that pauses, and a film that rings on, are no loss."""
+    rng = np.random.default_rng(8)
+    rest, squared = np.zeros(1000), raised(2000, 6) ** 2
+    force = np.concatenate([rest, squared]) + rng.normal(0, 0.01, 1000 + squared.size)
+    lost = np.concatenate([rest, np.sqrt(squared)])
+    lost[4000:6500] = 0.0
+    assert find_stopped(lost, "voltage", force)["held_share_voltage"] == pytest.approx(2500 / lost.size, rel=0.01)
+    ringing = force.copy()
+    place = np.arange(2500)
+    ringing[4000:6500] = np.exp(-place / 300) * np.cos(place / 5) + rng.normal(0, 0.01, 2500)
+    assert not find_stopped(lost, "voltage", ringing)
+    assert not find_stopped(lost, "voltage", rng.normal(0, 0.01, force.size))
+
+
 def test_an_input_of_coarse_steps_has_not_stopped() -> None:
     place = np.arange(20000)
     assert not find_stopped(np.round(8 * np.sin(2 * np.pi * place / 5000)) / 8, "displacement")

@@ -78,7 +78,7 @@ def observe_channels(recording: Recording) -> dict[str, float]:
     source = drive(recording)
     given, found = source.input.values, source.output.values
     values = _find_held(given, found, (source.input.quantity, source.output.quantity))
-    stopped = find_stopped(given, source.input.quantity) if metadata.protocol in _MOVING else {}
+    stopped = find_stopped(given, source.input.quantity, found) if metadata.protocol in _MOVING else {}
     values |= stopped
     values |= {STATED + key: value for key in SIZES if (value := getattr(metadata, key)) is not None}
     if not np.isfinite(given).any() or not np.isfinite(found).any():
@@ -133,10 +133,11 @@ def _find_held(given: Float, found: Float, names: tuple[str, str]) -> dict[str, 
     return share
 
 
-def find_stopped(given: Float, name: str) -> dict[str, float]:
-    """Share of the record in which an input that moves all the time holds one value away from where it rests, between its motions.
+def find_stopped(given: Float, name: str, found: Float | None = None) -> dict[str, float]:
+    """Share of the record in which an input that moves all the time holds one value without having stopped, between its motions.
 
-    It may rest where it begins, in the middle of its motion, and where it ends.
+    It may rest where it begins, in the middle of its motion, and where it ends: there its channel was lost only where the output
+    `found` goes on.
     """
     sound = given[np.isfinite(given)]
     if not sound.size:
@@ -144,14 +145,32 @@ def find_stopped(given: Float, name: str) -> dict[str, float]:
     travel, rest = float(np.ptp(sound)), float(np.median(sound[:_FEWEST_HELD]))
     bounds = _split_runs(given)
     lengths, held = np.diff(bounds), given[bounds[:-1]]
-    away = np.abs(held - rest) > _STILL * travel
-    away &= np.abs(held - float(np.median(sound))) > _STILL * travel
-    away[[0, -1]] = False
-    lengths = lengths[away]
-    if lengths.size < 2:
+    lost = np.abs(held - rest) > _STILL * travel
+    lost &= np.abs(held - float(np.median(sound))) > _STILL * travel
+    lost[[0, -1]] = False
+    if found is not None:
+        own = np.interp(np.arange(given.size), np.linspace(0, given.size - 1, found.size), found)
+        for run in np.flatnonzero(~lost[1:-1] & (lengths[1:-1] >= _FEWEST_HELD)) + 1:
+            lost[run] = _goes_on(own, int(bounds[run]), int(bounds[run + 1]))
+    lengths = lengths[lost]
+    if not lengths.size:
         return {}
-    second, longest = np.partition(lengths, -2)[-2:]
+    longest, second = np.sort(np.append(lengths, 0))[-1:-3:-1]
     return {HELD + name: float(longest) / given.size} if longest >= max(_FEWEST_HELD, _LONGER * second) else {}
+
+
+def _goes_on(found: Float, first: int, stop: int) -> bool:
+    """Whether an output still swings, and not as noise does, in the second half of a part of the record; it may ring on in the first."""
+    part = found[(first + stop) // 2 : stop]
+    swing, beside = np.std(_take_line_off(part)), np.std(_take_line_off(np.delete(found, slice(first, stop))))
+    driven = np.mean(np.diff(part) ** 2) < _NOISE * np.mean(_take_line_off(part) ** 2)
+    return bool(driven and swing > _MOVED * beside)
+
+
+def _take_line_off(values: Float) -> Float:
+    """What is left of values (N,) beside a straight line."""
+    place = np.linspace(-1.0, 1.0, values.size)
+    return np.asarray(values - np.polynomial.polynomial.polyval(place, np.polynomial.polynomial.polyfit(place, values, 1)))
 
 
 def find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str) -> dict[str, float]:
@@ -159,8 +178,7 @@ def find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str
     if STATED + pair not in values or values[SEEN + pair] > _UNMOVED * values[STATED + pair]:
         return {}
     sound = given[np.isfinite(given)]
-    place = np.arange(sound.size)
-    left = sound - np.polynomial.polynomial.polyval(place, np.polynomial.polynomial.polyfit(place, sound, 1))
+    left = _take_line_off(sound)
     return {HELD + name: 1.0} if np.mean(np.diff(sound) ** 2) > _NOISE * np.mean(left**2) else {}
 
 
