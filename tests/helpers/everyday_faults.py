@@ -258,6 +258,8 @@ EDITS: Mapping[str, Edit] = {
     "force of all in mN": scaled("unit_slip", all_of, "force", 1e3),
     "displacement of one sweep doubled": scaled("unit_slip", SWEEP, "displacement", 2.0),
     "displacement of a sine in cm": scaled("unit_slip", SINE, "displacement", 0.1),
+    "displacement of all in m": scaled("unit_slip", mechanical, "displacement", 1e-3),
+    "displacement of all in inches": scaled("unit_slip", mechanical, "displacement", 1 / 25.4),
     "voltage of one multisine as effective value": scaled("unit_slip", MULTISINE, "voltage", 0.5 / 2**0.5),
     "force of one sweep with its sign flipped": scaled("sign_flipped", SWEEP, "force", -1.0),
     "force of one multisine with its sign flipped": scaled("sign_flipped", MULTISINE, "force", -1.0),

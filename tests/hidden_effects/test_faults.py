@@ -144,6 +144,8 @@ SHARED = [
     "clamp mass ten times",
     "clamp mass in g",
     "force of all doubled",
+    "displacement of all in m",
+    "displacement of all in inches",
 ]
 
 

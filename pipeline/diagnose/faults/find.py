@@ -79,6 +79,8 @@ def check_recordings(recordings: Sequence[RecordingFeatures]) -> Checked:
         return Checked(*fit_session(recordings), (swapped,))
     levels = {r.recording_id: own for r, own in zip(recordings, _read(recordings), strict=True)}
     recordings, found = find_stated_by_all(recordings, levels)
+    if any(f.bars for f in found):
+        return Checked(*fit_session(recordings), tuple(found))
     explained = frozenset(id for f in found for id in f.recordings)
     lengths = find_contradicting_lengths(recordings) if not found else None
     found += [] if lengths is None else [lengths]

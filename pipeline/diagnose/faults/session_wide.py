@@ -49,6 +49,8 @@ _SIZES = (("film_thickness_mm", 1.0, 0.5), ("film_width_mm", -1.0, 0.3), ("relat
 """Sizes that the actuation follows: power of the measured over the promised one, and how often each is the one that is wrong."""
 _SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
 """Slips of a size: of layers, halves and digits."""
+_TRAVEL_SLIPS = (1e3, 1e-3, 10.0, 0.1, 25.4, 1 / 25.4)
+"""True over recorded displacement where that is in metres, micrometres, centimetres or inches and called millimetres."""
 _NO_SLIP = "one of them is wrong by no usual slip, or the film or a gain makes the difference, which the recordings do not tell"
 _WEAKENS = (FIELD_DEPENDENT_PERMITTIVITY.id, GAIN_ERROR.id)
 """Mechanisms that lower the actuation in all tests alike: by as much at every voltage, if these are alike."""
@@ -126,14 +128,17 @@ def find_stated_by_all(
     found: list[Fault] = []
     tests = [r for r in recordings if r.loading == MECHANICAL]
     stated, strain = _share(tests, levels, STRAIN)
-    if strain is not None:
-        found.append(_fault_of_strain(stated, -strain))
     put_right = list(recordings)
+    if strain is not None:
+        scaled = _scale_travel(tests, float(np.exp(-strain)))
+        found.append(_fault_of_strain(stated, -strain) if scaled is None else scaled[0])
+        right = {} if scaled is None else {r.recording_id: r for r in scaled[1]}
+        put_right = [right.get(r.recording_id, r) for r in recordings]
     clocks = _share_clock(recordings, levels)
     if clocks is not None:
         words, slow, rate = clocks
-        stretch = float(np.exp(-rate))
-        put_right = [stretch_clock(r, stretch) if r in slow else r for r in recordings]
+        stretch, late = float(np.exp(-rate)), {r.recording_id for r in slow}
+        put_right = [stretch_clock(r, stretch) if r.recording_id in late else r for r in put_right]
         found.append(
             Fault(
                 ids.SAMPLE_RATE_WRONG,
@@ -164,6 +169,41 @@ def find_stated_by_all(
             )
         )  # fmt: skip
     return put_right, found
+
+
+def _scale_travel(tests: Sequence[RecordingFeatures], factor: float) -> tuple[Fault, list[RecordingFeatures]] | None:
+    """The unit of all displacements, which makes them `factor` times too small, with the tests put right; None where the unit is not
+    what is wrong.
+
+    Strains or lengths that are stated wrongly leave the responses those of a film on its clamp; another unit of the displacement does not.
+    The noise of the features was made with that unit, so that nothing else can be asked before it is put right.
+    """
+    off = [abs(np.log(factor / slip)) for slip in _TRAVEL_SLIPS]
+    slip = _TRAVEL_SLIPS[int(np.argmin(off))]
+    if min(off) > _ALIKE:
+        return None
+    put_right = [scale_channels(r, {"displacement": slip}) for r in tests]
+    try:
+        as_it_is, scaled = (measure_roughness(make_session(own)) for own in (tests, put_right))
+    except NotIdentifiableError:
+        return None
+    if scaled > RULES.fault.smoother * as_it_is:
+        return None
+    probability = RULES.fault.named
+    fault = Fault(
+        ids.UNIT_SLIP,
+        tuple(r.recording_id for r in tests),
+        probability,
+        f"the displacement of all tests is recorded {significant(1 / slip, 3)} times too large: with its unit right it is what strain_pp "
+        "says, and the film moves its clamp as such a film does",
+        tuple(
+            Correction(r.recording_id, ids.UNIT_SLIP, "columns.displacement.scale", "1", write(slip), probability)
+            for r in tests
+        ),
+        sets_aside=False,
+        bars=True,
+    )
+    return fault, put_right
 
 
 def _share_clock(

@@ -170,7 +170,9 @@ def _goes_on(found: Float, first: int, stop: int) -> bool:
 def _take_line_off(values: Float) -> Float:
     """What is left of values (N,) beside a straight line."""
     place = np.linspace(-1.0, 1.0, values.size)
-    return np.asarray(values - np.polynomial.polynomial.polyval(place, np.polynomial.polynomial.polyfit(place, values, 1)))
+    return np.asarray(
+        values - np.polynomial.polynomial.polyval(place, np.polynomial.polynomial.polyfit(place, values, 1))
+    )
 
 
 def find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str) -> dict[str, float]:
