@@ -280,6 +280,7 @@ EDITS: Mapping[str, Edit] = {
     "clock of the force 60 ppm fast in all": drifting(all_of, 6e-5),
     "force of one sweep 2 ms late": delayed(SWEEP, 2e-3),
     "force of all sweeps 4.5 ms late": delayed(sweeps, 4.5e-3),
+    "force of all mechanical tests 1.6 ms late": delayed(mechanical, 1.6e-3),
     "one sine clipped at 60 %": Edit(
         "sensor_saturation", LARGEST_SINE, lambda r: change_channel(r, "force", clip(0.6))
     ),

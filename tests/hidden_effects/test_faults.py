@@ -170,6 +170,11 @@ def test_where_others_show_a_mechanism_it_is_no_fault_of_one_recording(id: str, 
     assert not check_recordings([reduce(r) for r in session.recordings]).faults
 
 
+def test_a_delay_that_all_mechanical_tests_have_is_the_sensors() -> None:
+    """No recording has that fault: a displacement sensor that lags, or a filter of its channel, is a mechanism."""
+    assert not check("force of all mechanical tests 1.6 ms late").faults
+
+
 def test_a_clock_that_all_tests_share_is_seen_in_sinusoids_and_periods_alike() -> None:
     name = "clock of all tests 6 % off"
     checked = check(name)

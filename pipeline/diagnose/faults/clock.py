@@ -30,7 +30,7 @@ from pipeline.physics.least_squares import minimise
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.numbers import significant
-from schemas.protocols import MECHANICAL
+from schemas.protocols import ELECTRICAL, MECHANICAL
 
 _DRIFTS = np.geomspace(2e-6, 1e-3, 22)
 """Drifts of a clock at which its search begins, of either sign."""
@@ -107,6 +107,15 @@ def _list_ways(recordings: Sequence[RecordingFeatures]) -> Iterator[_Way]:
             yield _Way(own, False, f"all recordings of {protocol}")
 
 
+def _list_sensors(recordings: Sequence[RecordingFeatures]) -> tuple[_Way, _Way]:
+    """Delays of the force, which all tests have, and of the displacement, which all mechanical tests have."""
+    every, moved = (
+        frozenset(r.recording_id for r in recordings if r.loading in loadings)
+        for loadings in ({MECHANICAL, ELECTRICAL}, {MECHANICAL})
+    )
+    return _Way(every, False, "all tests"), _Way(moved, False, "all mechanical tests")
+
+
 def find_late(
     recordings: Sequence[RecordingFeatures], fitted: Fitted, without: Collection[str]
 ) -> tuple[list[RecordingFeatures], Fitted, Fault] | None:
@@ -119,7 +128,7 @@ def find_late(
 
     Returns
     -------
-    None where that does not explain nearly all of the misfit, or where a constant delay of all does as well
+    None where that does not explain nearly all of the misfit, or where a constant delay of a sensor does as well: that is a mechanism
     """
     asked = [r for r in recordings if r.recording_id not in without]
     session, _, plain = fitted
@@ -139,10 +148,10 @@ def find_late(
     if not agrees(left, before):
         return None
     other = off
-    every = _Way(frozenset(r.recording_id for r in asked), False, "all tests")
-    delay = _scan(session, every)
-    if delay is not None:
-        other = min(other, _refine(asked, every, delay[1], again[2], afresh=True).chi2)
+    for sensor in _list_sensors(asked):
+        delay = _scan(session, sensor)
+        if delay is not None:
+            other = min(other, _refine(asked, sensor, delay[1], again[2], afresh=True).chi2)
     odds = 0.5 * (other - whole) - 0.5 * float(np.log(max(off - whole, 2.0)))
     probability = float(1 / (1 + np.exp(-np.clip(odds + np.log(RULES.fault.prior), -50, 50))))
     if probability < RULES.fault.named:
