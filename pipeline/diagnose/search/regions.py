@@ -26,7 +26,7 @@ from schemas.arrays import Complex, Float
 
 STEP = 1e-4
 """Size of the effects by which features are differentiated."""
-_SINES = 4
+_SINES = 8
 """Shapes of one variable."""
 _LOSS = 0.5
 """Width of the prior of a change in quadrature over that of one in phase."""
