@@ -18,6 +18,7 @@ from pipeline.diagnose.proposals.next_recording import Rival, propose_separating
 from pipeline.diagnose.report import report_session
 from pipeline.diagnose.results import AMBIGUOUS, UNKNOWN, Diagnosis, NextRecording
 from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.search.amplifier import find_amplifier_lag
 from pipeline.diagnose.search.consensus import find_consensus, search_from_consensus
 from pipeline.diagnose.search.discrepancies import compute_least_p
 from pipeline.diagnose.search.evidence import Evidence, find_best
@@ -139,9 +140,15 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     plain = tempered.refine(tempered.fit(noise_fit.theta))
     tempered_signatures = compute_signatures(changes, plain)
 
-    # 4. Every promising mechanism alone, fitted together with film and rig.
+    # 4. Every promising mechanism alone, fitted together with film and rig; the lag of the amplifier first, and all else beside it where
+    # that is plain to see.
+    lag = find_amplifier_lag(plain, tempered_signatures)
     scores = find_best_scores(tempered_signatures)
-    singles = confirm_best(fit_each_mechanism(plain, scores, tempered_signatures, RULES.fit.mechanisms))
+    singles = (
+        confirm_best(fit_each_mechanism(plain, scores, tempered_signatures, RULES.fit.mechanisms))
+        if lag is None
+        else (lag,)
+    )
     fall = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
     left = test_patterns(plain) if by_pattern else None
     pattern_stays = left is not None and left.p_value < RULES.alarm.left_level
@@ -156,7 +163,8 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     singles = tuple(f.allow_quiet(quiet) for f in singles)
     agreed = find_consensus([plain, noise_fit], mechanical)
     kept = [weigh_fit(h.model.allow_quiet(quiet)) for h in earlier if h.model.of.model.names == plain.of.model.names]
-    hypotheses = settle_hypotheses([*map(weigh_fit, singles), *search_from_consensus(plain, agreed), *kept])
+    from_consensus = search_from_consensus(plain, agreed) if lag is None else []
+    hypotheses = settle_hypotheses([*map(weigh_fit, singles), *from_consensus, *kept])
     hypotheses += add_causes(hypotheses, changes)
     noise = max(
         (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),
@@ -164,9 +172,11 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     )
     unnamed = differentiate_regions(agreed.model)
     hypotheses = allow_form_errors(hypotheses, unnamed)
-    regions = settle_regions(weigh_regions(agreed, unnamed), [noise, agreed, *hypotheses], plain)
-    hypotheses += allow_form_errors(try_causes_of_form(agreed, regions, hypotheses, changes), unnamed)
-    hypotheses, regions = name_regions(hypotheses, regions, agreed.model)
+    regions: list[Hypothesis] = []
+    if lag is None:
+        regions = settle_regions(weigh_regions(agreed, unnamed), [noise, agreed, *hypotheses], plain)
+        hypotheses += allow_form_errors(try_causes_of_form(agreed, regions, hypotheses, changes), unnamed)
+        hypotheses, regions = name_regions(hypotheses, regions, agreed.model)
     posterior = Posterior.of([noise, agreed, *hypotheses, *regions])
     for base in posterior.find_sure():
         # What has no name may be beside a cause that is sure: every amplifier lags a little.

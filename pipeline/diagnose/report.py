@@ -32,7 +32,7 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.held_out import list_supporting_protocols
 from pipeline.diagnose.search.intervals import NORMAL_90, find_interval_ends, make_linear_ends
 from pipeline.diagnose.search.patterns import name_variable
-from pipeline.diagnose.search.posterior import Hypothesis, Posterior, RegionFit
+from pipeline.diagnose.search.posterior import Hypothesis, Posterior, RegionFit, refit_under
 from pipeline.diagnose.search.tempering import measure_explained_share
 from pipeline.diagnose.simulation.parameters import ACTUATION
 from pipeline.diagnose.simulation.session import Session
@@ -217,22 +217,28 @@ def _estimate_severity(
 def _list_candidates(
     evidence: Evidence, final: ExtendedFit | None, context: Context, held_out: HeldOut | None
 ) -> tuple[Candidate, ...]:
-    """Every mechanism that was fitted alone, best evidence first."""
-    posterior, plain = evidence.posterior, evidence.plain
+    """Every mechanism that was fitted alone, or beside the lag of the amplifier where that is given; best evidence first."""
+    posterior, plain, given = evidence.posterior, evidence.plain, evidence.given
     if posterior is None:
         return ()
+    lag = () if given is None else given.of.mechanism_ids
     causes = () if final is None else final.of.mechanism_ids
     size = _estimate_effective_size(plain)
     found = []
     for hypothesis in posterior.listed:
-        fit = hypothesis.fit
-        if fit is None or len(hypothesis.causes) > 1:
+        fit, base = hypothesis.fit, plain
+        if fit is None:
             continue
-        chosen = fit.of.chosen[0]
-        estimates = _estimate_severity(fit, 0, make_linear_ends(fit.estimate_spread()), context)
+        if given is not None and len(hypothesis.causes) > 1 and {*lag} < {*hypothesis.causes}:
+            fit, base = refit_under(plain, hypothesis), given
+        own = [i for i, id in enumerate(hypothesis.causes) if base is plain or id not in lag]
+        if len(own) > 1:
+            continue
+        chosen = fit.of.chosen[own[0]]
+        estimates = _estimate_severity(fit, own[0], make_linear_ends(fit.estimate_spread()), context)
         key = find_main_key(chosen.id, estimates)
-        ratio = plain.chi2 - fit.chi2
-        is_the_cause = causes == (chosen.id,)
+        ratio = base.chi2 - fit.chi2
+        is_the_cause = {*causes} == {*hypothesis.causes}
         found.append(
             Candidate(
                 mechanism=chosen.id,
@@ -241,7 +247,7 @@ def _list_candidates(
                 probability=posterior.probability[hypothesis.name],
                 severity=estimates[key].value,
                 severity_sd=estimates[key].sd,
-                explained=measure_explained_share(plain, fit),
+                explained=measure_explained_share(base, fit),
                 gain=held_out.gain if is_the_cause and held_out is not None else float("nan"),
                 variant=chosen.variant,
                 equation=chosen.mechanism.equation,

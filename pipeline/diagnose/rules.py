@@ -144,6 +144,11 @@ class FitRules:
     followed: int = _rule(2, "searches of one mechanism that go on after a few steps", COST, "searches")
     astray: float = _rule(10.0, "χ² over that of the base from which a start is given up", COST)
     strong: float = _rule(3.0, "χ² per value of the base from which no start is given up", STUDY)
+    amplifier_left: float = _rule(
+        0.1,
+        "χ² of the measured voltages that a lag may leave, over that without it, where all else is asked beside it",
+        STUDY,
+    )
     vanished: float = _rule(0.01, "share of its stiffness below which an arm has vanished and is tried again")
     still_falling: float = _rule(
         0.01, "share of what a mechanism explains that a round of steps must add for another round", COST

@@ -11,7 +11,8 @@ from pipeline.diagnose.mechanisms.mechanism import AMPLIFIER, BENT, SHAPE, Conte
 from pipeline.diagnose.simulation.effects import Effect, View, Wave
 from schemas.arrays import Complex, Float
 
-_MONITORED, _HIDDEN = "monitored", "hidden from the monitor"
+MONITORED, _HIDDEN = "monitored", "hidden from the monitor"
+"""Variants of a lag: whether the voltage that was measured lags as well."""
 _ROUNDS = 4
 """Rounds in which the rate of a lagging voltage is found."""
 
@@ -141,7 +142,7 @@ DRIVE_LAG = Mechanism(
     },
     effect=_lag,
     report=_lag_report,
-    variants=(_MONITORED, _HIDDEN),
+    variants=(MONITORED, _HIDDEN),
 )
 
 DRIVE_OFFSET = Mechanism(

@@ -27,7 +27,8 @@ class Evidence:
     threshold : Λ at the false-alarm level of the search
     patterns_before : smooth patterns in the residual of `noise_fit`
     plain : the plain model under weights that allow for causes of any form
-    singles : every mechanism that was fitted alone under the weights of `plain`, best evidence first
+    singles : every mechanism that was fitted alone under the weights of `plain`, best evidence first; the lag of the amplifier alone
+        where that is beyond doubt, and all else was asked beside it
     posterior : of all hypotheses; None where nothing is beyond the noise
     final : the most probable hypothesis of listed causes under the weights of `plain`, the strongest cause first; None where
         there is none, or the plain model is more probable
@@ -52,6 +53,12 @@ class Evidence:
     def best(self) -> Hypothesis | None:
         """The most probable hypothesis of listed causes; None where the plain model is more probable."""
         return None if self.posterior is None else find_best(self.posterior)
+
+    @property
+    def given(self) -> ExtendedFit | None:
+        """The plain model with the lag of the amplifier, where all else was asked beside it."""
+        lag = self.singles[0] if len(self.singles) == 1 else None
+        return lag if lag is not None and lag.of.leaves_film else None
 
     @property
     def function(self) -> RegionFit | None:

@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS, SEVERITY, Mechanism, Parameter
+from pipeline.diagnose.mechanisms.drive import DRIVE_LAG, MONITORED
 from pipeline.diagnose.search.plain_fit import compute_deviations, make_bounds
 from pipeline.diagnose.simulation.effects import NONE, Effect
 from pipeline.diagnose.simulation.parameters import BaseModel
@@ -153,6 +154,11 @@ class Extended:
     def mechanism_ids(self) -> tuple[str, ...]:
         """Ids of the mechanisms, in their order."""
         return tuple(c.id for c in self.chosen)
+
+    @property
+    def leaves_film(self) -> bool:
+        """Whether none of its mechanisms may have to do with film and rig, which are then as in the plain model."""
+        return all((c.id, c.variant) == (DRIVE_LAG.id, MONITORED) for c in self.chosen)
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:

@@ -189,7 +189,7 @@ def _fit_from_starts(base: ExtendedFit, of: Extended, score: Score, signatures: 
         begins = [(x, of.lend(base)) for x in entries]
     if mechanism.as_filed is not None and any(base.of.model.rigs):
         begins.append((_start_as_filed(of, base, mechanism.as_filed), of.lend(base)))
-    if len(begins) == 1 or (mechanism.absorbed and not base.of.chosen):
+    if len(begins) == 1 or (mechanism.absorbed and base.of.leaves_film):
         # As long as film and rig make room, the search that is behind may end ahead.
         return [of.fit(x, most=_ROUGHLY, jacobian=j, thorough=False) for x, j in begins]
     begun = sorted((of.fit(x, most=_FEW, jacobian=j, thorough=False) for x, j in begins), key=lambda f: f.chi2)
@@ -312,8 +312,8 @@ def _may_be_unseen(id: str, base: ExtendedFit) -> bool:
 
 
 def _hides_causes(base: ExtendedFit) -> bool:
-    """Whether a plain model stands where a strong cause has bent it to."""
-    return not base.of.chosen and _is_strong(base)
+    """Whether a model of film and rig alone stands where a strong cause has bent it to."""
+    return base.of.leaves_film and _is_strong(base)
 
 
 def _is_strong(base: ExtendedFit) -> bool:

@@ -105,20 +105,23 @@ def try_causes_of_form(
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     """The causes of a base with one more, where what they leave shows one.
 
-    What contradicts the base altogether hardly weighs in its likelihood any more. Where there is such a group of features, and the base
+    Beside what the amplifier does, the first cause of film and rig is looked for as widely as beside nothing. What contradicts the base
+    altogether hardly weighs in its likelihood any more. Where there is such a group of features, and the base
     does less than the noise in it, so that this is no form of its causes, another one is looked for as the first one was, too: under
     weights by which every block may be wrong by a share of its misfit.
     """
     fits = [reweigh_fit(base, _ROUGHLY)]
+    is_first = base.model.of.leaves_film
     touched = measure_trace_of_causes(base.model, Groups.of(base.model.of.session)) > 1
-    if np.any(~touched & (base.odd > RULES.verdict.something_else)):
+    if is_first or np.any(~touched & (base.odd > RULES.verdict.something_else)):
         fits.append(_temper(fits[0]))
     found = []
     for fit in fits:
         signatures = compute_signatures(changes, fit)
         scores = find_best_scores(signatures)
         if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
-            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, _EACH))]
+            number = RULES.fit.mechanisms if is_first else _EACH
+            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, number))]
     return settle_hypotheses(found)
 
 
