@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from reports.build import build_reports
+from reports.pages.specimen import force
 from tests.helpers.synthetic_lab import STACK, Story, film
 
 CONSTRAINED = {"total_length_mm": "75.0", "active_length_mm": "20.0", "sensing_length_mm": "15.0", "stretch_1": "1.5"}
@@ -179,3 +180,9 @@ def test_constraint(pages: dict[str, str]) -> None:
         in text
     )
     assert "Sensitivity over geometry. Measured: F-1 0.36; H-1 0.61." in text
+
+
+def test_the_largest_force_is_the_largest_in_size() -> None:
+    """A load cell that counts a pull as negative has negative forces alone."""
+    found = [{"force_n": force, "force_sd_n": 1e-3} for force in (-0.144, -0.072)]
+    assert "144" in force.finding(found, [])

@@ -35,7 +35,7 @@ def section(draft: Draft, where: str, value: str) -> Section | None:
         Query(f"SELECT * FROM force_map_fits WHERE {where} ORDER BY specimen_id", {"item": value})
     )
     axis = "stretch_2" if len({r["stretch_2"] for r in found}) >= len({r["stretch_1"] for r in found}) else "stretch_1"
-    best = max((r for r in found if r["force_n"] is not None), key=lambda r: r["force_n"], default=None)
+    best = max((r for r in found if r["force_n"] is not None), key=lambda r: abs(r["force_n"]), default=None)
     blocks: list[Block | Fold] = [_figure(draft, found, fits, axis, best)]
     blocks += [
         Text(flow(f"{short(f['specimen_id'] or '', 40)}: ", visible(f["statement"]), "."))
@@ -57,7 +57,7 @@ def finding(found: Sequence[Record], fits: Sequence[Record]) -> str:
 
     A permittivity that may as well be 0 is none.
     """
-    best = max((r for r in found if r["force_n"] is not None), key=lambda r: r["force_n"], default=None)
+    best = max((r for r in found if r["force_n"] is not None), key=lambda r: abs(r["force_n"]), default=None)
     if best is None:
         return ""
     text = f"static force reaches {_force(best)}"
