@@ -34,7 +34,9 @@ def gain(diagnosis: Row) -> str:
 def what_is_wrong(standing: Standing) -> str:
     """The cause in words; of what is no film, for it has no model of one, in those of a system."""
     text = cause(standing.diagnosis or {})
-    return text if standing.fit is not None else text.replace("the film ", "the system ").replace(" strain", " amplitude")
+    return (
+        text if standing.fit is not None else text.replace("the film ", "the system ").replace(" strain", " amplitude")
+    )
 
 
 def headline(standing: Standing) -> Markup:
