@@ -36,7 +36,7 @@ _STAIR_PARTS, _LOWEST_STAIR, _FEWEST_STAIRS = 200, 0.05, 4
 _SLOW_S = 5.0
 """Shortest cycle of a voltage in which a film follows at rest: relaxation that is faster than a second is over on its flanks."""
 _MOST_TRIANGLES = 50
-"""More triangles than these are not looked at one by one: a fit of the large cycle looks at a thousand samples, twenty to each."""
+"""More triangles than these are a cyclic test: a fit of the large cycle looks at a thousand samples, twenty to each."""
 
 
 @dataclass(frozen=True)
@@ -181,6 +181,10 @@ def _mechanical(name: str, answer: str, traces: Mapping[str, Trace]) -> Shape:
         return Shape("pull", "mechanical", SURE, f"{name} rises to {broken:.4g}, where the {answer} is lost")
     if crossings < _FEWEST_CROSSINGS and drive.turns.size <= 1:
         return _one_cycle(name, answer, drive, traces)
+    if drive.turns.size >= 3 and _is_even(drive) and _is_straight(drive):
+        return Shape(
+            "cycle", "mechanical", SURE, f"{(drive.turns.size + 1) // 2} triangles of {name} up to {drive.high:.4g}"
+        )
     if drive.turns.size >= 3 and _is_even(drive):
         frequency = 0.5 / float(np.mean(drive.halves_s))
         known: dict[str, float | str] = {"frequency_hz": float(f"{frequency:.5g}")}

@@ -409,6 +409,18 @@ def test_outcomes_of_lives_are_found_by_name_or_by_what_they_say(
         assert [str(v) for v in columns["failed"]["censored_values"]] == [alive]
 
 
+@pytest.mark.parametrize(("shape", "protocol"), [("triangle", "cycle"), ("sinusoid", "cyclic"), ("rounded", "cycle")])
+def test_triangles_are_large_cycles_and_sinusoids_are_not(shape: str, protocol: str) -> None:
+    t = np.arange(0, 33, 0.02)
+    phase = t / 6.6
+    x = 20 * np.abs((2 * phase) % 2 - 1) if shape != "sinusoid" else 10 - 10 * np.cos(2 * np.pi * phase)
+    if shape == "rounded":
+        x = np.convolve(np.pad(x, 10, "edge"), np.ones(21) / 21, "valid")
+    x = x + np.random.default_rng(3).normal(0, 0.01, t.size)
+    found = find_shape({"displacement": Trace(t, x), "force": Trace(t, 0.1 * x)})
+    assert (found.protocol, found.certainty) == (protocol, "sure")
+
+
 def test_an_answer_about_a_channel_goes_to_the_files_that_have_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
