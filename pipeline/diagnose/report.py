@@ -227,17 +227,17 @@ def _list_candidates(
     found = []
     for hypothesis in posterior.listed:
         fit, base = hypothesis.fit, plain
-        if fit is None:
+        if fit is None or not {*lag} <= {*hypothesis.causes}:
             continue
-        if given is not None and len(hypothesis.causes) > 1 and {*lag} < {*hypothesis.causes}:
-            fit, base = refit_under(plain, hypothesis), given
-        own = [i for i, id in enumerate(hypothesis.causes) if base is plain or id not in lag]
+        own = [i for i, id in enumerate(hypothesis.causes) if id not in lag] or list(range(len(lag)))
         if len(own) > 1:
             continue
+        if given is not None and hypothesis.causes != lag:
+            fit, base = refit_under(plain, hypothesis), given
         chosen = fit.of.chosen[own[0]]
         estimates = _estimate_severity(fit, own[0], make_linear_ends(fit.estimate_spread()), context)
         key = find_main_key(chosen.id, estimates)
-        ratio = base.chi2 - fit.chi2
+        ratio = max(base.chi2 - fit.chi2, 0.0)  # a model with one cause more is no worse at its optimum
         is_the_cause = {*causes} == {*hypothesis.causes}
         found.append(
             Candidate(

@@ -99,7 +99,11 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 BASE: Any = SimpleNamespace(
     chi2=1000.0,
     of=SimpleNamespace(
-        weight=np.ones(400), model=SimpleNamespace(size=10), chosen=(), session=SimpleNamespace(size=400)
+        weight=np.ones(400),
+        model=SimpleNamespace(size=10),
+        chosen=(),
+        leaves_film=True,
+        session=SimpleNamespace(size=400),
     ),
 )
 """A base whose noise alone would leave 390."""
