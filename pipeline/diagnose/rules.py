@@ -147,7 +147,6 @@ class FitRules:
     amplifier_left: float = _rule(
         0.1,
         "χ² of the measured voltages that a lag may leave, over that without it, where all else is asked beside it",
-        STUDY,
     )
     vanished: float = _rule(0.01, "share of its stiffness below which an arm has vanished and is tried again")
     still_falling: float = _rule(

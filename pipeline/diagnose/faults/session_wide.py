@@ -178,9 +178,8 @@ def _scale_travel(tests: Sequence[RecordingFeatures], factor: float) -> tuple[Fa
     Strains or lengths that are stated wrongly leave the responses those of a film on its clamp; another unit of the displacement does not.
     The noise of the features was made with that unit, so that nothing else can be asked before it is put right.
     """
-    off = [abs(np.log(factor / slip)) for slip in _TRAVEL_SLIPS]
-    slip = _TRAVEL_SLIPS[int(np.argmin(off))]
-    if min(off) > _ALIKE:
+    slip, off = _find_nearest(float(np.log(factor)), _TRAVEL_SLIPS)
+    if off > _ALIKE:
         return None
     put_right = [scale_channels(r, {"displacement": slip}) for r in tests]
     try:
@@ -451,12 +450,11 @@ def judge_taps(
         names = tuple(t.recording_id for t in taps)
         return Fault(ids.FOREIGN_RIG, names, RULES.fault.named, f"{words}, and the tests agree with the file")
     log_ratio = 2 * float(np.log(ring / filed))
-    off = [abs(log_ratio - float(np.log(slip))) for slip in _RIG_SLIPS]
-    near = int(np.argmin(off))
+    nearest, off = _find_nearest(log_ratio, _RIG_SLIPS)
     # ω² = k/M: too heavy and too soft look alike. A slip is one of a few factors, another thing that was tapped may ring anywhere.
-    slip = float(np.exp(-0.5 * (off[near] / _FILED_SD) ** 2)) / (np.sqrt(2 * np.pi) * _FILED_SD * len(_RIG_SLIPS))
+    slip = float(np.exp(-0.5 * (off / _FILED_SD) ** 2)) / (np.sqrt(2 * np.pi) * _FILED_SD * len(_RIG_SLIPS))
     probability = slip / (slip + 1 / _ANYWHERE)
-    factor = _RIG_SLIPS[near] if probability > 0.5 else float(np.exp(log_ratio))
+    factor = nearest if probability > 0.5 else float(np.exp(log_ratio))
     own = [r for r in recordings if name_clamp(r.rig) == name_clamp(taps[0].rig)]
     corrections = tuple(
         Correction(r.recording_id, RIG_CONSTANTS.id, f"rig.{key}", write(now), write(now / off_by), 0.5 * probability)
@@ -475,9 +473,15 @@ def _count_responses(session: Session) -> int:
 
 def _round_off(log_factor: float, sd: float) -> float:
     """The usual slip that a factor, known by its logarithm, may be; the factor itself where it is none."""
-    off = [abs(log_factor - np.log(slip)) for slip in _SIZE_SLIPS]
+    nearest, off = _find_nearest(log_factor, _SIZE_SLIPS)
+    return nearest if off < 2 * sd else float(np.exp(log_factor))
+
+
+def _find_nearest(log_factor: float, slips: Sequence[float]) -> tuple[float, float]:
+    """The usual slip nearest to a factor, known by its logarithm, and the difference of their logarithms."""
+    off = [abs(log_factor - float(np.log(slip))) for slip in slips]
     near = int(np.argmin(off))
-    return _SIZE_SLIPS[near] if off[near] < 2 * sd else float(np.exp(log_factor))
+    return slips[near], off[near]
 
 
 def merge_lengths(faults: Sequence[Fault]) -> list[Fault]:

@@ -162,9 +162,9 @@ def find_stopped(given: Float, name: str, found: Float | None = None) -> dict[st
 def _goes_on(found: Float, first: int, stop: int) -> bool:
     """Whether an output still swings, and not as noise does, in the second half of a part of the record; it may ring on in the first."""
     part = found[(first + stop) // 2 : stop]
-    swing, beside = np.std(_take_line_off(part)), np.std(_take_line_off(np.delete(found, slice(first, stop))))
-    driven = np.mean(np.diff(part) ** 2) < _NOISE * np.mean(_take_line_off(part) ** 2)
-    return bool(driven and swing > _MOVED * beside)
+    left, beside = _take_line_off(part), _take_line_off(np.delete(found, slice(first, stop)))
+    is_driven = np.mean(np.diff(part) ** 2) < _NOISE * np.mean(left**2)
+    return bool(is_driven and np.std(left) > _MOVED * np.std(beside))
 
 
 def _take_line_off(values: Float) -> Float:
