@@ -13,9 +13,10 @@ from typing import Any
 from ingest.draft import Draft, make_draft
 from ingest.draft_text import toml_string
 from ingest.formats import list_options
-from ingest.mapping_keys import COLUMN, TABLE_COLUMN, TABLE_COLUMNS, TIME
+from ingest.mapping_keys import COLUMN, EACH, TABLE_COLUMN, TABLE_COLUMNS, TIME
 from ingest.meanings import NOTHING
 from ingest.meanings import TIME as TIMES
+from ingest.parts import name_parts
 from ingest.questions import Question, unstretched
 from ingest.select import same_cell
 from schemas.alike import ask_meant
@@ -117,6 +118,8 @@ def answered(draft: Draft, answers: Mapping[str, Any]) -> Draft:
             place = place.setdefault(table, {})
         place[last] = value
         remarks.pop(key, None)
+    if "recording.protocol" in answers and name_parts(content):
+        _join_parts(content)
     for name, column in content.get("columns", {}).items():
         own = {key.rsplit(".", 1)[-1] for key in answers if key.startswith(f"columns.{name}.")}
         if own & set(_OUTCOMES):
@@ -125,6 +128,15 @@ def answered(draft: Draft, answers: Mapping[str, Any]) -> Draft:
             column["offset"] = unstretched(str(column["unit"]))
     questions = tuple(q for q in draft.questions if q.key not in answers)
     return replace(draft, content=content, remarks=remarks, questions=questions)
+
+
+def _join_parts(content: dict[str, Any]) -> None:
+    """Makes one recording of a file again: who says its protocol takes it for one test."""
+    content["select"] = [entry for entry in content["select"] if "part" not in entry]
+    if not content["select"]:
+        del content["select"]
+    about = content["recording"]
+    about["recording_id"] = str(about["recording_id"]).removesuffix("-" + EACH)
 
 
 def _deal_outcomes(

@@ -64,6 +64,8 @@ def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecord
         )
         first = min(int(c.time_ns[0]) for c in channels if c.time_ns.size)
         shared.metadata["started_at"] = np.datetime_as_string(np.datetime64(first // 1000, "us"), timezone="UTC")
+    elif mapping.is_part and channels:
+        shared.metadata["started_at"] = _start_of_part(channels, shared)
     return RawRecording(
         metadata=shared.metadata,
         rig=mapping.rig,
@@ -72,6 +74,15 @@ def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecord
         notes=(*file.notes, *dict.fromkeys(shared.notes)),
         assumptions=tuple(dict.fromkeys(shared.assumptions)),
     )
+
+
+def _start_of_part(channels: tuple[RawChannel, ...], shared: _Assembly) -> object:
+    """When a part of a longer record began: with its first sample, where that comes after what is stated for the whole."""
+    stated = start_ns(shared.metadata, shared.where)
+    first = min((int(c.time_ns[0]) for c in channels if c.time_ns.size), default=stated)
+    if first <= stated:
+        return shared.metadata["started_at"]
+    return np.datetime_as_string(np.datetime64(first // 1000, "us"), timezone="UTC")
 
 
 def _assume_zone(mapping: FileMapping) -> Assumption:

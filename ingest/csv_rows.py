@@ -126,6 +126,7 @@ def _parsed_one_by_one(
     """
     text = body.decode("utf-8", "replace")
     rows = _fields_of_lines(text, dialect)
+    rows, footer = _without_footer(rows, width)
     lengths = Counter(len(row) for row in rows if row)
     usual = max(_HABIT, _HABIT_SHARE * len(rows))
     habits = {k for k, n in lengths.items() if k < width and n >= usual} if lengths[width] >= _HABIT else set()
@@ -153,7 +154,8 @@ def _parsed_one_by_one(
             for i in positions
         }
     )
-    problems, notes = [], []
+    problems = []
+    notes = [f'the file ends with the words "{" ".join(footer)[:60]}"'] if footer else []
     if damaged:
         number, row = damaged[0]
         lost = "their values are lost" if keep_blank else "left out"
@@ -166,6 +168,21 @@ def _parsed_one_by_one(
         short = ", ".join(map(str, sorted(habits)))
         notes.append(f"{padded} rows have {short} of {width} fields: the cells of the last columns are empty there")
     return table, problems, notes
+
+
+def _without_footer(rows: list[list[str]], width: int) -> tuple[list[list[str]], list[str]]:
+    """The rows without the last line where it says in words that the data end, and its fields: it has lost no value."""
+    filled = [i for i, row in enumerate(rows) if any(field.strip() for field in row)]
+    last = rows[filled[-1]] if filled else []
+    words = [field.strip() for field in last if field.strip()]
+    if (
+        len(last) >= width
+        or not words
+        or any(c.isdigit() for field in words for c in field)
+        or not words[0][0].isalpha()
+    ):
+        return rows, []
+    return rows[: filled[-1]] + rows[filled[-1] + 1 :], words
 
 
 def _fields_of_lines(text: str, dialect: Dialect) -> list[list[str]]:

@@ -30,6 +30,7 @@ from ingest.draft_columns import (
     find_response_columns,
 )
 from ingest.draft_files import Opened, make_format_keys, map_each_column, open_file, read_numbers
+from ingest.draft_parts import find_parts, join_shapes, name_parts
 from ingest.draft_text import toml_text
 from ingest.draft_times import make_time_keys
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
@@ -207,7 +208,14 @@ def _recording(opened: Opened) -> Draft:
         questions.append(Question(f"time.{SAMPLE_RATE}", "samples in a second: the file has no times"))
     about_times = tuple(questions)
     content["columns"], questions = _channels(opened, about_times)
-    shape, unread = _shape(opened, content)
+    tests = find_parts(opened, time_of) if not counts else []
+    shapes = [_shape(opened, content | {"select": [entry]})[0] for _, entry in tests]
+    if parts := name_parts(tests, shapes):
+        content["select"] = parts
+        about["recording_id"] += "-{each}"
+        shape, unread = join_shapes(shapes), ""
+    else:
+        shape, unread = _shape(opened, content)
     if (shape.protocol, shape.loading) == ("sphs", "other") and any(c.is_asked for c in opened.columns):
         opened = _as_electrical(opened)
         time_of = next((c for c in opened.columns if c.meaning == TIME), None)

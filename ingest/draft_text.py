@@ -68,7 +68,11 @@ def toml_text(
                 lines += [f"# {_one_line(text)}" for text in about]
             lines += _pairs(table, entries, remarks, asked)
     for entry in content.get("select", ()):
-        lines += ["", "[[select]]", *(f"{key} = {toml_value(value)}" for key, value in entry.items())]
+        lines += ["", "[[select]]"]
+        lines += [f"{key} = {toml_value(value)}" for key, value in entry.items() if key != "recording"]
+        own = entry.get("recording", {})
+        lines += ["[select.recording]"] if own else []
+        lines += [f"{key} = {toml_value(value)}" for key, value in own.items()]
     return "\n".join([*lines, ""])
 
 

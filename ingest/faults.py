@@ -13,7 +13,7 @@ from ingest.compressed import find_stem, find_suffix
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping import list_faults as list_mapping_faults
 from ingest.mapping_keys import EACH, IGNORE, RECORDING
-from ingest.parts import list_parts, part_of
+from ingest.parts import content_of_part, list_parts, name_parts, part_of
 from ingest.read import open_columns, read_raw
 from ingest.rigs import find_rig
 from schemas.errors import DealabError
@@ -59,17 +59,24 @@ def list_static_faults(
     """All that is wrong with a mapping and the metadata in it, whatever the file; `stem` and `suffix` are the file's name."""
     faults: list[DealabError] = list(list_mapping_faults(content, stem=stem, suffix=suffix, source=source))
     kind = content.get("kind", RECORDING)
-    about = content.get("recording", {})
-    if isinstance(about, Mapping) and kind != IGNORE:
-        stamped = {
-            k: v.replace("{stem}", stem).replace(EACH, "each") if isinstance(v, str) else v for k, v in about.items()
-        }
+    for about in _list_abouts(content, stem) if kind != IGNORE else ():
+        stamped = {k: v.replace(EACH, "each") if isinstance(v, str) else v for k, v in about.items()}
         if kind == RECORDING and "started_at" not in stamped:
             stamped["started_at"] = "2020-01-01T00:00:00+00:00"  # the file's own times, or the zone, say it
         elif isinstance(stamped.get("started_at"), str) and isinstance(content.get("time"), Mapping):
             stamped["started_at"] += "" if "zone" not in content["time"] or "+" in stamped["started_at"] else "+00:00"
         faults += list_faults(stamped, RecordingMetadata if kind == RECORDING else TableMetadata, where=source)
-    return tuple(faults)
+    return tuple({str(fault): fault for fault in faults}.values())
+
+
+def _list_abouts(content: Mapping[str, Any], stem: str) -> list[Mapping[str, Any]]:
+    """The tables `[recording]` of a mapping: one, or one for each part that it names."""
+    about = content.get("recording", {})
+    if not isinstance(about, Mapping):
+        return []
+    about = {k: v.replace("{stem}", stem) if isinstance(v, str) else v for k, v in about.items()}
+    stamped = {**content, "recording": about}
+    return [content_of_part(stamped, name)["recording"] for name in name_parts(content)] or [about]
 
 
 def check(raw: RawRecording, path: Path, *, root: Path | None = None, rigs: Path | None = None) -> Recording:

@@ -20,7 +20,7 @@ SAMPLE_RATE = "sample_rate_hz"
 STARTED_AT = "started_at"
 _SIZES: tuple[tuple[str, str], ...] = (
     ("film_length_mm", r"^l0$|^lo$|(gauge|gage|initial|clamp|grip|film|sample|specimen)[ _-]*length|^length\b|einspannl|"
-     r"messl.nge|^l.nge$|klemml.nge|longueur"),
+     r"(mess|pr.f|klemm)l.nge|^l.nge$|longueur"),
     ("film_width_mm", r"^b0$|^w0$|(film|sample|specimen)?[ _-]*width|breite|largeur"),
     ("film_thickness_mm", r"^a0$|^d0$|^t0$|^h0$|(film|sample|specimen)?[ _-]*thickness|dicke|(?<!dr)st.rke|.paisseur"),
 )  # fmt: skip
@@ -55,6 +55,10 @@ _PATTERNS = (
 )
 _VALUE = re.compile(r"^\s*(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s].*)?$")
 _PAIR = re.compile(r"^\s*[#;%]?\s*(?P<key>[^:=\t;,]{1,60}?)\s*[:=\t;,]\s*(?P<value>.+)$")
+_STAMP = re.compile(
+    r"(?:^|\s)(?P<moment>\d{2}\.\d{2}\.\d{4} \d{2}:\d{2}:\d{2}|\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2})$"
+)
+"""A date and hour that stand at the end of a line without a key, as machines begin a block of data."""
 _UNIT_IN_KEY = re.compile(r"^(?P<key>.*?)\s*[\[(/]\s*(?P<unit>[^\])]+?)[\])]?$")
 
 
@@ -70,8 +74,9 @@ class Fact:
 def harvest_lines(lines: Iterable[str]) -> tuple[Fact, ...]:
     """The facts that the lines above a table say, the first of each kind."""
     found: dict[str, Fact] = {}
-    clock: Fact | None = None
+    clock = stamp = None
     for line in lines:
+        stamp = stamp or _stamp(line)
         match = _PAIR.match(line.replace('"', ""))
         if match is None:
             continue
@@ -82,6 +87,8 @@ def harvest_lines(lines: Iterable[str]) -> tuple[Fact, ...]:
             found.setdefault(fact.key, fact)
         elif clock is None and re.search(_CLOCK, key.lower()):
             clock = _hour(value, words)
+    if STARTED_AT not in found and stamp is not None:
+        found[STARTED_AT] = stamp
     if STARTED_AT in found:
         found[STARTED_AT] = _with_hour(found[STARTED_AT], clock)
     return tuple(found.values())
@@ -175,6 +182,14 @@ def _moment(value: str) -> str | None:
         except ValueError:
             continue
     return None
+
+
+def _stamp(line: str) -> Fact | None:
+    """A date and hour at the end of a line; None where there is none."""
+    words = " ".join(line.replace('"', "").split())
+    match = _STAMP.search(words)
+    moment = None if match is None else _moment(match["moment"])
+    return None if moment is None else Fact(STARTED_AT, moment, words[:100])
 
 
 def _hour(value: str, words: str) -> Fact | None:

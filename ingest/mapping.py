@@ -59,6 +59,8 @@ ORIGINS: Mapping[str, tuple[int, bool]] = {
     "matlab": (-719_529 * 86_400, False),
 }
 """What times count from, by name: seconds from 1970, and whether that is UTC; local time else."""
+_WAYS = ("equals", "each", "each_of", "at_least", "at_most", "first_row", "last_row")
+"""How an entry of `[[select]]` says which rows it means."""
 _OWN = ".toml"
 """What the name of a data file gets for that of a mapping of its own."""
 ColumnName: TypeAlias = str | int
@@ -123,15 +125,20 @@ class TimeMapping:
 class Selection:
     """Only rows whose `column` holds one of `equals` belong to the table, numbers within `tolerance`, or one in a range.
 
-    `each`: every value of the column makes a recording of its own (`ingest.parts`).
+    `each`: every value of the column makes a recording of its own, `each_of`: every one of these, `part`: the rows of this entry do
+    (`ingest.parts`). `column` is None where the rows are counted: `first_row` to `last_row`, from 0.
     """
 
-    column: ColumnName
+    column: ColumnName | None
     equals: tuple[Any, ...] = ()
     tolerance: float = 0.0
     at_least: float | None = None
     at_most: float | None = None
     each: bool = False
+    each_of: tuple[Any, ...] = ()
+    part: str | None = None
+    first_row: int | None = None
+    last_row: int | None = None
 
 
 @dataclass(frozen=True)
@@ -156,11 +163,13 @@ class FileMapping:
     """Hash of what of the file is read: columns, rows and how, without metadata. Another one is another recording."""
     content: Mapping[str, Any] = dataclass_field(default_factory=dict, repr=False, compare=False)
     """The tables it was made from."""
+    is_part: bool = False
+    """Whether it is that of one part of a file, which begins with its own first sample."""
 
     @property
     def parts_file(self) -> bool:
         """Whether one file holds several recordings."""
-        return any(s.each for s in self.select)
+        return any(s.each or s.each_of or s.part is not None for s in self.select)
 
     @property
     def counts_rows_as_time(self) -> bool:
@@ -517,32 +526,49 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
     selections = []
     for entry in entries:
         found = checked(entry, "select", SELECT, source)
-        ways = [key for key in ("equals", "each", "at_least", "at_most") if key in found and found[key] is not False]
-        if "column" not in found or not ways:
+        ways = [key for key in _WAYS if key in found and found[key] is not False]
+        counted = set(ways) <= {"first_row", "last_row"}
+        if not ways or (("column" in found) is counted):
             raise refused(
                 source,
-                "a select entry lacks column or equals",
-                'column = "Set" and equals = 0, or at_least and at_most, or each = true in place of equals',
+                "a select entry lacks column or equals"
+                if not counted or not ways
+                else "a select entry has column and first_row",
+                'column = "Set" and equals = 0, or at_least and at_most, or each = true in place of equals; or first_row and last_row',
             )
-        if len(ways) > 1 and set(ways) != {"at_least", "at_most"}:
+        if len(ways) > 1 and set(ways) not in ({"at_least", "at_most"}, {"first_row", "last_row"}):
             raise refused(source, f"a select entry has {' and '.join(ways)}", "one of them")
-        if found.get("tolerance", 0) < 0 or ("tolerance" in found and ways[0] in ("at_least", "at_most")):
+        if found.get("tolerance", 0) < 0 or ("tolerance" in found and ways[0] not in ("equals", "each", "each_of")):
             raise refused(source, "select.tolerance is not used so", "a tolerance from 0 beside equals or each")
+        if "part" in found and ways[0] in ("each", "each_of"):
+            raise refused(source, f"a select entry has part and {ways[0]}", "one of the two")
+        if "recording" in found and "part" not in found:
+            raise refused(
+                source, "a select entry has recording without part", "the name of the recording that it is for"
+            )
         equals = found.get("equals", ())
         selections.append(
             Selection(
-                found["column"],
+                found.get("column"),
                 tuple(equals) if isinstance(equals, list | tuple) else (equals,),
                 float(found.get("tolerance", 0.0)),
                 None if "at_least" not in found else float(found["at_least"]),
                 None if "at_most" not in found else float(found["at_most"]),
                 found.get("each", False),
+                tuple(found.get("each_of", ())),
+                found.get("part"),
+                found.get("first_row"),
+                found.get("last_row"),
             )
         )
-    if sum(s.each for s in selections) > 1:
+    of_values = [s for s in selections if s.each or s.each_of]
+    named_parts = any(s.part is not None for s in selections)
+    if len(of_values) > 1:
         raise refused(source, "two select entries have each", "one column that tells the recordings apart")
+    if of_values and named_parts:
+        raise refused(source, "select entries have each and part", "one of the two ways to tell the recordings apart")
     about = content.get("recording", {})
     named = isinstance(about, dict) and EACH in str(about.get("recording_id"))
-    if any(s.each for s in selections) and not named:
+    if (of_values or named_parts) and not named:
         raise refused(source, "each makes several recordings of one recording_id", f'recording_id = "{{stem}}-{EACH}"')
     return tuple(selections)

@@ -168,16 +168,27 @@ COVARIATE: Mapping[str, Key] = {
 }
 """Keys of `covariates.<name>` of a table of lives: whatever a life may depend on, under a name of the laboratory's own."""
 SELECT: Mapping[str, Key] = {
-    "column": Key(_COLUMN, "the column that is looked at"),
+    "column": Key(_COLUMN, "the column that is looked at; none beside `first_row` and `last_row`"),
     "equals": Key((list, str, int, float, bool), "the value, or list of values, of the rows that are read"),
-    "tolerance": Key(_NUMBER, "how far a number may be from `equals`, or from the value that `each` stands for"),
+    "tolerance": Key(_NUMBER, "how far a number may be from `equals`, `each_of`, or the value that `each` stands for"),
     "at_least": Key(_NUMBER, "in place of `equals`: the smallest number of the rows that are read"),
     "at_most": Key(_NUMBER, "the largest one"),
+    "first_row": Key((int,), "in place of a column: the first row that is read, from 0"),
+    "last_row": Key((int,), "the last one"),
     "each": Key(
         (bool,),
         "true: each value makes a recording of its own; `{each}` in `[recording]` is the value, and has to stand in"
         " `recording_id`",
     ),
+    "each_of": Key(
+        (list,),
+        "in place of `each`: these values make a recording each; rows at none of them, within `tolerance`, are left out",
+    ),
+    "part": Key(
+        (str,),
+        "a name: the rows of this entry (of all entries of that name) make a recording of their own, and `{each}` is the name",
+    ),
+    "recording": Key((dict,), "beside `part`: the keys of `[recording]` that are others for it, such as `protocol`"),
 }
 EACH = "{each}"
 """Stands for the value that a part of a file has, in the texts of `[recording]`."""
@@ -236,7 +247,14 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     },
 }
 """Names that `columns.<name>` may have in each kind of table, with what they mean."""
-TYPE_NAMES = {str: "text", int: "a whole number", float: "a number", bool: "true or false", list: "a list"}
+TYPE_NAMES = {
+    str: "text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    list: "a list",
+    dict: "a table",
+}
 
 
 def table(content: Mapping[str, Any], name: str, source: str) -> dict[str, Any]:

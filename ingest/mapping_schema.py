@@ -27,7 +27,7 @@ from schemas.json_schema import describe_keys, head, recording_schema, rig_schem
 from schemas.metadata import RecordingMetadata, RigConstants, TableMetadata
 from schemas.quantities import QUANTITIES
 
-_NAMES = {str: "string", int: "integer", float: "number", bool: "boolean", list: "array"}
+_NAMES = {str: "string", int: "integer", float: "number", bool: "boolean", list: "array", dict: "object"}
 _PLACEHOLDERS = ("{stem}", EACH)
 
 
@@ -44,7 +44,7 @@ def mapping_schema() -> dict[str, Any]:
             COVARIATES: {"type": "object", "additionalProperties": _refer("covariate")},
             "recording": {"type": "object"},
             "rig": describe_keys(RigConstants, placeholders=_PLACEHOLDERS),
-            "select": {"type": "array", "items": _table(SELECT)},
+            "select": {"type": "array", "items": _selection()},
             **{name: _table(keys) for name, keys in OPTIONS.items()},
         },
         "additionalProperties": False,
@@ -89,6 +89,13 @@ def _of_kind(kind: str) -> dict[str, Any]:
     named = {"type": "object", "properties": columns, "additionalProperties": False}
     others: dict[str, Any] = {} if kind == LIFETIMES else {COVARIATES: False}
     return {"if": is_kind, "then": {"properties": {"columns": named, "recording": about, **others}}}
+
+
+def _selection() -> dict[str, Any]:
+    """An entry of `[[select]]`; the keys that a part has for itself are those of `[recording]`."""
+    found = _table(SELECT)
+    own = {"anyOf": [_refer("recording"), _refer("table")], "description": SELECT["recording"].meaning}
+    return found | {"properties": {**found["properties"], "recording": own}}
 
 
 def _refer(name: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""One file that holds several recordings: the parts that `each = true` of a selection tells apart, each with its mapping.
+"""One file that holds several recordings: the parts that `each` and `part` of selections tell apart, each with its mapping.
 
-A part is known by its label, the value as it is written or, where a tolerance is given, the value that is meant: with
+A part is known by its label: its name, the value as it is written or, where a tolerance is given, the value that is meant: with
 `tolerance = 0.5` the rows at 24.98 and 25.03 are the part `25`. Does not belong here: which rows a selection keeps
 (`ingest.select`).
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +33,18 @@ def list_parts(path: Path, mapping: FileMapping) -> tuple[str, ...]:
     """
     from ingest.read import open_columns
 
+    if named := name_parts(mapping.content):
+        return named
     by = _parting(mapping)
     if by is None:
         return ()
+    if by.each_of:
+        return tuple(dict.fromkeys(_plain(str(value)) for value in by.each_of))
     where = path.name
     file = open_columns(path, str(format_of(path, mapping)), mapping)
+    assert by.column is not None  # where the rows are counted nothing has `each`
     cells = list(file.cells(by.column))
-    others = tuple(s for s in mapping.select if not s.each)
+    others = tuple(s for s in mapping.select if s is not by)
     keep = selected_rows(file, others, len(cells), where) if others else np.ones(len(cells), dtype=bool)
     texts = [str(cell).strip() for cell, kept in zip(cells, keep, strict=True) if kept and str(cell).strip()]
     decimal = str(mapping.options.get("decimal", "."))
@@ -55,26 +61,46 @@ def list_parts(path: Path, mapping: FileMapping) -> tuple[str, ...]:
 
 def part_of(mapping: FileMapping, label: str) -> FileMapping:
     """The mapping of one part: its rows alone, and `{each}` replaced by its label."""
-    by = _parting(mapping)
-    if by is None:
+    if not mapping.parts_file:
         raise RefusedError("the mapping does not part the file", where=mapping.source, expected="each = true")
-    content = dict(mapping.content)
-    content["select"] = [
-        {k: v for k, v in entry.items() if k != "each"} | {"equals": label} if entry.get("each") else entry
-        for entry in mapping.content["select"]
-    ]
-    for table in ("recording", "rig"):
-        if table in content:
-            content[table] = _with_label(content[table], label)
-    about = content.get("recording", {})
-    if isinstance(about, Mapping) and isinstance(about.get("recording_id"), str):
-        content["recording"] = {**about, "recording_id": _NOT_IN_IDS.sub("_", about["recording_id"])}
+    content = content_of_part(mapping.content, label)
     suffix = f".{mapping.format}" if mapping.format is None else ""
-    return FileMapping.parse({**content, "format": mapping.format}, stem="", suffix=suffix, source=mapping.source)
+    part = FileMapping.parse({**content, "format": mapping.format}, stem="", suffix=suffix, source=mapping.source)
+    return replace(part, is_part=True)
+
+
+def name_parts(content: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names of the parts that a mapping names itself, in its order; empty where values of a column tell them apart."""
+    entries = content.get("select", [])
+    entries = entries if isinstance(entries, list) else []
+    return tuple(dict.fromkeys(e["part"] for e in entries if isinstance(e, Mapping) and isinstance(e.get("part"), str)))
+
+
+def content_of_part(content: Mapping[str, Any], label: str) -> dict[str, Any]:
+    """The tables of a mapping as they are for one part: its rows, its own keys of `[recording]`, and `{each}` replaced."""
+    own: dict[str, Any] = {}
+    select = []
+    for entry in content["select"]:
+        if not isinstance(entry, Mapping) or entry.get("part", label) != label:
+            continue
+        if isinstance(entry.get("recording"), Mapping):
+            own |= entry["recording"]
+        kept = {k: v for k, v in entry.items() if k not in ("each", "each_of", "part", "recording")}
+        select.append(kept | {"equals": label} if entry.get("each") or entry.get("each_of") else kept)
+    found = {**content, "select": select}
+    if isinstance(content.get("recording", {}), Mapping):
+        found["recording"] = {**content.get("recording", {}), **own}
+    for table in ("recording", "rig"):
+        if table in found:
+            found[table] = _with_label(found[table], label)
+    about = found.get("recording", {})
+    if isinstance(about, Mapping) and isinstance(about.get("recording_id"), str):
+        found["recording"] = {**about, "recording_id": _NOT_IN_IDS.sub("_", about["recording_id"])}
+    return found
 
 
 def _parting(mapping: FileMapping) -> Selection | None:
-    return next((s for s in mapping.select if s.each), None)
+    return next((s for s in mapping.select if s.each or s.each_of), None)
 
 
 def _near(texts: list[str], by: Selection, decimal: str, where: str) -> tuple[str, ...]:

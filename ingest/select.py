@@ -23,6 +23,9 @@ def selected_rows(file: ColumnFile, select: Sequence[Selection], count: int, whe
     """(count,) true for the rows that pass every selection. Raises `RefusedError` when none does."""
     keep = np.ones(count, dtype=bool)
     for selection in select:
+        if selection.column is None:
+            keep &= _counted(selection, count, where)
+            continue
         cells = file.cells(selection.column)
         if len(cells) != count:
             raise RefusedError(
@@ -41,21 +44,36 @@ def selected_rows(file: ColumnFile, select: Sequence[Selection], count: int, whe
     return keep
 
 
+def _counted(selection: Selection, count: int, where: str) -> Bool:
+    """(count,) true from the first to the last row of a selection that counts them."""
+    first = selection.first_row or 0
+    last = count - 1 if selection.last_row is None else min(selection.last_row, count - 1)
+    if not 0 <= first <= last:
+        raise RefusedError(
+            f"[[select]] asks for the rows {first} to {last} of {count}",
+            where=where,
+            expected="rows of the file, from 0",
+        )
+    rows = np.arange(count)
+    return (rows >= first) & (rows <= last)
+
+
 def _passes(cell: Any, selection: Selection) -> bool:
     """Whether a cell is one of the values, within the tolerance, or lies in the range."""
     if selection.at_least is None and selection.at_most is None and not selection.tolerance:
         return any(same_cell(cell, v) for v in selection.equals)
-    number = _as_number(cell)
+    number = as_number(cell)
     if number is None:
         return False
     if selection.tolerance:
-        wanted = [_as_number(v) for v in selection.equals]
+        wanted = [as_number(v) for v in selection.equals]
         return any(abs(number - v) <= selection.tolerance * (1 + _LAST_DIGIT) for v in wanted if v is not None)
     low, high = selection.at_least, selection.at_most
     return (low is None or number >= low) and (high is None or number <= high)
 
 
-def _as_number(cell: Any) -> float | None:
+def as_number(cell: Any) -> float | None:
+    """A cell as a number, with a decimal point or comma; None where it is none."""
     try:
         number = float(cell)
     except (TypeError, ValueError):

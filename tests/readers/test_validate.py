@@ -16,6 +16,7 @@ from ingest.compressed import find_stem, find_suffix
 from ingest.draft import make_draft
 from ingest.mapping import FileMapping
 from ingest.mapping_schema import SCHEMAS
+from ingest.parts import name_parts, part_of
 from ingest.read import read_raw
 from ingest.validate import validate
 from pipeline.cli import main
@@ -67,7 +68,9 @@ def test_every_recording_of_the_tests_keeps_to_the_schema(tmp_path: Path) -> Non
         if content.get("kind", "recording") == "recording":
             draft = tomllib.loads(make_draft(path.with_suffix("")).as_toml().replace('= "?"', "= 1.0"))
             stem, suffix = find_stem(path.with_suffix("")), find_suffix(path.with_suffix(""))
-            found.append(read_raw(path.with_suffix(""), FileMapping.parse(draft, stem=stem, suffix=suffix)))
+            mapping = FileMapping.parse(draft, stem=stem, suffix=suffix)
+            parts = [part_of(mapping, name) for name in name_parts(draft)] or [mapping]
+            found += [read_raw(path.with_suffix(""), part) for part in parts]
     assert len(found) >= 30
     schema = SCHEMAS["recording"]()
     for raw in found:

@@ -28,6 +28,7 @@ from ingest.draft import make_draft
 from ingest.draft_text import UNANSWERED, toml_string
 from ingest.mapping import FileMapping, format_of
 from ingest.mapping_keys import RECORDING
+from ingest.parts import content_of_part, name_parts
 from ingest.read import open_columns
 from schemas.errors import DealabError
 from schemas.protocols import PROTOCOLS
@@ -122,11 +123,15 @@ def _judge_protocol(
     if kind == RECORDING and (protocol, loading) not in PROTOCOLS:
         return
     wanted = f"{protocol}, {loading}" if kind == RECORDING else str(kind)
-    about = draft.get("recording", {})
     got = draft.get("kind")
+    names = name_parts(draft)
+    abouts = [content_of_part(draft, n)["recording"] for n in names] if names else [draft.get("recording", {})]
+    tests = [f"{a.get('protocol')}, {a.get('loading')}" if got == RECORDING else str(got) for a in abouts]
     if draft:
-        found.drafted_as = f"{about.get('protocol')}, {about.get('loading')}" if got == RECORDING else str(got)
-    found.protocol = (found.drafted_as == wanted) if draft else kind is None
+        found.drafted_as = " and ".join(tests)
+    found.protocol = (
+        (wanted in tests) if draft else kind is None
+    )  # a file may hold more tests than the one it is kept for
     if not found.protocol:
         found.wrong.append(f"{found.drafted_as or 'no draft'} instead of {wanted}")
 

@@ -21,7 +21,7 @@ from ingest.canonical import canonical
 from ingest.inspect import FITS, inspect
 from ingest.mapping import FileMapping, find_mapping
 from ingest.mapping_keys import IGNORE, RECORDING
-from ingest.parts import list_parts, part_of
+from ingest.parts import list_parts, name_parts, part_of
 from ingest.read import read_raw
 from pipeline.cli import main
 from pipeline.simulate.plan import load_campaign
@@ -160,17 +160,18 @@ def test_a_file_with_its_mapping_is_what_the_example_says(content: str, mapping:
     path.write_text(content, encoding="utf-8")
     found = find_mapping(path)
     assert found is not None
-    if found.parts_file:
-        found = part_of(found, list_parts(path, found)[-1])
-    read = read_raw(path, found)
-    assert read.problems == ()
+    parts = [part_of(found, label) for label in list_parts(path, found)] if found.parts_file else [found]
+    read = [read_raw(path, part) for part in parts]
+    assert all(one.problems == () for one in read)
     assert inspect(path).verdict == FITS
     if found.kind == RECORDING:
         rows = content.strip().splitlines()[
             found.options.get("skip_rows", 0) + 1 + found.options.get("unit_row", False) :
         ]
-        recording = canonical(read, where=name, rig_file=None, source=None)
-        assert {channel.values.size for channel in recording.channels.values()} == {len(rows)}
+        recordings = [canonical(one, where=name, rig_file=None, source=None) for one in read]
+        sizes = [{channel.values.size for channel in recording.channels.values()} for recording in recordings]
+        assert all(len(size) == 1 for size in sizes)
+        assert sum(size.pop() for size in sizes) == len(rows)
 
 
 def test_each_kind_of_file_has_an_example() -> None:
@@ -188,7 +189,8 @@ def test_every_toml_is_understood(block: str) -> None:
     for entry in content.get("files", [content]):
         mapping = FileMapping.parse(entry, stem="x", suffix=Path(name.stem).suffix)
         if mapping.kind == RECORDING:
-            assert RecordingMetadata.parse(mapping.recording).extra == {}
+            abouts = [part_of(mapping, n).recording for n in name_parts(entry)] or [mapping.recording]
+            assert all(RecordingMetadata.parse(about).extra == {} for about in abouts)
 
 
 def test_every_python_is_python() -> None:

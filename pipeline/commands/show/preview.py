@@ -9,7 +9,7 @@ import numpy as np
 
 from ingest.faults import check
 from ingest.mapping import FileMapping
-from ingest.parts import list_parts, part_of
+from ingest.parts import list_parts, name_parts, part_of
 from ingest.read import read_raw
 from ingest.tables import LifetimeTable, RelaxationTable
 from pipeline.transform.relaxation import relaxation_curve
@@ -47,11 +47,20 @@ _SIZES = ("film_length_mm", "film_width_mm", "film_thickness_mm")
 def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
     """Lines with what was read, drawn, and what a night will give. Raises `DealabError` for a file that is refused."""
     labels: tuple[str, ...] = ()
+    if names := name_parts(mapping.content):
+        for name in names:
+            part = part_of(mapping, name)
+            yield f"  part       {name}: {part.recording.get('recording_id')}"
+            yield from _describe_content(path, part, several=False)
+        return
     if mapping.parts_file:
         labels = list_parts(path, mapping)
         yield f"  parts      {len(labels)} recordings in one file: {', '.join(labels)}; the first of them:"
         mapping = part_of(mapping, labels[0])
-    several = bool(labels)
+    yield from _describe_content(path, mapping, several=bool(labels))
+
+
+def _describe_content(path: Path, mapping: FileMapping, *, several: bool) -> Iterator[str]:
     raw = read_raw(path, mapping)
     if isinstance(raw, RawRecording):
         yield from _describe_recording(check(raw, path))
@@ -98,7 +107,7 @@ def _describe_recording(recording: Recording) -> Iterator[str]:
         yield "             the resonance of clamp and load cell stays in: no rig_id"
     if (about.protocol, about.loading) == ("step", "mechanical"):
         yield from (f"  note       {remark}" for remark in _remark_relaxation(recording))
-    for problem in recording.problems:
+    for problem in dict.fromkeys(recording.problems):
         yield f"  problem    {problem}"
 
 

@@ -1,0 +1,87 @@
+"""The tests that one record of a testing machine holds, as entries of `[[select]]`: a relaxation, and the cycles before or after it.
+
+Does not belong here: where a record is cut (`ingest.segments`), which test each part shows (`ingest.shapes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ingest.draft_files import Opened, map_each_column, read_numbers
+from ingest.mapping import FileMapping
+from ingest.mapping_keys import RECORDING
+from ingest.meanings import GuessedColumn
+from ingest.read import open_columns
+from ingest.segments import Segment, find_segments
+from ingest.select import as_number
+from ingest.shapes import SURE, Shape
+from schemas.errors import DealabError
+
+_DRIVES = ("displacement", "stretch")
+_NAMES: Mapping[str, str] = {"step": "relaxation", "cycle": "cycles", "cyclic": "sinusoid"}
+"""What the parts are called, by protocol; others by the protocol itself."""
+_MOVES = ("cycle", "cyclic", "pull", "noise", "chirp")
+"""Protocols of movements that may stand beside a relaxation."""
+
+
+def find_parts(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool, dict[str, Any]]]:
+    """For each test of a record: whether it is a step and hold, and which rows are its; empty where it is one test alone."""
+    drive = next((c for name in _DRIVES for c in opened.columns if c.meaning == name), None)
+    if drive is None or time_of is None or not any(c.meaning in ("force", "stress") for c in opened.columns):
+        return []
+    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+    try:
+        file = open_columns(opened.path, opened.format, map_each_column(mapping, opened.columns))
+        times, moved = read_numbers(file, time_of), read_numbers(file, drive)
+        if times is None or moved is None or times.size != moved.size:
+            return []
+        cells = file.cells(time_of.column, time_of.index)
+    except DealabError:
+        return []
+    rows = np.flatnonzero(np.isfinite(times) & np.isfinite(moved))
+    segments = find_segments(times[rows], moved[rows])
+    runs = bool((np.diff(times[rows]) > 0).all()) and time_of.index is None
+    runs = runs and all(as_number(cells[rows[i]]) == times[rows[i]] for s in segments for i in (s.first, s.last))
+    return [(s.is_hold, _range(s, rows, times, time_of if runs else None)) for s in segments]
+
+
+def _range(segment: Segment, rows: Any, times: Any, column: GuessedColumn | None) -> dict[str, Any]:
+    """The rows of a segment by their times, or counted where the clock does not tell them apart."""
+    first, last = int(rows[segment.first]), int(rows[segment.last])
+    keys = ("first_row", "last_row") if column is None else ("at_least", "at_most")
+    found: dict[str, Any] = {} if column is None else {"column": column.column}
+    if segment.first > 0:
+        found[keys[0]] = first if column is None else float(times[first])
+    if segment.last < rows.size - 1:
+        found[keys[1]] = last if column is None else float(times[last])
+    return found
+
+
+def name_parts(tests: Sequence[tuple[bool, dict[str, Any]]], shapes: Sequence[Shape]) -> list[dict[str, Any]]:
+    """The entries of `[[select]]` with a name for each part and what its metadata have of their own; empty where a part shows
+    no test that may stand beside the others."""
+    if any(
+        shape.protocol not in (("step",) if is_hold else _MOVES)
+        for (is_hold, _), shape in zip(tests, shapes, strict=True)
+    ):
+        return []
+    entries: list[dict[str, Any]] = []
+    names: list[str] = []
+    for (_, entry), shape in zip(tests, shapes, strict=True):
+        name = _NAMES.get(shape.protocol, shape.protocol)
+        names.append(name)
+        count = names.count(name)
+        own: dict[str, Any] = {} if shape.protocol == shapes[0].protocol else {"protocol": shape.protocol}
+        entries.append(
+            entry | {"part": name if count == 1 else f"{name}-{count}", "recording": own | dict(shape.constants)}
+        )
+    return [{k: v for k, v in entry.items() if v != {}} for entry in entries]
+
+
+def join_shapes(shapes: Sequence[Shape]) -> Shape:
+    """What the whole record shows."""
+    seen = "; then ".join(f"{shape.protocol}: {shape.seen}" for shape in shapes)
+    return Shape(shapes[0].protocol, shapes[0].loading, SURE, f"{len(shapes)} tests in one record, {seen}")
