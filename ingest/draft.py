@@ -34,10 +34,10 @@ from ingest.draft_parts import find_parts, join_shapes, name_parts
 from ingest.draft_text import toml_text
 from ingest.draft_times import make_time_keys
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
+from ingest.isotherms import find_isotherms, has_repeats, has_returns
 from ingest.mapping import FileMapping
-from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RECORDING, RELAXATION, TAN_DELTA
+from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, MEAN, RECORDING, RELAXATION, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn, is_sensor_unit
-from ingest.notations import read_cell
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
@@ -49,8 +49,6 @@ from schemas.quantities import QUANTITIES
 from schemas.units import conversion
 
 _WORDS = ("failed", "censored", "configuration", "specimen_id", "count")
-_FEWEST_DEGREES = 2.0
-"""Range of temperatures below which a table holds one sweep."""
 _FEWEST_FREQUENCIES = 3
 """Different frequencies of a step that goes over them."""
 _ANY_SCALE = 2.0
@@ -150,7 +148,9 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
                 questions.append(ask_unit(f"columns.{name}", column, usual[name]))
         columns[name] = entry
     about: dict[str, Any] = {"recording_id": _own_name(opened.path)}
-    each = _several(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else None
+    each, repeated, remark = (
+        _find_isotherms(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else (None, False, "")
+    )
     _take(opened.facts, about, remarks, ("operator", "material"))
     if kind != LIFETIMES:
         _take(opened.facts, about, remarks, ("specimen_id",))
@@ -164,6 +164,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         about["configuration"] = "{stem}"
         questions.append(Question("recording.configuration", "how the films are built", find_stem(opened.path)))
     content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}
+    content |= {"repeated": MEAN} if repeated else {}
     sweeps = _sweeps(opened, chosen) if kind == FREQUENCY_RESPONSE else None
     selections = [s for s in (sweeps, each) if s is not None]
     if selections:
@@ -171,6 +172,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     if each is not None:
         about["recording_id"] = about["recording_id"] + "-{each}"
         remarks["recording.specimen_id"] = "all temperatures of one specimen make a master curve"
+        remarks |= {"recording.recording_id": remark} if remark else {}
     unmapped = tuple(c for c in opened.columns if c not in chosen.values())
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about)
 
@@ -411,27 +413,30 @@ def _is_even(values: Any) -> bool:
     return middle > 0 and float(np.median(np.abs(steps - middle))) <= _EVEN * middle and bool((steps > 0).all())
 
 
-def _several(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:
-    """The selection of each temperature where a table holds several sweeps; None where it holds one."""
-    warm = chosen.get("temperature")
-    if warm is None:
-        return None
-    decimal = opened.options.get("decimal", ".")
-    cells = [read_cell(str(cell).strip(), decimal) for cell in opened.cells(warm)]
-    values = np.sort([c.value for c in cells if c is not None and np.isfinite(c.value)])
-    gaps = np.diff(values)
-    if values.size < 2 or values[-1] - values[0] < _FEWEST_DEGREES:
-        return None
-    wide = gaps[gaps > max(1.0, 5 * float(np.median(gaps)))]
-    if not wide.size:
-        return None
-    within = max(
-        (float(np.ptp(group)) for group in np.split(values, np.flatnonzero(np.isin(gaps, wide)) + 1)), default=0
-    )
-    tolerance = next((t for t in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if t >= within), None)
-    if tolerance is None or 2 * tolerance >= float(wide.min()):
-        return None
-    return {"column": warm.column, "each": True, "tolerance": tolerance}
+def _find_isotherms(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> tuple[dict[str, Any] | None, bool, str]:
+    """The selection of each temperature where a table holds several, whether points are repeated, and what belongs to none."""
+    names = [name for name in ("temperature", "frequency", "time") if name in chosen]
+    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+    try:
+        file = open_columns(opened.path, opened.format, map_each_column(mapping, [chosen[name] for name in names]))
+        found = {name: read_numbers(file, chosen[name]) for name in names}
+    except DealabError:
+        return None, False, ""
+    warm, points = found.get("temperature"), found.get("frequency", found.get("time"))
+    if points is None:
+        return None, False, ""
+    isotherms = None if warm is None or warm.size != points.size else find_isotherms(warm, points)
+    repeated = has_repeats(warm, points, isotherms)
+    if isotherms is None:
+        return None, repeated, ""
+    assert warm is not None  # else there are no isotherms
+    by: dict[str, Any] = {"column": chosen["temperature"].column}
+    by |= {"runs": "apart"} if has_returns(warm, isotherms) else {}
+    if not isotherms.loose:
+        return by | {"each": True, "tolerance": isotherms.tolerance}, repeated, ""
+    selection = by | {"each_of": list(isotherms.values), "tolerance": isotherms.tolerance}
+    remark = f"{isotherms.loose} rows from {isotherms.loose_from:.4g} to {isotherms.loose_to:.4g} are at no isotherm: left out"
+    return selection, repeated, remark
 
 
 def _sweeps(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:

@@ -55,6 +55,10 @@ def toml_text(
     lines += [f"# {toml_string(name + '.toml')}", f"kind = {toml_value(content['kind'])}"]
     if "format" in content:
         lines.append(f"format = {toml_value(content['format'])}")
+    if "repeated" in content:
+        lines.append(
+            f"repeated = {toml_value(content['repeated'])}  # rows at the same frequency (or time) are one, their mean"
+        )
     for table, entries in content.items():
         if not isinstance(entries, Mapping):
             continue

@@ -27,10 +27,13 @@ from ingest.mapping_keys import (
     COVARIATE,
     COVARIATES,
     EACH,
+    FREQUENCY_RESPONSE,
     IGNORE,
     KINDS,
     LIFETIMES,
+    MEAN,
     RECORDING,
+    RELAXATION,
     SELECT,
     TABLE_COLUMN,
     TABLE_COLUMNS,
@@ -137,6 +140,8 @@ class Selection:
     each: bool = False
     each_of: tuple[Any, ...] = ()
     part: str | None = None
+    runs: str | None = None
+    run: int | None = None
     first_row: int | None = None
     last_row: int | None = None
 
@@ -163,6 +168,8 @@ class FileMapping:
     """Hash of what of the file is read: columns, rows and how, without metadata. Another one is another recording."""
     content: Mapping[str, Any] = dataclass_field(default_factory=dict, repr=False, compare=False)
     """The tables it was made from."""
+    repeated: str | None = None
+    """What becomes of rows of a table at the same frequency or time: "mean", or None where there may be none."""
     is_part: bool = False
     """Whether it is that of one part of a file, which begins with its own first sample."""
 
@@ -210,6 +217,7 @@ class FileMapping:
             rig=table(content, "rig", source),
             select=_selections(content, source),
             source=source,
+            repeated=None if "repeated" not in content else choice(content["repeated"], "repeated", (MEAN,), source),
             hash=content_hash(content),
             reads=content_hash({k: v for k, v in content.items() if k not in ("recording", "rig")}),
             content=content,
@@ -426,6 +434,7 @@ def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, sourc
         unused += ["select"] if content.get("select") else []
     else:
         unused += [f"columns.{n}.field" for n, c in columns.items() if "field" in c]
+    unused += ["repeated"] if "repeated" in content and kind not in (FREQUENCY_RESPONSE, RELAXATION) else []
     if unused:
         what = f"{chosen} files" if kind == RECORDING else f'kind "{kind}"'
         if unused[0].startswith("time.") and kind == RECORDING:
@@ -540,6 +549,10 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
             raise refused(source, f"a select entry has {' and '.join(ways)}", "one of them")
         if found.get("tolerance", 0) < 0 or ("tolerance" in found and ways[0] not in ("equals", "each", "each_of")):
             raise refused(source, "select.tolerance is not used so", "a tolerance from 0 beside equals or each")
+        if "runs" in found and ways[0] not in ("each", "each_of"):
+            raise refused(source, "select.runs is not used so", "runs beside each or each_of")
+        if "run" in found and (ways[0] != "equals" or found["run"] < 1):
+            raise refused(source, "select.run is not used so", "a number from 1 beside equals")
         if "part" in found and ways[0] in ("each", "each_of"):
             raise refused(source, f"a select entry has part and {ways[0]}", "one of the two")
         if "recording" in found and "part" not in found:
@@ -557,6 +570,8 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
                 found.get("each", False),
                 tuple(found.get("each_of", ())),
                 found.get("part"),
+                None if "runs" not in found else choice(found["runs"], "select.runs", ("apart",), source),
+                found.get("run"),
                 found.get("first_row"),
                 found.get("last_row"),
             )

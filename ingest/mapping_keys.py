@@ -58,6 +58,7 @@ TOP: Mapping[str, str] = MappingProxyType(
     {
         "kind": "what the file holds",
         "format": "where the file's ending does not tell it",
+        "repeated": '"mean": rows of a table at the same frequency (or time) are one, their mean; absent: they are refused',
     }
 )
 """Keys at the top of a mapping with what they mean; beside them stand the tables below."""
@@ -184,12 +185,19 @@ SELECT: Mapping[str, Key] = {
         (list,),
         "in place of `each`: these values make a recording each; rows at none of them, within `tolerance`, are left out",
     ),
+    "runs": Key(
+        (str,),
+        '"apart", beside `each` or `each_of`: a value that comes back after others makes another recording, `20` and `20-run2`',
+    ),
+    "run": Key((int,), "beside `equals`: of the times that the column comes to it the one of this number, from 1"),
     "part": Key(
         (str,),
         "a name: the rows of this entry (of all entries of that name) make a recording of their own, and `{each}` is the name",
     ),
     "recording": Key((dict,), "beside `part`: the keys of `[recording]` that are others for it, such as `protocol`"),
 }
+MEAN = "mean"
+"""What `repeated` may be."""
 EACH = "{each}"
 """Stands for the value that a part of a file has, in the texts of `[recording]`."""
 TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {

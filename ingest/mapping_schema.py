@@ -14,6 +14,7 @@ from ingest.mapping_keys import (
     IGNORE,
     KINDS,
     LIFETIMES,
+    MEAN,
     OPTIONS,
     RECORDING,
     SELECT,
@@ -38,6 +39,7 @@ def mapping_schema() -> dict[str, Any]:
         "properties": {
             "kind": {"enum": list(KINDS), "description": TOP["kind"]},
             "format": {"enum": list(FORMATS), "description": TOP["format"]},
+            "repeated": {"enum": [MEAN], "description": TOP["repeated"]},
             "match": {"type": "string", "description": "of an entry of recordings.toml: which files it is for"},
             "time": _table(TIME),
             "columns": {"type": "object"},

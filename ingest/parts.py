@@ -8,21 +8,25 @@ A part is known by its label: its name, the value as it is written or, where a t
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ingest.columns import ColumnFile
 from ingest.mapping import FileMapping, Selection, column_label, format_of
 from ingest.mapping_keys import EACH
 from ingest.notations import read_cell
-from ingest.select import selected_rows
+from ingest.select import selected_rows, split_runs
+from schemas.arrays import Bool
 from schemas.errors import RefusedError
 
 MOST = 1000
 """Most recordings of one file: more are a column that counts samples."""
+_AGAIN = "-run"
+"""Stands between a value that comes back and the number of the time."""
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -38,7 +42,7 @@ def list_parts(path: Path, mapping: FileMapping) -> tuple[str, ...]:
     by = _parting(mapping)
     if by is None:
         return ()
-    if by.each_of:
+    if by.each_of and by.runs is None:
         return tuple(dict.fromkeys(_plain(str(value)) for value in by.each_of))
     where = path.name
     file = open_columns(path, str(format_of(path, mapping)), mapping)
@@ -48,7 +52,10 @@ def list_parts(path: Path, mapping: FileMapping) -> tuple[str, ...]:
     keep = selected_rows(file, others, len(cells), where) if others else np.ones(len(cells), dtype=bool)
     texts = [str(cell).strip() for cell, kept in zip(cells, keep, strict=True) if kept and str(cell).strip()]
     decimal = str(mapping.options.get("decimal", "."))
-    labels = _near(texts, by, decimal, where) if by.tolerance else tuple(dict.fromkeys(map(_plain, texts)))
+    if by.each_of:
+        labels = tuple(dict.fromkeys(_plain(str(value)) for value in by.each_of))
+    else:
+        labels = _near(texts, by, decimal, where) if by.tolerance else tuple(dict.fromkeys(map(_plain, texts)))
     if not 0 < len(labels) <= MOST:
         raise RefusedError(
             f"column {column_label(by.column)} of [[select]] holds {len(labels)} values",
@@ -56,7 +63,29 @@ def list_parts(path: Path, mapping: FileMapping) -> tuple[str, ...]:
             expected=f"1 to {MOST} of them, one for each recording",
             remedy="Give tolerance beside each, or another column",
         )
-    return labels
+    return labels if by.runs is None else tuple(_count_runs(file, by, keep, labels, where))
+
+
+def _count_runs(file: ColumnFile, by: Selection, keep: Bool, labels: tuple[str, ...], where: str) -> Iterator[str]:
+    """The labels with a number behind each value that comes back."""
+    for label in labels:
+        alone = Selection(by.column, (label,), by.tolerance)
+        here = selected_rows(file, (alone,), keep.size, where) & keep
+        for number, _ in enumerate(split_runs(here), start=1):
+            yield label if number == 1 else f"{label}{_AGAIN}{number}"
+
+
+def count_left_out(path: Path, mapping: FileMapping) -> tuple[int, int]:
+    """How many rows of a file belong to none of its parts, and how many it has."""
+    from ingest.read import open_columns
+
+    file = open_columns(path, str(format_of(path, mapping)), mapping)
+    columns = [name for name in mapping.columns_of_file() if name is not None]
+    count = len(file.cells(columns[0])) if columns else 0
+    kept = np.zeros(count, dtype=bool)
+    for label in list_parts(path, mapping):
+        kept |= selected_rows(file, part_of(mapping, label).select, count, path.name)
+    return int(count - kept.sum()), count
 
 
 def part_of(mapping: FileMapping, label: str) -> FileMapping:
@@ -85,8 +114,10 @@ def content_of_part(content: Mapping[str, Any], label: str) -> dict[str, Any]:
             continue
         if isinstance(entry.get("recording"), Mapping):
             own |= entry["recording"]
-        kept = {k: v for k, v in entry.items() if k not in ("each", "each_of", "part", "recording")}
-        select.append(kept | {"equals": label} if entry.get("each") or entry.get("each_of") else kept)
+        kept = {k: v for k, v in entry.items() if k not in ("each", "each_of", "runs", "part", "recording")}
+        if entry.get("each") or entry.get("each_of"):
+            kept |= _pick(label) if "runs" in entry else {"equals": label}
+        select.append(kept)
     found = {**content, "select": select}
     if isinstance(content.get("recording", {}), Mapping):
         found["recording"] = {**content.get("recording", {}), **own}
@@ -97,6 +128,14 @@ def content_of_part(content: Mapping[str, Any], label: str) -> dict[str, Any]:
     if isinstance(about, Mapping) and isinstance(about.get("recording_id"), str):
         found["recording"] = {**about, "recording_id": _NOT_IN_IDS.sub("_", about["recording_id"])}
     return found
+
+
+def _pick(label: str) -> dict[str, Any]:
+    """The value and the number of the run that a label means."""
+    value, again, number = label.rpartition(_AGAIN)
+    return (
+        {"equals": value, "run": int(number)} if again and value and number.isdigit() else {"equals": label, "run": 1}
+    )
 
 
 def _parting(mapping: FileMapping) -> Selection | None:

@@ -12,9 +12,11 @@ import numpy as np
 from ingest.columns import ColumnFile, Numbers, OwnTime
 from ingest.mapping import ColumnName, Selection, column_label
 from ingest.notations import read_cell
-from schemas.arrays import Bool, Float
+from schemas.arrays import Bool, Float, Int
 from schemas.errors import RefusedError
 
+_AWAY = 3
+"""Rows in between from which a value has come back: fewer are outliers."""
 _LAST_DIGIT = 1e-9
 """Share of a tolerance by which the last digit of a double may miss it."""
 
@@ -33,7 +35,11 @@ def selected_rows(file: ColumnFile, select: Sequence[Selection], count: int, whe
                 where=where,
                 expected="columns of the same length",
             )
-        keep &= np.fromiter((_passes(cell, selection) for cell in cells), bool, len(cells))
+        here = np.fromiter((_passes(cell, selection) for cell in cells), bool, len(cells))
+        if selection.run is not None:
+            runs = split_runs(here)
+            here = np.isin(np.arange(count), runs[selection.run - 1]) if selection.run <= len(runs) else here & False
+        keep &= here
         if not keep.any():
             shown = ", ".join(dict.fromkeys(str(cell)[:20] for cell in list(cells)[:200]))
             raise RefusedError(
@@ -42,6 +48,12 @@ def selected_rows(file: ColumnFile, select: Sequence[Selection], count: int, whe
                 expected=f"one of {shown[:200]}",
             )
     return keep
+
+
+def split_runs(here: Bool) -> list[Int]:
+    """The rows of each time that a column comes to a value, where (n,) rows hold it: several rows of others stand between."""
+    rows = np.flatnonzero(here)
+    return [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > _AWAY) + 1) if run.size]
 
 
 def _counted(selection: Selection, count: int, where: str) -> Bool:

@@ -26,6 +26,8 @@ from schemas.metadata import RecordingMetadata, TableMetadata, check_keys
 from schemas.units import conversion
 
 MODULUS, STIFFNESS = "modulus", "stiffness"
+_ALIKE = 0.1
+"""Difference of repeats from their mean that a stable film shows: a rheometer's noise is 1 to 2 %, a kelvin off its set point 5 to 10 %."""
 _RESPONSES: Mapping[str, tuple[str, bool, int]] = {
     "MPa": (MODULUS, False, 0),
     "N/mm": (STIFFNESS, False, 0),
@@ -318,11 +320,29 @@ def ordered(
             f"{name} {axis[order][twice[0]]:g} {unit} stands in two rows ({twice.size} repeats in all)",
             where=table.where,
             expected=f"each {name} once",
-            remedy="Pick one set of several with [[select]] in the mapping TOML",
+            remedy='Pick one set of several with [[select]] in the mapping TOML, or say repeated = "mean" where they repeat one',
         )
     if (order != keep).any():
         table.notes.append(f"the rows were not in the order of {name}")
     return order
+
+
+def join_repeats(table: TableRows, axis: Float, value: Complex, name: str) -> list[NDArray[np.intp]] | None:
+    """Which rows stand at the same frequency (or time), where the mapping says that their mean is meant; None where it does not.
+
+    A note tells how many there are and by how much they differ; where that is much, it is a problem: the film, or the test, was not
+    the same.
+    """
+    usable = np.flatnonzero(np.isfinite(axis) & (axis > 0) & np.isfinite(value))
+    if table.mapping.repeated is None or np.unique(axis[usable]).size == usable.size:
+        return None
+    order = usable[np.argsort(axis[usable], kind="stable")]
+    groups = np.split(order, np.flatnonzero(np.diff(axis[order]) > 0) + 1)
+    spread = [float(np.max(np.abs(value[g] / np.mean(value[g]) - 1))) for g in groups if g.size > 1]
+    middle = float(np.median(spread))
+    said = f"{order.size} rows stand at {len(groups)} values of the {name}: their means are taken, from which they differ by {middle:.2g}"
+    (table.problems if middle > _ALIKE else table.notes).append(said)
+    return groups
 
 
 def cell_text(cell: Any) -> str | None:

@@ -21,13 +21,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ingest.columns import ColumnFile
 from ingest.lives import read_failure_modes, read_lives
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import TAN_DELTA
 from ingest.own_covariates import read_covariates
-from ingest.table_rows import TableRows, cell_text, ordered, standard_error, stiffness_scale
+from ingest.table_rows import TableRows, cell_text, join_repeats, ordered, standard_error, stiffness_scale
 from schemas.arrays import Complex, Float
 from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
@@ -203,6 +204,8 @@ def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> Res
     error = standard_error(table, measured_as, frequency.size)
     temperature = _temperature(table, frequency.size)
     own = table.ratio("transducer_displacement", "displacement")
+    if (groups := join_repeats(table, frequency, value, "frequency")) is not None:
+        frequency, value, error, temperature, own = _means(groups, frequency, value, error, temperature, own)
     at_rest = (frequency == 0) & ("frequency" not in mapping.columns)  # the axis of an analyser begins there
     if at_rest.any():
         table.notes.append("the line at 0 Hz is left out")
@@ -221,6 +224,19 @@ def response_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> Res
         assumptions=tuple(table.assumptions),
         unit=table.unit_as_written(chosen[0]),
     )
+
+
+def _means(
+    groups: Sequence[NDArray[np.intp]], axis: Float, value: Any, error: Float, warm: Float | None, own: Float | None
+) -> tuple[Float, Any, Float, Float | None, Float | None]:
+    """The mean row of each group: axis, value, its standard error, temperature, and the transducer's share."""
+    counts = np.array([group.size for group in groups])
+
+    def mean(values: Any) -> Any:
+        return np.array([values[group].sum() for group in groups]) / counts
+
+    joined = np.sqrt(np.array([np.sum(error[group] ** 2) for group in groups])) / counts
+    return mean(axis), mean(value), joined, None if warm is None else mean(warm), None if own is None else mean(own)
 
 
 def _temperature(table: TableRows, count: int) -> Float | None:
@@ -269,6 +285,8 @@ def relaxation_table(file: ColumnFile, mapping: FileMapping, *, where: str) -> R
     scale = stiffness_scale(table.metadata, measured_as, where)
     error = standard_error(table, measured_as, time.size)
     temperature = _temperature(table, time.size)
+    if (groups := join_repeats(table, time, value.astype(np.complex128), "time")) is not None:
+        time, value, error, temperature, _ = _means(groups, time, value, error, temperature, None)
     keep = ordered(table, time, np.isfinite(value) & (time > 0), "time", "s")
     return RelaxationTable(
         table.metadata,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ingest.faults import check
 from ingest.mapping import FileMapping
-from ingest.parts import list_parts, name_parts, part_of
+from ingest.parts import count_left_out, list_parts, name_parts, part_of
 from ingest.read import read_raw
 from ingest.tables import LifetimeTable, RelaxationTable
 from pipeline.transform.relaxation import relaxation_curve
@@ -52,12 +52,20 @@ def describe_preview(path: Path, mapping: FileMapping) -> Iterator[str]:
             part = part_of(mapping, name)
             yield f"  part       {name}: {part.recording.get('recording_id')}"
             yield from _describe_content(path, part, several=False)
+        yield from _tell_left_out(path, mapping)
         return
     if mapping.parts_file:
         labels = list_parts(path, mapping)
         yield f"  parts      {len(labels)} recordings in one file: {', '.join(labels)}; the first of them:"
+        yield from _tell_left_out(path, mapping)
         mapping = part_of(mapping, labels[0])
     yield from _describe_content(path, mapping, several=bool(labels))
+
+
+def _tell_left_out(path: Path, mapping: FileMapping) -> Iterator[str]:
+    lost, count = count_left_out(path, mapping)
+    if lost:
+        yield f"  note       {lost} of {count} rows belong to none of them: left out"
 
 
 def _describe_content(path: Path, mapping: FileMapping, *, several: bool) -> Iterator[str]:
