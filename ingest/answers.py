@@ -10,10 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ingest.draft import Draft, make_draft
+from ingest.draft import Draft, Wanted, make_draft
+from ingest.draft_files import is_workbook
 from ingest.draft_text import toml_string
 from ingest.formats import list_options
-from ingest.mapping_keys import COLUMN, EACH, TABLE_COLUMN, TABLE_COLUMNS, TIME
+from ingest.mapping_keys import COLUMN, EACH, IGNORE, KINDS, LIFETIMES, TABLE_COLUMN, TABLE_COLUMNS, TIME
 from ingest.meanings import NOTHING
 from ingest.meanings import TIME as TIMES
 from ingest.parts import name_parts
@@ -27,7 +28,7 @@ from schemas.quantities import QUANTITIES
 _INTEGER, _FLOAT = re.compile(r"[+-]?\d+"), re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _PART = re.compile(r'\s*("(?:[^"\\]|\\.)*"|\'[^\']*\'|[^,]*)\s*(?:,|$)')
 """One value of a list, in quotation marks where it holds a comma."""
-_OUTCOMES = ("failed_values", "censored_values", "left_censored_values")
+_OUTCOMES = ("failed_values", "censored_values", "left_censored_values", "no_test_values")
 _TEXTS = ("specimen_id", "recording_id", "operator", "configuration", "campaign", "material", "notes", "rig_id", "unit")
 SIZES = "film_sizes_mm"
 _SIZE_KEYS = ("film_length_mm", "film_width_mm", "film_thickness_mm")
@@ -53,19 +54,24 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
     ------
     UsageError : with all keys that do not exist, each with the one that may be meant
     """
-    draft = make_draft(path)
+    wanted = Wanted(_kind(answers, path), answers.get("sheet"))
+    of_file = ("kind", "sheet")
+    draft = make_draft(path, wanted=Wanted(sheet=wanted.sheet))
     columns = {str(c) for c in _columns_of(draft)}
     said = {key: value for key, value in answers.items() if key in columns}
+    names = TABLE_COLUMNS[LIFETIMES] if wanted.kind in (None, LIFETIMES) else {}
+    roles = {key: value for key, value in said.items() if value in names and value not in QUANTITIES}
+    meant = {key: value for key, value in said.items() if key not in roles}
     wrong = [
-        f'{key}={value}: no quantity{ask_meant(value, list(QUANTITIES))}'
-        for key, value in said.items()
+        f'{key}={value}: no quantity{ask_meant(value, [*QUANTITIES, *names])}'
+        for key, value in meant.items()
         if value not in (*QUANTITIES, NOTHING, TIMES)
     ]  # fmt: skip
-    if said and not wrong:
-        draft = make_draft(path, said)
+    if not wrong:
+        draft = make_draft(path, meant, replace(wanted, roles=roles))
     placed: dict[str, Any] = {}
     for key, value in answers.items():
-        if key in said:
+        if key in said or key in of_file:
             continue
         if key == SIZES:
             sizes = re.split(r"\s*[x×,; ]\s*", value)
@@ -73,13 +79,22 @@ def draft_with(path: Path, answers: Mapping[str, str]) -> tuple[Draft, dict[str,
             continue
         full = _full_key(key, draft)
         if full is None:
-            known = [*known_keys(RecordingMetadata), *columns, *(q.key for q in draft.questions), "zone"]
+            known = [*known_keys(RecordingMetadata), *columns, *(q.key for q in draft.questions), "zone", *of_file]
             wrong.append(f'"{key}" is no key{ask_meant(key, known)}')
         else:
             placed[full] = value if full.rsplit(".", 1)[-1] in _TEXTS else read_value(value)
     if wrong:
         raise UsageError("; ".join(wrong), where=path.name, expected="columns of the file, or keys of the mapping")
     return draft, placed
+
+
+def _kind(answers: Mapping[str, str], path: Path) -> str | None:
+    """The kind of file that an answer gives. Raises `UsageError` for one that is none."""
+    kind = answers.get("kind")
+    kinds = [one for one in KINDS if one != IGNORE]
+    if kind is not None and kind not in kinds:
+        raise UsageError(f"kind={kind}: no kind{ask_meant(kind, kinds)}", where=path.name, expected=", ".join(kinds))
+    return kind
 
 
 def find_keys(path: Path, answers: Mapping[str, str]) -> set[str]:
@@ -90,11 +105,14 @@ def find_keys(path: Path, answers: Mapping[str, str]) -> set[str]:
     try:
         draft = make_draft(path)
         columns = {str(c) for c in _columns_of(draft)}
-        said = {key: value for key, value in answers.items() if key in columns}
+        said = {
+            key: value for key, value in answers.items() if key in columns and value in (*QUANTITIES, NOTHING, TIMES)
+        }
         draft = make_draft(path, said) if said else draft
     except DealabError:
         return set()
-    return {key for key in answers if key in columns or _is_meant_for(key, draft)}
+    of_file = {"kind", "sheet"} if is_workbook(path) else {"kind"}
+    return {key for key in answers if key in columns or key in of_file or _is_meant_for(key, draft)}
 
 
 def _is_meant_for(key: str, draft: Draft) -> bool:

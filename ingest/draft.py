@@ -28,29 +28,38 @@ from ingest.draft_columns import (
     find_own_response,
     find_relaxation_columns,
     find_response_columns,
+    is_counted,
 )
-from ingest.draft_files import Opened, make_format_keys, map_each_column, open_file, read_numbers
+from ingest.draft_files import (
+    Opened,
+    is_workbook,
+    make_format_keys,
+    map_each_column,
+    name_sheets,
+    only_sheet,
+    open_file,
+    open_sheets,
+    read_numbers,
+)
 from ingest.draft_parts import find_parts, join_shapes, name_parts
+from ingest.draft_tables import ask_outcomes, say_frequency, select_isotherms, select_sweeps
 from ingest.draft_text import toml_text
 from ingest.draft_times import make_time_keys
+from ingest.excel_reader import SHEET
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
-from ingest.isotherms import find_isotherms, has_repeats, has_returns
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, MEAN, RECORDING, RELAXATION, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn, is_sensor_unit
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
-from ingest.trios_reader import STEP
-from schemas.errors import DealabError
+from schemas.errors import DealabError, RefusedError
 from schemas.metadata import RECORDING_ID
 from schemas.protocols import PROTOCOLS
 from schemas.quantities import QUANTITIES
 from schemas.units import conversion
 
 _WORDS = ("failed", "censored", "configuration", "specimen_id", "count")
-_FEWEST_FREQUENCIES = 3
-"""Different frequencies of a step that goes over them."""
 _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
 _LONGEST_NAME = 60
@@ -59,6 +68,18 @@ _LOWEST_DRIVE_V = 20.0
 """A voltage that never goes beyond it drives no film: it is what the monitor of a high-voltage amplifier puts out (up to 10 V)."""
 _EVEN = 1e-3
 """Largest spread of the steps of a column of times, in steps, which no column of samples has."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a person says of a file as a whole: its kind, the sheet of a workbook, and which column of a table is what."""
+
+    kind: str | None = None
+    sheet: str | None = None
+    roles: Mapping[str, str] = field(default_factory=dict)
+
+
+NOTHING_SAID = Wanted()
 
 
 @dataclass(frozen=True)
@@ -75,6 +96,7 @@ class Draft:
     about : comments of the format's table
     shape : which test was recognised, of a recording whose samples can be read
     unread : why its samples cannot be read
+    told : what was chosen, such as a sheet
     """
 
     path: Path
@@ -85,6 +107,7 @@ class Draft:
     about: tuple[str, ...] = ()
     shape: Shape | None = None
     unread: str = ""
+    told: tuple[str, ...] = ()
 
     def as_toml(self) -> str:
         """The text of the TOML; what has to be checked is marked `CHECK`."""
@@ -98,27 +121,72 @@ def draft_mapping(path: Path) -> str:
     return make_draft(path).as_toml()
 
 
-def make_draft(path: Path, said: Mapping[str, str] = MappingProxyType({})) -> Draft:
+def make_draft(path: Path, said: Mapping[str, str] = MappingProxyType({}), wanted: Wanted = NOTHING_SAID) -> Draft:
     """The draft of a mapping.
 
     Parameters
     ----------
     path : the data file
     said : what a person says that columns are, by name or number: a quantity, `time` or `nothing`
+    wanted : what else a person says of the file
 
     Raises
     ------
-    RefusedError : the file cannot be read, or is no table of numbers
+    RefusedError : the file cannot be read, or is no table of numbers, or holds no columns of the kind that is said
     """
-    opened = open_file(path, said)
-    for kind, chosen in (
-        (FREQUENCY_RESPONSE, find_own_response(opened) or find_response_columns(opened.columns)),
-        (LIFETIMES, find_lifetime_columns(opened)),
-        (RELAXATION, find_relaxation_columns(opened.columns)),
-    ):
-        if chosen:
-            return _table(opened, kind, chosen)
-    return _recording(opened)
+    opened, others = _open(path, said, wanted)
+    kinds = _find_kinds(opened, wanted)
+    if wanted.kind is not None and wanted.kind != RECORDING and wanted.kind not in kinds:
+        known = ", ".join(str(c.column) for c in opened.columns[:20])
+        raise RefusedError(
+            f"no columns of a table of kind {wanted.kind} are recognised",
+            where=path.name,
+            expected=f"columns that are named as such; there are {known}",
+            remedy="Say what they are, such as --yes Zyklen=lifetime Status=failed",
+        )
+    if wanted.kind == RECORDING or not kinds:
+        draft = _recording(opened)
+    else:
+        kind = wanted.kind or next(iter(kinds))
+        draft = _table(opened, kind, kinds[kind])
+    return replace(draft, about=(*draft.about, *others), told=(*draft.told, *others))
+
+
+def _find_kinds(opened: Opened, wanted: Wanted) -> dict[str, dict[str, GuessedColumn]]:
+    """The kinds of table that a file may be, the likeliest first, each with its columns."""
+    found = {
+        FREQUENCY_RESPONSE: find_own_response(opened) or find_response_columns(opened.columns),
+        LIFETIMES: find_lifetime_columns(opened, wanted.roles),
+        RELAXATION: find_relaxation_columns(opened.columns),
+    }
+    return {kind: chosen for kind, chosen in found.items() if chosen}
+
+
+def _open(path: Path, said: Mapping[str, str], wanted: Wanted) -> tuple[Opened, tuple[str, ...]]:
+    """The file, of a workbook the sheet that is meant: the one that is said, else one that holds a table, else the longest."""
+    if not is_workbook(path):
+        return open_file(path, said), ()
+    sheets = open_sheets(path, said)
+    if wanted.sheet is not None:
+        chosen = next((one for one in sheets if wanted.sheet in name_sheets(one)), None)
+        if chosen is None:
+            shown = ", ".join(f'"{name}"' for one in sheets for name in name_sheets(one))
+            raise RefusedError(f'there is no sheet "{wanted.sheet}"', where=path.name, expected=f"one of {shown}")
+        chosen = only_sheet(path, wanted.sheet, said)
+    else:
+        kinds = [(one, _find_kinds(one, wanted)) for one in sheets]
+        tables = [one for one, found in kinds if (wanted.kind in found if wanted.kind else found) and len(one.rows) > 1]
+        chosen = next(iter(tables), sheets[0])
+    names = name_sheets(chosen)
+    others = [name for one in sheets for name in name_sheets(one) if name not in names]
+    if not others and len(names) == 1:
+        return chosen, ()
+    read = (
+        "the sheet " + names[0] if len(names) == 1 else f"{len(names)} sheets, one below the other: {', '.join(names)}"
+    )
+    return chosen, (
+        f"read is {read}" + (f"; not {', '.join(others)} (--yes sheet=NAME reads another)" if others else ""),
+    )
 
 
 def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Draft:
@@ -140,8 +208,11 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         entry: dict[str, Any] = make_place(column)
         if name in ("failed", "censored"):
             entry |= find_meanings(column, opened, chosen.get("lifetime"))
-            text = f"which values mean failed (as it stands {entry['censored_values']} mean censored)"
-            questions.append(Question(f"columns.{name}.failed_values", text, entry["failed_values"]))
+            questions.append(ask_outcomes(f"columns.{name}.failed_values", entry))
+        elif name == "lifetime" and (unit := is_counted(column)) is not None:
+            entry["unit"] = unit
+            if "frequency" not in chosen:
+                columns["frequency"] = say_frequency(opened, remarks, questions)
         elif name not in _WORDS:
             entry["unit"] = column.unit or usual[name]
             if not column.unit and name != TAN_DELTA:
@@ -149,7 +220,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         columns[name] = entry
     about: dict[str, Any] = {"recording_id": _own_name(opened.path)}
     each, repeated, remark = (
-        _find_isotherms(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else (None, False, "")
+        select_isotherms(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else (None, False, "")
     )
     _take(opened.facts, about, remarks, ("operator", "material"))
     if kind != LIFETIMES:
@@ -165,7 +236,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         questions.append(Question("recording.configuration", "how the films are built", find_stem(opened.path)))
     content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}
     content |= {"repeated": MEAN} if repeated else {}
-    sweeps = _sweeps(opened, chosen) if kind == FREQUENCY_RESPONSE else None
+    sweeps = select_sweeps(opened, chosen) if kind == FREQUENCY_RESPONSE else None
     selections = [s for s in (sweeps, each) if s is not None]
     if selections:
         content["select"] = selections
@@ -210,7 +281,9 @@ def _recording(opened: Opened) -> Draft:
         questions.append(Question(f"time.{SAMPLE_RATE}", "samples in a second: the file has no times"))
     about_times = tuple(questions)
     content["columns"], questions = _channels(opened, about_times)
-    tests = find_parts(opened, time_of) if not counts else []
+    sheets = name_sheets(opened)
+    tests = [] if counts or len(sheets) > 1 else find_parts(opened, time_of)
+    tests += [(None, {"column": SHEET, "equals": name}) for name in sheets] if len(sheets) > 1 else []
     shapes = [_shape(opened, content | {"select": [entry]})[0] for _, entry in tests]
     if parts := name_parts(tests, shapes):
         content["select"] = parts
@@ -411,46 +484,6 @@ def _is_even(values: Any) -> bool:
     steps = np.diff(values)
     middle = float(np.median(steps))
     return middle > 0 and float(np.median(np.abs(steps - middle))) <= _EVEN * middle and bool((steps > 0).all())
-
-
-def _find_isotherms(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> tuple[dict[str, Any] | None, bool, str]:
-    """The selection of each temperature where a table holds several, whether points are repeated, and what belongs to none."""
-    names = [name for name in ("temperature", "frequency", "time") if name in chosen]
-    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
-    try:
-        file = open_columns(opened.path, opened.format, map_each_column(mapping, [chosen[name] for name in names]))
-        found = {name: read_numbers(file, chosen[name]) for name in names}
-    except DealabError:
-        return None, False, ""
-    warm, points = found.get("temperature"), found.get("frequency", found.get("time"))
-    if points is None:
-        return None, False, ""
-    isotherms = None if warm is None or warm.size != points.size else find_isotherms(warm, points)
-    repeated = has_repeats(warm, points, isotherms)
-    if isotherms is None:
-        return None, repeated, ""
-    assert warm is not None  # else there are no isotherms
-    by: dict[str, Any] = {"column": chosen["temperature"].column}
-    by |= {"runs": "apart"} if has_returns(warm, isotherms) else {}
-    if not isotherms.loose:
-        return by | {"each": True, "tolerance": isotherms.tolerance}, repeated, ""
-    selection = by | {"each_of": list(isotherms.values), "tolerance": isotherms.tolerance}
-    remark = f"{isotherms.loose} rows from {isotherms.loose_from:.4g} to {isotherms.loose_to:.4g} are at no isotherm: left out"
-    return selection, repeated, remark
-
-
-def _sweeps(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:
-    """The selection of the steps of an export that go over frequencies, where others, of amplitudes, stand beside them."""
-    step = next((c for c in opened.columns if c.column == STEP), None)
-    if step is None:
-        return None
-    found: dict[str, set[Any]] = {}
-    for name, cell in zip(opened.cells(step), opened.cells(chosen["frequency"]), strict=True):
-        found.setdefault(str(name), set()).add(cell)
-    sweeps = [name for name, cells in found.items() if len(cells) >= _FEWEST_FREQUENCIES]
-    if not sweeps or len(sweeps) == len(found):
-        return None
-    return {"column": STEP, "equals": sweeps[0] if len(sweeps) == 1 else sweeps}
 
 
 def _take(facts: Mapping[str, Fact], about: dict[str, Any], remarks: dict[str, str], keys: Sequence[str]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from ingest.draft_files import Opened
@@ -15,6 +16,7 @@ from ingest.mapping import FileMapping
 from ingest.mapping_keys import RECORDING, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn
 from ingest.notations import read_cell
+from ingest.outcomes import ALIVE, FAILED, NO_TEST, deal_marks, read_legend
 from ingest.questions import label_column
 from ingest.read import open_columns
 from schemas.errors import DealabError
@@ -35,8 +37,12 @@ _LIFE = (
     r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit|laufzeit|ausfallzeit|haltbarkeit"
     r"|dur[ée]e de vie"
 )
-_CONFIGURATION = r"config|group|electrode|design|layout|bauart|gruppe|^type$"
-_SPECIMEN = r"specimen|sample|probe|^id$"
+_COUNTED = r"zykl|cycles?\b|lastwechsel|lastspiele|schaltspiele|h[üu]be|actuations|bet[äa]tigungen"
+"""Names of lives that count cycles; of a machine's record as well, so that outcomes have to stand beside them."""
+_MILLIONS = r"mio\b|million|10\^?6|1e6|10⁶|mcycles|1[., ]?000[., ]?000"
+_THOUSANDS = r"tausend|tsd|thousand|kcycles|\bk\b|[×x*/]\s*1[., ]?000\b|\bin 1[., ]?000\b|10\^?3|1e3|10³"
+_CONFIGURATION = r"config|group|electrode|elektrode|design|layout|bauart|gruppe|^type?$|^typ\b|variante|variant"
+_SPECIMEN = r"specimen|sample|probe|pr[üu]fling|muster|^id$|^(lfd\.?\s*)?(nr|no|nummer|number|#)\.?$|serial|aktor|actuator|device"
 _COUNT = r"^n$|^count$|^anzahl$"
 _PLANNED = r"^test\b|test duration|planned|^on rig"
 _YES = (
@@ -103,25 +109,49 @@ def find_relaxation_columns(columns: Sequence[GuessedColumn]) -> dict[str, Guess
     return {"time": time, "relaxation": modulus} | ({} if warm is None else {"temperature": warm})
 
 
-def find_lifetime_columns(opened: Opened) -> dict[str, GuessedColumn]:
-    """The columns of a table of lives by what they are; empty where nothing says that it is one.
+def is_counted(life: GuessedColumn) -> str | None:
+    """The unit of a life that counts cycles, `kcycles` where its name or unit says thousands; None for one that is a time."""
+    text = f"{life.column} {life.written_unit}".lower()
+    if life.unit is not None or re.search(_COUNTED, text) is None:
+        return None
+    return "Mcycles" if re.search(_MILLIONS, text) else "kcycles" if re.search(_THOUSANDS, text) else "cycles"
+
+
+def find_frequency(opened: Opened) -> tuple[float, str] | None:
+    """The frequency that the words beside a table state, and the words; None where they state none, or several."""
+    found = {}
+    for text in opened.words:
+        for match in re.finditer(r"(\d+(?:[.,]\d+)?)\s*(k?)Hz\b", text):
+            found[float(match[1].replace(",", ".")) * (1000.0 if match[2] else 1.0)] = text
+    return next(iter(found.items())) if len(found) == 1 else None
+
+
+def find_lifetime_columns(opened: Opened, roles: Mapping[str, str] = MappingProxyType({})) -> dict[str, GuessedColumn]:
+    """The columns of a table of lives by what they are; empty where nothing says that it is one. `roles`: what a person says columns are.
 
     It is one where a column is named a life, where outcomes stand beside times, or specimens beside times that do not
     run.
     """
     columns = opened.columns
     named = next((c for c in columns if c.unit != "kV" and re.search(_LIFE, label_column(c))), None)
+    runs = {c.meaning for c in columns} & {"force", "displacement"}
+    counted = None if runs else _first([c for c in columns if c is not named], _COUNTED)
     others = [c for c in columns if c is not named]
     outcome = _choose_outcome([c for c in others if re.search(_FAILED, label_column(c))], opened)
-    if outcome is None and named is not None:
+    if outcome is None and (named is not None or counted is not None):
         outcome = next((c for c in others if c.meaning is None and _holds_outcomes(c, opened)), None)
+    if named is None and outcome is not None and counted is not outcome:
+        named = counted
     life = named or next((c for c in columns if outcome is not None and c.meaning == TIME and c is not outcome), None)
     channels = {c.meaning for c in columns} & {"force", "displacement", "leakage_current"}
     if life is None and not channels and (_first(columns, _SPECIMEN) or _first(columns, _CONFIGURATION)):
         life = next((c for c in columns if c.meaning == TIME and not _runs(opened.cells(c), opened.options)), None)
-    if life is None or (named is None and channels):
+    given = {role: c for c in columns for name, role in roles.items() if str(c.column) == name}
+    if ("lifetime" not in given) and (life is None or (named is None and channels)):
         return {}
-    found = {"lifetime": life} | ({} if outcome is None else {"failed": outcome})
+    found = {"lifetime": life} if life is not None else {}
+    found |= {} if outcome is None or outcome in given.values() else {"failed": outcome}
+    found |= given
     for name, pattern in (
         ("voltage", None),
         ("configuration", _CONFIGURATION),
@@ -129,6 +159,8 @@ def find_lifetime_columns(opened: Opened) -> dict[str, GuessedColumn]:
         ("count", _COUNT),
         ("test_duration", _PLANNED),
     ):
+        if name in found:
+            continue
         rest = [c for c in columns if c not in found.values()]
         column = next((c for c in rest if c.meaning == name), None) if pattern is None else _first(rest, pattern)
         found |= {} if column is None else {name: column}
@@ -143,6 +175,10 @@ def _choose_outcome(named: Sequence[GuessedColumn], opened: Opened) -> GuessedCo
 def _holds_outcomes(column: GuessedColumn, opened: Opened) -> bool:
     """Whether all cells that are filled say yes or no, failed or alive, at least one of them in a word."""
     texts = {_plain(cell) for cell in opened.cells(column)} - {""}
+    if 0 < len(texts) <= _MOST_NUMBERS and any(re.search(r"[^\W\d]", text) for text in texts):
+        told, unknown = deal_marks(sorted(texts), read_legend(opened.words, sorted(texts)))
+        if not unknown and FAILED in told.values():
+            return True
     return 0 < len(texts) <= _MOST_NUMBERS and all(re.fullmatch(_OUTCOMES, t) for t in texts) and texts != {"1"}
 
 
@@ -173,13 +209,16 @@ def find_meanings(failed: GuessedColumn, opened: Opened, life: GuessedColumn | N
     An empty cell beside a life has the meaning that no other value has: people mark the one kind alone.
     """
     found = _meanings(failed, opened)
-    if life is None or bool(found["failed_values"]) == bool(found["censored_values"]):
+    if life is None or "unknown" in found or bool(found["failed_values"]) == bool(found["censored_values"]):
         return found
     pairs = zip(opened.cells(failed), opened.cells(life), strict=False)
     if any(not _plain(cell) and _plain(lived) for cell, lived in pairs):
         lacking = "censored_values" if found["failed_values"] else "failed_values"
         return {**found, lacking: [""]}
     return found
+
+
+_LISTS: Mapping[str, str] = {FAILED: "failed_values", ALIVE: "censored_values", NO_TEST: "no_test_values"}
 
 
 def _meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
@@ -190,6 +229,16 @@ def _meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
     if not any(isinstance(v, str) for v in values):
         plain = plain[:_MOST_NUMBERS]
     turned = re.search(_ALIVE, str(failed.column).lower()) is not None
+    marks = [str(v) for v in plain]
+    legend = read_legend(opened.words, marks)
+    told, unknown = deal_marks(marks, legend)
+    if not turned and any(isinstance(v, str) for v in plain) and (legend or len(set(told.values())) > 1):
+        lists: dict[str, list[Any]] = {"failed_values": [], "censored_values": []}
+        for value in plain:
+            key = _LISTS.get(told.get(str(value), ""))
+            if key is not None:
+                lists.setdefault(key, []).append(value)
+        return lists | ({"unknown": unknown} if unknown else {})
     if not any(re.match(_YES, str(v).strip().lower()) or isinstance(v, int) for v in plain):
         alive = [v for v in plain if re.fullmatch(_NOWHERE, str(v).strip().lower())]
         if alive and len(alive) < len(plain):  # places of failure, and a dash where there was none

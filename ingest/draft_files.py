@@ -47,6 +47,8 @@ class Opened:
     facts: Mapping[str, Fact] = field(default_factory=dict)
     about: tuple[str, ...] = ()
     has_own_time: bool = False
+    words: tuple[str, ...] = ()
+    """All texts of a sheet, and of a text the lines above and below its table: what its marks mean may stand there."""
 
     def cells(self, column: GuessedColumn) -> list[Any]:
         """The first cells of a column; none where the rows were not looked at."""
@@ -78,9 +80,9 @@ def open_file(path: Path, said: Mapping[str, str]) -> Opened:
             "unit_row": d.unit_row,
         }
         columns = _with_time_first(guess.columns)
-        return Opened(path, found, options, columns, guess.rows, by_key(guess.facts))
+        return Opened(path, found, options, columns, guess.rows, by_key(guess.facts), words=guess.words)
     if found == "excel":
-        return _open_excel(path, said)
+        return open_sheets(path, said)[0]
     if found in _TABBED:
         return _open_tabbed(path, found, said)
     if found == "mcap":
@@ -142,12 +144,71 @@ def _open_tabbed(path: Path, found: str, said: Mapping[str, str]) -> Opened:
     return Opened(path, found, options, columns, (), by_key(facts))
 
 
-def _open_excel(path: Path, said: Mapping[str, str]) -> Opened:
+def is_workbook(path: Path) -> bool:
+    """Whether a file is read as sheets."""
+    return _true_format(path) == "excel"
+
+
+def open_sheets(path: Path, said: Mapping[str, str]) -> list[Opened]:
+    """The sheets of a workbook, the longest first. Sheets with the same columns are one, read one below the other."""
     from ingest.excel_reader import sheet_names, sheet_rows
 
-    names = sheet_names(path)
-    sheet = max(names, key=lambda name: len(sheet_rows(path, name)))
-    rows = sheet_rows(path, sheet)
+    found: list[Opened] = []
+    read = [(name, sheet_rows(path, name)) for name in sheet_names(path)]
+    for name, rows in sorted(read, key=lambda pair: -len(pair[1])):
+        one = _open_sheet(path, name, rows, said)
+        alike = next((i for i, other in enumerate(found) if _are_alike(one, other)), None)
+        if alike is None:
+            found.append(one)
+        else:
+            found[alike] = _below(found[alike], one)
+    order = [name for name, _ in read]
+    said_anywhere = by_key(
+        harvest_rows(row for _, rows in read for row in rows if sum(bool(str(c).strip()) for c in row) == 2)
+    )
+    joined = [replace(_in_order(one, order), facts={**said_anywhere, **one.facts}) for one in found]
+    return sorted(joined, key=lambda one: -len(one.rows))
+
+
+def only_sheet(path: Path, sheet: str, said: Mapping[str, str]) -> Opened:
+    """One sheet by itself."""
+    from ingest.excel_reader import sheet_rows
+
+    return _open_sheet(path, sheet, sheet_rows(path, sheet), said)
+
+
+def name_sheets(opened: Opened) -> list[str]:
+    """The sheets that are read."""
+    sheets = opened.options.get("sheet")
+    return [str(s) for s in sheets] if isinstance(sheets, list) else [str(sheets)]
+
+
+def _are_alike(one: Opened, other: Opened) -> bool:
+    """Whether two sheets have the same columns in the same rows, and not the same numbers."""
+    first, second = (tuple((c.column, c.unit, c.written_unit) for c in sheet.columns) for sheet in (one, other))
+    options = [{k: v for k, v in sheet.options.items() if k != "sheet"} for sheet in (one, other)]
+    named = len(first) > 1 and bool(one.options.get("header"))
+    same = [list(row) for row in one.rows] == [list(row) for row in other.rows[: len(one.rows)]]
+    return named and first == second and options[0] == options[1] and bool(one.rows) and not same
+
+
+def _below(upper: Opened, lower: Opened) -> Opened:
+    sheets = upper.options["sheet"] if isinstance(upper.options["sheet"], list) else [upper.options["sheet"]]
+    options = {**upper.options, "sheet": [*sheets, lower.options["sheet"]]}
+    return replace(upper, options=options, rows=[*upper.rows, *lower.rows], facts={**lower.facts, **upper.facts})
+
+
+def _in_order(opened: Opened, order: Sequence[str]) -> Opened:
+    """Sheets that are read together in the order in which they stand in the workbook."""
+    sheets = opened.options["sheet"]
+    return (
+        opened
+        if not isinstance(sheets, list)
+        else replace(opened, options={**opened.options, "sheet": sorted(sheets, key=order.index)})
+    )
+
+
+def _open_sheet(path: Path, sheet: str, rows: Sequence[Sequence[Any]], said: Mapping[str, str]) -> Opened:
     decimal = (
         "," if any(isinstance(c, str) and _DECIMAL_COMMA.fullmatch(c.strip()) for row in rows for c in row) else "."
     )
@@ -164,7 +225,8 @@ def _open_excel(path: Path, said: Mapping[str, str]) -> Opened:
     options = {"sheet": sheet, "skip_rows": skip, "header": bool(header), "unit_row": bool(units)}
     options |= {} if decimal == "." else {"decimal": decimal}
     facts = harvest_rows(rows[:skip])
-    return Opened(path, "excel", options, _with_time_first(guessed), rows[start:], by_key(facts))
+    words = tuple(str(cell).strip() for row in rows for cell in row if isinstance(cell, str) and cell.strip())
+    return Opened(path, "excel", options, _with_time_first(guessed), rows[start:], by_key(facts), words=words)
 
 
 def _is_number(cell: Any, decimal: str) -> bool:

@@ -27,7 +27,7 @@ _MOVES = ("cycle", "cyclic", "pull", "noise", "chirp")
 """Protocols of movements that may stand beside a relaxation."""
 
 
-def find_parts(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool, dict[str, Any]]]:
+def find_parts(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool | None, dict[str, Any]]]:
     """For each test of a record: whether it is a step and hold, and which rows are its; empty where it is one test alone."""
     drive = next((c for name in _DRIVES for c in opened.columns if c.meaning == name), None)
     if drive is None or time_of is None or not any(c.meaning in ("force", "stress") for c in opened.columns):
@@ -60,21 +60,26 @@ def _range(segment: Segment, rows: Any, times: Any, column: GuessedColumn | None
     return found
 
 
-def name_parts(tests: Sequence[tuple[bool, dict[str, Any]]], shapes: Sequence[Shape]) -> list[dict[str, Any]]:
+def name_parts(tests: Sequence[tuple[bool | None, dict[str, Any]]], shapes: Sequence[Shape]) -> list[dict[str, Any]]:
     """The entries of `[[select]]` with a name for each part and what its metadata have of their own; empty where a part shows
-    no test that may stand beside the others."""
+    no test that may stand beside the others.
+
+    A part that is a sheet, where None stands in place of whether it is a hold, has the name of the sheet.
+    """
+    pairs = list(zip(tests, shapes, strict=True))
     if any(
-        shape.protocol not in (("step",) if is_hold else _MOVES)
-        for (is_hold, _), shape in zip(tests, shapes, strict=True)
+        is_hold is not None and shape.protocol not in (("step",) if is_hold else _MOVES)
+        for (is_hold, _), shape in pairs
     ):
         return []
     entries: list[dict[str, Any]] = []
     names: list[str] = []
-    for (_, entry), shape in zip(tests, shapes, strict=True):
-        name = _NAMES.get(shape.protocol, shape.protocol)
+    for (is_hold, entry), shape in pairs:
+        name = str(entry["equals"]) if is_hold is None else _NAMES.get(shape.protocol, shape.protocol)
         names.append(name)
         count = names.count(name)
         own: dict[str, Any] = {} if shape.protocol == shapes[0].protocol else {"protocol": shape.protocol}
+        own |= {} if shape.loading == shapes[0].loading else {"loading": shape.loading}
         entries.append(
             entry | {"part": name if count == 1 else f"{name}-{count}", "recording": own | dict(shape.constants)}
         )

@@ -37,6 +37,8 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runti
 """What reading a damaged archive raises."""
 _BYTES_PER_S = 2e5
 """Slowest parsing of a sound workbook: a million cells, 4 MB, take two seconds."""
+SHEET = "sheet"
+"""The column of the names of sheets that are read one below the other."""
 _PIECE = 1 << 20
 _PLACE = re.compile(rb"""\sr=["']([A-Z]{0,3})([0-9]{1,7})["']""")
 """Where a cell or a row of a sheet's XML says that it stands."""
@@ -107,7 +109,10 @@ class SheetFile:
 def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
     """The sheet that a mapping names. Raises `RefusedError` when it is missing, damaged, locked or oversized."""
     options = mapping.options
-    rows, lost = _read_sheet(path, options.get("sheet"))
+    sheet = options.get("sheet")
+    if isinstance(sheet, list):
+        return _join_sheets(path, mapping, sheet)
+    rows, lost = _read_sheet(path, sheet)
     rows = rows[options.get("skip_rows", 0) :]
     header: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
@@ -129,6 +134,32 @@ def read_excel(path: Path, mapping: FileMapping) -> SheetFile:
         filled = list(rows[: last + 1])
         problems += (f"{blank} rows are blank: samples that were lost",) if blank else ()
     return SheetFile(path.name, header or ("",) * len(filled[0]), units, tuple(filled), decimal, problems, notes)
+
+
+def _join_sheets(path: Path, mapping: FileMapping, sheets: Sequence[str | int]) -> SheetFile:
+    """Sheets one below the other, with a column that has the name of the sheet. Raises `RefusedError` where their columns differ."""
+    if not sheets:
+        raise RefusedError("sheet is an empty list", where=path.name, expected="names of sheets")
+    read = [read_excel(path, replace(mapping, options={**mapping.options, "sheet": sheet})) for sheet in sheets]
+    first = read[0]
+    for sheet, file in zip(sheets, read, strict=True):
+        if file.header != first.header or SHEET in file.header:
+            raise RefusedError(
+                f'the sheet "{str(sheet)[:60]}" has other columns than "{str(sheets[0])[:60]}", or one named {SHEET}',
+                where=path.name,
+                expected="sheets with the same columns",
+                remedy="Leave it out of sheet in [excel] of the mapping TOML",
+            )
+    width = len(first.header)
+    rows = tuple(
+        (*row[:width], *[""] * (width - len(row)), str(sheet))
+        for sheet, file in zip(sheets, read, strict=True)
+        for row in file.rows
+    )
+    units = (*first.units, *[""] * (width - len(first.units)), "") if first.units else ()
+    problems = tuple(dict.fromkeys(problem for file in read for problem in file.problems))
+    notes = tuple(dict.fromkeys(note for file in read for note in file.notes))
+    return SheetFile(path.name, (*first.header, SHEET), units, rows, first.decimal, problems, notes)
 
 
 def _is_blank(row: Sequence[Any]) -> bool:

@@ -10,6 +10,7 @@ without it the failures alone would be left, or the survivors counted as failure
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,10 @@ from schemas.units import conversion
 
 _CYCLES = {"cycle": 1.0, "cycles": 1.0, "kcycle": 1e3, "kcycles": 1e3, "Mcycle": 1e6, "Mcycles": 1e6}
 """Units of lives that count cycles of an alternating voltage or of a motion."""
+_SUMMARY = re.compile(
+    r"(mittel(wert)?|mean|average|avg\.?|median|summe|sum|total|gesamt|moyenne|stabw\.?|standardabweichung|st\.? ?dev\.?|[øσΣ∑])\b.*"
+)
+"""What stands in place of a specimen's name before a mean or a sum."""
 _AGES = ("lifetime", "alive_at", "entered", "test_duration")
 
 
@@ -164,6 +169,7 @@ def _leave_out_no_specimens(table: TableRows) -> None:
     """
     columns = table.mapping.columns
     outcome = next((name for name in ("failed", "censored") if name in columns), None)
+    _leave_out_marked(table, outcome)
     says_blank = outcome is not None and any(
         str(value).strip() == "" for key in columns[outcome].meanings.values() for value in key
     )
@@ -186,6 +192,26 @@ def _leave_out_no_specimens(table: TableRows) -> None:
             numbers = ", ".join(str(int(row) + 1) for row in where[:8])
             table.notes.append(f"{counted(int(empty.sum()), 'row')} {what}: left out as no tests (row {numbers})")
             table.rows[where] = False
+
+
+def _leave_out_marked(table: TableRows, outcome: str | None) -> None:
+    """Leaves out rows of specimens that do not count, and those of means and sums below a group of specimens."""
+    columns = table.mapping.columns
+    where = np.flatnonzero(table.rows)
+    ended = [None] * where.size if outcome is None else [cell_text(cell) for cell in table.cells(outcome)]
+    if outcome is not None and (marks := columns[outcome].meanings.get("no_test")):
+        void = np.array([any(same_cell(cell, mark) for mark in marks) for cell in table.cells(outcome)], dtype=bool)
+        if void.any():
+            table.notes.append(f"{counted(int(void.sum()), 'specimen')} marked as no test: left out")
+            table.rows[where[void]] = False
+            where, ended = where[~void], [e for e, gone in zip(ended, void, strict=True) if not gone]
+    if "specimen_id" in columns and columns["specimen_id"].column is not None:
+        names = [cell_text(cell) or "" for cell in table.cells("specimen_id")]
+        pairs = zip(names, ended, strict=True)
+        summary = np.array([_SUMMARY.fullmatch(n.lower()) is not None and not e for n, e in pairs], dtype=bool)
+        if summary.any() and not summary.all():
+            table.notes.append(f"{counted(int(summary.sum()), 'row')} of means or sums: left out as no specimens")
+            table.rows[where[summary]] = False
 
 
 def _have_life_and_outcome(table: TableRows, outcome: str | None, *, says_blank: bool) -> Bool:

@@ -456,7 +456,7 @@ def _used_of_time(time: Mapping[str, Any], chosen: str | None) -> Container[str]
     return ("zone", "origin") if time["origin"] == STARTED_AT else ("zone",)
 
 
-_VALUES_OF_FAILED = ("failed_values", "censored_values", "left_censored_values")
+_VALUES_OF_FAILED = ("failed_values", "censored_values", "left_censored_values", "no_test_values")
 _VALUES_OF_MODES = tuple(f"{mode}_values" for mode in FAILURE_MODES)
 _WORDS = (
     "failed",

@@ -77,7 +77,11 @@ OPTIONS: Mapping[str, Mapping[str, Key]] = {
         "final_newline": Key((bool,), "false: this exporter ends its last line without a line end"),
     },
     "excel": {
-        "sheet": Key(_COLUMN, "name, or number from 0"),
+        "sheet": Key(
+            (str, int, list),
+            "name, or number from 0; or a list of sheets with the same columns, which are read one below the other: the column `sheet`"
+            " has their names",
+        ),
         "skip_rows": Key((int,), "rows before the header"),
         "header": Key((bool,), "false: there is none, columns are numbers from 0"),
         "unit_row": Key((bool,), "true: the row after the header holds units"),
@@ -150,6 +154,9 @@ TABLE_COLUMN: Mapping[str, Key] = {
     "failed_values": Key((list,), "column `failed`: cells that mean failed"),
     "censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be longer"),
     "left_censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be shorter"),
+    "no_test_values": Key(
+        (list,), "column `failed`: cells of specimens that do not count: their rows are left out, a note"
+    ),
     "film_values": Key((list,), "column `failure_mode`: cells that mean a failure of the film"),
     "lead_values": Key((list,), "column `failure_mode`: cells that mean a failure at the lead"),
     "edge_values": Key((list,), "column `failure_mode`: cells that mean a failure over or at the edge"),

@@ -72,6 +72,8 @@ class GuessedColumn:
     is_raw: bool = False
     index: int | None = None
     is_asked: bool = False
+    written_unit: str = ""
+    """What stands as its unit, whether that is one or not: `×1000`."""
 
 
 def guess_columns(
@@ -95,12 +97,15 @@ def guess_columns(
                 continue
             label: str | int = name if name and counts[name] == 1 else i
             plain, inside = split_name(name)
-            unit = ((units[i] if i < len(units) else "") or inside).strip("[]() ")
-            unit = unit if unit and is_any_unit(unit) else ""
+            below = (units[i] if i < len(units) else "").strip("[]() ")
+            written = below or inside.strip("[]() ")
+            unit = next((u for u in (below, inside.strip("[]() ")) if u and is_any_unit(u)), "")
             if str(label) in said:
                 meaning: str | None = None if said[str(label)] == NOTHING else said[str(label)]
                 raw = meaning is not None and (not _fits(meaning, unit) or is_scope(plain)) and meaning != TIME
-                found[i] = GuessedColumn(label, unit or None, meaning, raw and unit.lower() in ("", *_SENSOR_UNITS))
+                found[i] = GuessedColumn(
+                    label, unit or None, meaning, raw and unit.lower() in ("", *_SENSOR_UNITS), written_unit=written
+                )
                 continue
             meaning = guess_meaning(plain if by_name else "", unit) if plain or not by_name else None
             raw = by_name and meaning is None and unit.lower() in _SENSOR_UNITS and named_as(plain) in _WITH_SENSOR
@@ -112,7 +117,7 @@ def guess_columns(
                 meaning, raw = None, False
             if meaning is not None:
                 taken.add(meaning)
-            found[i] = GuessedColumn(label, unit or None, meaning, raw)
+            found[i] = GuessedColumn(label, unit or None, meaning, raw, written_unit=written)
     return _with_elapsed(tuple(found[i] for i in sorted(found)))
 
 

@@ -23,6 +23,7 @@ from schemas.errors import RefusedError
 _SAMPLE = 1 << 18
 """Bytes of a file that are looked at."""
 _ROWS = 200
+_LAST_LINES = 12
 _FEWEST, _MOST = 4, 0.7
 """Rows of a table with words in it, and their share of all lines: fewer are a text."""
 _NUMBER = {
@@ -40,6 +41,8 @@ class GuessedTable:
     columns: tuple[GuessedColumn, ...]
     rows: tuple[tuple[str, ...], ...]
     facts: tuple[Fact, ...] = ()
+    words: tuple[str, ...] = ()
+    """The lines above the table and the last ones, as far as they hold words."""
 
 
 def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -> GuessedTable:
@@ -75,14 +78,17 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     facts = harvest_lines(lines[i] for i in above if i < first)
     interval = own_interval(header, units)
     labels, scope_units = _of_scope([lines[i] for i in above if i < first], dialect, header)
-    known = [u if is_any_unit(u) else "" for u in units or scope_units]
+    known = list(units or scope_units)
     columns = guess_columns(header, known, fields, said)
     if labels and not said and len(columns) == len(labels):
         guessed = guess_columns(labels, known, fields)
         columns = tuple(replace(g, column=c.column) for g, c in zip(guessed, columns, strict=True))
     if interval is not None:  # the first column counts samples: the interval beside its name makes times of them
         columns = tuple(replace(c, meaning=None) if c.column in ("X", "x") else c for c in columns)
-    return GuessedTable(dialect, columns, rows, facts if interval is None else (interval, *facts))
+    words = tuple(
+        line for line in (*(lines[i] for i in above), *lines[-_LAST_LINES:]) if re.search(r"[^\W\d]{2}", line)
+    )
+    return GuessedTable(dialect, columns, rows, facts if interval is None else (interval, *facts), words)
 
 
 def _first_row(lines: Sequence[str], start: int, dialect: Dialect, fields: int) -> int:

@@ -90,6 +90,7 @@ def _ready(
     draft, placed = draft_with(path, given)
     draft = answered(draft, placed)
     lines = [f"{path.name}: {_recognised(draft)}"]
+    lines += [f"  note       {text}" for text in draft.told]
     lines += [f"  column     {c.column} is not mapped" for c in draft.unmapped]
     if is_asked and draft.questions and sys.stdin.isatty():
         print("\n".join(lines))

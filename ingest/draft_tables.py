@@ -1,0 +1,85 @@
+"""Of the draft of a table: which of its rows are the sweep or temperature that is meant, and what is asked of lives.
+
+Does not belong here: which columns a table has (`ingest.draft_columns`), what marks mean (`ingest.outcomes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ingest.draft_columns import find_frequency
+from ingest.draft_files import Opened, map_each_column, read_numbers
+from ingest.isotherms import find_isotherms, has_repeats, has_returns
+from ingest.mapping import FileMapping
+from ingest.mapping_keys import RECORDING
+from ingest.meanings import GuessedColumn
+from ingest.questions import Question
+from ingest.read import open_columns
+from ingest.trios_reader import STEP
+from schemas.errors import DealabError
+
+_FEWEST_FREQUENCIES = 3
+"""Different frequencies of a step that goes over them."""
+
+
+def ask_outcomes(key: str, entry: dict[str, Any]) -> Question:
+    """The question which marks mean failed; it has to be answered where a mark is not understood."""
+    unknown = entry.pop("unknown", [])
+    void = f", {entry['no_test_values']} are left out" if entry.get("no_test_values") else ""
+    text = f"which values mean failed (as it stands {entry['censored_values']} mean censored{void})"
+    if not unknown:
+        return Question(key, text, entry["failed_values"])
+    return Question(
+        key, f"{text}; nothing tells what {unknown} mean: censored_values and no_test_values can be said as well"
+    )
+
+
+def say_frequency(opened: Opened, remarks: dict[str, str], questions: list[Question]) -> dict[str, Any]:
+    """How many cycles of a life pass in a second, which alone makes a time of them."""
+    said = find_frequency(opened)
+    if said is None:
+        questions.append(Question("columns.frequency.value", "cycles in a second: the lives are counted in cycles"))
+        return {"value": None, "unit": "Hz"}
+    remarks["columns.frequency.value"] = f"the file: {said[1]}"
+    return {"value": said[0], "unit": "Hz"}
+
+
+def select_isotherms(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> tuple[dict[str, Any] | None, bool, str]:
+    """The selection of each temperature where a table holds several, whether points are repeated, and what belongs to none."""
+    names = [name for name in ("temperature", "frequency", "time") if name in chosen]
+    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+    try:
+        file = open_columns(opened.path, opened.format, map_each_column(mapping, [chosen[name] for name in names]))
+        found = {name: read_numbers(file, chosen[name]) for name in names}
+    except DealabError:
+        return None, False, ""
+    warm, points = found.get("temperature"), found.get("frequency", found.get("time"))
+    if points is None:
+        return None, False, ""
+    isotherms = None if warm is None or warm.size != points.size else find_isotherms(warm, points)
+    repeated = has_repeats(warm, points, isotherms)
+    if isotherms is None:
+        return None, repeated, ""
+    assert warm is not None  # else there are no isotherms
+    by: dict[str, Any] = {"column": chosen["temperature"].column}
+    by |= {"runs": "apart"} if has_returns(warm, isotherms) else {}
+    if not isotherms.loose:
+        return by | {"each": True, "tolerance": isotherms.tolerance}, repeated, ""
+    selection = by | {"each_of": list(isotherms.values), "tolerance": isotherms.tolerance}
+    remark = f"{isotherms.loose} rows from {isotherms.loose_from:.4g} to {isotherms.loose_to:.4g} are at no isotherm: left out"
+    return selection, repeated, remark
+
+
+def select_sweeps(opened: Opened, chosen: Mapping[str, GuessedColumn]) -> dict[str, Any] | None:
+    """The selection of the steps of an export that go over frequencies, where others, of amplitudes, stand beside them."""
+    step = next((c for c in opened.columns if c.column == STEP), None)
+    if step is None:
+        return None
+    found: dict[str, set[Any]] = {}
+    for name, cell in zip(opened.cells(step), opened.cells(chosen["frequency"]), strict=True):
+        found.setdefault(str(name), set()).add(cell)
+    sweeps = [name for name, cells in found.items() if len(cells) >= _FEWEST_FREQUENCIES]
+    if not sweeps or len(sweeps) == len(found):
+        return None
+    return {"column": STEP, "equals": sweeps[0] if len(sweeps) == 1 else sweeps}
