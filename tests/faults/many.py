@@ -1,5 +1,5 @@
 """A night over many recordings without their numerical work: `python -m tests.faults.many RAW LAB NUMBER` makes them and runs
-a first night, one with nothing new and one with one new, asks for the status, and tells their memory.
+a first night, one with nothing new and one with one new, asks for the status, and tells their memory and how long two of them took.
 
 What a worker gives for a recording is made up in this process, so that the rest of the night shows.
 """
@@ -71,13 +71,19 @@ def file(raw: Path, number: int) -> None:
 
 
 def main(raw: Path, lab: Lab, number: int) -> dict[str, float]:
-    """Memory in MB: the most that the first night had, and what Python's objects took in each of the others."""
+    """Memory in MB: the most that the first night had, and what Python's objects took in each of the others.
+
+    Times in s: that night, and one with nothing new whose memory nobody traces.
+    """
     pipeline.nightly.workers.perform = perform  # type: ignore[assignment]
     pipeline.nightly.night._write_report = lambda *_: None  # type: ignore[assignment]
     for one in range(number):
         file(raw, one)
     told = {}
-    assert pipeline.nightly.night.nightly([raw], lab, jobs=0).counts.ingested == number
+    for what, new in (("first, s", number), ("quiet, s", 0)):
+        begin = time.monotonic()
+        assert pipeline.nightly.night.nightly([raw], lab, jobs=0).counts.ingested == new
+        told[what] = time.monotonic() - begin
     told["first"] = peak_mb()
     for what, new in (("quiet", 0), ("one new", 1)):
         for one in range(new):

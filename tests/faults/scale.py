@@ -2,15 +2,17 @@
 
     python -m tests.faults.scale [--only NAME …] [--jobs N]
 
-Each night is a process of its own, which a limit of time ends; the most memory is that of the largest of its processes.
+Each night is a process of its own, which a limit of time ends; the most memory is that of the largest of its processes,
+and the time of processors that of all of them together: it hardly depends on what else the machine does.
 With `--only` the other lines of the table stay as they were.
-Many recordings without their numerical work are in `many.py`.
+The last line is `many.py`: ten thousand recordings without their numerical work and without pages, in one process.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import shutil
 import subprocess
@@ -39,18 +41,19 @@ Made by `python -m tests.faults.scale`; not edited by hand. Nights over these, p
 
 {machine} · {jobs} workers
 
-| what | size, MB | seconds | with nothing new | peak of a process, MB | wrong | |
-|---|---:|---:|---:|---:|---|---|
+| what | size, MB | seconds | of processors | with nothing new | peak of a process, MB | wrong | |
+|---|---:|---:|---:|---:|---:|---|---|
 """
-_LONGEST_S = 900.0
+_LONGEST_S = 2400.0
+_ALONE = "10 000 recordings without their numerical work"
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A night: how it ended, how long it took, the most memory of one of its processes, and what was wrong."""
+    """A night: how long it took, the processors' time of all its processes, the most memory of one, and what was wrong."""
 
-    status: int
     seconds: float
+    processors_s: float
     peak_mb: float
     wrong: tuple[str, ...]
 
@@ -123,14 +126,14 @@ SIZES: dict[str, Callable[[Path], None]] = {
 def spend_night(raw: Path, lab: Lab, jobs: int) -> Measured:
     """A night in a process of its own, and what `dealab doctor` and the table of recordings say of it."""
     command = [sys.executable, "-m", "pipeline.cli", "nightly", str(raw), "--lab", str(lab.folder), "--jobs", str(jobs)]
-    begin, peak_mb = time.monotonic(), 0.0
+    begin, seen = time.monotonic(), dict[int, tuple[float, float]]()
     with tempfile.TemporaryFile("w+") as told:
         process = subprocess.Popen(command, cwd=ROOT, stdout=told, stderr=told, start_new_session=True)
         while process.poll() is None:
-            peak_mb = max([peak_mb, *_list_peaks(process.pid)])
+            seen.update(_look_at(process.pid))
             if time.monotonic() - begin > _LONGEST_S:
                 process.kill()  # and its workers end with it
-                return Measured(-1, time.monotonic() - begin, peak_mb, (f"ended after {_LONGEST_S:.0f} s",))
+                return _sum_up(time.monotonic() - begin, seen, [f"ended after {_LONGEST_S:.0f} s"])
             time.sleep(0.2)
         seconds = time.monotonic() - begin
         told.seek(0)
@@ -139,54 +142,74 @@ def spend_night(raw: Path, lab: Lab, jobs: int) -> Measured:
         wrong += healthy(lab)
         other = select(lab, "SELECT recording_id, status FROM recordings WHERE status <> 'ok'")
         wrong += [f"{name}: {status}" for name, status in other]
-    return Measured(process.returncode, seconds, peak_mb, tuple(wrong))
+    return _sum_up(seconds, seen, wrong)
 
 
-def _list_peaks(leader: int) -> Iterator[float]:
-    """The most memory that each process of a session has had, MB."""
+def _sum_up(seconds: float, seen: dict[int, tuple[float, float]], wrong: list[str]) -> Measured:
+    peaks, processors = zip(*seen.values(), strict=True)
+    return Measured(seconds, sum(processors), max(peaks), tuple(wrong))
+
+
+def _look_at(leader: int) -> Iterator[tuple[int, tuple[float, float]]]:
+    """Each process of a session: the most memory that it has had, MB, and the time of processors so far, s."""
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError, IndexError, ValueError):
-            if int((folder / "stat").read_text().rpartition(")")[2].split()[3]) == leader:
-                status = (folder / "status").read_text()
-                yield int(status.partition("VmHWM:")[2].split()[0]) / 1024
+            stat = (folder / "stat").read_text().rpartition(")")[2].split()
+            if int(stat[3]) == leader:
+                peak = int((folder / "status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
+                yield int(folder.name), (peak, (int(stat[11]) + int(stat[12])) / os.sysconf("SC_CLK_TCK"))
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--only", nargs="*", choices=SIZES)
+    parser.add_argument("--only", nargs="*", choices=[*SIZES, _ALONE])
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     lines = dict(_read_table())
     wrong = False
     with tempfile.TemporaryDirectory() as name:
-        for what, make in SIZES.items():
-            if arguments.only and what not in arguments.only:
-                continue
-            raw, lab = Path(name, what, "raw"), Lab(Path(name, what, "lab"))
-            (raw / "rigs").mkdir(parents=True)
-            (raw / "rigs" / "rig-a.toml").write_text(RIG)
-            make(raw)
-            for path in raw.rglob("*"):
-                os.utime(path, (time.time() - 3600,) * 2)
-            size = sum(path.stat().st_size for path in raw.rglob("*") if path.is_file()) / 1e6
-            first = spend_night(raw, lab, arguments.jobs)
-            again = spend_night(raw, lab, arguments.jobs)
-            found = (*first.wrong, *again.wrong)
+        for what in arguments.only or [*SIZES, _ALONE]:
+            folder = Path(name, what)
+            raw, lab = folder / "raw", Lab(folder / "lab")
+            raw.mkdir(parents=True)
+            line, found = _without_work(raw, lab) if what == _ALONE else _nights(SIZES[what], raw, lab, arguments.jobs)
             wrong |= bool(found)
-            numbers = f"{size:.0f} | {first.seconds:.0f} | {again.seconds:.1f} | {first.peak_mb:.0f}"
-            lines[what] = f"| {what} | {numbers} | {'; '.join(found)[:300] or 'nothing'} | {today()} |"
+            lines[what] = f"| {what} | {line} | {'; '.join(found)[:300] or 'nothing'} | {today()} |"
             print(lines[what], flush=True)
-            text = "\n".join(lines[name] for name in SIZES if name in lines)
+            text = "\n".join(lines[one] for one in (*SIZES, _ALONE) if one in lines)
             _TABLE.write_text(f"{_HEAD.format(machine=machine(), jobs=arguments.jobs)}{text}\n", encoding="utf-8")
-            shutil.rmtree(raw.parent)
+            shutil.rmtree(folder)
     return 1 if wrong else 0
+
+
+def _nights(make: Callable[[Path], None], raw: Path, lab: Lab, jobs: int) -> tuple[str, tuple[str, ...]]:
+    """Figures of the table from a night over these and one with nothing new, and what was wrong."""
+    (raw / "rigs").mkdir()
+    (raw / "rigs" / "rig-a.toml").write_text(RIG)
+    make(raw)
+    for path in raw.rglob("*"):
+        os.utime(path, (time.time() - 3600,) * 2)
+    size = sum(path.stat().st_size for path in raw.rglob("*") if path.is_file()) / 1e6
+    first, again = (spend_night(raw, lab, jobs) for _ in range(2))
+    line = f"{size:.0f} | {first.seconds:.0f} | {first.processors_s:.0f} | {again.seconds:.1f} | {first.peak_mb:.0f}"
+    return line, (*first.wrong, *again.wrong)
+
+
+def _without_work(raw: Path, lab: Lab) -> tuple[str, tuple[str, ...]]:
+    """The same of ten thousand recordings whose results are made up."""
+    command = [sys.executable, "-m", "tests.faults.many", str(raw), str(lab.folder), "10000"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        return "| | | | ", (f"ended with {done.returncode}: {done.stderr[-300:]}",)
+    told = json.loads(done.stdout.splitlines()[-1])
+    return f"0 | {told['first, s']:.0f} | | {told['quiet, s']:.1f} | {told['first']:.0f}", tuple(healthy(lab))
 
 
 def _read_table() -> Iterator[tuple[str, str]]:
     """The lines of the table as it is, by what they are about."""
     for line in _TABLE.read_text(encoding="utf-8").splitlines() if _TABLE.exists() else ():
         what = line.strip("| ").partition(" |")[0]
-        if what in SIZES:
+        if what in (*SIZES, _ALONE):
             yield what, line
 
 
