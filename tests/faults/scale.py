@@ -39,7 +39,7 @@ _HEAD = """# Scale
 
 Made by `python -m tests.faults.scale`; not edited by hand. Nights over these, pages included, on a machine with other work.
 
-{machine} · {jobs} workers
+{machine} · workers: {jobs}
 
 | what | size, MB | seconds | of processors | with nothing new | peak of a process, MB | wrong | |
 |---|---:|---:|---:|---:|---:|---|---|
