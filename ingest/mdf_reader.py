@@ -8,7 +8,7 @@ count from 0 in the order of the file. Samples that the file marks as invalid ar
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC
 from pathlib import Path
@@ -96,7 +96,7 @@ def read_mdf(path: Path, mapping: FileMapping) -> MdfFile:
             where=path.name,
             remedy=advise_install("mdf"),
         )
-    start_ns, groups = apart(path, _load, path)
+    start_ns, groups, problems = apart(path, _load, path)
     counts = Counter(name for _, channels in groups for name, *_ in channels)
     channels = tuple(
         MdfChannel(name if counts[name] == 1 else f"{number}/{name}", unit, samples, invalid, time_s)
@@ -105,30 +105,45 @@ def read_mdf(path: Path, mapping: FileMapping) -> MdfFile:
     )
     if not channels:
         raise RefusedError("the file has no channels", where=path.name, expected="channels with samples")
-    return MdfFile(path.name, channels, start_ns)
+    return MdfFile(path.name, channels, start_ns, problems)
 
 
-def _load(path: Path) -> tuple[int | None, list[tuple[Float, list[tuple[str, str, Any, Bool]]]]]:
-    """Start and groups of a file, as plain arrays that can leave the process."""
+_Group = tuple[Float, list[tuple[str, str, Any, Bool]]]
+
+
+def _load(path: Path) -> tuple[int | None, list[_Group], tuple[str, ...]]:
+    """Start and groups of a file, as plain arrays that can leave the process, and what of them is lost."""
     import logging
 
     from asammdf import MDF
 
+    from ingest.mdf_cut import open_left
+
     logging.disable(logging.CRITICAL)  # what it warns of stands in the error
     try:
-        with MDF(path) as file:
+        with MDF(open_left(path)) as file:
             start = file.header.start_time.astimezone(UTC).replace(tzinfo=None)
             start_ns = int(np.datetime64(start, "ns").astype(np.int64)) if start.year > _UNSET else None
-            return start_ns, [_load_group(file, number) for number in range(len(file.groups))]
+            groups = [_load_group(file, number) for number in range(len(file.groups))]
+            return start_ns, groups, tuple(_tell_lost(file, groups))
     except RefusedError:
         raise
     except Exception as error:  # asammdf raises its own, struct's, numpy's and zlib's errors for damaged files
+        why = str(error).replace(str(path), path.name)  # a file is the same wherever it lies
         raise RefusedError(
-            f"the file cannot be read as MDF: {str(error)[:200] or type(error).__name__}",
+            f"the file cannot be read as MDF: {why[:200] or type(error).__name__}",
             where=path.name,
             expected="a whole MDF file of version 3 or 4",
             remedy="Copy the file again; a file whose measurement was not ended can be finalised by asammdf",
         ) from None
+
+
+def _tell_lost(file: Any, groups: Sequence[_Group]) -> Iterator[str]:
+    """Groups that hold fewer samples than they say: the file ends too early."""
+    for number, (group, (time_s, _)) in enumerate(zip(file.groups, groups, strict=True)):
+        stated = int(group.channel_group.cycles_nr)
+        if time_s.size < stated:
+            yield f"the file ends too early: group {number} states {stated} samples and holds {time_s.size}"
 
 
 def _load_group(file: Any, number: int) -> tuple[Float, list[tuple[str, str, Any, Bool]]]:

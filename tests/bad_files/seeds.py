@@ -11,6 +11,7 @@ import json
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +250,31 @@ def _data_set_58(name: str, unit: str, values: Any) -> str:
     )
 
 
+def mdf() -> list[Seed]:
+    """A group of two channels, of both versions; as asammdf saves it, and as a program writes it that measures."""
+    import asammdf
+
+    from tests.helpers.mdf_files import put_samples_last
+
+    def save(path: Path) -> None:
+        version = "4.10" if path.suffix == ".mf4" else "3.30"
+        with asammdf.MDF(version=version) as file:
+            file.start_time = datetime.fromisoformat(ABOUT["started_at"])
+            channels = (("F", "N", FORCE), ("x", "mm", TRAVEL))
+            file.append([asammdf.Signal(values, TIME, name=name, unit=unit) for name, unit, values in channels])
+            file.save(path)
+
+    def measure(path: Path) -> None:
+        save(path)
+        put_samples_last(path)
+
+    return [
+        Seed("mdf", f"{name}, {suffix[1:]}", suffix, _made(write, suffix), _mapped(suffix, time=None))
+        for suffix in (".mf4", ".mdf")
+        for name, write in (("saved", save), ("measured", measure))
+    ]
+
+
 def lvm() -> list[Seed]:
     """A LabVIEW measurement without a column of times, and one with it in German."""
     end = "***End_of_Header***"
@@ -352,6 +378,7 @@ READERS: Mapping[str, Callable[[], list[Seed]]] = {
     "matlab": matlab,
     "hdf5": hdf5,
     "tdms": tdms,
+    "mdf": mdf,
     "uff": uff,
     "lvm": lvm,
     "trios": trios,

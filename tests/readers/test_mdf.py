@@ -17,6 +17,7 @@ from ingest.mapping_keys import FORMATS, OPTIONS
 from ingest.mdf_reader import read_mdf
 from ingest.reader_kit import check_reader
 from schemas.errors import MissingExtraError, RefusedError
+from tests.helpers.mdf_files import put_samples_last
 
 asammdf = pytest.importorskip("asammdf")
 READER = SimpleNamespace(suffixes=FORMATS["mdf"], options=OPTIONS["mdf"], read=read_mdf)
@@ -90,7 +91,40 @@ def test_without_asammdf_the_message_says_what_to_install(tmp_path: Path, monkey
         read_mdf(path, ALL)
 
 
+@pytest.mark.parametrize(("version", "name"), [("4.10", "run.mf4"), ("3.30", "run.mdf")])
+def test_a_logger_that_was_cut_is_read_as_far_as_it_goes(tmp_path: Path, version: str, name: str) -> None:
+    path = write(tmp_path / name, version)
+    whole = put_samples_last(path)
+    assert read_mdf(path, ALL).problems == ()
+    for lost in (1, 16, 17, 320):  # a sample of the second group has 16 bytes
+        path.write_bytes(whole[:-lost])
+        file = read_mdf(path, ALL)
+        left = 60 - -(-lost // 16)
+        assert file.problems == (f"the file ends too early: group 1 states 60 samples and holds {left}",)
+        np.testing.assert_array_equal(file.numbers("Temp").values, WARM[:left])
+        np.testing.assert_array_equal(file.numbers("Kraft").values, FORCE)
+    own = file.own_time("Temp")
+    assert own is not None
+    np.testing.assert_allclose(own.elapsed_s, T[::10][:left], atol=1e-12)
+
+
+def test_a_file_without_its_description_is_refused_at_every_length(tmp_path: Path) -> None:
+    content = write(tmp_path / "run.mf4").read_bytes()
+    for length in (0, 63, 70, 100, 200, 300, 14_500, len(content) - 200):
+        (tmp_path / "cut.mf4").write_bytes(content[:length])
+        with pytest.raises(RefusedError, match="as MDF"):
+            read_mdf(tmp_path / "cut.mf4", ALL)
+
+
 def test_what_is_no_measurement_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.mf4").write_bytes(b"MDF     4.10    nothing else" + bytes(200))
-    with pytest.raises(RefusedError, match="as MDF"):
+    with pytest.raises(RefusedError, match="as MDF") as told:
         read_mdf(tmp_path / "run.mf4", ALL)
+    assert str(tmp_path) not in str(told.value)
+
+
+def test_another_version_is_told_without_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "run.mdf").write_bytes(b"MDF     E.30    nothing else" + bytes(200))
+    with pytest.raises(RefusedError, match=r"E\.30") as told:
+        read_mdf(tmp_path / "run.mdf", ALL)
+    assert str(tmp_path) not in str(told.value)
