@@ -1,8 +1,9 @@
-"""The import path without the working folder: what lies beside somebody's raw data is data, never code.
+"""The import path without the working folder: what lies beside somebody's raw data is data, never code, and no settings.
 
 Python puts the folder that a program is started in first on the path of `python -m`, `python -c` and of worker
-processes, and takes an empty entry of `PYTHONPATH` for it as well: a `numpy.py` there would run in numpy's place. Imports
-nothing but Python's own modules that are loaded already, so that it can come before everything else.
+processes, and takes an empty entry of `PYTHONPATH` for it as well: a `numpy.py` there would run in numpy's place. matplotlib
+reads `matplotlibrc` of the working folder before any other settings. Imports nothing but Python's own modules that are
+loaded already, so that it can come before everything else.
 """
 
 from __future__ import annotations
@@ -10,15 +11,63 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
 
 _ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 """The folder that this software lies in, which stays on the path also where it is the working folder."""
 
 
 def leave_working_folder() -> None:
-    """Takes the working folder off the import path of this process."""
+    """Takes the working folder off the import path of this process, and its settings out of the sight of libraries."""
     sys.path[:] = _keep_trusted(sys.path)
+    if _LOADED_ELSEWHERE not in sys.meta_path:
+        sys.meta_path.insert(0, _LOADED_ELSEWHERE)
+
+
+class _LoadedElsewhere:
+    """Loads the library that looks for settings in the working folder with its own folder in that one's place."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """That of the other finders; of any other module none, which they find themselves."""
+        if name != "matplotlib":
+            return None
+        found = (finder.find_spec(name, path, target) for finder in sys.meta_path if finder is not self)
+        spec = next((one for one in found if one is not None), None)
+        if spec is not None and spec.loader is not None and spec.origin is not None:
+            loader, home = spec.loader, os.path.dirname(spec.origin)
+            load = loader.exec_module
+
+            def load_elsewhere(module: ModuleType) -> None:
+                with _working_in(home):
+                    load(module)
+
+            loader.exec_module = load_elsewhere  # type: ignore[method-assign]
+        return spec
+
+
+_LOADED_ELSEWHERE = _LoadedElsewhere()
+
+
+@contextlib.contextmanager
+def _working_in(folder: str) -> Iterator[None]:
+    """Another working folder within the block; the same one where it cannot be left, because nobody could come back."""
+    try:
+        before = os.getcwd()
+        os.chdir(folder)
+    except OSError:
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.chdir(before)
 
 
 @contextlib.contextmanager

@@ -22,6 +22,7 @@ def test_modules_in_the_working_folder_are_not_run(tmp_path: Path) -> None:
     raw, lab, mark = tmp_path / "raw", Lab(tmp_path / "lab"), tmp_path / "was-run"
     raw.mkdir()
     life(raw / "L-1.mcap", 1)
+    (raw / "matplotlibrc").write_bytes(b"# Gr\xf6\xdfe\nfont.size: 30\n")
     for name in NAMES:
         (raw / f"{name}.py").write_text(f"open({str(mark)!r}, 'a').write(__file__)\n")
     (tmp_path / "bin").mkdir()
@@ -36,7 +37,41 @@ def test_modules_in_the_working_folder_are_not_run(tmp_path: Path) -> None:
     )
     assert not mark.exists(), mark.read_text()
     assert done.returncode == 0, done.stderr
+    assert "matplotlibrc" not in done.stderr
     assert select(lab, "SELECT status FROM recordings") == [("ok",)]
+    again = subprocess.run(
+        [sys.executable, tmp_path / "bin" / "command.py", "report", "--lab", str(lab.folder)],
+        cwd=raw,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (again.returncode, again.stderr) == (0, ""), "settings of the folder are none of the pages'"
+
+
+def test_settings_of_the_folder_are_those_of_a_notebook_in_it(tmp_path: Path) -> None:
+    """Whoever draws in a program of their own keeps their settings; a command has none of them."""
+    (tmp_path / "matplotlibrc").write_text("font.size: 30\n")
+    draw = "import matplotlib; print(matplotlib.rcParams['font.size'])"
+    leave = "from pipeline.import_path import leave_working_folder; leave_working_folder(); "
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for code in (
+            draw,
+            f"import pipeline; {draw}",
+            f"{leave}{draw}",
+            f"{leave}import importlib.util as u; u.find_spec('matplotlib'); {draw}",
+        )
+    ]
+    assert told == ["30.0\n", "30.0\n", "10.0\n", "10.0\n"]
 
 
 def test_an_empty_entry_of_the_path_is_the_working_folder(tmp_path: Path) -> None:
