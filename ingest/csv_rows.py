@@ -171,18 +171,31 @@ def _parsed_one_by_one(
 
 
 def _without_footer(rows: list[list[str]], width: int) -> tuple[list[list[str]], list[str]]:
-    """The rows without the last line where it says in words that the data end, and its fields: it has lost no value."""
-    filled = [i for i, row in enumerate(rows) if any(field.strip() for field in row)]
-    last = rows[filled[-1]] if filled else []
-    words = [field.strip() for field in last if field.strip()]
-    if (
-        len(last) >= width
-        or not words
-        or any(c.isdigit() for field in words for c in field)
-        or not words[0][0].isalpha()
-    ):
+    """The rows without what is said below them, and the fields of its first line: it has lost no value.
+
+    That is a last line of words alone (`Ende der Daten`), or the lines after a blank one that begin with a word and are shorter than the
+    rows (`Fmax;2,479;N`).
+    """
+    blank = [not any(field.strip() for field in row) for row in rows]
+    filled = [i for i, is_blank in enumerate(blank) if not is_blank]
+    if not filled:
         return rows, []
-    return rows[: filled[-1]] + rows[filled[-1] + 1 :], words
+    first = filled[-1]
+    while first and not blank[first - 1]:
+        first -= 1
+    block = rows[first : filled[-1] + 1]
+    if first and all(_says(row, width) for row in block):
+        return rows[:first], [field.strip() for field in block[0] if field.strip()]
+    words = [field.strip() for field in rows[filled[-1]] if field.strip()]
+    if _says(rows[filled[-1]], width) and not any(c.isdigit() for field in words for c in field):
+        return rows[: filled[-1]], words
+    return rows, []
+
+
+def _says(row: Sequence[str], width: int) -> bool:
+    """Whether a line says something below a table: shorter than its rows, a word first."""
+    first = row[0].strip() if row else ""
+    return len(row) < width and first[:1].isalpha() and not any(c.isdigit() for c in first)
 
 
 def _fields_of_lines(text: str, dialect: Dialect) -> list[list[str]]:

@@ -199,6 +199,8 @@ def _first(columns: Sequence[GuessedColumn], pattern: str) -> GuessedColumn | No
 
 _NOWHERE = r"[-–—/]+|none|no|nein|kein[er]*|aucune?|n/?a"
 """Places of a failure that there was not."""
+_LONGEST_CODE = 3
+"""Letters of a mark that is a code: it means nothing without its legend."""
 _MOST_NUMBERS = 8
 """Different numbers of a column of failures that are proposed; words are proposed all."""
 
@@ -232,7 +234,9 @@ def _meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
     marks = [str(v) for v in plain]
     legend = read_legend(opened.words, marks)
     told, unknown = deal_marks(marks, legend)
-    if not turned and any(isinstance(v, str) for v in plain) and (legend or len(set(told.values())) > 1):
+    codes = [mark for mark in unknown if len(mark) <= _LONGEST_CODE and not mark.isdigit()]
+    told_enough = bool(legend) or len(set(told.values())) > 1
+    if not turned and any(isinstance(v, str) for v in plain) and (told_enough or len(codes) > 1):
         lists: dict[str, list[Any]] = {"failed_values": [], "censored_values": []}
         for value in plain:
             key = _LISTS.get(told.get(str(value), ""))

@@ -166,7 +166,11 @@ def open_sheets(path: Path, said: Mapping[str, str]) -> list[Opened]:
     said_anywhere = by_key(
         harvest_rows(row for _, rows in read for row in rows if sum(bool(str(c).strip()) for c in row) == 2)
     )
-    joined = [replace(_in_order(one, order), facts={**said_anywhere, **one.facts}) for one in found]
+    everywhere = tuple(word for one in found for word in one.words)
+    joined = [
+        replace(_in_order(one, order), facts={**said_anywhere, **one.facts}, words=(*one.words, *everywhere))
+        for one in found
+    ]
     return sorted(joined, key=lambda one: -len(one.rows))
 
 
@@ -218,15 +222,25 @@ def _open_sheet(path: Path, sheet: str, rows: Sequence[Sequence[Any]], said: Map
     above = [i for i in range(start) if any(str(c).strip() for c in rows[i])]
     header = [str(c).strip() for c in rows[above[-1]]] if above else []
     units: list[str] = []
-    if len(above) > 1 and are_units(header):
+    if len(above) > 1 and (are_units(header) or _is_below(header, rows[above[-2]], above[-1] - above[-2])):
         header, units = [str(c).strip() for c in rows[above[-2]]], header
     guessed = guess_columns(header, units, len(rows[start]) if rows else 0, said)
     skip = start - (len(header) > 0) - (len(units) > 0)
     options = {"sheet": sheet, "skip_rows": skip, "header": bool(header), "unit_row": bool(units)}
     options |= {} if decimal == "." else {"decimal": decimal}
     facts = harvest_rows(rows[:skip])
-    words = tuple(str(cell).strip() for row in rows for cell in row if isinstance(cell, str) and cell.strip())
+    texts = [[cell.strip() for cell in row if isinstance(cell, str) and cell.strip()] for row in rows]
+    filled = [sum(bool(str(cell).strip()) for cell in row) for row in rows]
+    pairs = [f"{row[0]} = {row[1]}" for row, count in zip(texts, filled, strict=True) if len(row) == count == 2]
+    words = (*pairs, *(text for row in texts for text in row))  # a legend may stand in two columns
     return Opened(path, "excel", options, _with_time_first(guessed), rows[start:], by_key(facts), words=words)
+
+
+def _is_below(lower: Sequence[str], upper: Sequence[Any], distance: int) -> bool:
+    """Whether a row only adds to the names right above it, such as `[Tsd.]` under one of them."""
+    filled = [i for i, text in enumerate(lower) if text]
+    names = [i for i, cell in enumerate(upper) if str(cell).strip()]
+    return distance == 1 and bool(filled) and 2 * len(filled) <= len(names) and set(filled) <= set(names)
 
 
 def _is_number(cell: Any, decimal: str) -> bool:

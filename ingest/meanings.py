@@ -44,6 +44,8 @@ _BY_UNIT = (TIME, "force", "displacement", "voltage", "capacitance", "leakage_cu
 """What a unit alone stands for; a pressure may be a stress, so neither is here."""
 _ELAPSED = ("s", "ms", "min", "h", "sec")
 """Units in which a time has elapsed."""
+_ABSOLUTE = r"absol"
+"""Names of a machine's own position, which stands beside the way from the start of the test."""
 _OF_COUNTS = re.compile(r"^(no\.?|nr\.?|scan|index|sample|#|sequence|point|interval data:?|cycle count)$")
 """Names of columns that count rows."""
 _SUFFIXES = frozenset(
@@ -90,6 +92,9 @@ def guess_columns(
     counts = Counter(header)
     found: dict[int, GuessedColumn] = {}
     taken: set[str] = {meaning for meaning in said.values() if meaning != NOTHING}
+    ways = [i for i, name in enumerate(header) if guess_meaning(split_name(name)[0], "") == "displacement"]
+    absolute = {i for i in ways if re.search(_ABSOLUTE, header[i].lower())}
+    absolute = absolute if len(absolute) < len(ways) else set()
     for by_name in (True, False):
         for i in range(fields):
             name = header[i] if i < len(header) else ""
@@ -108,6 +113,8 @@ def guess_columns(
                 )
                 continue
             meaning = guess_meaning(plain if by_name else "", unit) if plain or not by_name else None
+            if by_name and meaning == "displacement" and i in absolute:
+                meaning = None
             raw = by_name and meaning is None and unit.lower() in _SENSOR_UNITS and named_as(plain) in _WITH_SENSOR
             if raw:
                 meaning = named_as(plain)

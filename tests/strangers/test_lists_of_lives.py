@@ -94,10 +94,8 @@ def test_marks_that_nothing_tells_are_asked_and_never_guessed(tmp_path: Path) ->
     rows = [[f"S-{i}", 100.0 + i, "ABC"[i % 3]] for i in range(9)]
     path = write_xlsx(tmp_path / "lives.xlsx", {"Liste": [["Probe", "Lebensdauer (h)", "Status"], *rows]})
     draft, _ = as_suggested(make_draft(path))
-    asked = [q for q in draft.questions if q.key == "columns.failed.failed_values"]
+    assert [q.key for q in draft.questions] == ["columns.failed.failed_values"]
     said = {"failed.failed_values": "[A]", "failed.censored_values": "[B]", "failed.no_test_values": "[C]"}
-    if not asked:
-        assert draft.content["columns"]["failed"]["failed_values"] == []
     again, placed = draft_with(path, said)
     table = read_lives(path, tomllib.loads(answered(again, placed).as_toml()))
     assert (len(table.rows), sum(row.failed for row in table.rows)) == (6, 3)
@@ -186,3 +184,32 @@ def test_sheets_of_samples_become_a_recording_each(tmp_path: Path) -> None:
         assert isinstance(raw, RawRecording)
         assert raw.metadata["protocol"] == protocol
         assert raw.channels[0].values.size == size
+
+
+def test_a_unit_under_one_name_and_a_legend_in_two_columns(tmp_path: Path) -> None:
+    rows: list[list[Any]] = [
+        ["Dauerversuch", "", "", ""],
+        ["Probe", "Elektrode", "Zyklen", "Status"],
+        ["", "", "[Tsd.]", ""],
+        *[[f"P{i:02}", "KF", 100.0 + i, "DRAX"[i % 4]] for i in range(12)],
+        ["Charge 2", "", "", ""],
+        ["P20", "RS", "> 2000", "L"],
+        ["Mittelwert", "", 105.5, ""],
+        ["", "", "", ""],
+        ["Legende", "", "", ""],
+        ["D", "Durchschlag (Ausfall)", "", ""],
+        ["R", "Riss (Ausfall)", "", ""],
+        ["L", "läuft noch / bei Versuchsende intakt", "", ""],
+        ["A", "abgebrochen ohne Ausfall", "", ""],
+        ["X", "ungültig, nicht werten", "", ""],
+    ]
+    cover = [["Ansteuerung", "Sinus 3 kV, 10 Hz"]]
+    path = write_xlsx(tmp_path / "lives.xlsx", {"Deckblatt": cover, "Lebensdauer": rows})
+    draft = make_draft(path)
+    failed = draft.content["columns"]["failed"]
+    assert (failed["failed_values"], failed["no_test_values"]) == (["D", "R"], ["X"])
+    assert sorted(failed["censored_values"]) == ["A", "L"]
+    assert draft.content["columns"]["frequency"]["value"] == 10.0
+    table = read_lives(path, tomllib.loads(draft.as_toml()))
+    assert (len(table.rows), sum(row.failed for row in table.rows)) == (10, 6)
+    assert max(row.lifetime_s for row in table.rows) == 200_000.0

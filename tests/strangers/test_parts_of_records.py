@@ -169,3 +169,26 @@ def test_rows_beyond_the_file_are_refused(tmp_path: Path) -> None:
     content = tomllib.loads(make_draft(path).as_toml())
     content["select"] = [{"part": "late", "first_row": 90_000}]
     assert any("90000" in str(fault) for fault in find_faults(path, content))
+
+
+def test_what_stands_below_a_table_is_no_damage_and_the_way_comes_before_the_machines_position(tmp_path: Path) -> None:
+    rows = [f"{0.1 * i:.1f};{212.5 + i % 40};{i % 40};{0.1 * (i % 40):.2f}".replace(".", ",") for i in range(200)]
+    head = ["Einspannlänge;50,0;mm", "Probenbreite b0;20,0;mm", "Probendicke a0;1,0;mm", "Datum;12.03.2026"]
+    head += ["Prüfzeit;Traverse absolut;Standardweg;Standardkraft", "s;mm;mm;N"]
+    foot = ["", "Statistik;n = 1", "Fmax;3,9;N", "Anzahl Messwerte;200", ""]
+    path = tmp_path / "strip.TRA"
+    path.write_text("\n".join([*head, *rows, *foot]), encoding="utf-8")
+    draft = make_draft(path)
+    assert draft.content["columns"]["displacement"]["column"] == "Standardweg"
+    assert draft.content["recording"]["stretch_1"] == 1.0
+    content = tomllib.loads(draft.as_toml().replace('= "?"', "= 1.0"))
+    content.setdefault("time", {})["zone"] = "UTC"
+    raw = read_raw(path, FileMapping.parse(content, stem="strip", suffix=".TRA"))
+    assert isinstance(raw, RawRecording)
+    assert raw.problems == ()
+    assert {channel.values.size for channel in raw.channels} == {200}
+    assert any("Statistik" in note for note in raw.notes)
+    path.write_text("\n".join([*head, *rows, rows[0][:6]]), encoding="utf-8")
+    raw = read_raw(path, FileMapping.parse(content, stem="strip", suffix=".TRA"))
+    assert isinstance(raw, RawRecording)
+    assert any("left out" in problem for problem in raw.problems)
