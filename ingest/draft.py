@@ -309,9 +309,6 @@ def _recording(opened: Opened) -> Draft:
         remarks[f"recording.{key}"] = "measured from the trace"
     facts = ("specimen_id", "operator", "material", "film_length_mm", "film_width_mm", "film_thickness_mm")
     _take(opened.facts, about, remarks, facts)
-    if shape.loading == "mechanical" and "film_length_mm" in about:
-        about["stretch_1"] = 1.0
-        remarks["recording.stretch_1"] = "assumed: the sizes are those of the film as it is clamped"
     if "specimen_id" not in about:
         about["specimen_id"] = "{stem}"
         questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
@@ -319,8 +316,7 @@ def _recording(opened: Opened) -> Draft:
     content["recording"] = about
     mapped = [c for c in opened.columns if c.meaning is not None and not (counts and c is time_of)]
     unmapped = tuple(c for c in opened.columns if c not in mapped)
-    told = ("taken as clamped without pre-stretch: stretch_1 = 1",) if "stretch_1" in about else ()
-    return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about, shape, unread, told)
+    return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about, shape, unread)
 
 
 def _channels(opened: Opened, asked: Sequence[Question]) -> tuple[dict[str, Any], list[Question]]:

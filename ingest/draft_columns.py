@@ -42,7 +42,9 @@ _COUNTED = r"zykl|cycles?\b|lastwechsel|lastspiele|schaltspiele|h[üu]be|actuati
 _MILLIONS = r"mio\b|million|10\^?6|1e6|10⁶|mcycles|1[., ]?000[., ]?000"
 _THOUSANDS = r"tausend|tsd|thousand|kcycles|\bk\b|[×x*/]\s*1[., ]?000\b|\bin 1[., ]?000\b|10\^?3|1e3|10³"
 _CONFIGURATION = r"config|group|electrode|elektrode|design|layout|bauart|gruppe|^type?$|^typ\b|variante|variant"
-_SPECIMEN = r"specimen|sample|probe|pr[üu]fling|muster|^id$|^(lfd\.?\s*)?(nr|no|nummer|number|#)\.?$|serial|aktor|actuator|device"
+_SPECIMEN = r"specimen|sample|probe|pr[üu]fling|muster|^id$|serial|aktor|actuator|device"
+_NUMBERED = r"^(lfd\.?\s*)?(nr|no|nummer|number|#)\.?$"
+"""Names of specimens where no other column has their names."""
 _COUNT = r"^n$|^count$|^anzahl$"
 _PLANNED = r"^test\b|test duration|planned|^on rig"
 _YES = (
@@ -156,6 +158,7 @@ def find_lifetime_columns(opened: Opened, roles: Mapping[str, str] = MappingProx
         ("voltage", None),
         ("configuration", _CONFIGURATION),
         ("specimen_id", _SPECIMEN),
+        ("specimen_id", _NUMBERED),
         ("count", _COUNT),
         ("test_duration", _PLANNED),
     ):

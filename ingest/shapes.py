@@ -7,7 +7,7 @@ was seen, and how sure it is: `sure` where one shape fits and no other does, `li
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -129,7 +129,7 @@ def _electrical(traces: Mapping[str, Trace]) -> Shape:
         times = max(1, len(drive.crossings_s))
         return Shape("step", "electrical", SURE, f"{times} steps of voltage up to {drive.high:.3g} kV", steps)
     if (slow := _find_slow_cycles(drive)) is not None:
-        return slow
+        return slow if "force" in traces else replace(slow, protocol="isotonic")
     if len(drive.crossings_s) >= 3 and drive.periods_s.std() < _ALIKE * drive.periods_s.mean():
         return Shape("sphs", "electrical", LIKELY, "a voltage that repeats with one frequency")
     if _is_smooth(drive) and not _period(drive):

@@ -124,6 +124,7 @@ def cycle_loops(recording: Recording) -> pa.Table:
         recording_id=about.recording_id,
         specimen_id=about.specimen_id,
         cycle=lambda one: one[0],
+        unclosed=lambda one: one[1].unclosed,
         start_s=lambda one: float(time[one[1].first]),
         end_s=lambda one: float(time[one[1].last]),
         displacement_low_mm=lambda one: only(one[1].low, not has_stress),

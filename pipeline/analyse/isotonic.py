@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from pipeline.analyse.creep import spread
+from pipeline.analyse.slow_voltage import finite_or_none
 from pipeline.fit.retardation.isotonic import Isotonic, Stroke, measure_isotonic
+from pipeline.transform.slow_voltage import SlowVoltage, measure_slow_voltage
+from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
 from schemas.tables import TABLES
 
@@ -18,9 +23,47 @@ NOT_ASKED = "the diagnosis does not simulate strokes at constant load: it does n
 
 
 def analyse_isotonic(recording: Recording) -> tuple[tuple[str, ...], dict[str, pa.Table]]:
-    """What limits a test at constant load, and its rows."""
-    found, about = measure_isotonic(recording), recording.metadata
+    """What limits a test at constant load, and its rows: levels of the voltage, or one that goes up and down slowly."""
+    about = recording.metadata
+    try:
+        found = measure_isotonic(recording)
+    except NotIdentifiableError:
+        try:
+            slow = measure_slow_voltage(recording, "displacement")
+        except NotIdentifiableError:
+            slow = None
+        if slow is None:
+            raise
+        return slow.warnings, slow_tables(about.recording_id, about.specimen_id, slow)
     return found.warnings, isotonic_tables(about.recording_id, about.specimen_id, found)
+
+
+def slow_tables(recording_id: str, specimen_id: str, found: SlowVoltage) -> dict[str, pa.Table]:
+    """Tables `isotonic_tests` and `isotonic_strokes` of a record whose voltage goes up and down slowly; extension positive."""
+    about = {"recording_id": recording_id, "specimen_id": specimen_id}
+    bounded = math.isfinite(found.lower)
+    test = {
+        "mm_per_kv2": -found.drop_n_per_kv2,
+        "mm_per_kv2_lower": -found.upper if bounded else None,
+        "mm_per_kv2_upper": -found.lower if bounded else None,
+        "mm_per_kv2_rising": finite_or_none(-found.rising),
+        "mm_per_kv2_falling": finite_or_none(-found.falling),
+        "exponent": finite_or_none(found.exponent),
+        "drift_mm_per_h": 60 * found.drift_n_per_min,
+        "warnings": "; ".join(found.warnings) or None,
+    }
+    half = found.peak_drop_sd * float(stdtrit(found.cycles - 1, 0.975)) if found.cycles > 1 else math.nan
+    stroke = {
+        "voltage_kv": found.top_kv,
+        "repeats": found.cycles,
+        "stroke_mm": -found.peak_drop,
+        "stroke_mm_lower": finite_or_none(-found.peak_drop - half),
+        "stroke_mm_upper": finite_or_none(-found.peak_drop + half),
+    }
+    return {
+        "isotonic_tests": TABLES["isotonic_tests"].rows([about | test]),
+        "isotonic_strokes": TABLES["isotonic_strokes"].rows([about | stroke]),
+    }
 
 
 def isotonic_tables(recording_id: str, specimen_id: str, found: Isotonic) -> dict[str, pa.Table]:

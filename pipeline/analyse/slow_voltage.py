@@ -19,6 +19,11 @@ MOST_POINTS = 400
 """Points of the curve that are kept for the pages."""
 
 
+def finite_or_none(value: float) -> float | None:
+    """A number, None for NaN."""
+    return value if math.isfinite(value) else None
+
+
 def analyse_slow_voltage(recording: Recording) -> tuple[tuple[str, ...], dict[str, pa.Table]]:
     """What limits the test, and its rows: tables `voltage_cycles` and `voltage_cycle_curves`."""
     found, about = measure_slow_voltage(recording), recording.metadata
@@ -33,7 +38,11 @@ def analyse_slow_voltage(recording: Recording) -> tuple[tuple[str, ...], dict[st
         "drop_n_per_kv2": found.drop_n_per_kv2,
         "drop_n_per_kv2_lower": found.lower if bounded else None,
         "drop_n_per_kv2_upper": found.upper if bounded else None,
-        "exponent": found.exponent if math.isfinite(found.exponent) else None,
+        "drop_rising_n_per_kv2": finite_or_none(found.rising),
+        "drop_falling_n_per_kv2": finite_or_none(found.falling),
+        "drop_positive_n_per_kv2": finite_or_none(found.positive),
+        "drop_negative_n_per_kv2": finite_or_none(found.negative),
+        "exponent": finite_or_none(found.exponent),
         "rest_n": found.rest_n,
         "drift_n_per_min": found.drift_n_per_min,
         "misfit_n": found.misfit_n,

@@ -6,7 +6,7 @@ rest. What does not come back to where it began is none. Does not belong here: m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -39,6 +39,7 @@ class Loop:
     loss : ∮ y dx, closed by the straight line from end to beginning
     steady_loss : the same after y has lost its drift from beginning to end, linear in time: what a cycle takes once the film no
         longer relaxes from one to the next. None where the cycle begins or ends at rest
+    unclosed : cycles before it that end elsewhere than they began, such as a first one from the unloaded film to the lower turning point
     work : ∫ y dx from the lowest to the highest x
     """
 
@@ -51,6 +52,7 @@ class Loop:
     loss: float
     steady_loss: float | None
     work: float
+    unclosed: int = 0
 
     @property
     def loss_share(self) -> float | None:
@@ -80,7 +82,8 @@ def _cycles(time: Float, x: Float, y: Float, span: float) -> list[Loop]:
     turns, _ = find_peaks(-x, prominence=TURNS * span)
     ends = np.unique(np.concatenate([[_leaves(x, span)], turns, [x.size - 1 - _leaves(x[::-1], span)]]))
     turning = set(turns.tolist())
-    found = []
+    found: list[Loop] = []
+    unclosed = 0
     for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         between = highs[(highs > begin) & (highs < end)]
         if between.size != 1 or end - begin < FEWEST:
@@ -88,7 +91,9 @@ def _cycles(time: Float, x: Float, y: Float, span: float) -> list[Loop]:
         top = int(between[0])
         if abs(x[end] - x[begin]) <= CLOSES * (x[top] - min(x[begin], x[end])):
             drift = _drift(y, begin, end) if {begin, end} <= turning else None
-            found.append(_loop(time, x, y, (begin, top, end), drift))
+            found.append(replace(_loop(time, x, y, (begin, top, end), drift), unclosed=unclosed))
+        else:
+            unclosed += 1
     return found
 
 

@@ -71,7 +71,11 @@ TABLES: tuple[Table, ...] = (
             real("frequency_low_hz", "Hz", "lowest fitted frequency"),
             real("frequency_high_hz", "Hz", "highest fitted frequency"),
             real("positivity_chi2", "", "chi-squared per line of the best relaxation of any order"),
-            real("modulus_mpa", "MPa", "k0 times stretched length over stretched area"),
+            real(
+                "modulus_mpa",
+                "MPa",
+                "k0 times stretched length over stretched area; of a step of large height the secant of that step, no tangent",
+            ),
             text("covariance", "covariance of the parameters at the solution, JSON {names, matrix}"),
             text("intervals", "95 % limits, JSON {parameter: {lower, upper, method}}; null: no limit on that side"),
             text("choices", "order that each rule would choose, JSON {test, bic, held_out}"),
@@ -178,6 +182,10 @@ TABLES: tuple[Table, ...] = (
             RECORDING_ID,
             SPECIMEN_ID,
             whole("cycle", "number of the cycle among those that close, from 1"),
+            whole(
+                "unclosed",
+                "cycles of the recording before it that end elsewhere than they began, which have no loss of their own",
+            ),
             real("start_s", "s", "its beginning, since the recording's first sample"),
             real("end_s", "s", "its end"),
             real("displacement_low_mm", "mm", "lowest displacement; NULL where the machine gives stretch and stress"),

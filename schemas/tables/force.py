@@ -156,6 +156,18 @@ TABLES: tuple[Table, ...] = (
                 "N/kV^2",
                 "drop of the force over V², positive where the tension falls; limits by the scatter from cycle to cycle, NULL for one",
             ),
+            real("drop_rising_n_per_kv2", "N/kV^2", "the same on the way up alone; NULL where it cannot be told"),
+            real(
+                "drop_falling_n_per_kv2",
+                "N/kV^2",
+                "the same on the way down alone: more than on the way up where the film creeps",
+            ),
+            real(
+                "drop_positive_n_per_kv2",
+                "N/kV^2",
+                "the same under positive voltage alone; NULL where the voltage has one sign",
+            ),
+            real("drop_negative_n_per_kv2", "N/kV^2", "the same under negative voltage alone"),
             real("exponent", "", "power of the voltage that the force follows"),
             real("rest_n", "N", "force without voltage at the start of the record"),
             real("drift_n_per_min", "N/min", "its drift"),

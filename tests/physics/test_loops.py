@@ -84,3 +84,14 @@ def test_an_approach_and_a_last_way_home_are_no_cycles() -> None:
     t, x = triangles(1, 20.0)
     with pytest.raises(NotIdentifiableError):
         find_loops(t, x, x)
+
+
+def test_cycles_that_end_elsewhere_than_they_began_are_counted() -> None:
+    """From the unloaded film to 20, then between 4 and 20: the first has no loss of its own."""
+    corners = [0.0, 20.0, 4.0, 20.0, 4.0, 20.0, 4.0]
+    t = np.arange(0, 60, 0.02)
+    x = np.interp(t, np.linspace(0, 60, len(corners)), corners)
+    found = find_loops(t, x, 0.1 * x + 0.05 * np.sign(np.gradient(x)))
+    assert [loop.unclosed for loop in found] == [1, 1]
+    whole = find_loops(t, np.interp(t, np.linspace(0, 60, 7), [0.0, 20, 0, 20, 0, 20, 0]), 0.1 * x)
+    assert [loop.unclosed for loop in whole] == [0, 0, 0]

@@ -125,3 +125,45 @@ def test_a_force_that_rises_with_the_voltage_is_a_finding() -> None:
     (found,) = find_negative(replace(slow, channels=channels), ())
     assert found.statement.startswith("the actuation is negative, \N{MINUS SIGN}0.0043")
     assert not find_negative(slow, ())
+
+
+def test_a_voltage_of_both_signs_tells_both_and_a_monitor_off_zero_is_corrected() -> None:
+    """One polarity pulls a tenth more; the monitor reads 30 V while the voltage is off."""
+    since = (TIME - 10) % 40
+    on = (TIME >= 10) & (TIME < 90)
+    voltage = np.where(on, 5 * (np.abs((since + 30) % 40 / 10 - 2) - 1), 0.0)
+    pulled = REST - DROP * voltage**2 * np.where(voltage > 0, 1.0, 1.1)
+    slow = record(voltage + 0.03 + np.random.default_rng(7).normal(0, 2e-3, TIME.size))
+    noisy = pulled + np.random.default_rng(8).normal(0, 5e-4, TIME.size)
+    channels = {**slow.channels, "force": Channel("force", slow.channels["force"].time_ns, noisy)}
+    found = measure_slow_voltage(replace(slow, channels=channels))
+    assert found.positive == pytest.approx(DROP, rel=0.01)
+    assert found.negative == pytest.approx(1.1 * DROP, rel=0.01)
+    assert any("before the voltage rises" in w for w in found.warnings)
+    assert np.isnan(measure_slow_voltage(record(triangles(TIME))).negative)
+
+
+def test_the_stroke_of_a_load_under_a_slow_voltage_is_measured_on_both_branches(tmp_path: Path) -> None:
+    """0.031 mm/kV² at once and 0.005 with 2 s: less on the way up than on the way down."""
+    voltage = triangles(TIME)
+    slow = np.zeros(TIME.size)
+    for i in range(1, TIME.size):
+        slow[i] = slow[i - 1] + 0.05 / 2.0 * (0.005 * voltage[i] ** 2 - slow[i - 1])
+    moved = 0.031 * voltage**2 + slow + np.random.default_rng(9).normal(0, 2e-3, TIME.size)
+    found = find_shape({"voltage": Trace(TIME, voltage), "displacement": Trace(TIME, moved)})
+    assert (found.protocol, found.loading) == ("isotonic", "electrical")
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    rows = [f"{t:.2f},{v:.4f},{x:.6f}" for t, v, x in zip(TIME, voltage, moved, strict=True)]
+    (raw / "slow.csv").write_text("\n".join(["time (s),HV (kV),Stroke (mm)", *rows, ""]))
+    assert main(["add", str(raw / "slow.csv"), "--yes", "specimen_id=A-1", "started_at=2026-03-01T10:00:00Z"]) == 0
+    assert main(["nightly", str(raw), "--lab", str(tmp_path / "lab")]) == 0
+    lab = Lab(tmp_path / "lab")
+    row = lab.sql("SELECT * FROM isotonic_tests").iloc[0]
+    assert 0.031 < row["mm_per_kv2_rising"] < row["mm_per_kv2"] < row["mm_per_kv2_falling"] < 0.037
+    assert row["mm_per_kv2"] == pytest.approx(np.polyfit(voltage**2, moved, 1)[0], rel=0.01)
+    stroke = lab.sql("SELECT * FROM isotonic_strokes").iloc[0]
+    assert stroke["stroke_mm"] == pytest.approx(moved[np.abs(voltage - 5) < 0.03].mean(), rel=0.02)
+    page = (tmp_path / "lab" / "reports" / "specimens" / "A-1.html").read_text(encoding="utf-8")
+    assert "the film moves its load by 0.8" in page
+    assert "on the way up and" in page

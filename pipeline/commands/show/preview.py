@@ -12,6 +12,7 @@ from ingest.mapping import FileMapping
 from ingest.parts import count_left_out, list_parts, name_parts, part_of
 from ingest.read import read_raw
 from ingest.tables import LifetimeTable, RelaxationTable
+from pipeline.transform.loops import find_loops
 from pipeline.transform.relaxation import relaxation_curve
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -113,10 +114,30 @@ def _describe_recording(recording: Recording) -> Iterator[str]:
         yield f"             no modulus: {', '.join(missing)} missing"
     if about.rig_id is None and about.protocol in ("chirp", "cyclic"):
         yield "             the resonance of clamp and load cell stays in: no rig_id"
+    if (about.protocol, about.loading) == ("cycle", "mechanical"):
+        yield from (f"  note       {remark}" for remark in _remark_cycles(recording))
     if (about.protocol, about.loading) == ("step", "mechanical"):
         yield from (f"  note       {remark}" for remark in _remark_relaxation(recording))
     for problem in dict.fromkeys(recording.problems):
         yield f"  problem    {problem}"
+
+
+def _remark_cycles(recording: Recording) -> tuple[str, ...]:
+    """How many cycles close, and those that do not; or why there is none."""
+    channels = recording.channels
+    driven, answer = (
+        channels[a] if a in channels else channels[b] for a, b in (("displacement", "stretch"), ("force", "stress"))
+    )
+    good = np.isfinite(driven.values)
+    time = np.asarray((driven.time_ns - recording.start_ns) * 1e-9)[good]
+    force = np.interp(driven.time_ns[good], answer.time_ns, answer.values)
+    try:
+        found = find_loops(time, driven.values[good], force)
+    except NotIdentifiableError as error:
+        return (str(error),)
+    opened = max(loop.unclosed for loop in found)
+    text = f"{len(found)} closed cycles"
+    return (f"{text}; {opened} end elsewhere than they began, and have no loss",) if opened else (text,)
 
 
 def _remark_relaxation(recording: Recording) -> tuple[str, ...]:

@@ -72,8 +72,8 @@ def fit_specimen(
     response_rigs, curve_rigs = per_recording(rig, len(responses)), per_recording(curve_rig, len(relaxations))
     observations, warnings, unknown = assemble(responses, response_rigs, relaxations, curve_rigs)
     measured = [film_stiffness(r, c) for r, c in zip(responses, response_rigs, strict=True)]
-    if any(missing_constants(one) for one in (*response_rigs, *curve_rigs)):
-        geometry = None  # the stiffness is that of film and load cell together, which is no modulus
+    if any(missing_constants(one) for one in response_rigs):
+        geometry = None  # the stiffness is that of film and load cell together, which is no modulus; of a held step the cell is stiff
     name = specimen_id or _specimen(responses, relaxations)
 
     def fits_of(kept: Observations, told: tuple[str, ...]) -> SpecimenFits:

@@ -15,7 +15,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query, tell_warnings
 from reports.results import Row as Record
-from schemas.numbers import ABSENT, NBSP, capital, ordinal, percent, pm, significant, with_unit, word
+from schemas.numbers import ABSENT, NBSP, capital, counted, ordinal, percent, pm, significant, with_unit, word
 
 _FITS_SQL = """SELECT f.*
 FROM cycle_fits AS f JOIN recordings AS r USING (recording_id)
@@ -79,6 +79,12 @@ def loops_of_specimen(draft: Draft) -> Section | None:
         " Of the work: loss over the work of loading, force as recorded. Largest: force in N, or stress in kPa; secant: its range over that"
         " of the displacement."
     )
+    opened = max(int(r["unclosed"] or 0) for r in found)
+    if opened:
+        below += (
+            f" Of the recording {counted(opened, 'cycle')} more, such as a first one from rest to the lower turning point, ends elsewhere than it"
+            " began: it has no loss of its own and is not numbered here."
+        )
     table = Table("Load–unload cycles", heads, tuple(rows), query.shown(), below=below, kind="narrow")
     return Section("loops", _loops_heading(found), "Cycles", (table,))
 

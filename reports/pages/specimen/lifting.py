@@ -47,7 +47,7 @@ def finding(row: Record, strokes: list[Record]) -> str:
     last = strokes[-1]
     load = "its load" if row["load_n"] is None else with_unit(significant(row["load_n"], 3), "N")
     stroke = with_unit(significant(last["stroke_mm"], 3), "mm")
-    share = last["instant_mm"] / last["stroke_mm"] if last["stroke_mm"] else math.nan
+    share = last["instant_mm"] / last["stroke_mm"] if last["stroke_mm"] and last["instant_mm"] is not None else math.nan
     text = f"At {with_unit(compact(last['voltage_kv']), 'kV')} the film moves {load} by {stroke}"
     return f"{text}, {percent(share)} of it at once" if 0 <= share <= 1 else text
 
@@ -57,17 +57,20 @@ def _draw(draft: Draft, row: Record, strokes: list[Record]) -> Figure:
     curve = StrokeCurve(
         np.array([s["voltage_kv"] for s in strokes]),
         np.array([s["stroke_mm"] for s in strokes]),
-        np.array([[s["stroke_mm_lower"], s["stroke_mm_upper"]] for s in strokes]),
-        np.array([s["instant_mm"] for s in strokes]),
-        np.array([[s["instant_mm_lower"], s["instant_mm_upper"]] for s in strokes]),
+        np.array([[s["stroke_mm_lower"], s["stroke_mm_upper"]] for s in strokes], dtype=float),
+        np.array([s["instant_mm"] for s in strokes], dtype=float),
+        np.array([[s["instant_mm_lower"], s["instant_mm_upper"]] for s in strokes], dtype=float),
         row["mm_per_kv2"],
     )
     law = with_unit(write_bounds(row, "mm_per_kv2"), "mm/kV²")
     alt = f"Strokes of {short(recording, 60)} over the squared voltage, {law}."
-    caption = flow(
-        bold(draft.site.recording(recording)),
-        f": strokes with their 95 % intervals; line: {law}. At once: faster than {significant(row['instant_within_s'], 2)} s.",
-    )
+    if row["instant_within_s"] is None:
+        rise, fall = (with_unit(significant(row[f"mm_per_kv2_{way}"], 3), "mm/kV²") for way in ("rising", "falling"))
+        text = f": stroke at the peak of a slow voltage; line: {law}, {rise} on the way up and {fall} on the way down."
+    else:
+        within = significant(row["instant_within_s"], 2)
+        text = f": strokes with their 95 % intervals; line: {law}. At once: faster than {within} s."
+    caption = flow(bold(draft.site.recording(recording)), text)
     columns = {"voltage_kv": curve.voltage, "stroke_mm": curve.stroke, "instant_mm": curve.instant}
     return Figure(isotonic(curve, alt=alt), caption, draft.data(f"isotonic_{recording}", columns))
 
@@ -104,7 +107,7 @@ def _strokes(draft: Draft, query: Query, found: list[Record]) -> Table:
                 draft.site.recording(r["recording_id"]),
                 compact(r["voltage_kv"]),
                 str(r["repeats"]),
-                compact(r["on_s"]),
+                ABSENT if r["on_s"] is None else compact(r["on_s"]),
                 write_bounds(r, "stroke_mm"),
                 write_bounds(r, "instant_mm"),
                 write_bounds(r, "slow_mm"),

@@ -17,6 +17,7 @@ from reports.names import visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.site import flat_metadata
 from schemas.mechanisms import model_name
 from schemas.numbers import (
     ABSENT,
@@ -28,6 +29,7 @@ from schemas.numbers import (
     ordinal,
     p_equals,
     p_value,
+    percent,
     pm,
     significant,
     whole,
@@ -160,7 +162,7 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
         tuple(rows),
         query.shown(),
         _method_note(chosen),
-        _parameter_note(chosen, after),
+        _parameter_note(chosen, after, _step_strain(draft)),
         "narrow",
     )
     heading: Piece = "Parameters"
@@ -239,7 +241,27 @@ def _moved(before: Record, after: Record, column: str) -> str:
     return significant(abs(after[column] - before[column]) / combined, 2) if combined else ABSENT
 
 
-def _parameter_note(chosen: Record, after: Record | None) -> Markup:
+_SMALL_STRAIN = 0.1
+"""Strain from which a secant is told from a slope: an elastomer's differ by some per cent there."""
+_STEP_SQL = """SELECT DISTINCT c.step, r.metadata
+FROM relaxation_curves AS c JOIN recordings AS r USING (recording_id)
+WHERE c.specimen_id = $specimen AND c.quantity = 'stiffness_n_per_mm'"""
+
+
+def _step_strain(draft: Draft) -> float | None:
+    """Height of the largest step over the length of the film as clamped; None without steps or length."""
+    found = []
+    for row in draft.results.rows(Query(_STEP_SQL, {"specimen": draft.item})):
+        about = flat_metadata(row["metadata"])
+        try:
+            length = float(about["film_length_mm"]) * float(about.get("stretch_1") or 1)
+        except (KeyError, TypeError, ValueError):
+            continue
+        found.append(abs(float(row["step"])) / length)
+    return max(found, default=None)
+
+
+def _parameter_note(chosen: Record, after: Record | None, strain: float | None) -> Markup:
     parts: list[Piece] = ["± is one standard deviation, scaled by √(reduced χ²) where that exceeds 1."]
     if any(_estimate(chosen, c, "").startswith("<") for c in chosen if f"{c}_sd" in chosen):
         parts.append(" <: upper 95 % limit, where ± would reach 0.")
@@ -255,6 +277,11 @@ def _parameter_note(chosen: Record, after: Record | None) -> Markup:
         )  # fmt: skip
     if chosen["modulus_mpa"]:
         parts.append(" Modulus: k₀ times stretched length over stretched area, geometry taken as exact.")
+        if strain is not None and strain > _SMALL_STRAIN:
+            parts.append(
+                f" It is the secant of a step of {percent(strain)} of the length: stress over strain there, both of the film as clamped,"
+                " and no slope at small strains."
+            )
     if chosen["warnings"]:
         parts.append(f" {sentences(chosen['warnings'])}")
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from reports import findings
@@ -103,9 +104,12 @@ def page(site: Site, specimen: str) -> Page:
     if campaigns:
         crumbs = [Link(f"Campaign {short(campaigns[0], 40)}", "../" + site.campaign_path(campaigns[0])), *crumbs]
     headline = findings.headline(standing)
+    curve = temperatures.headline(draft) if not standing.diagnosis and not standing.negative else ""
+    if curve:
+        headline = flow("Specimen ", name(specimen), f": {curve}")
     return Page(
         title=f"{short(specimen, 40)}: {_title(standing, used)}",
-        heading=headline if standing.fit or standing.diagnosis or standing.negative else flow("Specimen ", name(specimen), f": {_life_or_count(draft, used)}"),
+        heading=headline if standing.fit or standing.diagnosis or standing.negative else flow("Specimen ", name(specimen), ": ", _life_or_count(draft, used, sections)),
         bar=site.bar("../", f"Specimen {short(specimen, 24)}"),
         when=site.when(run_id),
         crumbs=(Link("Last night", "../index.html"), *crumbs, Link("Specimen")),
@@ -213,7 +217,11 @@ def _why_no_model(draft: Draft) -> list[Text]:
     return [Text(flow("No model: ", short(reason, 300), "."), "") for reason in reasons]
 
 
-def _life_or_count(draft: Draft, used: list[Row]) -> str:
+_FINDINGS = ("isotonic", "slow-voltage", "creep", "pull", "loops")
+"""Sections whose heading is what a specimen without a model shows."""
+
+
+def _life_or_count(draft: Draft, used: list[Row], sections: Sequence[Section]) -> Piece:
     lives = draft.results.rows(
         Query("SELECT * FROM lifetimes WHERE specimen_id = $item ORDER BY lifetime_s", {"item": draft.item})
     )
@@ -223,7 +231,8 @@ def _life_or_count(draft: Draft, used: list[Row]) -> str:
         end = "broke down after" if life["failed"] else "lived through"
         end = f"undecided, counted as {end}" if life["decided"] is False else end
         return f"{end} {seconds(life['lifetime_s'])}{at}"
-    return _without_model(draft, used) or f"{counted(len(used), 'recording')}, no model fitted"
+    shown = next((s.heading for s in sections if s.id in _FINDINGS), "")
+    return _without_model(draft, used) or shown or f"{counted(len(used), 'recording')}, no model fitted"
 
 
 def _without_model(draft: Draft, used: list[Row]) -> str:

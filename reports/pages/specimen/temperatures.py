@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -54,14 +55,35 @@ def section(draft: Draft) -> Section | None:
     if curve["warnings"]:
         blocks.insert(0, Text(flow(bold("Warning."), f" {capital(visible(curve['warnings']))}.")))
     blocks += [_law_table(laws), _shift_table(draft, shifts)]
+    blocks += [Text(text) for text in _tell_returns(shifts)]
+    if turned:
+        blocks.append(_value_table(draft, curve, turned))
     series = _series_table(draft)
     if series is not None:
         blocks.append(series)
     return Section("master", _heading(curve, shifts), "Master curve", tuple(blocks))
 
 
+def headline(draft: Draft) -> str:
+    """`seven temperatures make one curve at 20.0 °C over 9.2 decades; WLF with C₁ 7.64 and C₂ 107.8 K`; empty without a curve."""
+    about = {"specimen": draft.item}
+    found = draft.results.rows(Query("SELECT * FROM master_curves WHERE specimen_id = $specimen", about))
+    if not found:
+        return ""
+    text = _heading(found[0], draft.results.rows(Query(_SHIFTS_SQL, about)))
+    law = next((law for law in draft.results.rows(Query(_LAWS_SQL, about)) if law["selected"]), None)
+    said = text[0].lower() + text[1:]
+    if law is None:
+        return said
+    if law["c1"] is None:
+        return f"{said}; shifts by Arrhenius with {with_unit(significant(law['energy_kj_per_mol'], 3), 'kJ/mol')}"
+    return f"{said}; WLF with C₁ {significant(law['c1'], 3)} and C₂ {with_unit(significant(law['c2_k'], 4), 'K')}"
+
+
 def _heading(curve: Record, shifts: Sequence[Record]) -> str:
-    number = counted(len(shifts), "temperature")
+    meant = _distinct(shifts)
+    number = counted(meant, "temperature")
+    number += f" in {counted(len(shifts), 'sweep')}" if meant < len(shifts) else ""
     at = f"{fixed(curve['reference_c'], 1)}{NBSP}°C"
     failing = sum((s["p_value"] if s["p_value"] is not None else 1.0) * len(shifts) < 0.01 for s in shifts)
     if failing:
@@ -71,6 +93,66 @@ def _heading(curve: Record, shifts: Sequence[Record]) -> str:
         decades = np.log10(curve["frequency_high_hz"] / curve["frequency_low_hz"])
         span = f" over {significant(float(decades), 2)} decades"
     return f"{capital(number)} make one curve at {at}{span}"
+
+
+_SAME_K = 1.0
+"""Difference below which two sweeps are at one temperature, K."""
+
+
+def _distinct(shifts: Sequence[Record]) -> int:
+    """How many temperatures there are among sweeps, in the order of their temperatures."""
+    warm = np.array([float(s["temperature_c"]) for s in shifts])
+    return 1 + int((np.diff(warm) > _SAME_K).sum())
+
+
+def _tell_returns(shifts: Sequence[Record]) -> list[str]:
+    """Of each temperature that was measured twice, by how much the second sweep lies beside the first."""
+    found = []
+    for first, second in itertools.pairwise(shifts):
+        apart = float(second["temperature_c"]) - float(first["temperature_c"])
+        if apart > _SAME_K or first["log10_a"] is None or second["log10_a"] is None:
+            continue
+        beside = float(second["log10_a"]) - float(first["log10_a"])
+        widths = [
+            (float(s["log10_a_upper"]) - float(s["log10_a_lower"])) / 2 for s in (first, second) if not s["fixed"]
+        ]
+        limit = float(np.hypot.reduce(widths)) if widths else 0.0
+        found.append(
+            f"Two sweeps near {with_unit(fixed(float(first['temperature_c']), 1), '°C')}, {visible(short(first['recording_id'], 60))} and"
+            f" {visible(short(second['recording_id'], 60))}, lie {significant(abs(beside), 2)} decades apart (95 % limit {significant(limit, 2)})"
+            f" at temperatures that differ by {with_unit(significant(apart, 2), 'K')}."
+        )
+    return found
+
+
+def _value_table(draft: Draft, curve: Record, found: Sequence[Points]) -> Table:
+    """Storage, loss and their ratio on the common curve, at whole decades of the frequency within what was measured."""
+    place = np.concatenate([p.place for p in found])
+    order = np.argsort(place)
+    place, storage, loss = (
+        np.concatenate([getattr(p, n) for p in found])[order] for n in ("place", "curve_storage", "curve_loss")
+    )
+    rows = []
+    for name, per in (("Hz", 1.0), ("rad/s", 2 * np.pi)):
+        decades = np.arange(np.ceil(np.log10(place[0] * per)), np.floor(np.log10(place[-1] * per)) + 1)
+        at = 10.0**decades / per
+        stored, lost = (np.exp(np.interp(np.log(at), np.log(place), np.log(values))) for values in (storage, loss))
+        rows += [
+            Row((with_unit(significant(10.0**d, 1), name), significant(s, 3), significant(v, 3), significant(v / s, 3)))
+            for d, s, v in zip(decades, stored, lost, strict=True)
+        ]
+    unit = curve["unit"] or ""
+    heads = (Head("Frequency", "n"), Head(f"Storage, {unit}", "n"), Head(f"Loss, {unit}", "n"), Head("tan δ", "n"))
+    at_reference = with_unit(fixed(curve["reference_c"], 1), "°C")
+    below = f"At {at_reference}, read between the points of the common curve; beyond them it is not known."
+    return Table(
+        "Values of the master curve",
+        heads,
+        tuple(rows),
+        Query(_POINTS_SQL, {"specimen": draft.item}).shown(),
+        below=below,
+        kind="narrow",
+    )
 
 
 def _points(data: dict[str, Float], *, in_time: bool) -> list[Points]:
