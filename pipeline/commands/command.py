@@ -47,9 +47,11 @@ def argument(*names: str, **options: Any) -> Argument:
 
 
 def parse_path(text: str) -> Path:
-    """A path from the command line."""
+    """A path from the command line; an empty one, as of a variable that is not set, is not the working folder."""
     from pathlib import Path
 
+    if not text:
+        raise argparse.ArgumentTypeError("the path is empty")
     return Path(text)
 
 

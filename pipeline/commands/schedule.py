@@ -5,6 +5,7 @@ Does not belong here: installing them, which is the administrator's.
 
 from __future__ import annotations
 
+import os
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pipeline.commands.command import CLUSTER, DONE, LAB, RAW, RIGS, Command, argument, parse_jobs, parse_path
 from schemas.errors import UsageError
+from schemas.visible import shown
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,6 +39,12 @@ class Job(NamedTuple):
     rigs: Path | None = None
     jobs: int | None = None
     cluster: str | None = None
+
+    def missing(self) -> list[str]:
+        """Raw files and folders that are not there."""
+        from ingest.remote import is_url
+
+        return [given for given in self.raw if not is_url(given) and not os.path.exists(given)]
 
     @property
     def words(self) -> list[str]:
@@ -123,6 +131,8 @@ def write_crontab(job: Job, at: str) -> str:
 
 def run(arguments: Namespace) -> int:
     job = Job(arguments.raw, arguments.lab, arguments.rigs, arguments.jobs, arguments.cluster)
+    for path in job.missing():
+        print(f"dealab: {shown(path)} is not there now: no night is done without it", file=sys.stderr)
     if arguments.cron:
         print(write_crontab(job, arguments.at), end="")
         return DONE

@@ -181,8 +181,8 @@ def _run_once(
                     restarts += 1
                     if restarts > _RESTARTS:
                         raise LabError(
-                            f"worker processes die as soon as they start: {error}",
-                            remedy="Look at the memory and process limits of this account",
+                            f"worker processes die as soon as they start{f': {error}' if str(error) else ''}",
+                            remedy="Look at the limits of this account: memory, processes, open files (`ulimit -a`)",
                         ) from None
                     executor.shutdown(cancel_futures=True)
                     executor = open_executor(jobs)

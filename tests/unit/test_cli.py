@@ -251,3 +251,20 @@ def test_progress_names_what_came_last(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(sys, "stderr", terminal)
     assert main(["nightly", str(raw), "--lab", str(tmp_path / "lab"), "--jobs", "0"]) in (0, 3)
     assert "first-life.mcap" in terminal.getvalue()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["nightly", "{raw}", "--lab", ""], ["report", "--lab", ""], ["simulate", "first", "--out", ""], ["inspect", ""]],
+)
+def test_an_empty_path_is_not_the_working_folder(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--lab "$LAB"` where the variable is not set made a lab wherever one happened to be."""
+    (tmp_path / "raw").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main([given.format(raw="raw") for given in arguments])
+    assert ended.value.code == 2
+    assert "the path is empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["raw"]

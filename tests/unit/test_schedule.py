@@ -75,7 +75,14 @@ def test_units_are_written_where_they_are_wanted(tmp_path: Path, capsys: pytest.
     folder = tmp_path / "systemd" / "user"
     assert main(["schedule", "raw", "--out", str(folder)]) == 0
     assert {p.name for p in folder.iterdir()} == {"dealab-nightly.service", "dealab-nightly.timer"}
-    assert "dealab-nightly.timer" in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert "dealab-nightly.timer" in told.out
+    assert "raw is not there now" in told.err, "a slip of the pen is told before the night fails over it"
+
+
+def test_raw_files_that_are_there_are_not_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schedule", str(tmp_path), "s3://rig-a/2026", "--cron"]) == 0
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
