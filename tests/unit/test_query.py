@@ -7,9 +7,10 @@ import os
 import signal
 import time
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import duckdb
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,7 +20,7 @@ from hypothesis import strategies as st
 
 from pipeline import Lab
 from pipeline.cli import main
-from pipeline.commands.show.rows import FORMATS, as_csv, as_json, as_table
+from pipeline.commands.show.rows import FORMATS, as_csv, as_json, as_parquet, as_table
 from pipeline.lab.query import Limits, Query
 from pipeline.lab.snapshot import Changes, publish
 from schemas.errors import DealabError, LabError, UsageError
@@ -356,3 +357,26 @@ def test_recordings_whose_ids_differ_by_case_are_two(tmp_path: Path) -> None:
         assert made.sql(f"SELECT force FROM samples('{name}')")["force"].tolist() == [number] * 3
     both = made.sql("SELECT a.force, b.force FROM samples('run-a') a JOIN samples('RUN-A') b USING (time_ns)")
     assert both.iloc[0].tolist() == [0.0, 1.0]
+
+
+BEYOND = (
+    "SELECT TIMESTAMP '290000-01-01 12:00:00' AS late, DATE '5000-01-01 (BC)' AS early, 'infinity'::TIMESTAMP AS never,"
+    " '-infinity'::DATE AS before, 'infinity'::TIMESTAMPTZ AS zoned, {'day': 'infinity'::DATE, 'n': [DATE '2026-03-01']} AS s,"
+    " TIMESTAMP '2026-03-01 14:00:00' AS plain, MAP {'k': 'infinity'::DATE} AS m"
+)
+
+
+@pytest.mark.parametrize("form", [as_table, as_csv, as_json])
+def test_dates_that_python_does_not_have_are_texts(form: Callable[[pa.Table], str]) -> None:
+    with duckdb.connect() as connection:
+        text = form(connection.sql(BEYOND).to_arrow_table())
+    assert text.count("infinity") == 5
+    assert "2026-03-01T14:00:00" in text, "the others are as they were"
+    assert "290000-01-01" in text or "out of range" in text
+
+
+def test_parquet_names_the_columns_that_it_has_no_type_for() -> None:
+    with duckdb.connect() as connection:
+        rows = connection.sql("SELECT 1 AS a, INTERVAL 1 YEAR AS b, union_value(n := 1) AS c").to_arrow_table()
+    with pytest.raises(UsageError, match=r"no type for b \(month_day_nano_interval\), c"):
+        as_parquet(rows)

@@ -12,6 +12,7 @@ from datetime import date, datetime, timedelta
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
+from schemas.errors import UsageError
 from schemas.numbers import NBSP, THIN
 from schemas.visible import make_safe, shown
 
@@ -37,7 +38,7 @@ def as_table(rows: pa.Table, *, width: int | None = None, expanded: bool = False
     names = rows.column_names
     if _is_plan(names):
         return "\n".join(str(text) for text in rows.column("explain_value").to_pylist())
-    whole = [[_write_cell(value) for value in row.values()] for row in rows.to_pylist()]
+    whole = [[_write_cell(value) for value in row.values()] for row in _list_rows(rows)]
     right = [_is_number(field) for field in rows.schema]
     limit = _WIDEST if len(names) > 1 else None
     cells = [[_shorten(cell, limit) for cell in row] for row in whole]
@@ -101,14 +102,14 @@ def as_csv(rows: pa.Table) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(rows.column_names)
-    for row in rows.to_pylist():
+    for row in _list_rows(rows):
         writer.writerow(["" if value is None else _write_plainly(value) for value in row.values()])
     return text.getvalue().rstrip("\n")
 
 
 def as_json(rows: pa.Table) -> str:
     """A list of objects; NULL, NaN and infinity are null, times are ISO 8601."""
-    return json.dumps([_make_plain(row) for row in rows.to_pylist()], ensure_ascii=False, indent=1)
+    return json.dumps([_make_plain(row) for row in _list_rows(rows)], ensure_ascii=False, indent=1)
 
 
 def as_finite_json(value: Any) -> str:
@@ -130,7 +131,20 @@ def in_plain(text: str) -> str:
 
 
 def as_parquet(rows: pa.Table) -> bytes:
-    """A Parquet file."""
+    """A Parquet file. Raises `UsageError` for columns of types that Parquet does not have."""
+    import pyarrow as pa
+
+    try:
+        return _write_parquet(rows)
+    except pa.ArrowNotImplementedError:
+        strange = [field for field in rows.schema if not _fits_parquet(field)]
+        raise UsageError(
+            f"Parquet has no type for {', '.join(f'{shown(field.name)} ({field.type})' for field in strange)}",
+            remedy="Ask for text: CAST(column AS VARCHAR); or take another --format",
+        ) from None
+
+
+def _write_parquet(rows: pa.Table) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -140,12 +154,49 @@ def as_parquet(rows: pa.Table) -> bytes:
     return content
 
 
+def _fits_parquet(field: pa.Field) -> bool:
+    import pyarrow as pa
+
+    try:
+        _write_parquet(pa.schema([field]).empty_table())
+    except pa.ArrowNotImplementedError:
+        return False
+    return True
+
+
 FORMATS: Mapping[str, Callable[[pa.Table], str | bytes]] = {
     "table": as_table,
     "csv": as_csv,
     "json": as_json,
     "parquet": as_parquet,
 }
+
+
+def _list_rows(rows: pa.Table) -> list[dict[str, Any]]:
+    """The rows in Python's values; dates and times that Python does not have are texts."""
+    try:
+        found: list[dict[str, Any]] = rows.to_pylist()
+    except (OverflowError, ValueError):
+        columns = [[_read_value(value) for value in column] for column in rows.columns]
+        return [dict(zip(rows.column_names, values, strict=True)) for values in zip(*columns, strict=True)]
+    return found
+
+
+def _read_value(value: pa.Scalar) -> Any:
+    import pyarrow as pa
+
+    try:
+        return value.as_py()
+    except (OverflowError, ValueError):
+        if pa.types.is_struct(value.type):
+            return {name: _read_value(value[name]) for name in value}
+        if pa.types.is_nested(value.type):
+            return [_read_value(member) for member in value.values]
+        most = (1 << (value.type.bit_width - 1)) - 1
+        number = value.cast(pa.int32() if value.type.bit_width == 32 else pa.int64()).as_py()
+        if abs(number) == most:  # as DuckDB stores it
+            return "infinity" if number > 0 else "-infinity"
+        return value.cast(pa.string()).as_py()
 
 
 def _join_cells(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
