@@ -28,8 +28,41 @@ REPLACE = argument("--replace", action="store_true", help="writes a new mapping 
 
 
 def run(arguments: Namespace) -> int:
-    shared = _find_shared(arguments.file, arguments.yes or [])
-    return max(add_file(path, arguments, shared=shared) for path in arguments.file)
+    files, of_folders = _list_files(arguments.file)
+    shared = _find_shared(files, arguments.yes or [])
+    states = [
+        _add_found(path, arguments, shared) if path in of_folders else add_file(path, arguments, shared=shared)
+        for path in files
+    ]
+    return max(states, default=FAILED)
+
+
+def _list_files(given: Sequence[Path]) -> tuple[list[Path], set[Path]]:
+    """The files, those without a mapping in place of each folder, and which of them were found so."""
+    from ingest.discover import UNMAPPED, discover
+
+    files = [path for path in given if not path.is_dir()]
+    found: list[Path] = []
+    for folder in (path for path in given if path.is_dir()):
+        new = [
+            one.path for one in discover([folder], lambda text: print(text, file=sys.stderr)) if one.state == UNMAPPED
+        ]
+        if not new:
+            print(f"{folder}: no file without a mapping", file=sys.stderr)
+        found += new
+    return [*files, *found], set(found)
+
+
+def _add_found(path: Path, arguments: Namespace, shared: Mapping[Path, Collection[str]]) -> int:
+    """As `add_file`, of a file that nobody named: one that is no table, such as a note, is passed over."""
+    from schemas.errors import RefusedError
+    from schemas.visible import make_safe
+
+    try:
+        return add_file(path, arguments, shared=shared)
+    except RefusedError as error:
+        print(make_safe(f"{path}: passed over: {error}"), file=sys.stderr)
+        return DONE
 
 
 def _find_shared(paths: Sequence[Path], given: Sequence[str]) -> dict[Path, set[str]]:
@@ -180,7 +213,12 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
 
 
 COMMAND = Command(
-    ("run7.csv", "run7.csv --yes specimen_id=P-07 force.unit=mN", "run*.csv --yes rig_id=rig-a"),
-    (argument("file", nargs="+", type=parse_path, metavar="FILE"), YES, REPLACE, RIGS),
+    (
+        "run7.csv",
+        "run7.csv --yes specimen_id=P-07 force.unit=mN",
+        "run*.csv --yes rig_id=rig-a",
+        "exports/ --yes zone=Europe/Berlin",
+    ),
+    (argument("file", nargs="+", type=parse_path, metavar="FILE|FOLDER"), YES, REPLACE, RIGS),
     run,
 )

@@ -191,3 +191,17 @@ def test_what_stands_below_a_table_is_no_damage_and_the_way_comes_before_the_mac
     raw = read_raw(path, FileMapping.parse(content, stem="strip", suffix=".TRA"))
     assert isinstance(raw, RawRecording)
     assert any("left out" in problem for problem in raw.problems)
+
+
+def test_a_folder_is_added_with_what_is_new_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deeper = tmp_path / "raw" / "day 1"
+    deeper.mkdir(parents=True)
+    first, second = write_record(tmp_path / "raw" / "a.csv"), write_record(deeper / "b.csv")
+    (deeper / "film.txt").write_text("film 3 slipped once\n", encoding="utf-8")
+    assert main(["add", str(tmp_path / "raw"), "--yes", "zone=UTC"]) == 0
+    told = capsys.readouterr()
+    assert told.out.count("Written:") == 2
+    assert "film.txt: passed over" in told.err
+    written = [path.with_name(path.name + ".toml").read_bytes() for path in (first, second)]
+    assert main(["add", str(tmp_path / "raw"), "--yes", "zone=Europe/Berlin"]) == 0  # what has a mapping stays as it is
+    assert written == [path.with_name(path.name + ".toml").read_bytes() for path in (first, second)]
