@@ -231,7 +231,10 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         if "specimen_id" not in about:
             about["specimen_id"] = "{stem}"
             questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
-    elif "configuration" not in chosen:
+    else:
+        about["campaign"] = "{stem}"
+        remarks["recording.campaign"] = "the page of a campaign shows its survival curves"
+    if kind == LIFETIMES and "configuration" not in chosen:
         about["configuration"] = "{stem}"
         questions.append(Question("recording.configuration", "how the films are built", find_stem(opened.path)))
     content = {"kind": kind, **make_format_keys(opened), "columns": columns, "recording": about}

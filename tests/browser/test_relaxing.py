@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from pipeline.cli import main
 from reports.build import build_reports
 from reports.pages.specimen import relaxing
 from tests.helpers import synthetic_lab
@@ -126,3 +127,27 @@ def test_the_recordings_own_page_draws_it_without_a_model(tmp_path: Path) -> Non
     assert "line: the model" not in (lab / "reports" / "recordings" / "R-1_step.html").read_text()
     assert set(data) == {"time_s", "stiffness_n_per_mm"}
     assert np.all(np.diff(data["time_s"]) > 0)
+
+
+@pytest.mark.slow
+def test_the_points_of_a_fast_ramp_in_a_long_record_are_those_of_the_analysis(tmp_path: Path) -> None:
+    """Of a ramp of 1.5 s in 45 minutes the preview has a single bin: its points lay a third below the model that fits them."""
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    t = np.concatenate([np.arange(0, 20, 0.1), np.arange(20, 2700, 1.0)])
+    moved = 25 * np.clip((t - 3) / 1.5, 0, 1)
+    since = np.maximum(t - 3, 0)
+    force = 0.008 + moved * (0.031 + 0.038 * np.exp(-since / 6) + 0.021 * np.exp(-since / 75))
+    rows = [f"{a:.2f},{x:.4f},{f:.5f}" for a, x, f in zip(t, moved, force, strict=True)]
+    (raw / "strip.csv").write_text("\n".join(["time (s),way (mm),Force (N)", *rows, ""]))
+    sizes = "film_sizes_mm=50x20x1"
+    assert (
+        main(["add", str(raw / "strip.csv"), "--yes", "specimen_id=S", "started_at=2026-03-01T10:00:00Z", sizes]) == 0
+    )
+    assert main(["nightly", str(raw), "--lab", str(tmp_path / "lab")]) == 0
+    data = drawn(tmp_path / "lab", "specimens")
+    assert data["stiffness_n_per_mm"] == pytest.approx(data["model_n_per_mm"], rel=0.02)
+    page = (tmp_path / "lab" / "reports" / "specimens" / "S.html").read_text(encoding="utf-8")
+    assert "the model follows to" in page
+    assert "secant of a step of 50" in page
+    assert "Parameters: modulus" in page

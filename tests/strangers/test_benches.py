@@ -126,6 +126,8 @@ def test_a_list_of_lives_with_rows_that_are_none_gives_the_right_numbers(
     assert "row without a voltage and without an outcome: left out as no tests (row 10)" in notes
     rows = lab.sql("SELECT * FROM survival_summaries ORDER BY voltage_kv").to_dict("records")
     assert [(r["voltage_kv"], r["specimens"], r["failures"]) for r in rows] == [(4, 4, 3), (5, 3, 2)]
+    (page,) = (tmp_path / "lab" / "reports" / "campaigns").glob("*.html")  # which Cox's model without limits broke
+    assert "Survival" in page.read_text(encoding="utf-8")
     assert rows[0]["median_s"] == 812  # 1, 3/4, 1/2: of four with one survivor
 
 

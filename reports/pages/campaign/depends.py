@@ -222,7 +222,8 @@ def _forest(draft: Draft, found: _Found) -> Figure | None:
     effects = []
     for r in rows:
         by_cox = None
-        if r["hazard_ratio"] and best["sigma"]:
+        bounded = all(r[n] is not None and 0 < r[n] < math.inf for n in ("hazard_ratio_lower", "hazard_ratio_upper"))
+        if r["hazard_ratio"] and best["sigma"] and bounded:  # unbounded where failures and survivors do not overlap
             # A ratio of hazards h is one of lives h^(−σ) where the lives are Weibull.
             ends = sorted(r[name] ** -best["sigma"] for name in ("hazard_ratio_lower", "hazard_ratio_upper"))
             by_cox = (r["hazard_ratio"] ** -best["sigma"], ends[0], ends[1])

@@ -59,7 +59,7 @@ class Course:
 
 def of_recording(draft: Draft, row: Record) -> Section | None:
     """The relaxation of one recording; the model stands on the page of its specimen."""
-    course = (_course(draft, row, None) if _relaxes(row) else None) or _stored(draft, row, None)
+    course = _stored(draft, row, None) or (_course(draft, row, None) if _relaxes(row) else None)
     if course is None:
         return None
     return Section("relaxation", _heading([course]), "Relaxation", (_figure(draft, course, "relaxation"),))
@@ -68,7 +68,7 @@ def of_recording(draft: Draft, row: Record) -> Section | None:
 def of_specimen(draft: Draft, recordings: Sequence[Record], chosen: Record | None) -> Section | None:
     """The relaxations of a specimen beside its model."""
     found = [r for r in recordings if _relaxes(r) and r["status"] in ("ok", "damaged")][:_DRAWN]
-    drawn = (_course(draft, r, chosen) or _stored(draft, r, chosen) for r in found)
+    drawn = (_stored(draft, r, chosen) or _course(draft, r, chosen) for r in found)
     courses = [c for c in drawn if c is not None]
     if not courses:
         return None
@@ -116,7 +116,7 @@ def _figure(draft: Draft, course: Course, name: str) -> Figure:
 
 
 def _stored(draft: Draft, row: Record, fit: Record | None) -> Course | None:
-    """What the analysis found after the step, where the preview shows too little of it: no rest, another system."""
+    """What the analysis found after the step, which is what the model is fitted to."""
     query = Query(
         "SELECT time_s, value, ramp_s, quantity FROM relaxation_curves WHERE recording_id = $item AND usable ORDER BY time_s",
         {"item": row["recording_id"] or ""},
@@ -137,7 +137,7 @@ def _stored(draft: Draft, row: Record, fit: Record | None) -> Course | None:
 
 
 def _course(draft: Draft, row: Record, fit: Record | None) -> Course | None:
-    """Force over displacement after the step, from the preview; None where no step is seen."""
+    """Force over displacement after the step, from the preview, where the analysis found nothing; None where no step is seen."""
     query = Query(
         "SELECT quantity, time_s, (low + high) / 2 AS middle FROM previews WHERE recording_id = $item"
         " AND quantity IN ('displacement', 'force') ORDER BY quantity, time_s",
