@@ -7,6 +7,7 @@ half of.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -122,6 +123,12 @@ def write_entry(folder: Path, outcome: Outcome, tables: Mapping[str, pa.Table]) 
 
 def explain_unwritable(folder: Path, error: OSError) -> LabError:
     """The error of a lab that cannot be written: it stops the night, since no item is to blame."""
+    if error.errno in (errno.EISDIR, errno.ENOTDIR, errno.EEXIST, errno.ENOTEMPTY):
+        return LabError(
+            f"something stands in the place of a file or folder of the lab: {error.strerror}",
+            where=str(error.filename2 or error.filename or folder),
+            remedy="Remove it, or move it out of the lab, and run the nightly again; what is finished is kept",
+        )
     return LabError(
         f"the lab cannot be written: {error.strerror or error}",
         where=str(folder),

@@ -62,6 +62,7 @@ class Query:
     def __init__(self, lab: Lab, limits: Limits | None = None) -> None:
         self._lab, self._limits = lab, limits or Limits()
         self._connection: Any = None
+        self._left_behind = False
 
     def __enter__(self) -> Self:
         import duckdb
@@ -82,7 +83,8 @@ class Query:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._connection.close()
+        if not self._left_behind:  # DuckDB does not close what is at work, and says so with an error
+            self._connection.close()
 
     def run(self, query: str) -> pa.Table:
         """The rows of one SELECT-type statement.
@@ -111,10 +113,14 @@ class Query:
         ended: queue.SimpleQueue[pa.Table | BaseException] = queue.SimpleQueue()
 
         def fetch() -> None:
+            result: pa.Table | BaseException
             try:
-                ended.put(self._fetch(query))
+                result = self._fetch(query)
             except BaseException as error:
-                ended.put(error)
+                result = error
+            if self._left_behind:
+                self._connection.close()
+            ended.put(result)
 
         threading.Thread(target=fetch, daemon=True).start()
         try:
@@ -133,10 +139,12 @@ class Query:
         return result
 
     def _stop(self, ended: queue.SimpleQueue[Any]) -> None:
-        """Interrupts the query; one that takes no notice is left behind."""
+        """Interrupts the query; one that takes no notice is left behind, and closes the connection when it ends."""
+        self._left_behind = True
         self._connection.interrupt()
         with contextlib.suppress(queue.Empty):
             ended.get(timeout=_STOPPED_S)
+            self._left_behind = False
 
     def _fetch(self, query: str) -> pa.Table:
         with warnings.catch_warnings():  # execute() makes one copy more than sql(), but its errors point at the place

@@ -171,3 +171,16 @@ def test_copies_of_refused_files_that_no_row_speaks_of_go_unless_they_may_be_the
         assert sorted(entry.name.rpartition("-")[0] for entry in lab.quarantine.iterdir()) == ["gone", "refused"]
     (finding,) = healthy(lab)
     assert "gone-" in finding
+
+
+def test_a_folder_in_the_place_of_samples_is_named(tmp_path: Path) -> None:
+    raw, lab = make_lab_of_one_life(tmp_path)
+    (samples,) = lab.samples_folder.rglob("*.parquet")
+    samples.unlink()
+    samples.mkdir()
+    with pytest.raises(LabError, match="stands in the place") as told:
+        nightly([raw], lab, jobs=0)
+    assert str(samples) in str(told.value)
+    samples.rmdir()
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    assert samples.is_file()

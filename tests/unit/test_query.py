@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -9,6 +10,7 @@ import time
 import unicodedata
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import numpy as np
@@ -23,6 +25,7 @@ from pipeline.cli import main
 from pipeline.commands.show.rows import FORMATS, as_csv, as_json, as_parquet, as_table
 from pipeline.lab.query import Limits, Query
 from pipeline.lab.snapshot import Changes, publish
+from schemas.database import connect
 from schemas.errors import DealabError, LabError, UsageError
 from schemas.tables import TABLES
 from schemas.views import EXAMPLES
@@ -314,6 +317,37 @@ def test_a_query_keeps_to_its_limits(lab: Lab) -> None:
         assert sorted(lab.folder.rglob("*")) == before
     with Query(lab, Limits(seconds=0, rows=0, memory_mb=0)) as database:
         assert database.run("SELECT * FROM range(2000)").num_rows == 2000
+
+
+class Deaf:
+    """A connection whose query takes no notice of interrupts, as one that makes a single text of gigabytes."""
+
+    def __init__(self, connection: Any) -> None:
+        self.real = connection
+
+    def __getattr__(self, name: str) -> Any:
+        return (lambda: None) if name == "interrupt" else getattr(self.real, name)
+
+
+def test_a_query_that_does_not_listen_is_left_behind(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.lab.query._STOPPED_S", 0.2)
+    deaf: list[Deaf] = []
+
+    def connect_deaf(path: Path, **options: Any) -> Deaf:
+        deaf.append(Deaf(connect(path, **options)))
+        return deaf[0]
+
+    monkeypatch.setattr("pipeline.lab.query.connect", connect_deaf)
+    with pytest.raises(DealabError, match="--timeout-s"), Query(lab, Limits(seconds=0.2)) as database:
+        database.run(ENDLESS)
+    deaf[0].real.interrupt()
+    monkeypatch.undo()
+    for _ in range(100):  # it closes its connection, whose locked settings nobody else could open the database with
+        with contextlib.suppress(LabError), Query(lab) as database:
+            assert database.run("SELECT 1").num_rows == 1
+            return
+        time.sleep(0.1)
+    pytest.fail("the connection stays open")
 
 
 def test_an_interrupt_ends_a_query_at_once(lab: Lab) -> None:
