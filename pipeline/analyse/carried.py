@@ -25,6 +25,7 @@ from pipeline.transform.force_map import ForceMapReadings, ForceReading
 from pipeline.transform.loop import LoopResponse
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.response import Distortion, FrequencyResponse
+from pipeline.transform.staircase import LaterRamp
 from pipeline.transform.step import StepAnalysis, StepResponse
 from pipeline.transform.step_levels import SlowChange
 from schemas.life_covariates import OwnCovariate
@@ -115,6 +116,7 @@ KINDS: tuple[type, ...] = (
     FrequencyResponse,
     Distortion,
     RelaxationCurve,
+    LaterRamp,
     StepAnalysis,
     StepResponse,
     SlowChange,

@@ -36,6 +36,7 @@ def relaxation_table(curve: RelaxationCurve) -> pa.Table:
         unusable_because=[why or None for why in curve.unusable_because],
         ramp_s=curve.ramp_s,
         step=curve.step,
+        step_number=curve.step_number,
     )
 
 

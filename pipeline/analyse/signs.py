@@ -88,8 +88,9 @@ def _of_result(result: Any, rig: RigConstants | None) -> Iterator[Negative]:
     if isinstance(result, FrequencyResponse) and result.quantity in (STIFFNESS, FORCE_PER_VOLTAGE_SQUARED):
         yield from _of_response(result, rig)
     elif isinstance(result, RelaxationCurve) and result.quantity == STIFFNESS:
-        value, usable = result.stiffness, result.usable & np.isfinite(result.variance)
-        sd = math.sqrt(result.rest_variance + float(np.mean(result.variance[usable]))) if usable.any() else math.nan
+        first = result.first_step()
+        value, usable = first.stiffness, first.usable & np.isfinite(first.variance)
+        sd = math.sqrt(first.rest_variance + float(np.mean(first.variance[usable]))) if usable.any() else math.nan
         mean = float(np.mean(value[usable])) if usable.any() else math.nan
         yield from _judge("the stiffness is negative", mean, sd, "N/mm after the step", _TURNED)
     elif isinstance(result, StepAnalysis):

@@ -5,7 +5,8 @@ Pure formulas, with their derivatives. Does not belong here: data and weights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,23 +18,84 @@ OVER = 1e-4
 
 
 @dataclass(frozen=True)
-class Hold:
-    """When a held step was measured: values are means over windows after a linear ramp.
+class FurtherRamp:
+    """A further ramp of a staircase.
 
     Parameters
     ----------
-    start : (p,) s from the end of the ramp to the start of the window, ≥ 0
+    delay : s from the end of the first ramp to the end of this one
+    duration : s, 0 for a jump
+    share : its height over that of the first ramp, negative where it goes down
+    """
+
+    delay: float
+    duration: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Hold:
+    """When a held step was measured: values are means over windows after a linear ramp, or after several.
+
+    Parameters
+    ----------
+    start : (p,) s from the end of the (first) ramp to the start of the window, ≥ 0
     width : (p,) s of the window, 0 for a single instant
     ramp : s, duration of the ramp, 0 for a jump
+    further : ramps after the first one; a window lies after the end of one or before its start
     """
 
     start: Float
     width: Float
     ramp: float
+    further: tuple[FurtherRamp, ...] = ()
 
     @property
     def count(self) -> int:
         return int(self.start.size)
+
+    @property
+    def ramps(self) -> tuple[FurtherRamp, ...]:
+        """All ramps, the first one among them."""
+        return (FurtherRamp(0.0, self.ramp, 1.0), *self.further)
+
+    def since(self, ramp: FurtherRamp) -> Float:
+        """(p,) s from the end of a ramp to the start of the window, negative before it."""
+        return np.asarray(self.start - ramp.delay)
+
+    @property
+    def since_last(self) -> Float:
+        """(p,) s from the end of the last ramp before the window to its start."""
+        found = self.start
+        for ramp in self.further:
+            found = np.where(self.since(ramp) >= 0, self.since(ramp), found)
+        return found
+
+    @property
+    def last_ramp(self) -> Float:
+        """(p,) s, duration of the last ramp before the window."""
+        found = np.full(self.count, self.ramp)
+        for ramp in self.further:
+            found = np.where(self.since(ramp) >= 0, ramp.duration, found)
+        return found
+
+    @property
+    def level(self) -> Float:
+        """(p,) sum of the heights of all ramps before the window, over that of the first."""
+        return np.asarray(sum(np.where(self.since(ramp) >= 0, ramp.share, 0.0) for ramp in self.ramps))
+
+    def scaled(self, factors: Float) -> Hold:
+        """The same with the heights of the further ramps (r,) multiplied."""
+        pairs = zip(self.further, factors, strict=True)
+        return replace(self, further=tuple(replace(ramp, share=ramp.share * float(by)) for ramp, by in pairs))
+
+    def with_more(self, number: int, other: Hold) -> Hold:
+        """The same with the height of one of its further ramps (from 0) added as it is in another."""
+        shares = [
+            r.share + (o.share if i == number else 0.0)
+            for i, (r, o) in enumerate(zip(self.further, other.further, strict=True))
+        ]
+        return replace(self, further=tuple(replace(r, share=s) for r, s in zip(self.further, shares, strict=True)))
 
 
 def hold_kernel(hold: Hold, tau: Float) -> tuple[Float, Float]:
@@ -53,11 +115,31 @@ def hold_kernel(hold: Hold, tau: Float) -> tuple[Float, Float]:
     τ/T (1 − e^{−T/τ}) for the ramp times the mean of e^{−t/τ} over the window, τ/w (1 − e^{−w/τ}) e^{−start/τ}:
     superposition of steps (Boltzmann).
     """
-    ramp, width = hold.ramp / tau, hold.width[:, None] / tau
-    start = hold.start[:, None] / tau
-    value = mean_decay(ramp) * mean_decay(width) * np.exp(-start)
-    slope = (1 - _bernoulli(ramp)) + (1 - _bernoulli(width)) + start
-    return value, value * slope
+    width = hold.width[:, None] / tau
+
+    def of_ramp(since: Float, duration: float) -> Float:
+        ramp, start = duration / tau, since[:, None] / tau
+        value = mean_decay(ramp) * mean_decay(width) * np.exp(-start)
+        slope = (1 - _bernoulli(ramp)) + (1 - _bernoulli(width)) + start
+        return np.stack([value, value * slope])
+
+    value, slope = _superpose(hold, of_ramp)
+    return value, slope
+
+
+def _superpose(hold: Hold, of_ramp: Callable[[Float, float], Float]) -> Float:
+    """Sum (…, p, n) of the responses to all ramps of a hold.
+
+    `of_ramp` makes them (…, p, n) of times since the end of a ramp (p,) s and its duration, s.
+    """
+    if not hold.further:
+        return of_ramp(hold.start, hold.ramp)
+    total: Float = np.zeros(())
+    for ramp in hold.ramps:
+        since = hold.since(ramp)
+        weight = np.where(since >= 0, ramp.share, 0.0)[:, None]
+        total = total + weight * of_ramp(np.maximum(since, 0.0), ramp.duration)
+    return total
 
 
 def _bernoulli(x: Float) -> Float:
@@ -89,7 +171,7 @@ def hold_stiffness(theta: Float, shape: Shape, hold: Hold) -> tuple[Float, Float
     slope[:, a : a + n] = value * k
     slope[:, a + n : a + 2 * n] = by_tau * k
     if shape.spring:
-        slope[:, 0] = k0
+        slope[:, 0] = k0 * hold.level
     return slope[:, : a + n].sum(axis=1), slope
 
 
@@ -142,9 +224,9 @@ def series_hold_stiffness(theta: Float, shape: Shape, hold: Hold, cell: float) -
     slope = kernel @ by_spring + (by_tau * spring) @ (-shift / s[:, None])
     static = k0 * cell / (k0 + cell)
     if shape.spring:
-        slope[:, 0] += k0 * (cell / (k0 + cell)) ** 2
-    slope[:, -1] += cell * (k0 / (k0 + cell)) ** 2
-    return kernel @ spring + static, slope[:, :-1], slope[:, -1]
+        slope[:, 0] += k0 * (cell / (k0 + cell)) ** 2 * hold.level
+    slope[:, -1] += cell * (k0 / (k0 + cell)) ** 2 * hold.level
+    return kernel @ spring + static * hold.level, slope[:, :-1], slope[:, -1]
 
 
 def series_hold_values(k0: Float, k: Float, tau: Float, c: float, hold: Hold, cell: float) -> Float:
@@ -170,10 +252,15 @@ def series_hold_values(k0: Float, k: Float, tau: Float, c: float, hold: Hold, ce
     seen = c / float(total.min()) > OVER * float((hold.start + hold.width + hold.ramp).min())
     s, residue = _series_poles(k0, k, tau, c if seen else 0.0, cell)
     spring = -(cell**2) * residue / s
-    kernel = np.exp(hold.start[None, :, None] * s[:, None, :])
-    kernel *= mean_decay(-hold.ramp * s)[:, None, :] * mean_decay(-hold.width[None, :, None] * s[:, None, :])
-    static = k0 * cell / (k0 + cell)
-    return np.asarray(np.einsum("spn,sn->sp", kernel, spring) + static[:, None])
+    windows = mean_decay(-hold.width[None, :, None] * s[:, None, :])
+
+    def of_ramp(since: Float, duration: float) -> Float:
+        kernel = np.exp(since[None, :, None] * s[:, None, :])
+        kernel *= mean_decay(-duration * s)[:, None, :] * windows
+        return np.asarray(kernel)
+
+    static = (k0 * cell / (k0 + cell))[:, None] * hold.level
+    return np.asarray(np.einsum("spn,sn->sp", _superpose(hold, of_ramp), spring) + static)
 
 
 def _series_poles(k0: Float, k: Float, tau: Float, c: float, cell: float) -> tuple[Float, Float]:

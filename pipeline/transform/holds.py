@@ -98,10 +98,13 @@ class HeldRecord:
         return self.holds[-1].end_s
 
 
-def find_holds(time_s: Float, drive: Float, *, where: str = "", name: str = "load") -> tuple[Hold, ...]:
+def find_holds(
+    time_s: Float, drive: Float, *, where: str = "", name: str = "load", least_held: float = _MOSTLY
+) -> tuple[Hold, ...]:
     """The levels at which a drive (m,) is held, first to last.
 
-    A drive that never changes is one level. Raises `NotIdentifiableError` where it is held nowhere.
+    A drive that never changes is one level. Raises `NotIdentifiableError` where it is held for less than the share `least_held` of
+    the record.
     """
     every = max(1, time_s.size // _LOOKED_AT)
     t, u = time_s[::every], drive[::every]
@@ -119,7 +122,7 @@ def find_holds(time_s: Float, drive: Float, *, where: str = "", name: str = "loa
         else:
             merged.append((low, high))
     held_s = sum(t[high - 1] - t[low] for low, high in merged)
-    if held_s < _MOSTLY * (t[-1] - t[0]) or not merged:
+    if held_s < least_held * (t[-1] - t[0]) or not merged:
         raise NotIdentifiableError(
             f"the {name} is held nowhere", where=where, expected=f"a {name} that steps to a level and stays there"
         )

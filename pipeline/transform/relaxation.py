@@ -1,20 +1,23 @@
 """A step of displacement and the force while it is held: stress relaxation in log time.
 
 The ramp is a ramp: its start, end and height are part of the result, so that a fit can use the exact response to it (a
-pure dashpot has no response to a jump). Steps of voltage belong to another module.
+pure dashpot has no response to a jump). Of several steps, up and down, all are taken: what the earlier ones left goes on under
+the later ones. Steps of voltage belong to another module.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
 
 from pipeline.transform.channels import drive
+from pipeline.transform.holds import Hold
 from pipeline.transform.noise import mean_variances
 from pipeline.transform.sampling import seconds
+from pipeline.transform.staircase import LaterRamp, find_later_ramps, find_levels
 from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
@@ -37,12 +40,17 @@ _SPREAD = 2.0
 """Standard deviations of its own spread by which what is left of a parabola may exceed the noise."""
 _RINGING = 3.0
 """A window whose samples scatter so many times more than the noise still holds the ringing of the clamp."""
+SETTLED = 0.25
+"""Windows closer to the end of a ramp than this share of its duration are not used: a ramp is a straight line by and large only."""
 
 
 @final
 @dataclass(frozen=True)
 class RelaxationCurve:
     """Force over step height while the step is held, as means over windows equally wide in log time.
+
+    Of a staircase all levels are there, each with windows of its own, as changes since before the first step over the height of
+    the first step: what a linear film adds for each ramp is the response to the first, as much higher as that ramp is.
 
     Parameters
     ----------
@@ -60,6 +68,7 @@ class RelaxationCurve:
     recording_id, specimen_id : what it belongs to
     quantity : `stiffness_n_per_mm`, or `output_per_input` for a system of another kind
     details : rest force, step strain, held time and the like; plain values only
+    later : the ramps of a staircase after the first one
     """
 
     time_s: Float
@@ -76,11 +85,37 @@ class RelaxationCurve:
     recording_id: str | None = None
     specimen_id: str | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+    later: tuple[LaterRamp, ...] = ()
+
+    @property
+    def step_number(self) -> Int:
+        """(n,) from 1: the last ramp that is over when the window begins."""
+        ends = np.array([ramp.end_s for ramp in self.later])
+        return 1 + np.asarray((self.window_s[:, :1] >= ends).sum(axis=1), dtype=np.int64)
+
+    def first_step(self) -> RelaxationCurve:
+        """The curve of the first step alone."""
+        if not self.later:
+            return self
+        kept = self.step_number == 1
+        return replace(
+            self,
+            time_s=self.time_s[kept],
+            window_s=self.window_s[kept],
+            stiffness=self.stiffness[kept],
+            variance=self.variance[kept],
+            usable=self.usable[kept],
+            unusable_because=tuple(why for why, k in zip(self.unusable_because, kept, strict=True) if k),
+            later=(),
+        )
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A ramp from `before` to `after` between `start_s` and `end_s`, held until `until_s`; `noise` of one sample of the input."""
+    """A ramp from `before` to `after` between `start_s` and `end_s`, held until `until_s`; `noise` of one sample of the input.
+
+    `later` : the ramps that follow, the last of which leads to a level that is held until `ends_s`.
+    """
 
     start_s: float
     end_s: float
@@ -88,6 +123,16 @@ class _Step:
     before: float
     after: float
     noise: float
+    later: tuple[LaterRamp, ...]
+    ends_s: float
+
+    @property
+    def holds(self) -> tuple[tuple[float, float, float], ...]:
+        """Start and end of each ramp, and the end of the hold after it, s of the record."""
+        ramps = [(self.start_s, self.end_s)]
+        ramps += [(self.start_s + ramp.start_s, self.start_s + ramp.end_s) for ramp in self.later]
+        ends = [start for start, _ in ramps[1:]] + [self.ends_s]
+        return tuple((start, end, until) for (start, end), until in zip(ramps, ends, strict=True))
 
 
 @dataclass(frozen=True)
@@ -102,7 +147,7 @@ class _Level:
 def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, ...]]:
     """Relaxation curve of a mechanical `step` (or one of loading `other`), and warnings.
 
-    The first step is taken, from its ramp to the end of its hold. A testing machine begins to record when it begins to move: where
+    From the first ramp to the end of the last hold. A testing machine begins to record when it begins to move: where
     there is no rest, the force at the beginning of the ramp is the level from which it relaxes, and a warning says so.
 
     Raises `NotIdentifiableError` without a step or with a hold that is too short.
@@ -113,32 +158,29 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     t_f, force = seconds(source.output, origin)
     step = _find_step(t_x, x, where)
     height = step.after - step.before
-    held = (t_f > step.end_s) & (t_f <= step.until_s)
     rest = force[t_f < step.start_s]
-    time, values = t_f[held] - step.start_s, force[held]
-    starts = _window_starts(time, step.end_s - step.start_s)
-    again = step.until_s < t_f[-1]
-    if starts.size < _FEWEST_WINDOWS:
-        raise NotIdentifiableError(
-            f"the step is held for {step.until_s - step.end_s:.3g} s after a ramp of {step.end_s - step.start_s:.3g} s: "
-            f"{starts.size} windows in log time" + (", then the film is moved again" if again else ""),
-            where=where,
-            expected=f"at least {_FEWEST_WINDOWS} windows ({_PER_DECADE} per decade, from the end of the ramp on)",
-            remedy="Cut the recording into one for each step" if again else "",
-        )
-    counts = np.diff(np.append(starts, time.size))
-    means = np.add.reduceat(values, starts) / counts
-    times = np.add.reduceat(time, starts) / counts
-    window = np.column_stack([time[starts], time[np.append(starts[1:], time.size) - 1]])
-    quiet, ramp_noise = _noise(rest, values)
+    again = step.ends_s < t_f[-1]
+    windows = _windows(t_f, step)
+    if windows.shape[0] < _FEWEST_WINDOWS:
+        raise _too_few(step, windows.shape[0], again, where)
+    begin, end = windows[:, 0], windows[:, 1]
+    time = t_f - step.start_s
+    sums, clocks = (np.concatenate([[0.0], np.cumsum(v - v[0])]) for v in (force, time))
+    counts = end - begin
+    means = (sums[end] - sums[begin]) / counts + force[0]
+    times = (clocks[end] - clocks[begin]) / counts + time[0]
+    window = np.column_stack([time[begin], time[end - 1]])
+    quiet, ramp_noise = _noise(rest, force[(t_f > step.end_s) & (t_f <= step.until_s)])
     variance = mean_variances(quiet, np.append(counts, max(rest.size, 1)))
     level = _rest_level(rest, float(variance[-1]), t_f, force, step, ramp_noise)
     coarse = _rounding_variance(source.output.resolution, ramp_noise)
     variance = np.maximum(variance, coarse)
-    interval = _interval_at(t_x, step)
-    if step.end_s - step.start_s < 3 * interval:
-        variance[:-1] += (np.gradient(means, times) * interval) ** 2 / 12
-    scatter = _scatter(time, values, starts, counts)
+    for start, stop, until in step.holds:
+        interval = _interval_at(t_x, start, stop)
+        rows = (window[:, 0] + step.start_s > stop) & (window[:, 0] + step.start_s <= until)
+        if stop - start < 3 * interval and int(rows.sum()) > 1:
+            variance[:-1][rows] += (np.gradient(means[rows], times[rows]) * interval) ** 2 / 12
+    scatter = _scatter(time, force, begin, counts)
     ringing = scatter > _RINGING * max(ramp_noise, np.sqrt(coarse))
     x_before = x[t_x < step.start_s]
     x_after = x[(t_x > step.end_s) & (t_x <= step.until_s)]
@@ -167,6 +209,7 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
             "input_unit": source.input_unit,
             "output_unit": source.output_unit,
         },
+        later=step.later,
     )
     warnings = []
     if not level.samples:
@@ -175,7 +218,7 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
         )
     if again:
         warnings.append(
-            f"the film is moved again {step.until_s - step.start_s:.3g} s after the step: what comes then is not used; a recording of its own "
+            f"the film is moved again {step.ends_s - step.start_s:.3g} s after the step: what comes then is not used; a recording of its own "
             "would be"
         )
     if ringing.any():
@@ -190,10 +233,40 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     return curve, tuple(warnings)
 
 
-def _interval_at(time: Float, step: _Step) -> float:
-    """Mean interval of the samples from before the ramp to after it: many machines take fewer while they hold."""
-    first = max(int(np.searchsorted(time, step.start_s)) - 1, 0)
-    near = time[first : int(np.searchsorted(time, step.end_s)) + 2]
+def _too_few(step: _Step, count: int, again: bool, where: str) -> NotIdentifiableError:
+    steps = f"each of {len(step.holds)} steps" if step.later else "the step"
+    longest = max(until - end for _, end, until in step.holds)
+    return NotIdentifiableError(
+        f"{steps} is held for {longest:.3g} s after a ramp of {step.end_s - step.start_s:.3g} s: "
+        f"{count} windows in log time" + (", then the film is moved again" if again else ""),
+        where=where,
+        expected=f"at least {_FEWEST_WINDOWS} windows ({_PER_DECADE} per decade, from the end of the ramp on)",
+        remedy="Cut the recording into one for each step" if again else "",
+    )
+
+
+def _windows(time: Float, step: _Step) -> Int:
+    """First sample of each window and the one after its last (n, 2), hold by hold.
+
+    They are equally wide in log time: since the start of the ramp where there is one, since the end of its own in a staircase,
+    whose ramps are often as long as its holds.
+    """
+    found = []
+    for start, end, until in step.holds:
+        held = np.flatnonzero((time > end) & (time <= until))
+        if not held.size:
+            continue
+        zero, first = (end, SETTLED * (end - start)) if step.later else (start, end - start)
+        since = time[held] - zero
+        begin = held[_window_starts(since, first)]
+        found.append(np.column_stack([begin, np.append(begin[1:], held[-1] + 1)]))
+    return np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
+
+
+def _interval_at(time: Float, start_s: float, end_s: float) -> float:
+    """Mean interval of the samples from before a ramp to after it: many machines take fewer while they hold."""
+    first = max(int(np.searchsorted(time, start_s)) - 1, 0)
+    near = time[first : int(np.searchsorted(time, end_s)) + 2]
     return float((near[-1] - near[0]) / (near.size - 1))
 
 
@@ -232,7 +305,10 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
     after = _median_over_time(time, x, away > reach / 2)
     progress = (x - before) / (after - before)
     t10, t90 = _crossing(time, progress, 0.1), _crossing(time, progress, 0.9)
-    first = _find_hold_within(time, x, t10, t90, max(_CLEARLY * noise, _STILL * reach))
+    levels = find_levels(time, x)
+    first = _find_first_level(levels, before, t90, max(_CLEARLY * noise, _STILL * reach))
+    if first is None:
+        first = _find_hold_within(time, x, t10, t90, max(_CLEARLY * noise, _STILL * reach))
     if first is not None:
         after = first
         progress = (x - before) / (after - before)
@@ -241,10 +317,7 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
     start = max(t10 - 0.1 * duration, float(time[0]))
     end = t10 + 0.9 * duration
     tolerance = max(0.02, _CLEARLY * noise / abs(after - before))
-    left = (time > end + duration) & (np.abs(progress - 1) > tolerance)
-    # One sample may be a spike: three in a row have left the level.
-    run = left[:-2] & left[1:-1] & left[2:]
-    until = float(time[max(int(run.argmax()) - 1, 0)]) if run.any() else float(time[-1]) + 1e-9
+    until = _leaves(time, (time > end + duration) & (np.abs(progress - 1) > tolerance))
     rest = x[time < start]
     held = x[(time > end) & (time <= until)]
     if held.size < _FEWEST_WINDOWS:
@@ -252,7 +325,28 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
             f"{held.size} samples while the step is held", where=where, expected=f"at least {_FEWEST_WINDOWS}"
         )
     begin = float(rest.mean()) if rest.size >= _FEWEST_REST else before
-    return _Step(start, end, until, begin, float(held.mean()), noise)
+    level = float(held.mean())
+    later = find_later_ramps(time, x, levels, (start, end, level), noise)
+    if not later:
+        return _Step(start, end, until, begin, level, noise, (), until)
+    last = level + sum(ramp.step for ramp in later)
+    tolerance = max(tolerance * abs(after - before), _CLEARLY * noise)
+    ends = _leaves(time, (time > start + later[-1].end_s + later[-1].ramp_s) & (np.abs(x - last) > tolerance))
+    return _Step(start, end, start + later[0].start_s, begin, level, noise, later, ends)
+
+
+def _leaves(time: Float, left: Bool) -> float:
+    """Last time before a level is left for good; one sample may be a spike: three in a row have left it."""
+    run = left[:-2] & left[1:-1] & left[2:]
+    return float(time[max(int(run.argmax()) - 1, 0)]) if run.any() else float(time[-1]) + 1e-9
+
+
+def _find_first_level(levels: Sequence[Hold], before: float, last_s: float, tolerance: float) -> float | None:
+    """The first level of a staircase that is held before its largest one is reached; None where there is none."""
+    for hold in levels:
+        if abs(hold.level - before) > tolerance and hold.end_s < last_s:
+            return hold.level
+    return None
 
 
 def _median_over_time(time: Float, x: Float, chosen: Bool) -> float:

@@ -58,11 +58,24 @@ def test_window_means_and_their_variance(ramp: float) -> None:
     assert np.mean(scores) < 1.6
 
 
-def test_only_the_hold_counts_when_the_film_is_released_again() -> None:
-    _, made = run(0.05, back=60.0)
-    curve, _ = relaxation_curve(made)
+def test_a_release_is_a_step_down_with_windows_of_its_own() -> None:
+    time, made = run(0.05, back=60.0)
+    curve, warnings = relaxation_curve(made)
     assert curve.details["held_s"] == pytest.approx(60.0 - 4.05, abs=0.02)
-    assert curve.time_s[-1] < 56.0
+    (down,) = curve.later
+    assert (down.start_s, down.ramp_s, down.step) == pytest.approx((56.0, 0.05, -2.0), abs=3e-3)
+    assert warnings == ()
+    first = curve.step_number == 1
+    assert first.sum() >= 25
+    assert (~first).sum() >= 25
+    assert curve.window_s[first, 1].max() < 56.0
+    assert curve.window_s[~first, 0].min() > 56.05
+    assert curve.first_step().time_s.size == first.sum()
+    exact = (relaxed(time, 4.0, 0.05, 2.0) - relaxed(time, 60.0, 0.05, 2.0)) / 2.0
+    since = time - curve.details["ramp_start_s"]
+    means = [exact[(since >= a - 1e-9) & (since <= b + 1e-9)].mean() for a, b in curve.window_s]
+    error = (curve.stiffness - means) / np.sqrt(curve.variance + curve.rest_variance)
+    assert np.abs(error)[curve.time_s > 0.5].max() < 5
 
 
 def test_ringing_windows_are_marked() -> None:
@@ -126,20 +139,38 @@ def test_a_machine_that_records_when_it_moves_gives_its_curve(ramp: float, rest_
 
 
 @pytest.mark.parametrize("second_s", [30.0, 60.0, 90.0])
-def test_of_several_steps_the_first_is_taken(second_s: float) -> None:
-    """However long the second one is held: the first hold ends where the film is moved again, and that is said."""
+def test_of_several_steps_all_are_taken(second_s: float) -> None:
+    """However long each is held: a window is the film's own force, with what the first step left in it."""
     rng = np.random.default_rng(seed=3)
     time = np.arange(0.0, 120.0, 0.02)
     x = 2 * np.clip((time - 4.0) / 0.4, 0, 1) + 3 * np.clip((time - second_s) / 0.4, 0, 1)
     force = relaxed(time, 4.0, 0.4, 2.0) + relaxed(time, second_s, 0.4, 3.0)
-    x, force = x + rng.normal(0, 5e-4, x.size), force + rng.normal(0, 1e-3, x.size)
-    curve, warnings = relaxation_curve(recording({"displacement": x, "force": force}, 50.0, protocol="step"))
+    x, noisy = x + rng.normal(0, 5e-4, x.size), force + rng.normal(0, 1e-3, x.size)
+    curve, warnings = relaxation_curve(recording({"displacement": x, "force": noisy}, 50.0, protocol="step"))
     assert curve.step == pytest.approx(2.0, abs=1e-3)
-    assert curve.window_s[-1, 1] < second_s - 4.0 + 0.02, "one sample"
+    (second,) = curve.later
+    assert (second.start_s, second.ramp_s, second.step) == pytest.approx((second_s - 4.0, 0.4, 3.0), abs=0.01)
     assert curve.usable.all()
-    exact = relaxed(time, 4.0, 0.4, 2.0) / 2.0
-    since = time - 4.0
-    means = [exact[(since >= a - 1e-9) & (since <= b + 1e-9)].mean() for a, b in curve.window_s]
-    settled = curve.time_s > 1.0  # before that the ramp's instant counts, which is known to a fraction of a sample
+    first = curve.step_number == 1
+    assert curve.window_s[first, 1].max() < second_s - 4.0 + 0.02, "one sample"
+    assert (~first).sum() > 10
+    since = time - curve.details["ramp_start_s"]
+    means = [force[(since >= a - 1e-9) & (since <= b + 1e-9)].mean() / 2 for a, b in curve.window_s]
+    # Before that the ramps' instants count, which are known to a fraction of a sample.
+    settled = np.where(first, curve.time_s, curve.time_s - second.start_s) > 1.0
     assert np.abs(curve.stiffness - means)[settled].max() < 5e-3
-    assert any("moved again" in warning for warning in warnings)
+    assert not warnings
+
+
+def test_what_is_no_step_ends_a_staircase_aloud() -> None:
+    """Cycles after the second hold are no steps."""
+    time = np.arange(0.0, 120.0, 0.02)
+    x = 2 * np.clip((time - 4.0) / 0.4, 0, 1) + 3 * np.clip((time - 40.0) / 0.4, 0, 1)
+    cycling = np.where(time > 80, np.sin(2 * np.pi * 0.25 * (time - 80)), 0.0)
+    force = relaxed(time, 4.0, 0.4, 2.0) + relaxed(time, 40.0, 0.4, 3.0) + cycling
+    rng = np.random.default_rng(seed=4)
+    made = {"displacement": x + cycling + rng.normal(0, 5e-4, x.size), "force": force + rng.normal(0, 1e-3, x.size)}
+    curve, warnings = relaxation_curve(recording(made, 50.0, protocol="step"))
+    assert len(curve.later) == 1
+    assert curve.window_s[-1, 1] == pytest.approx(76.0, abs=0.1)
+    assert any("moved again 76" in warning for warning in warnings)

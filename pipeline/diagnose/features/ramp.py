@@ -18,6 +18,7 @@ from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_sa
 from pipeline.diagnose.rules import RULES
 from pipeline.transform.channels import drive
 from pipeline.transform.sampling import runs
+from pipeline.transform.staircase import find_levels
 from schemas.arrays import Complex, Float
 from schemas.errors import NotIdentifiableError
 from schemas.recording import Recording
@@ -157,7 +158,15 @@ def _holds(x: Float, rest: int) -> list[tuple[int, int, int]]:
     # The half-cosine or linear ends of a ramp move less than the threshold: a tenth of the ramp on both sides.
     padded = [(max(a + width // 2 - (b - a) // 10, rest), min(b + (b - a) // 10, x.size)) for a, b in merged]
     ends = [*(a for a, _ in padded[1:]), x.size][: len(padded)]
-    return [(a, b, e) for (a, b), e in zip(padded, ends, strict=True) if e - b > 8]
+    return [(a, b, e) for (a, b), e in zip(padded, ends, strict=True) if e - b > 8] or _slow_holds(x, rest)
+
+
+def _slow_holds(x: Float, rest: int) -> list[tuple[int, int, int]]:
+    """The same of ramps so slow that no two neighbours are clearly apart: the levels at which the displacement stands."""
+    levels = [hold for hold in find_levels(np.arange(x.size, dtype=float), x) if hold.start_s >= rest]
+    ends = [rest, *(int(hold.end_s) for hold in levels)]
+    found = [(begin, int(hold.start_s), int(hold.end_s) + 1) for begin, hold in zip(ends, levels, strict=False)]
+    return [(a, b, e) for a, b, e in found if a < b and e - b > 8]
 
 
 def _finished(

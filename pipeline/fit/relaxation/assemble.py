@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.fit.relaxation.observations import ELECTRICAL, FILM, MECHANICAL, Curve, Lines, Nuisance, Observations
-from pipeline.physics.held_step import Hold
+from pipeline.fit.relaxation.staircase import UNEQUAL, find_step_factors
+from pipeline.physics.held_step import FurtherRamp, Hold
 from pipeline.physics.rig import RigPrior, missing_constants, rig_prior
-from pipeline.transform.relaxation import RelaxationCurve
+from pipeline.transform.relaxation import SETTLED, RelaxationCurve
 from pipeline.transform.response import FORCE_PER_VOLTAGE_SQUARED, STIFFNESS, FrequencyResponse
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -26,11 +27,8 @@ UNKNOWN_RELATIVE_SD = 0.01
 """First guess of the relative noise of a response that comes without variance."""
 RELATIVE_FLOOR = 1e-5
 """Least relative standard deviation that a variance may claim: no rig is better."""
-
-
-CURVE_FLOOR, EDGE = 1e-3, 0.25
-"""The same for relaxation curves, whose ramp is taken as a straight line between two samples; windows closer to its end than
-this share of its duration are left out."""
+CURVE_FLOOR = 1e-3
+"""The same for relaxation curves, whose ramp is taken as a straight line between two samples."""
 
 
 def assemble(
@@ -162,28 +160,36 @@ def _usable(response: FrequencyResponse) -> tuple[FrequencyResponse, bool, str]:
 def _curve(
     curve: RelaxationCurve, group: int, rig: int | None, prior: RigPrior | None
 ) -> tuple[Curve | None, bool, str]:
-    """The block of a relaxation curve, whether its variance is a guess, and why it is left out."""
+    """The block of a relaxation curve, whether its variance is a guess, and why it is left out or what must be said of it."""
     if curve.quantity != STIFFNESS:
         return None, False, f"a step response of {curve.quantity} is no stiffness"
-    start = curve.window_s[:, 0] - curve.ramp_s
-    good = curve.usable & np.isfinite(curve.stiffness) & (start >= EDGE * curve.ramp_s) & (curve.stiffness > 0)
+    further = tuple(FurtherRamp(ramp.end_s - curve.ramp_s, ramp.ramp_s, ramp.step / curve.step) for ramp in curve.later)
+    start, width = curve.window_s[:, 0] - curve.ramp_s, np.diff(curve.window_s, axis=1)[:, 0]
+    hold = Hold(start, width, curve.ramp_s, further)
+    good = curve.usable & np.isfinite(curve.stiffness) & (hold.since_last >= SETTLED * hold.last_ramp)
+    good &= (curve.stiffness > 0) | bool(further)
     good &= curve.window_s[:, 1] > 0
     if not good.any():
         return None, False, "no usable value"
     variance, value = curve.variance[good], curve.stiffness[good]
+    hold = replace(hold, start=start[good], width=width[good])
+    # On the way down the force may be anything: what its ramps are off by goes with the largest that they led to.
+    size = np.maximum.accumulate(np.abs(value)) if further else value
     estimated = not bool(np.isfinite(variance).all() and (variance > 0).all())
     if estimated:
-        variance = (UNKNOWN_RELATIVE_SD * value) ** 2
-    variance = np.maximum(variance, (CURVE_FLOOR * value) ** 2)
-    variance = variance + (value * _ringing(curve.window_s[good], curve.ramp_s, value, prior)) ** 2 / 2
-    hold = Hold(start[good], np.diff(curve.window_s[good], axis=1)[:, 0], curve.ramp_s)
+        variance = (UNKNOWN_RELATIVE_SD * size) ** 2
+    variance = np.maximum(variance, (CURVE_FLOOR * size) ** 2)
+    variance = variance + (size * _ringing(hold.since_last, width[good], hold.last_ramp, size, prior)) ** 2 / 2
     offset = np.sqrt(curve.rest_variance) if np.isfinite(curve.rest_variance) else 0.0
     height = curve.step_sd / abs(curve.step) if np.isfinite(curve.step_sd) and curve.step else 0.0
-    return Curve(hold, value, 1 / np.sqrt(variance), group, rig, float(offset), height), estimated, ""
+    factors = None if estimated else find_step_factors(hold, value, variance, float(offset))
+    unequal = 0.0 if factors is None else UNEQUAL
+    told = "" if factors is None else factors.statement
+    return Curve(hold, value, 1 / np.sqrt(variance), group, rig, float(offset), height, unequal), estimated, told
 
 
-def _ringing(window: Float, ramp: float, stiffness: Float, prior: RigPrior | None) -> Float:
-    """Amplitude (p,) of the clamp's ringing in means over windows (p, 2), as a share of the force.
+def _ringing(since: Float, width: Float, ramp: Float, stiffness: Float, prior: RigPrior | None) -> Float:
+    """Amplitude (p,) of the clamp's ringing in means over windows (p,) s wide, (p,) s after ramps of (p,) s, as a share of the force.
 
     The model of a relaxation curve has the clamp at rest: it neglects the ringing that the ramp leaves, so that this counts as
     noise. Amplitude after a ramp of duration T: at most 2/(ωT) of the force, decaying with cL/2M; a mean over W leaves 2/(ωW).
@@ -192,10 +198,9 @@ def _ringing(window: Float, ramp: float, stiffness: Float, prior: RigPrior | Non
         return np.zeros(stiffness.size)
     rig = prior.rig
     omega = rig.clamp_omega * np.sqrt(rig.at_rest(stiffness))
-    start = np.minimum(1.0, 2 / (omega * max(ramp, 1e-12)))
-    decay = np.exp(-rig.damping / (2 * rig.mass) * np.maximum(window[:, 0] - ramp, 0.0))
-    width = np.maximum(np.diff(window, axis=1)[:, 0], 1e-12)
-    return np.asarray(start * decay * np.minimum(1.0, 2 / (omega * width)))
+    start = np.minimum(1.0, 2 / (omega * np.maximum(ramp, 1e-12)))
+    decay = np.exp(-rig.damping / (2 * rig.mass) * np.maximum(since, 0.0))
+    return np.asarray(start * decay * np.minimum(1.0, 2 / (omega * np.maximum(width, 1e-12))))
 
 
 def _kind(response: FrequencyResponse, rig: int | None) -> str:
@@ -256,7 +261,9 @@ def _nuisance(blocks: Sequence[Lines | Curve], priors: Sequence[RigPrior]) -> Nu
     calibration: dict[int, tuple[int, ...]] = {}
     for i, block in enumerate(blocks):
         if isinstance(block, Curve):
-            calibration[i] = places(f"curve {i + 1} offset and height", 2)
+            calibration[i] = places(f"curve {i + 1} offset and height", 2) + places(
+                f"curve {i + 1} step", block.own_gains
+            )
         elif block.systematic is not None:
             calibration[i] = places(f"response {i + 1} calibration", block.systematic.shape[1])
     amplitude = None

@@ -86,6 +86,7 @@ def _rung(fit: RelaxationFit, films: Sequence[FrequencyResponse], relaxations: S
 
 def _in_time(fit: RelaxationFit, curve: RelaxationCurve) -> tuple[Float, Float]:
     """Model and measurement (p,) after the ramp of a curve of the film alone."""
+    curve = curve.first_step()
     start, width = curve.window_s[:, 0] - curve.ramp_s, np.diff(curve.window_s, axis=1)[:, 0]
     good = curve.usable & (start >= 0)
     hold = Hold(start[good], width[good], curve.ramp_s)

@@ -122,8 +122,12 @@ class Linearisation:
         obs, q = self.observations, self.at.q
         blank = np.zeros((block.rows, obs.nuisance.size))
         if block.number in obs.nuisance.calibration:
-            level, height = obs.nuisance.calibration[block.number]
+            level, height, *factors = obs.nuisance.calibration[block.number]
             blank[:, level], blank[:, height] = block.weight * block.offset, block.weight * block.value * block.height
+            for place, ramp in zip(factors, block.hold.further, strict=False):
+                # As if the film were elastic, as stiff as at the first window.
+                reached = np.where(block.hold.since(ramp) >= 0, ramp.share, 0.0)
+                blank[:, place] = block.weight * block.unequal * block.value[0] * reached
         if self.at.material is not None:
             theta, shape = self.at.material
             value, _, by_q = obs.predict_curve(block, theta, shape, q)
@@ -133,7 +137,9 @@ class Linearisation:
         if block.rig is None:
             return block.weight, block.weight * block.value, blank
         _, cell, _, gain = obs.constants(block.rig, q)
-        share = np.maximum(1 - block.value / (gain * cell), 0.05)
+        moved = block.hold.level
+        secant = np.divide(block.value, moved, out=np.zeros(block.rows), where=moved != 0)
+        share = np.maximum(1 - secant / (gain * cell), 0.05)
         return block.weight * gain * share**2, block.weight * block.value * share, blank
 
     def _tangent(self, block: Curve, theta: Float, shape: Shape) -> Float:
@@ -145,11 +151,12 @@ class Linearisation:
     def _curve_columns(self, block: Curve, tau: Float | None) -> Float:
         """Columns of a relaxation curve: exact for a rigid load cell, finite differences behind a compliant one."""
         obs = self.observations
+        hold = block.hold_at(obs.nuisance, self.at.q)
         if self.at.material is None or block.rig is None:
             if tau is None:
-                columns = np.stack([np.ones(block.rows), np.zeros(block.rows)], 1)
+                columns = np.stack([hold.level, np.zeros(block.rows)], 1)
             else:
-                columns = hold_kernel(block.hold, tau)[0]
+                columns = hold_kernel(hold, tau)[0]
             if self.at.material is not None:
                 columns = columns * block.gain(obs.nuisance, self.at.q)
             return columns
@@ -164,10 +171,11 @@ class Linearisation:
         _, cell, _, gain = self.observations.constants(block.rig, self.at.q)
         factor = gain * block.gain(self.observations.nuisance, self.at.q)
         step = DIFFERENCE * (k0 + k.sum())
-        longest = float((block.hold.start + block.hold.width).max()) + block.hold.ramp
+        hold = block.hold_at(self.observations.nuisance, self.at.q)
+        longest = float((hold.start + hold.width).max()) + hold.ramp
 
         def values(k0s: Float, ks: Float, all_tau: Float, c: float) -> Float:
-            return np.asarray(factor * series_hold_values(k0s, ks, all_tau, c, block.hold, cell).T)
+            return np.asarray(factor * series_hold_values(k0s, ks, all_tau, c, hold, cell).T)
 
         if tau is None:
             small = step / float(block.omega.max())

@@ -66,10 +66,11 @@ class Lines:
 
 @dataclass(frozen=True)
 class Curve:
-    """A relaxation curve: `value` (p,) force over final displacement in N/mm.
+    """A relaxation curve: `value` (p,) force over the displacement of the (first) step in N/mm.
 
     `hold` says when; `offset` is the standard deviation of an error common to all values in N/mm, `height` the relative standard
-    deviation of the step's height.
+    deviation of the step's height; `unequal` that of what the further steps of a staircase add, over what they would in a linear
+    film: 0 where the data are those of one.
     """
 
     hold: Hold
@@ -79,11 +80,23 @@ class Curve:
     rig: int | None = None
     offset: float = 0.0
     height: float = 0.0
+    unequal: float = 0.0
     number: int = 0
 
     @property
     def rows(self) -> int:
         return self.value.size
+
+    @property
+    def own_gains(self) -> int:
+        """Steps that have a factor of their own."""
+        return len(self.hold.further) if self.unequal else 0
+
+    def hold_at(self, nuisance: Nuisance, q: Float) -> Hold:
+        """When it was measured, its further ramps as high as their factors make them."""
+        if not self.own_gains:
+            return self.hold
+        return self.hold.scaled(1 + self.unequal * q[list(nuisance.calibration[self.number][2:])])
 
     def gain(self, nuisance: Nuisance, q: Float) -> float:
         """Factor of the group and of the step's height on the curve."""
@@ -94,8 +107,8 @@ class Curve:
 
     @property
     def omega(self) -> Float:
-        """(p,) rad/s: 1/t of the values, t from the end of the ramp."""
-        return np.asarray(1 / (self.hold.start + self.hold.width / 2 + self.hold.ramp / 2))
+        """(p,) rad/s: 1/t of the values, t from the middle of the last ramp."""
+        return np.asarray(1 / (self.hold.since_last + self.hold.width / 2 + self.hold.last_ramp / 2))
 
 
 Block = Lines | Curve
@@ -213,21 +226,30 @@ class Observations:
         """Force over final displacement (p,), its derivative by θ (p, size) and by q (p, Q)."""
         n = self.nuisance
         by_q = np.zeros((block.rows, n.size))
+        hold = block.hold_at(n, q)
+        gain, cell = 1.0, None
         if block.rig is None:
-            value, by_theta = hold_stiffness(theta, shape, block.hold)
+            value, by_theta = hold_stiffness(theta, shape, hold)
         else:
             constants = self.constants(block.rig, q)
             _, cell, _, gain = constants
-            value, by_theta, by_cell = (gain * x for x in series_hold_stiffness(theta, shape, block.hold, cell))
+            value, by_theta, by_cell = (gain * x for x in series_hold_stiffness(theta, shape, hold, cell))
             factor = self.rigs[block.rig].slopes(constants)
             by_q[:, list(n.rigs[block.rig])] = np.outer(by_cell / cell, factor[1]) + np.outer(value / gain, factor[3])
+        for i, place in enumerate(n.calibration[block.number][2:] if block.own_gains else ()):
+            more = hold.with_more(i, block.hold)
+            if cell is None:
+                more_value = hold_stiffness(theta, shape, more)[0]
+            else:
+                more_value = gain * series_hold_stiffness(theta, shape, more, cell)[0]
+            by_q[:, place] = block.unequal * (more_value - value)
         if n.gains:
             place = n.gains[block.group]
             own = np.exp(q[place])
             value, by_theta, by_q = value * own, by_theta * own, by_q * own
             by_q[:, place] += value
         if block.number in n.calibration:
-            level, height = n.calibration[block.number]
+            level, height = n.calibration[block.number][:2]
             by_q[:, level], by_q[:, height] = block.offset, value * block.height
             value = value * (1 + block.height * q[height])
             by_theta *= 1 + block.height * q[height]

@@ -60,12 +60,13 @@ def without_first_windows(observations: Observations, fit: RelaxationFit) -> Obs
 
 def _feels(block: Curve, fit: RelaxationFit) -> Bool:
     """(p,) true from the first window to the last that feels the fastest arm; the first one always does."""
-    feels = block.hold.start <= block.hold.start.min()
+    since = block.hold.since_last
+    feels = since <= since.min()
     if fit.model.k and not fit.model.c_inf > 0:
         i = int(np.argmin(fit.model.tau))
         share = fit.model.k[i] * hold_kernel(block.hold, np.array([fit.model.tau[i]]))[0][:, 0]
-        last = block.hold.start[feels | (share * block.weight > NOTICED)].max()
-        feels = block.hold.start <= last
+        last = since[feels | (np.abs(share) * block.weight > NOTICED)].max()
+        feels = since <= last
     return np.asarray(feels)
 
 
@@ -75,8 +76,8 @@ def describe_left_out(whole: Observations, kept: Observations, order: int) -> st
     for before, after in zip(whole.blocks, kept.blocks, strict=True):
         assert isinstance(before, Curve)
         assert isinstance(after, Curve)
-        out = before.hold.start < after.hold.start.min()
-        ends.append(float((before.hold.start + before.hold.width)[out].max(initial=0.0)))
+        out = before.hold.since_last < after.hold.since_last.min()
+        ends.append(float((before.hold.since_last + before.hold.width)[out].max(initial=0.0)))
     return (
         f"order {order} is not taken: its fastest arm shows in the first {whole.rows - kept.rows} windows only, up to"
         f" {significant(max(ends), 2)} s after the ramp, where any spring explains it. They are left out"

@@ -116,9 +116,10 @@ def _figure(draft: Draft, course: Course, name: str) -> Figure:
 
 
 def _stored(draft: Draft, row: Record, fit: Record | None) -> Course | None:
-    """What the analysis found after the step, which is what the model is fitted to."""
+    """What the analysis found after the step, of a staircase after its first one, which is what the model is fitted to."""
     query = Query(
-        "SELECT time_s, value, ramp_s, quantity FROM relaxation_curves WHERE recording_id = $item AND usable ORDER BY time_s",
+        "SELECT time_s, value, ramp_s, quantity FROM relaxation_curves WHERE recording_id = $item AND usable"
+        " AND step_number = 1 ORDER BY time_s",
         {"item": row["recording_id"] or ""},
     )
     data = draft.results.columns(query)
