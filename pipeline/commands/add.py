@@ -47,10 +47,29 @@ def _list_files(given: Sequence[Path]) -> tuple[list[Path], set[Path]]:
         new = [
             one.path for one in discover([folder], lambda text: print(text, file=sys.stderr)) if one.state == UNMAPPED
         ]
+        new = sorted({*new, *_list_named_otherwise(folder)})
         if not new:
             print(f"{folder}: no file without a mapping", file=sys.stderr)
         found += new
     return [*files, *found], set(found)
+
+
+def _list_named_otherwise(folder: Path) -> list[Path]:
+    """Files whose ending tells no format, without a mapping, that hold text: machines name their exports after themselves (`.TRA`)."""
+    from ingest.formats import UNREAD
+    from ingest.mapping import format_of, own_mapping
+
+    found = []
+    for path in folder.rglob("*"):
+        hidden = any(part.startswith((".", "~$")) for part in path.relative_to(folder).parts)
+        known = path.suffix.lower() in (".toml", *UNREAD) or format_of(path) is not None
+        if hidden or known or not path.is_file() or own_mapping(path).is_file():
+            continue
+        with path.open("rb") as file:
+            start = file.read(4096)
+        if start and b"\x00" not in start:
+            found.append(path)
+    return found
 
 
 def _add_found(path: Path, arguments: Namespace, shared: Mapping[Path, Collection[str]]) -> int:

@@ -196,7 +196,8 @@ def test_what_stands_below_a_table_is_no_damage_and_the_way_comes_before_the_mac
 def test_a_folder_is_added_with_what_is_new_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     deeper = tmp_path / "raw" / "day 1"
     deeper.mkdir(parents=True)
-    first, second = write_record(tmp_path / "raw" / "a.csv"), write_record(deeper / "b.csv")
+    first, second = write_record(tmp_path / "raw" / "a.csv"), write_record(deeper / "b.TRA")
+    (deeper / "scan.png").write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00")
     (deeper / "film.txt").write_text("film 3 slipped once\n", encoding="utf-8")
     assert main(["add", str(tmp_path / "raw"), "--yes", "zone=UTC"]) == 0
     told = capsys.readouterr()
