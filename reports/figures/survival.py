@@ -108,8 +108,14 @@ def survival_time_scale(groups: Sequence[GroupCurve]) -> tuple[Scale, list[float
     x = logarithmic(positive, margin=0.03) if spread > 300 else Scale(0.0, end * 1.0001)
     ticks = x.ticks(7)[0]
     if not x.log and end - ticks[-1] > 0.35 * (ticks[1] - ticks[0]):
-        ticks.append(end)
+        ticks.append(_in_few_digits(end))
     return x, ticks
+
+
+def _in_few_digits(end: float) -> float:
+    """The end of an axis in three digits, not beyond it: 277.78 h is 277."""
+    place = 10.0 ** (math.floor(math.log10(end)) - 2)
+    return float(f"{math.floor(end / place * (1 + 1e-12)) * place:.6g}")
 
 
 def _unfailed_words(g: GroupCurve) -> list[str]:

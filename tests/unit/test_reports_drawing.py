@@ -395,3 +395,16 @@ def test_a_stripe_hides_no_line() -> None:
     panel.curve([0, 10], [0, 100], "#0069a8")
     looks = [e.attrib.get("stroke") or e.attrib["fill"] for e in ElementTree.fromstring(write_svg(drawing))]
     assert looks == ["#eef0f2", "#eef0f2", "#b8420a", "#0069a8"]
+
+
+@pytest.mark.parametrize(("end", "shown"), [(1e6 / 3600, "277"), (48.3, "48.3"), (1.0 / 3, "0.333"), (5000.0, None)])
+def test_the_end_of_a_survival_axis_has_few_digits(end: float, shown: str | None) -> None:
+    """A million cycles at 1 Hz are 277.777… hours: all of the digits stood over the tick beside it."""
+    none = np.zeros(2, dtype=np.int64)
+    one = np.ones(2)
+    curve = survival.GroupCurve("a", group(0), np.array([0.4, 1.0]) * end, one, one, one, none, none, none)
+    _, ticks = survival.survival_time_scale([curve])
+    assert ticks[-1] <= end * (1 + 1e-9)
+    if shown is not None and ticks[-1] > 0.9 * end:
+        assert tick_text(ticks[-1]) == shown
+    assert all(len(tick_text(tick)) <= 6 for tick in ticks)
