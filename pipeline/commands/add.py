@@ -55,7 +55,7 @@ def _list_files(given: Sequence[Path]) -> tuple[list[Path], set[Path]]:
 
 
 def _list_named_otherwise(folder: Path) -> list[Path]:
-    """Files whose ending tells no format, without a mapping, that hold text: machines name their exports after themselves (`.TRA`)."""
+    """Texts without a mapping whose ending tells no format: machines name their exports after themselves (`.TRA`)."""
     from ingest.formats import UNREAD
     from ingest.mapping import format_of, own_mapping
 
