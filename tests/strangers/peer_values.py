@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -63,13 +64,18 @@ def _matlab_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _parts_73(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Numbers and texts in the dictionaries and lists that mat73 makes of structures and cells."""
+    """Numbers and texts in the dictionaries and lists that mat73 makes of structures and cells.
+
+    Elements of cells are counted in MATLAB's order, and a lone one has the name of its cell.
+    """
     if isinstance(value, dict):
         for key, below in value.items():
             yield from _parts_73(f"{name}.{key}" if name else key, below)
     elif isinstance(value, list):
-        for i, below in enumerate(value):
-            yield from _parts_73(f"{name}.{i}", below)
+        rows = value if value and all(isinstance(v, list) and len(v) == len(value[0]) for v in value) else None
+        flat = value if rows is None else [row[j] for j in range(len(rows[0])) for row in rows]
+        for i, below in enumerate(flat):
+            yield from _parts_73(name if len(flat) == 1 else f"{name}.{i}", below)
     elif value is not None and not (isinstance(value, list | str) and not value):
         yield name, np.atleast_1d(np.asarray(value, dtype=object if isinstance(value, str) else None))
 
@@ -142,15 +148,27 @@ def _uff(path: Path) -> PeerValues:
     return PeerValues({(names[i] if unique else i): s["data"] for i, s in enumerate(sets)})
 
 
+def _unescaped(cell: Any) -> Any:
+    """A text as it is shown: openpyxl leaves characters that XML cannot hold escaped, `_x001B_`."""
+    return re.sub("_x([0-9A-Fa-f]{4})_", lambda found: chr(int(found[1], 16)), cell) if isinstance(cell, str) else cell
+
+
 def _sheets(path: Path) -> PeerValues:
     import pandas
 
     engine = {".xlsx": "openpyxl", ".xlsm": "openpyxl", ".xls": "xlrd", ".xlsb": "pyxlsb", ".ods": "odf"}
     kind = engine[path.suffix.lower()]
-    frames = pandas.read_excel(path, sheet_name=None, header=None, engine=kind, keep_default_na=False, na_values=[])
+    # As objects: pandas would turn texts that look like numbers into numbers.
+    frames = pandas.read_excel(
+        path, sheet_name=None, header=None, engine=kind, keep_default_na=False, na_values=[], dtype=object
+    )
     return PeerValues(
         sheets={
-            str(name): {(r, c): v for r, row in enumerate(f.itertuples(index=False)) for c, v in enumerate(row)}
+            str(name): {
+                (r, c): _unescaped(v) if kind == "openpyxl" else v
+                for r, row in enumerate(f.itertuples(index=False))
+                for c, v in enumerate(row)
+            }
             for name, f in frames.items()
         }
     )

@@ -1,17 +1,20 @@
 """The test files of other readers through ours, held against what those readers make of them: one line for each file.
 
-python -m tests.strangers.peers [FOLDER…]      files below these folders; without any: DEALAB_PEERS, and the test files of
+python -m tests.strangers.peers [FOLDER…] [--table FILE]      files below these folders; without any: DEALAB_PEERS, and the test files of
                                                scipy, h5py and pandas where they are installed
 
 Each column that our readers list is read and must equal the peer's values, or is refused by name; a file that our
 reader refuses says why. Peers: scipy and mat73 for MATLAB, h5py for HDF5, nptdms, pyuff, and openpyxl, xlrd, pyxlsb and odfpy through
 pandas for spreadsheets. Where a peer is not installed, its files are skipped and it is said so. The files are no part of this
-repository: copy them from the peers' own repositories.
+repository: copy them from the peers' own repositories. What the last run found: `peers.md`.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import importlib
+import importlib.metadata
 import importlib.util
 import multiprocessing
 import os
@@ -19,7 +22,8 @@ import resource
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
@@ -33,6 +37,7 @@ from ingest.mapping_keys import RECORDING
 from ingest.read import open_columns
 from schemas.errors import DealabError, MissingExtraError
 from schemas.visible import shown
+from tests.helpers.machine import today
 from tests.strangers.peer_values import PeerValues, values_by_peer
 
 EQUAL, REFUSED, WRONG, SKIPPED, DIFFERS = "equal", "refused", "WRONG", "skipped", "differs, explained"
@@ -50,6 +55,8 @@ _EXPLAINED = {
     "encoded_entities.xlsx": "a cell of one line end: ours is empty",
     "has_x000D_.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
     "has_x000D_inline.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
+    "shared_strings02.xlsx": "an escaped escape, `_x005F_`: openpyxl resolves it once too often",
+    "testfile16.mat": "the lines of a table of letters: mat73 takes its columns for lines",
     "minimal_package.xlsx": "blanks in front of texts: ours are without",
     "whitespace_trim.xlsx": "blanks in front of texts: ours are without",
     "issue_419.xlsb": "the text of a formula: pyxlsb gives 0",
@@ -58,6 +65,8 @@ _EXPLAINED = {
 _MEMORY = 3 << 30
 """Bytes that the readers of one file may take: some of the files are bombs."""
 _SECONDS = 120
+TABLE = Path(__file__).parent / "peers.md"
+"""Where the last table is kept."""
 _COLUMNS = 24
 """Columns of a matrix that are compared."""
 
@@ -105,6 +114,7 @@ def _summary(verdicts: list[tuple[str, str]], problems: tuple[str, ...] = ()) ->
 
 def _compared(file: ColumnFile, theirs: PeerValues) -> list[tuple[str, str]]:
     """A verdict on each column that one of the two readers has."""
+    theirs = _aligned(theirs, file)
     positions = file.names() if isinstance(file, ArrayFile) or _is_unique(file.names()) else range(len(file.names()))
     verdicts = [verdict for name in positions for verdict in _column(file, name, theirs.arrays.get(name))]
     listed = file.held if isinstance(file, ArrayFile) else {str(p): p for p in positions}
@@ -113,6 +123,27 @@ def _compared(file: ColumnFile, theirs: PeerValues) -> list[tuple[str, str]]:
     if isinstance(file, ArrayFile):
         verdicts += [(REFUSED, f"{name} is {held.refusal}") for name, held in file.held.items() if held.refusal]
     return verdicts
+
+
+def _aligned(theirs: PeerValues, file: ColumnFile) -> PeerValues:
+    """The peer's values by our names: `raw.field.3` is `raw.3.field` of a structure array, `cell.0` its only element `cell`."""
+    if not isinstance(file, ArrayFile):
+        return theirs
+    found = dict(theirs.arrays)
+    read = {name for name, held in file.held.items() if not held.refusal}
+    for key in (_parts, _parts_but_first):
+        free = {key(name): name for name in file.held if name in read and name not in found}
+        found = {name if name in read else free.get(key(str(name)), name): v for name, v in found.items()}
+    return PeerValues(found)
+
+
+def _parts(name: str) -> tuple[str, ...]:
+    return tuple(sorted(name.split(".")))
+
+
+def _parts_but_first(name: str) -> tuple[str, ...]:
+    """Without the numbers of first elements: a lone one need not be counted."""
+    return tuple(part for part in _parts(name) if part != "0")
 
 
 def _is_unique(names: tuple[str, ...]) -> bool:
@@ -278,20 +309,72 @@ def known_folders() -> dict[str, Path]:
     return found
 
 
+@dataclass(frozen=True)
+class Judged:
+    """The verdict on a file below a folder, and what it rests on."""
+
+    folder: str
+    path: Path
+    verdict: str
+    what: str
+
+
+def table_of(judged: Sequence[Judged]) -> str:
+    """All verdicts in Markdown: how many of each by folder and ending, then every file that is not simply equal."""
+    verdicts = (EQUAL, REFUSED, DIFFERS, WRONG, SKIPPED)
+    lines = [
+        "# Test files of other readers, as those read them and as ours do",
+        "",
+        f"Made by `python -m tests.strangers.peers FOLDER… --table {TABLE.name}`, a folder for each repository; not edited by hand.",
+        "",
+        f"| repository | files | {' | '.join(verdicts)} |",
+        f"|---|---|{'---:|' * len(verdicts)}",
+    ]
+    counts = Counter((one.folder, one.path.suffix.lower(), one.verdict) for one in judged)
+    for folder, ending in sorted({(one.folder, one.path.suffix.lower()) for one in judged}):
+        row = " | ".join(str(counts[folder, ending, verdict] or "") for verdict in verdicts)
+        lines.append(f"| {folder.replace('+', '/')} | {ending} | {row} |")
+    total = " | ".join(str(sum(one.verdict == verdict for one in judged) or "") for verdict in verdicts)
+    lines += [f"| all | | {total} |", "", "Equal: all values that the peer reads are ours, to the last bit; of each file the columns that are refused by name are not counted here."]  # fmt: skip
+    lines += ["", "| file | verdict | why |", "|---|---|---|"]
+    for one in judged:
+        if one.verdict != EQUAL:
+            # Messages of readers may hold folders of this machine.
+            why = shown(one.what.replace(str(one.path), one.path.name))[:200].replace("|", "/")
+            lines.append(f"| {one.path.name} | {one.verdict} | {why} |")
+    return "\n".join([*lines, "", f"{today()} · {', '.join(_versions())}", ""])
+
+
+def _versions() -> Iterator[str]:
+    for name in ("scipy", "mat73", "h5py", "npTDMS", "pyuff", "openpyxl", "xlrd", "pyxlsb", "odfpy"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            yield f"{name} {importlib.metadata.version(name)}"
+
+
 def main(arguments: list[str]) -> int:
     """One line for each file; 1 where one is wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.strangers.peers", description=__doc__)
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="also write all verdicts as Markdown")
     folders: Mapping[str, Path] = known_folders()
-    given = parser.parse_args(arguments).folders or list(folders.values())
-    if "DEALAB_PEERS" not in folders and not arguments:
+    options = parser.parse_args(arguments)
+    given = options.folders or list(folders.values())
+    if "DEALAB_PEERS" not in folders and not options.folders:
         print(f"{SKIPPED}: DEALAB_PEERS names no folder: UFF, TDMS, HDF5 and spreadsheets of peers are not looked at")
-    counts: Counter[str] = Counter()
-    for path in files_below(given):
-        verdict, what = in_child(path)
-        counts[verdict] += 1
-        print(f"{path.name:<48} {verdict}{': ' if what else ''}{shown(what)[:260]}", flush=True)
+    # Once here, not once in each child.
+    for module in ("pandas", *_ENGINES.values(), *_MODULES.values(), "scipy.io", "mat73", "python_calamine"):
+        with contextlib.suppress(ImportError):
+            importlib.import_module(module)
+    judged: list[Judged] = []
+    for folder in given:
+        for path in files_below([folder]):
+            one = Judged(folder.name, path, *in_child(path))
+            judged.append(one)
+            print(f"{path.name:<48} {one.verdict}{': ' if one.what else ''}{shown(one.what)[:260]}", flush=True)
+    counts = Counter(one.verdict for one in judged)
     print(", ".join(f"{number} {verdict}" for verdict, number in sorted(counts.items())) or "no files")
+    if options.table:
+        options.table.write_text(table_of(judged), encoding="utf-8")
     return 1 if counts[WRONG] else 0
 
 
