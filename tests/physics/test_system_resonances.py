@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pipeline.analyse.diagnosis_tables import comparison_tables
 from pipeline.diagnose.results import NONE, UNKNOWN
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.system_diagnosis import diagnose_system
+from schemas.errors import NotIdentifiableError
 from schemas.mechanisms import candidate
 
 INTERVAL_S, SAMPLES, HIGHEST_HZ = 1e-3, 600, 200.0
@@ -76,3 +78,14 @@ def test_a_record_without_noise_is_told_from_arithmetic() -> None:
         for size in of_one.values():
             assert math.isfinite(size)
             assert abs(size) > 1e-9
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value", "why"), [("input", 0.0, "does not change"), ("output", 1e300, "as large as")]
+)
+def test_values_that_no_resonance_can_have_are_refused_with_the_reason(quantity: str, value: float, why: str) -> None:
+    """They ended in an error of the solver: LinAlgError, OverflowError."""
+    record = _record([ONE])
+    spoilt = replace(record, **{quantity: getattr(record, quantity) * value + 1.0})
+    with pytest.raises(NotIdentifiableError, match=why):
+        diagnose_system("S", [spoilt], ["noise"], "V")

@@ -335,7 +335,7 @@ def table_of(judged: Sequence[Judged]) -> str:
         row = " | ".join(str(counts[folder, ending, verdict] or "") for verdict in verdicts)
         lines.append(f"| {folder.replace('+', '/')} | {ending} | {row} |")
     total = " | ".join(str(sum(one.verdict == verdict for one in judged) or "") for verdict in verdicts)
-    lines += [f"| all | | {total} |", "", "Equal: all values that the peer reads are ours, to the last bit; of each file the columns that are refused by name are not counted here."]  # fmt: skip
+    lines += [f"| all | | {total} |", "", "Equal: all values that the peer reads are ours, arrays to the last bit and numbers in sheets within 1e-12; columns of such a file that are refused by name are not counted here."]  # fmt: skip
     lines += ["", "| file | verdict | why |", "|---|---|---|"]
     for one in judged:
         if one.verdict != EQUAL:

@@ -68,6 +68,8 @@ from schemas.arrays import Bool, Float, Int
 from schemas.errors import NotIdentifiableError
 
 _LINEAR = (STIFFNESS, DAMPING, GAIN)
+_LARGEST = 1e100
+"""Values of a record from which sums of their powers leave the range of doubles."""
 MOST_RESONANCES = 1 + len(FURTHER)
 """Resonances that a linear simulation may have."""
 _DRAWN = 200
@@ -303,6 +305,14 @@ def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: floa
         raise NotIdentifiableError(
             f"the records have {samples} samples",
             expected=f"at least {RULES.single.shortest} to say what bends a resonance",
+        )
+    if not any(np.ptp(r.input) > 0 for r in records):
+        raise NotIdentifiableError("the input does not change", expected="an input that moves the system")
+    largest = max(float(np.abs(values).max()) for r in records for values in (r.input, r.output))
+    if not largest < _LARGEST:
+        raise NotIdentifiableError(
+            f"a value as large as {largest:.3g}",
+            expected=f"values below {_LARGEST:g}, whose squares can still be added up",
         )
     more = find_linear_start(records, resonances + 1) if resonances < MOST_RESONANCES else ()
     oscillator, start = _start_plain(records, resonances, more)
