@@ -18,14 +18,17 @@ GROUP = "dealab.readers"
 
 
 UNREAD: Mapping[str, str] = {
-    **dict.fromkeys((".zst", ".7z", ".tar", ".tgz"), "unpack it"),
+    **dict.fromkeys((".zst", ".7z", ".rar", ".tar", ".tgz"), "unpack it"),
     **dict.fromkeys((".gz", ".bz2", ".xz"), "unpack it: of compressed files only texts are read, such as .csv.gz"),
     ".zip": "unpack it; `dealab add FILE` maps one that holds a single text",
     ".nc": "export it as HDF5 or CSV",
+    **dict.fromkeys((".pkl", ".pickle"), "export it as CSV, NumPy or HDF5: who opens a pickle runs what is in it"),
     **dict.fromkeys((".prn", ".tab"), 'text: a mapping with format = "csv" reads it'),
     **dict.fromkeys((".tdm", ".tdx"), "export it as TDMS"),
-    **dict.fromkeys((".dxd", ".wfm", ".isf", ".trc", ".sie", ".bin", ".raw"), "export it as CSV, MAT or HDF5"),
-    **dict.fromkeys((".json", ".jsonl", ".xml", ".db3", ".bag", ".sqlite", ".db"), "export it as CSV or MCAP"),
+    **dict.fromkeys((".dxd", ".wfm", ".isf", ".trc", ".sie", ".wav", ".bin", ".raw"), "export it as CSV, MAT or HDF5"),
+    **dict.fromkeys(
+        (".json", ".jsonl", ".ndjson", ".xml", ".db3", ".bag", ".sqlite", ".db"), "export it as CSV or MCAP"
+    ),
 }
 """Endings of files that often hold measurements and that no reader of ours takes, with what to do about them."""
 

@@ -15,6 +15,9 @@ from schemas.errors import LabError
 REBUILD = "Move it away; the next nightly over all raw folders builds it anew"
 """What to do with a published database that cannot be read."""
 
+LOCAL = {"autoinstall_known_extensions": "false", "autoload_known_extensions": "false"}
+"""With this DuckDB fetches nothing from a network: for a database of SQLite in the place of ours it did."""
+
 
 def spell_database(path: str | os.PathLike[str]) -> str:
     """The path as DuckDB is given it. Raises `LabError` for one that DuckDB would take for another."""
@@ -36,6 +39,7 @@ def connect(path: str | os.PathLike[str] | None = None, **config: str) -> Any:
     """
     import duckdb
 
+    config = LOCAL | config
     if path is None:
         connection = duckdb.connect(config=dict(config))
     else:

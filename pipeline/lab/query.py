@@ -23,7 +23,7 @@ from typing import Any, Self
 import pyarrow as pa
 
 from pipeline.lab.lab import Lab
-from schemas.database import connect
+from schemas.database import REBUILD, connect
 from schemas.errors import DealabError, LabError, UsageError
 
 _READING_NODES = frozenset({"SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE"})
@@ -34,8 +34,6 @@ _AT_ONCE = 100_000
 _STOPPED_S = 2.0
 """How long a query may take to notice that it is to end."""
 _LOCKED = {
-    "autoinstall_known_extensions": "false",
-    "autoload_known_extensions": "false",
     "python_enable_replacements": "false",
 }
 
@@ -210,13 +208,21 @@ class Query:
 
     def _offer_samples(self, query: str) -> None:
         """Defines `samples('<recording_id>')` for the recordings that the query names."""
+        import duckdb
         import pyarrow.dataset
 
-        known = self._connection.execute(
-            "SELECT recording_id, samples_path FROM recordings "
-            "WHERE samples_path IS NOT NULL AND status <> 'duplicate' AND contains(?, recording_id)",
-            [query],
-        ).fetchall()
+        try:
+            known = self._connection.execute(
+                "SELECT recording_id, samples_path FROM recordings "
+                "WHERE samples_path IS NOT NULL AND status <> 'duplicate' AND contains(?, recording_id)",
+                [query],
+            ).fetchall()
+        except duckdb.CatalogException:
+            raise LabError(
+                "the database is none of dealab's: it has no table recordings",
+                where=str(self._lab.database),
+                remedy=REBUILD,
+            ) from None
         # Views have numbers: a dot in a name means a schema, and DuckDB does not tell upper from lower case in names.
         names = {"": ""}
         for number, (recording_id, samples_path) in enumerate(known):

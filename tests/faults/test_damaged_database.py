@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
 import duckdb
@@ -163,3 +165,29 @@ def test_a_database_without_recordings_is_told_and_not_called_empty(
     assert said.out == ""
     assert "has no table recordings" in said.err
     assert "Move it away" in said.err
+
+
+def put_sqlite(path: Path) -> None:
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE t (a)")
+    connection.close()
+
+
+def put_another_duckdb(path: Path) -> None:
+    with duckdb.connect(str(path)) as connection:
+        connection.execute("CREATE TABLE t AS SELECT 1 AS a")
+
+
+@pytest.mark.parametrize("put", [put_sqlite, put_another_duckdb, Path.touch, Path.mkdir])
+def test_what_is_no_database_of_ours_is_told_at_once(
+    put: Callable[[Path], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By every command, and without a download."""
+    raw, lab = make_lab_of_one_life(tmp_path)
+    lab.database.unlink()
+    put(lab.database)
+    for words in (["sql", "SELECT 1"], ["status"], ["report"], ["doctor"], ["nightly", str(raw), "--jobs", "0"]):
+        assert main([*words, "--lab", str(lab.folder)]) == 1, words
+        told = "".join(capsys.readouterr())
+        assert not any(word in told for word in ("Traceback", "http", "download")), told
+        assert "nightly" in told, "the remedy"
