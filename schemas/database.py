@@ -35,7 +35,7 @@ def spell_database(path: str | os.PathLike[str]) -> str:
 def connect(path: str | os.PathLike[str] | None = None, **config: str) -> Any:
     """A DuckDB connection to a database file, to read it; to one in memory where there is no path.
 
-    Raises `LabError` for a path that DuckDB would take for another, and what DuckDB raises.
+    Raises `LabError` for what is no file and for a path that DuckDB would take for another, and what DuckDB raises.
     """
     import duckdb
 
@@ -43,6 +43,10 @@ def connect(path: str | os.PathLike[str] | None = None, **config: str) -> Any:
     if path is None:
         connection = duckdb.connect(config=dict(config))
     else:
+        if os.path.exists(path) and not os.path.isfile(path):  # DuckDB would wait for a pipe
+            raise LabError(
+                "a folder, pipe or device stands in the place of the database", where=str(path), remedy=REBUILD
+            )
         connection = duckdb.connect(spell_database(path), read_only=True, config=dict(config))
     _OPEN.add(connection)
     return connection

@@ -180,10 +180,6 @@ def _open_base(published: Path, building: Path, memory: str) -> Any:
 
     if not published.exists():
         return _make_empty(building, memory)
-    if not published.is_file():
-        raise LabError(
-            "a folder, pipe or device stands in the place of the database", where=str(published), remedy=REBUILD
-        )
     _copy_file(published, building)
     try:
         connection = _open(building, memory)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -50,11 +51,11 @@ def flip(database: Path, place: int) -> None:
         file.write(bytes([byte ^ 0x10]))
 
 
-def find_place(database: Path) -> int:
-    """The middle of the block that holds the metadata of the recordings."""
+def find_place(database: Path, table: str = "recordings", column: str = "metadata") -> int:
+    """The middle of the block that holds a column."""
     with duckdb.connect(str(database), read_only=True) as connection:
         (block,) = connection.execute(
-            "SELECT max(block_id) FROM pragma_storage_info('recordings') WHERE column_name = 'metadata' AND block_id >= 0"
+            "SELECT max(block_id) FROM pragma_storage_info(?) WHERE column_name = ? AND block_id >= 0", [table, column]
         ).fetchone() or (None,)
     assert block is not None
     return int(HEADERS + (block + 0.5) * BLOCK)
@@ -107,13 +108,13 @@ def test_a_new_database_with_a_broken_block_is_not_published(
     assert left_over(lab) == []
 
 
-@pytest.mark.parametrize("where", ["metadata", "middle"])
+@pytest.mark.parametrize("where", [("recordings", "metadata"), ("previews", "low")], ids=lambda where: where[0])
 def test_a_published_database_with_a_broken_block_is_told_and_left(
-    made: tuple[Path, Path], lab: Lab, tmp_path: Path, where: str
+    made: tuple[Path, Path], lab: Lab, tmp_path: Path, where: tuple[str, str]
 ) -> None:
     """Whether the night reads the block for itself, or copies it only."""
     whole = content(lab)
-    flip(lab.database, find_place(lab.database) if where == "metadata" else lab.database.stat().st_size // 2)
+    flip(lab.database, find_place(lab.database, *where))
     before = lab.database.read_bytes()
     assert any("all of the database can be read" in finding for finding in healthy(lab))
     for _ in range(2):
@@ -178,11 +179,11 @@ def put_another_duckdb(path: Path) -> None:
         connection.execute("CREATE TABLE t AS SELECT 1 AS a")
 
 
-@pytest.mark.parametrize("put", [put_sqlite, put_another_duckdb, Path.touch, Path.mkdir])
+@pytest.mark.parametrize("put", [put_sqlite, put_another_duckdb, Path.touch, Path.mkdir, os.mkfifo])
 def test_what_is_no_database_of_ours_is_told_at_once(
     put: Callable[[Path], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By every command, and without a download."""
+    """By every command, without a download and without waiting for a pipe."""
     raw, lab = make_lab_of_one_life(tmp_path)
     lab.database.unlink()
     put(lab.database)
