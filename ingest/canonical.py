@@ -158,7 +158,7 @@ def _checked(raw: RawChannel, required: bool, problems: list[str], notes: list[s
     chosen = find_losses_by_value(values)
     if chosen:
         raise _Unusable(
-            f"of its samples {chosen} are lost, all over the record: a choice by value and no damage",
+            f"of its samples {chosen} are lost: a choice by value and no damage",
             "all samples, or losses by chance",
             "Look how the file was made: a filter, an unsigned converter, a format that drops signs",
         )
