@@ -135,7 +135,9 @@ def _is_a_sign_lost(values: Float, lost: Bool, edges: Int) -> bool:
 
 def _are_whole_numbers_lost(kept: Float, lost: Bool) -> bool:
     """Whether gaps between kept samples (k,) of few decimals stand at whole numbers by more than chance, and none was kept."""
-    least = next((step for step in _DECIMALS if np.allclose(kept / step, np.round(kept / step), rtol=0, atol=1e-6)), None)
+    least = next(
+        (step for step in _DECIMALS if np.allclose(kept / step, np.round(kept / step), rtol=0, atol=1e-6)), None
+    )
     if least is None or kept.size < 2 or (kept == np.round(kept)).any():
         return False
     low, high = np.minimum(kept[1:], kept[:-1]), np.maximum(kept[1:], kept[:-1])

@@ -71,6 +71,6 @@ def test_samples_lost_at_rest_or_before_a_load_are_damage() -> None:
 @pytest.mark.parametrize(("decimals", "hertz"), [(1, 3.0), (1, 0.5), (2, 0.5)])
 def test_lost_whole_numbers_are_no_damage(decimals: int, hertz: float) -> None:
     time_s = np.arange(0, 40, 0.01)
-    noise = 0.1 * np.random.default_rng(25).standard_normal(time_s.size)
+    noise = 0.02 * np.random.default_rng(25).standard_normal(time_s.size)
     values = np.round(5 * np.sin(2 * np.pi * hertz * time_s) + noise, decimals)
     assert find_losses_by_value(np.where(values == np.round(values), np.nan, values)) == "the whole numbers"
