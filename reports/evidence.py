@@ -76,6 +76,11 @@ def beyond_noise(fit: Row) -> bool:
     return fit["reduced_chi2"] is not None and fit["reduced_chi2"] > noise_limit(fit)
 
 
+def times_noise(fit: Row) -> float | None:
+    """How many times the noise the fit leaves over all that it was fitted to, √ of reduced χ²: the one measure of headlines and pictures."""
+    return None if fit["reduced_chi2"] is None else float(fit["reduced_chi2"]) ** 0.5
+
+
 def less_than_noise(fit: Row) -> bool:
     """The model leaves less than noise of the stated size would: the errors that the fit reckoned with are too large."""
     return fit["reduced_chi2"] is not None and fit["reduced_chi2"] < _noise_quantile(fit, -_IN_99_OF_100)
@@ -245,6 +250,7 @@ def curve(fit: Row, found: Measured, lines: Lines, stated: Mapping[str, Any], *,
         on_grid=stiffness(fit, grid),
         residual=_recorded_residual(fit, found, stated) or residual(lines, stiffness(fit, lines.frequency)),
         sd=band(fit, grid) if fit["selected"] else None,
+        times_noise=times_noise(fit),
     )
 
 

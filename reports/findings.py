@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from reports.blocks import Next, Piece, code, flow, listed, name, sub, tag
-from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxation
+from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxation, times_noise
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
@@ -79,7 +79,7 @@ def _residual_words(fit: Row) -> str:
     if fit["reduced_chi2"] is None:
         return ""
     if beyond_noise(fit):
-        return f"the model leaves {significant(fit['reduced_chi2'] ** 0.5, 2)} times the noise"
+        return f"the model leaves {significant(times_noise(fit), 2)} times the noise"
     if less_than_noise(fit):
         return LESS_THAN_NOISE
     return "what the model leaves is noise"

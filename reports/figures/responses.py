@@ -13,7 +13,7 @@ from reports.figures.paper import DOUBLE
 from reports.figures.picture import pictured
 from reports.figures.scale import Scale, linear, logarithmic, nice, symmetric
 from schemas.arrays import Bool, Complex, Float
-from schemas.numbers import compact
+from schemas.numbers import compact, significant
 
 LIMIT = 5.0
 """Amplification of noise beyond which a corrected point is not used."""
@@ -82,7 +82,7 @@ def residual(lines: Lines, model: Complex, *, recorded: bool = False) -> Residua
 class Curve:
     """A model's stiffness on the measured lines and on a dense grid, and what it leaves.
 
-    `sd` (2, m): of |k| and of arg k in rad on the grid.
+    `sd` (2, m): of |k| and of arg k in rad on the grid; `times_noise`: what the fit leaves over all its data.
     """
 
     order: int
@@ -92,6 +92,7 @@ class Curve:
     on_grid: Complex
     residual: Residual
     sd: Float | None = None
+    times_noise: float | None = None
 
     @property
     def name(self) -> str:
@@ -105,7 +106,7 @@ def response(
     """Magnitude or phase against frequency with the models, and the residual of the chosen order and the one below.
 
     Both parts where `phase` is None. Without models there is no residual, and no room for one. With `alarm`, residuals of the
-    chosen order beyond 3 SD are marked as wrong and the largest is named.
+    chosen order beyond 3 SD are marked as wrong, with what the fit leaves and where most of it lies.
     """
     parts = (False, True) if phase is None else (phase,)
     drawing = Drawing(WIDE, 344 if curves else _WITHOUT_RESIDUAL, parts=len(parts))
@@ -261,7 +262,7 @@ def _residuals(panel: Panel, curves: Sequence[Curve], *, phase: bool, alarm: boo
         f, off = chosen.residual.frequency, chosen.residual.phase if phase else chosen.residual.magnitude
         panel.held(f, off, MODEL, 4.2 if off.size < 120 else 3.4)
         if alarm and in_sd and np.any(np.abs(off) > 4):
-            _worst(panel, f, off)
+            _worst(panel, f, off, chosen.times_noise)
     title = "Residual of the record, SD" if chosen and chosen.residual.recorded else "Residual, SD of the noise"
     if panel.width < _ROOM_FOR_WORDS:
         title = "Residual, SD"
@@ -283,12 +284,13 @@ def residual_reach(curves: Sequence[Curve], *, phase: bool) -> float:
     return 1.15 * float(off.max()) if off.size and off.max() > 0 else 1.0
 
 
-def _worst(panel: Panel, f: Float, off: Float) -> None:
-    """Residuals beyond 3 SD in the colour of what is wrong, the largest named where the panel has room."""
+def _worst(panel: Panel, f: Float, off: Float, times_noise: float | None) -> None:
+    """Residuals beyond 3 SD in the colour of what is wrong; beside the largest its frequency, and what the whole fit leaves."""
     wrong = np.abs(off) > 3
     panel.held(f[wrong], off[wrong], WRONG, 4.2)
     i = int(np.nanargmax(np.abs(off)))
-    text = f"{'+' if off[i] > 0 else '−'}{abs(off[i]):.0f} SD at {compact(float(f[i]), 2)} Hz"
+    at = f"most at {compact(float(f[i]), 2)} Hz"
+    text = at if times_noise is None else f"{significant(times_noise, 2)} times the noise, {at}"
     x = float(panel.px(f[[i]])[0])
     anchor = "end" if x > panel.left + 0.4 * panel.width else None
     y = panel.top + 10 if off[i] > 0 else panel.bottom - 5

@@ -172,6 +172,17 @@ def test_response_with_all_orders_is_xml_and_names_them() -> None:
         assert {"1st order", "2nd order", "3rd order ✓"} <= set(texts)
 
 
+def test_a_misfit_is_named_by_the_measure_of_the_headline() -> None:
+    """The headline says 4.2 times the noise, √ of reduced χ²; the picture gave its largest point alone: 16 SD."""
+    data = lines()
+    model = data.value * np.where(data.frequency > 50, 1.2, 1.0)
+    curves = [Curve(1, True, model, data.frequency, data.value, residual(data, model), times_noise=4.2)]
+    image = parsed(response(data, None, curves, phase=False, alt="x", alarm=True))
+    texts = [e.text or "" for e in image if e.tag == SVG + "text"]
+    assert "4.2 times the noise, most at 100 Hz" in texts
+    assert not any(" SD at " in text for text in texts)
+
+
 def test_residual_is_in_sd_of_one_component() -> None:
     data = lines(40)
     random = np.random.default_rng(seed=3)

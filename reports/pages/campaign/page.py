@@ -270,8 +270,9 @@ def _multiple(site: Site, standing: Standing, item: Multiple, x: Scale, y: Scale
     stiff = np.abs(item.lines.value[item.lines.usable])
     noise = ""
     if item.curve is not None:
-        rms = item.curve.residual.rms
-        noise = f"; the model leaves {significant(rms, 2)} SD, {'beyond' if standing.alarm else 'within'} the noise"
+        left = item.curve.times_noise
+        times = f"{significant(left, 2)} times the noise, " if left is not None else "what is "
+        noise = f"; the model leaves {times}{'beyond' if standing.alarm else 'within'} chance"
     alt = f"{short(standing.specimen_id, 40)}: dynamic stiffness {significant(stiff[0], 2)} to {significant(stiff[-1], 2)} N/mm{noise}."
     verdict: Piece = (
         tag(standing.verdict) if standing.verdict else (tag("damaged", "beyond noise") if standing.alarm else "")

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from reports.blocks import Figure, Pair, Section, Text, bold, flow
 from reports.csvfile import Column
-from reports.evidence import Measured, beyond_noise, curve, drawable, no_relaxation, siblings
+from reports.evidence import Measured, beyond_noise, curve, drawable, no_relaxation, siblings, times_noise
 from reports.figures import responses as figures
 from reports.figures.responses import Curve, Lines
 from reports.names import short
@@ -84,8 +84,8 @@ def misfit_elsewhere(chosen: Record | None, curves: Sequence[Curve]) -> str:
     if not left <= _NOISE:
         return ""
     return (
-        f"The frequency responses are met to {significant(left, 2)} SD of their noise, but reduced χ² over all data is"
-        f" {significant(chosen['reduced_chi2'])}: the misfit lies in the stress relaxation, or in constants of the rig that"
+        f"The frequency responses are met to {significant(left, 2)} times their noise, but over all data the model leaves"
+        f" {significant(times_noise(chosen), 2)} times the noise: the misfit lies in the stress relaxation, or in constants of the rig that"
         " the fit had to move."
     )
 
@@ -128,7 +128,7 @@ def _misfits(curves: Sequence[Curve]) -> str:
         texts = (f"{ordinal(c.order)} order {percent(v / 100)}" for c, v in zip(curves, left, strict=True))
         return f"No noise is stated; root mean square residual of the magnitude: {', '.join(texts)}."
     where = " of the recorded response, rig in the model," if curves[0].residual.recorded else ""
-    return f"Root mean square residual{where} in SD of the noise: {', '.join(parts)}."
+    return f"Root mean square residual{where} in times the noise: {', '.join(parts)}."
 
 
 def _legend(draft: Draft, curves: Sequence[Curve], found: Measured) -> str:
