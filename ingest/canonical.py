@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from ingest.plausible import find_impossible, find_losses_by_value, find_marks, is_strain
+from ingest.plausible import find_impossible, find_losses_by_value, find_marks, find_spikes, is_strain
 from ingest.timing import sampling_notes
 from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants, near_miss
-from schemas.protocols import Protocol, missing_channels
+from schemas.protocols import CALIBRATION, Protocol, missing_channels
 from schemas.quantities import QUANTITIES, Quantity
 from schemas.recording import Channel, RawChannel, RawRecording, Recording, Source
 from schemas.units import ANY, conversion
@@ -84,6 +84,9 @@ def canonical(
         if quantity in channels and rig.load_cell_range_n is not None:
             beside = channels.get("displacement") if quantity in required else None
             _check_range(channels[quantity], rig.load_cell_range_n, quantity in required, beside, problems, where)
+    if definition.name in _DYNAMIC and metadata.loading != CALIBRATION:
+        driving, responding = required[0], required[-1]
+        channels[responding] = _without_spikes(channels[responding], channels[driving], problems)
     recording = Recording(metadata, rig, channels, source, assumptions=raw.assumptions)
     notes += sampling_notes(channels)
     _note_clock(recording, notes)
@@ -199,6 +202,19 @@ def _without_marks(values: Float, name: str, problems: list[str]) -> Float:
         problems.append(f"{name}: {int(here.sum())} of {values.size} samples are {what}: NULL")
         values = np.where(here, np.nan, values)
     return values
+
+
+def _without_spikes(channel: Channel, driving: Channel, problems: list[str]) -> Channel:
+    """The response without single samples that stand alone, each a problem."""
+    finite = np.isfinite(driving.values)
+    driven_by = np.interp(channel.time_ns, driving.time_ns[finite], driving.values[finite])
+    spikes = find_spikes(channel.values, driven_by)
+    for place in np.flatnonzero(spikes):
+        at = (int(channel.time_ns[place]) - int(channel.time_ns[0])) * 1e-9
+        problems.append(
+            f"{channel.quantity}: one sample of {channel.values[place]:.4g} at {at:.6g} s stands alone, a spike: NULL"
+        )
+    return replace(channel, values=np.where(spikes, np.nan, channel.values)) if spikes.any() else channel
 
 
 def _possible(values: Float, quantity: Quantity, unit: str, problems: list[str]) -> Float:
