@@ -23,7 +23,13 @@ from pipeline.diagnose.search.consensus import find_consensus, search_from_conse
 from pipeline.diagnose.search.discrepancies import compute_least_p
 from pipeline.diagnose.search.evidence import Evidence, find_best
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
-from pipeline.diagnose.search.fit_mechanisms import confirm_best, fit_each_mechanism, order_causes, settle_outliers
+from pipeline.diagnose.search.fit_mechanisms import (
+    confirm_best,
+    fit_each_mechanism,
+    order_causes,
+    settle_outliers,
+    temper_fit,
+)
 from pipeline.diagnose.search.form_functions import allow_form_errors, differentiate_regions, weigh_regions
 from pipeline.diagnose.search.held_out import predict_by_function, predict_left_out
 from pipeline.diagnose.search.likelihood import measure_quiet
@@ -143,12 +149,12 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     # 4. Every promising mechanism alone, fitted together with film and rig; the lag of the amplifier first, and all else beside it where
     # that is plain to see.
     lag = find_amplifier_lag(plain, tempered_signatures)
-    scores = find_best_scores(tempered_signatures)
-    singles = (
-        confirm_best(fit_each_mechanism(plain, scores, tempered_signatures, RULES.fit.mechanisms))
-        if lag is None
-        else (lag,)
+    given = plain if lag is None else temper_fit(lag)
+    given_signatures = compute_signatures(changes, given)
+    fitted = confirm_best(
+        fit_each_mechanism(given, find_best_scores(given_signatures), given_signatures, RULES.fit.mechanisms)
     )
+    singles = fitted if lag is None else (lag,)
     fall = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
     left = test_patterns(plain) if by_pattern else None
     pattern_stays = left is not None and left.p_value < RULES.alarm.left_level
@@ -158,13 +164,15 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         return replace(nothing, p_value=signatures.compute_p(fall)) if singles else nothing
 
     # 5. All hypotheses under one likelihood: single causes, further ones beside the best, regions without a name.
-    quiet = measure_quiet([plain, *singles])
-    plain, noise_fit = plain.allow_quiet(quiet), noise_fit.allow_quiet(quiet)
-    singles = tuple(f.allow_quiet(quiet) for f in singles)
+    quiet = measure_quiet([plain, given, *fitted])
+    plain, noise_fit, given = (f.allow_quiet(quiet) for f in (plain, noise_fit, given))
+    singles, fitted = (tuple(f.allow_quiet(quiet) for f in fits) for fits in (singles, fitted))
     agreed = find_consensus([plain, noise_fit], mechanical)
     kept = [weigh_fit(h.model.allow_quiet(quiet)) for h in earlier if h.model.of.model.names == plain.of.model.names]
-    from_consensus = search_from_consensus(plain, agreed) if lag is None else []
-    hypotheses = settle_hypotheses([*map(weigh_fit, singles), *from_consensus, *kept])
+    given_agreed = agreed if lag is None else find_consensus([*singles, given], mechanical)
+    from_consensus = search_from_consensus(given, given_agreed)
+    of_given = [] if lag is None else [given_agreed]
+    hypotheses = settle_hypotheses([*of_given, *map(weigh_fit, fitted), *from_consensus, *kept])
     hypotheses += add_causes(hypotheses, changes)
     noise = max(
         (settle_hypothesis(weigh_fit(f, noise_alone=True)) for f in (noise_fit, agreed.model)),

@@ -23,48 +23,50 @@ from schemas.arrays import Float
 
 
 def find_consensus(fits: Sequence[ExtendedFit], mechanical: Float | None) -> Hypothesis:
-    """The plain model with the film and the rig that most groups of features agree on.
+    """A model with the film and the rig that most groups of features agree on.
 
     Parameters
     ----------
-    fits : the plain model at its optima under other weights
-    mechanical : (P,) its entries with the film and the rig of the mechanical tests alone; None where there are no others
+    fits : the plain model, or the same with the lag of the amplifier, at its optima under other weights
+    mechanical : (P₀,) entries of the plain model with the film and the rig of the mechanical tests alone; None where there are no others
 
     Returns
     -------
-    The plain model at its optimum under the weights that the likelihood gives it
+    The model at its optimum under the weights that the likelihood gives it
     """
-    starts = [*fits, *([] if mechanical is None else [_stand_at(fits[0], mechanical)])]
+    starts = list(fits)
+    if mechanical is not None:
+        starts.append(_stand_at(fits[0], np.concatenate([mechanical, fits[0].x[mechanical.size :]])))
     starts = [f for f in starts if Linearised.of(f).is_computed] or list(fits)
     return max((settle_hypothesis(weigh_fit(f)) for f in starts), key=lambda h: h.log_evidence)
 
 
-def search_from_consensus(plain: ExtendedFit, agreed: Hypothesis) -> list[Hypothesis]:
-    """Hypotheses of one cause each, found from the film that most groups of features agree on.
+def search_from_consensus(base: ExtendedFit, agreed: Hypothesis) -> list[Hypothesis]:
+    """Hypotheses of one cause more each, found from the film that most groups of features agree on.
 
     Parameters
     ----------
-    plain : the plain model under weights that allow for causes of any form
-    agreed : the plain model where most agree
+    base : the plain model, or the same with the lag of the amplifier, under weights that allow for causes of any form
+    agreed : that model where most agree
 
     Returns
     -------
-    Empty where that is the film of `plain`
+    Empty where that is the film of `base`
     """
-    if agreed.log_evidence < weigh_fit(plain).log_evidence + RULES.fit.bent:
+    if agreed.log_evidence < weigh_fit(base).log_evidence + RULES.fit.bent:
         return []
-    base = _stand_at(agreed.model, agreed.model.theta)
-    signatures = compute_signatures(compute_secants(base), base)
+    start = _stand_at(agreed.model, agreed.model.x)
+    signatures = compute_signatures(compute_secants(start), start)
     scores = find_best_scores(signatures)
-    return [weigh_fit(f) for f in fit_each_mechanism(base, scores, signatures, RULES.fit.from_consensus)]
+    return [weigh_fit(f) for f in fit_each_mechanism(start, scores, signatures, RULES.fit.from_consensus)]
 
 
-def _stand_at(fit: ExtendedFit, theta: Float) -> ExtendedFit:
-    """The plain model at entries (P,), not at its optimum, under weights that allow every block a share of what is missed there."""
+def _stand_at(fit: ExtendedFit, x: Float) -> ExtendedFit:
+    """The model at entries (P,), not at its optimum, under weights that allow every block a share of what is missed there."""
     session = fit.of.session
-    simulation = fit.of.simulation.about(fit.of.model.physical(theta))
+    simulation = fit.of.simulation.about(fit.of.model.physical(x[: fit.of.model.size]))
     of = fit.of.move_to(session, simulation, np.ones(session.size))
-    of = of.reweigh(temper_weights(session, of.compute_data_residual(theta)))
-    (residual,) = of.residuals(theta[None])
-    jacobian = central(of.residuals, theta, *of.limits)
-    return ExtendedFit(of, Solution(theta, residual, jacobian, float(residual @ residual), converged=False))
+    of = of.reweigh(temper_weights(session, of.compute_data_residual(x)))
+    (residual,) = of.residuals(x[None])
+    jacobian = central(of.residuals, x, *of.limits)
+    return ExtendedFit(of, Solution(x, residual, jacobian, float(residual @ residual), converged=False))

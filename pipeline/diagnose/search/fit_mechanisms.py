@@ -17,7 +17,7 @@ from pipeline.diagnose.mechanisms.mechanism import SEVERITY, Mechanism
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.extended_model import Chosen, Extended, ExtendedFit
 from pipeline.diagnose.search.screen import Score, Signatures, make_absorbed_basis, scale_severities
-from pipeline.diagnose.search.tempering import expect_noise_chi2, lower_outlier_weights
+from pipeline.diagnose.search.tempering import expect_noise_chi2, lower_outlier_weights, temper_weights
 from pipeline.diagnose.simulation.parameters import ACTUATION
 from pipeline.physics.least_squares import Solution
 from schemas.arrays import Float
@@ -372,6 +372,13 @@ def finish_fit(fit: ExtendedFit) -> ExtendedFit:
         if fall < RULES.fit.settled_share * found.chi2:
             break
     return found
+
+
+def temper_fit(fit: ExtendedFit) -> ExtendedFit:
+    """The optimum of the same causes where every block may be wrong by a share of what they leave of it."""
+    session = fit.of.session
+    of = fit.of.reweigh(temper_weights(session, session.whiten(session.value - fit.of.predict(fit.x))))
+    return of.refine(of.fit(fit.x, most=_ROUGHLY, near=fit))
 
 
 def settle_outliers(fit: ExtendedFit) -> ExtendedFit:

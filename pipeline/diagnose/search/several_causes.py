@@ -12,13 +12,13 @@ import numpy as np
 
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import (
     confirm_best,
     drop_mechanism,
     finish_fit,
     fit_each_mechanism,
     hand_over_relaxation,
+    temper_fit,
 )
 from pipeline.diagnose.search.form_functions import is_form_of
 from pipeline.diagnose.search.likelihood import Groups
@@ -32,7 +32,6 @@ from pipeline.diagnose.search.posterior import (
     weigh_fit,
 )
 from pipeline.diagnose.search.screen import Secants, compute_signatures, find_best_scores
-from pipeline.diagnose.search.tempering import temper_weights
 
 _ROUGHLY = 6
 """Steps of a fit under other weights."""
@@ -45,7 +44,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
 
     Parameters
     ----------
-    singles : hypotheses of one cause each
+    singles : hypotheses of one cause each, or of one beside the lag of the amplifier
     changes : of all mechanisms about the plain model
 
     Returns
@@ -55,7 +54,7 @@ def add_causes(singles: Sequence[Hypothesis], changes: Secants) -> list[Hypothes
     found: list[Hypothesis] = []
     bases = choose_bases(singles)
     for _ in range(1, RULES.cause.most):
-        more = [h for base in bases for h in _add_cause(base, changes)]
+        more = [h for base in bases if len(base.causes) < RULES.cause.most for h in _add_cause(base, changes)]
         found += more
         bases = [h for h in rank_hypotheses(more)[:1] if h.log_joint > bases[0].log_joint] if bases else []
         if not bases:
@@ -111,25 +110,17 @@ def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     weights by which every block may be wrong by a share of its misfit.
     """
     fits = [reweigh_fit(base, _ROUGHLY)]
-    is_first = base.model.of.leaves_film
     touched = measure_trace_of_causes(base.model, Groups.of(base.model.of.session)) > 1
-    if is_first or np.any(~touched & (base.odd > RULES.verdict.something_else)):
-        fits.append(_temper(fits[0]))
+    if np.any(~touched & (base.odd > RULES.verdict.something_else)):
+        fits.append(temper_fit(fits[0]))
+    number = RULES.fit.mechanisms if base.model.of.leaves_film else _EACH
     found = []
     for fit in fits:
         signatures = compute_signatures(changes, fit)
         scores = find_best_scores(signatures)
         if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
-            number = RULES.fit.mechanisms if is_first else _EACH
             found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, number))]
     return settle_hypotheses(found)
-
-
-def _temper(fit: ExtendedFit) -> ExtendedFit:
-    """The optimum of the same causes where every block may be wrong by a share of what they leave of it."""
-    session = fit.of.session
-    of = fit.of.reweigh(temper_weights(session, session.whiten(session.value - fit.of.predict(fit.x))))
-    return of.refine(of.fit(fit.x, most=_ROUGHLY, near=fit))
 
 
 def _take_back(found: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> list[Hypothesis]:
