@@ -143,6 +143,10 @@ def mechanical(recordings: Recordings) -> tuple[int, ...]:
     return tuple(i for i, r in enumerate(recordings) if r.metadata.loading == "mechanical")
 
 
+def electrical(recordings: Recordings) -> tuple[int, ...]:
+    return tuple(i for i, r in enumerate(recordings) if r.metadata.loading == "electrical")
+
+
 def all_but_first(recordings: Recordings) -> tuple[int, ...]:
     """Mechanical tests but the first of them."""
     return mechanical(recordings)[1:]
@@ -260,6 +264,9 @@ EDITS: Mapping[str, Edit] = {
     "displacement of a sine in cm": scaled("unit_slip", SINE, "displacement", 0.1),
     "displacement of all in m": scaled("unit_slip", mechanical, "displacement", 1e-3),
     "displacement of all in inches": scaled("unit_slip", mechanical, "displacement", 1 / 25.4),
+    "voltage of all in V": scaled("unit_slip", electrical, "voltage", 1e3),
+    "voltage of all in MV": scaled("unit_slip", electrical, "voltage", 1e-3),
+    "voltage of all halved": scaled("unit_slip", electrical, "voltage", 0.5),
     "voltage of one multisine as effective value": scaled("unit_slip", MULTISINE, "voltage", 0.5 / 2**0.5),
     "force of one sweep with its sign flipped": scaled("sign_flipped", SWEEP, "force", -1.0),
     "force of one multisine with its sign flipped": scaled("sign_flipped", MULTISINE, "force", -1.0),

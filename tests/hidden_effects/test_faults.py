@@ -146,6 +146,9 @@ SHARED = [
     "force of all doubled",
     "displacement of all in m",
     "displacement of all in inches",
+    "voltage of all in V",
+    "voltage of all in MV",
+    "voltage of all halved",
 ]
 
 

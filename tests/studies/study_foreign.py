@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.diagnose.faults.fault import DEAD_CHANNEL
 from reports.pages.campaign.places import clopper_pearson
 from tests.helpers.foreign_rigs import (
     CLEAN,
@@ -145,11 +146,18 @@ def is_fault_named(a: Answer) -> bool:
     """Whether the fault is named, with the recordings that it is in."""
     told = a.truth["fault"]
     own = [f for f in a.faults if f["id"] == told["id"]]
+    if told["id"] == DEAD_CHANNEL and told["recordings"] != "all" and _is_refused(a, told["recordings"], told["key"]):
+        return True
     if not own:
         return told["id"] in a.named and told["recordings"] == "all"
     if told["recordings"] == "all":
         return True
     return {name for f in own for name in f["recordings"]} == set(told["recordings"])
+
+
+def _is_refused(a: Answer, recordings: Sequence[str], channel: str) -> bool:
+    """Whether recordings were refused before the diagnosis because that channel shows one value in all samples."""
+    return all(any(name in text and f"{channel} is" in text for text in a.refused) for name in recordings)
 
 
 def is_correction_right(a: Answer) -> bool | None:

@@ -1,8 +1,10 @@
-"""What a fault of everyday life is: its cause, the recordings it is in, and what would put it right. Types only."""
+"""What a fault of everyday life is: its cause, the recordings it is in, and what would put it right. Types, and how they say sizes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from schemas.numbers import significant
 
 UNIT_SLIP, SIGN_FLIPPED, CHANNELS_SWAPPED = "unit_slip", "sign_flipped", "channels_swapped"
 SAMPLE_RATE_WRONG, CLOCK_DRIFT, CHANNEL_SKEW = "sample_rate_wrong", "clock_drift", "channel_skew"
@@ -57,3 +59,10 @@ class Fault:
     left_per_value: float = float("nan")
     bars: bool = False
     alike: tuple[str, ...] = ()
+
+
+def say_times(factor: float) -> str:
+    """How far off a value is, recorded over true, in words."""
+    return (
+        f"{significant(factor, 3)} times too large" if factor >= 1 else f"{significant(1 / factor, 3)} times too small"
+    )

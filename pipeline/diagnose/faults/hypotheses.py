@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pipeline.diagnose.faults import fault as ids
+from pipeline.diagnose.faults.fault import say_times
 from pipeline.diagnose.faults.levels import DRIVE, NOISE, RATE, SENSED, STRAIN, TENSION, Levels, log_likelihood_of
 from pipeline.diagnose.faults.predict import Prediction, Suspect
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR, SENSOR_SATURATION
@@ -211,7 +212,7 @@ def _scale(suspect: Suspect, channel: str, factor: float, cause: str, log_prior:
     if channel == "force":
         shifts[TENSION] = shift
     shifts |= {STRAIN: shift} if channel == "displacement" else {DRIVE: shift} if channel == "voltage" else {}
-    words = "has the opposite sign" if factor == -1.0 else f"is recorded {significant(factor, 3)} times too large"
+    words = "has the opposite sign" if factor == -1.0 else f"is recorded {say_times(factor)}"
     return Hypothesis(
         cause, f"the {channel} {words}", partial(suspect.scale, {channel: factor}), log_prior, free, shifts,
         flipped=channel == "force" and factor < 0, channel=channel, factor=factor,

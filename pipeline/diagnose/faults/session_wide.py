@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.diagnose.faults import fault as ids
 from pipeline.diagnose.faults.agreement import agrees, count_chi2, measure_left
 from pipeline.diagnose.faults.correct import write
-from pipeline.diagnose.faults.fault import Correction, Fault
+from pipeline.diagnose.faults.fault import Correction, Fault, say_times
 from pipeline.diagnose.faults.fitted import Fitted, fit_session
 from pipeline.diagnose.faults.levels import DRIVE, RATE, STRAIN, Levels, name_clamp, read_sweeps
 from pipeline.diagnose.faults.undo import scale_channels, stretch_clock
@@ -21,6 +21,7 @@ from pipeline.diagnose.features.kinds import (
     FILED_RING_HZ,
     REST_INPUT,
     RING_HZ,
+    SPHS_RESPONSE,
     RecordingFeatures,
 )
 from pipeline.diagnose.features.observed import AMPLITUDE, STATED
@@ -51,6 +52,10 @@ _SIZE_SLIPS = (2.0, 0.5, 10.0, 0.1)
 """Slips of a size: of layers, halves and digits."""
 _TRAVEL_SLIPS = (1e3, 1e-3, 10.0, 0.1, 25.4, 1 / 25.4)
 """True over recorded displacement where that is in metres, micrometres, centimetres or inches and called millimetres."""
+_VOLTAGE_SLIPS = (1e3, 1e-3, 100.0, 0.01, 10.0, 0.1, 2.0, 0.5)
+"""True over recorded voltage where that is in volts, read at a monitor, or half of what is between peaks, and called kilovolts."""
+_BELOW_RESONANCE = 0.25
+"""Share of the lines of a multisine, the lowest, that are taken to lie below the resonance of the clamp."""
 _NO_SLIP = "one of them is wrong by no usual slip, or the film or a gain makes the difference, which the recordings do not tell"
 _WEAKENS = (FIELD_DEPENDENT_PERMITTIVITY.id, GAIN_ERROR.id)
 """Mechanisms that lower the actuation in all tests alike: by as much at every voltage, if these are alike."""
@@ -152,22 +157,12 @@ def find_stated_by_all(
                 sets_aside=False,
             )
         )  # fmt: skip
-    driven, drive = _share([r for r in recordings if r.loading == "electrical"], levels, DRIVE)
+    driven, drive = _share([r for r in recordings if r.loading == ELECTRICAL], levels, DRIVE)
     if drive is not None:
-        factor = float(np.exp(drive))
-        found.append(
-            Fault(
-                ids.UNIT_SLIP,
-                tuple(r.recording_id for r in driven),
-                0.5,
-                f"the voltage is {significant(factor, 3)} times what drive_kv says in all tests",
-                tuple(
-                    Correction(r.recording_id, ids.UNIT_SLIP, "columns.voltage.scale", "1", write(1 / factor), 0.5)
-                    for r in driven
-                ),
-                sets_aside=False,
-            )
-        )  # fmt: skip
+        scaled = _scale_voltage(driven, float(np.exp(-drive)))
+        found.append(_fault_of_drive(driven, float(np.exp(drive))) if scaled is None else scaled[0])
+        right = {} if scaled is None else {r.recording_id: r for r in scaled[1]}
+        put_right = [right.get(r.recording_id, r) for r in put_right]
     return put_right, found
 
 
@@ -176,7 +171,6 @@ def _scale_travel(tests: Sequence[RecordingFeatures], factor: float) -> tuple[Fa
     what is wrong.
 
     Strains or lengths that are stated wrongly leave the responses those of a film on its clamp; another unit of the displacement does not.
-    The noise of the features was made with that unit, so that nothing else can be asked before it is put right.
     """
     slip, off = _find_nearest(float(np.log(factor)), _TRAVEL_SLIPS)
     if off > _ALIKE:
@@ -188,21 +182,76 @@ def _scale_travel(tests: Sequence[RecordingFeatures], factor: float) -> tuple[Fa
         return None
     if scaled > RULES.fault.smoother * as_it_is:
         return None
+    return _fault_of_unit(
+        tests, "displacement", slip, "it is what strain_pp says, and the film moves its clamp as such a film does"
+    ), put_right
+
+
+def _scale_voltage(tests: Sequence[RecordingFeatures], factor: float) -> tuple[Fault, list[RecordingFeatures]] | None:
+    """The unit of all voltages, which makes them `factor` times too small, with the tests put right; None where the unit is not what is
+    wrong, or nothing tells.
+
+    A drive_kv that is stated wrongly leaves the film as strong as its sizes promise; another unit of the voltage does not.
+    """
+    slip, off = _find_nearest(float(np.log(factor)), _VOLTAGE_SLIPS)
+    acts = [a for r in tests if (a := _measure_actuation(r)) is not None]
+    if off > _ALIKE or not acts:
+        return None
+    stronger = float(np.median(acts))
+    if abs(stronger - 2 * np.log(slip)) > abs(np.log(slip)):
+        return None  # nearer to what the sizes promise as it is
+    put_right = [scale_channels(r, {"voltage": slip}) for r in tests]
+    return _fault_of_unit(
+        tests, "voltage", slip, "it is what drive_kv says, and the film acts as its sizes promise"
+    ), put_right
+
+
+def _measure_actuation(recording: RecordingFeatures) -> float | None:
+    """ln of the force per squared voltage below the resonance over what the sizes of the film promise; None where either is not known."""
+    promised = recording.values.get("actuation_n_per_kv2")
+    sizes = []
+    for block in recording.blocks:
+        if block.kind == SPHS_RESPONSE:
+            half = block.size // 2
+            low = block.frequency_hz[:half] <= np.quantile(block.frequency_hz[:half], _BELOW_RESONANCE)
+            sizes.append(np.median(np.hypot(block.value[:half], block.value[half:])[low]))
+    size = float(np.median(sizes)) if sizes else 0.0
+    return None if promised is None or not size > 0 else float(np.log(size / promised))
+
+
+def _fault_of_unit(tests: Sequence[RecordingFeatures], channel: str, slip: float, words: str) -> Fault:
+    """The fault of a channel that all tests record in another unit, by which it is `slip` times too small.
+
+    The noise of the features was made with that unit, so that nothing else can be asked before it is put right.
+    """
     probability = RULES.fault.named
-    fault = Fault(
+    return Fault(
         ids.UNIT_SLIP,
         tuple(r.recording_id for r in tests),
         probability,
-        f"the displacement of all tests is recorded {significant(1 / slip, 3)} times too large: with its unit right it is what strain_pp "
-        "says, and the film moves its clamp as such a film does",
+        f"the {channel} of all tests is recorded {say_times(1 / slip)}: with its unit right {words}",
         tuple(
-            Correction(r.recording_id, ids.UNIT_SLIP, "columns.displacement.scale", "1", write(slip), probability)
+            Correction(r.recording_id, ids.UNIT_SLIP, f"columns.{channel}.scale", "1", write(slip), probability)
             for r in tests
         ),
         sets_aside=False,
         bars=True,
     )
-    return fault, put_right
+
+
+def _fault_of_drive(tests: Sequence[RecordingFeatures], factor: float) -> Fault:
+    """Voltages of all tests that are a common factor off what drive_kv says: either may be wrong."""
+    return Fault(
+        ids.UNIT_SLIP,
+        tuple(r.recording_id for r in tests),
+        0.5,
+        f"the voltage is {significant(factor, 3)} times what drive_kv says in all tests",
+        tuple(
+            Correction(r.recording_id, ids.UNIT_SLIP, "columns.voltage.scale", "1", write(1 / factor), 0.5)
+            for r in tests
+        ),
+        sets_aside=False,
+    )
 
 
 def _share_clock(
@@ -308,7 +357,7 @@ def _list_remedies(session: Session) -> Iterator[_Remedy]:
         )  # fmt: skip
     for factor in _FORCE_SLIPS:
         yield _Remedy(
-            ids.UNIT_SLIP, "columns.force.scale", factor, f"the force of all tests is recorded {significant(factor, 3)} times too large",
+            ids.UNIT_SLIP, "columns.force.scale", factor, f"the force of all tests is recorded {say_times(factor)}",
             partial(scale_channels, factors={"force": 1 / factor}),
         )  # fmt: skip
 
@@ -504,7 +553,7 @@ def merge_lengths(faults: Sequence[Fault]) -> list[Fault]:
         cause=ids.SIZE_WRONG,
         probability=RULES.fault.named,
         corrections=lengths,
-        finding=f"the length is {significant(np.exp(ratios[0]), 3)} times too large: strains and actuation are off by that alike",
+        finding=f"the length is {say_times(float(np.exp(ratios[0])))}: strains and actuation are off by that alike",
     )
     return [merged, *(f for f in faults if f not in (strains[0], sizes[0]))]
 
