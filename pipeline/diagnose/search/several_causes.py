@@ -104,8 +104,7 @@ def try_causes_of_form(
 def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     """The causes of a base with one more, where what they leave shows one.
 
-    Beside what the amplifier does, the first cause of film and rig is looked for as widely as beside nothing. What contradicts the base
-    altogether hardly weighs in its likelihood any more. Where there is such a group of features, and the base
+    What contradicts the base altogether hardly weighs in its likelihood any more. Where there is such a group of features, and the base
     does less than the noise in it, so that this is no form of its causes, another one is looked for as the first one was, too: under
     weights by which every block may be wrong by a share of its misfit.
     """
@@ -113,37 +112,36 @@ def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     touched = measure_trace_of_causes(base.model, Groups.of(base.model.of.session)) > 1
     if np.any(~touched & (base.odd > RULES.verdict.something_else)):
         fits.append(temper_fit(fits[0]))
-    number = RULES.fit.mechanisms if base.model.of.leaves_film else _EACH
     found = []
     for fit in fits:
         signatures = compute_signatures(changes, fit)
         scores = find_best_scores(signatures)
         if scores and signatures.reaches(scores[0].statistic, RULES.cause.level):
-            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, number))]
+            found += [weigh_fit(f) for f in confirm_best(fit_each_mechanism(fit, scores, signatures, _EACH))]
     return settle_hypotheses(found)
 
 
 def _take_back(found: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Hypotheses near the best without each of their causes in turn: a cause may come to a better optimum beside another that does next
     to nothing than it came to alone.
+
+    What is left of several hypotheses may be the same causes: of these the best goes on to its optimum.
     """
     best = max((h.log_joint for h in (*others, *found)), default=0.0)
     near = [h for h in found if h.log_joint > best - RULES.fit.close_call]
-    return settle_hypotheses([without for h in near for without in _drop_each(h)])
+    there = Posterior.of(without for h in near for without in _drop_each(h)).hypotheses
+    return settle_hypotheses([*there, *(weigh_fit(finish_fit(h.model)) for h in there)])
 
 
 def _drop_each(hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The hypothesis without each of its causes in turn: where the others are, and where they go without it. What a relaxation did, an
-    arm of the film may do.
-    """
-    fit = hypothesis.fit
-    if fit is None or len(fit.of.chosen) < 2:
+    """The hypothesis without each of its causes in turn, all else where it is. What a relaxation did, an arm of the film may do."""
+    fit = hypothesis.model
+    if len(fit.of.chosen) < 2:
         return []
     found = []
     for i in range(len(fit.of.chosen)):
-        there = drop_mechanism(fit, i)
-        found += [weigh_fit(there), weigh_fit(finish_fit(there))]
+        found.append(drop_mechanism(fit, i))
         with_arm = hand_over_relaxation(fit, i)
         if with_arm is not None:
-            found.append(weigh_fit(finish_fit(drop_mechanism(fit, i, with_arm))))
-    return found
+            found.append(drop_mechanism(fit, i, with_arm))
+    return [weigh_fit(f) for f in found]
