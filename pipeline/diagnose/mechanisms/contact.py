@@ -14,6 +14,8 @@ from schemas.arrays import Complex, Float
 
 _TURNS, _MOST_TURNS = 2, 10
 """Periods of a sweep that are followed, and most of a sinusoid: the slider finds its mean place within them."""
+_FEW_PATHS = 8
+"""Paths that are followed one by one rather than together."""
 _LOSS = 1e-3
 """Least loss factor at which the film is taken to relax within a period."""
 
@@ -42,21 +44,9 @@ def _slip(values: Values, variant: str) -> Effect:
         first, last = np.full((2, near.size), float(_TURNS if course.periodic else 1))
         if course.periodic and course.cycles is not None:
             first, last = (np.minimum(np.broadcast_to(c, shape[:-1]).ravel()[near], _MOST_TURNS) for c in course.cycles)
-        # In forces: `slip` of the springs that hold, `relaxing` of the arm; and in place, for these steps are many and short.
-        total, slipped, relaxed = np.zeros_like(path), np.empty_like(path), np.empty_like(path)
-        slip, relaxing, pull, more = np.zeros((4, near.size))
-        to_slip, to_arm = held_by * flow, arm * flow
-        least, most = np.full(near.size, -held), np.full(near.size, held)
+        total, state = np.zeros_like(path), np.zeros((2, near.size))
         for turn in range(1, int(np.ceil(last.max())) + 1):
-            for i, (tension, left, slips, loads) in enumerate(zip(path, decay, to_slip, to_arm, strict=True)):
-                relaxing = np.multiply(relaxing, left, out=relaxed[i])
-                np.subtract(tension, slip, out=pull)
-                pull -= relaxing
-                np.maximum(pull, least, out=more)
-                np.minimum(more, most, out=more)
-                pull -= more
-                slip = np.add(slip, np.multiply(pull, slips, out=more), out=slipped[i])
-                relaxing += np.multiply(pull, loads, out=more)
+            slipped, relaxed, state = _follow(path, decay, held_by * flow, arm * flow, held, state)
             lost = static / held_by * slipped + relaxed
             total += np.where((turn >= first) & (turn <= last), path - lost, 0.0)
         out = total / (last - first + 1)
@@ -65,6 +55,66 @@ def _slip(values: Values, variant: str) -> Effect:
         return np.asarray(result.reshape(shape))
 
     return Effect(tension=(BySize(slides),))
+
+
+def _follow(
+    path: Float, decay: Float, to_slip: Float, to_arm: Float, held: float, state: Float
+) -> tuple[Float, Float, Float]:
+    """Forces that slip has taken along paths: of the springs that hold, and of the arm, which relaxes.
+
+    Parameters
+    ----------
+    path : (P, S) tension N, of S paths at P times
+    decay : (P, S) share of the arm's force that an interval leaves
+    to_slip, to_arm : (P, S) what the excess over `held` N adds to either
+    state : (2, S) both forces before
+
+    Returns
+    -------
+    (P, S), (P, S) and (2, S): both along the paths, and at their ends
+    """
+    if path.shape[1] <= _FEW_PATHS:
+        columns = [x.T.tolist() for x in (path, decay, to_slip, to_arm, state)]
+        rows = [_follow_one(held, *own) for own in zip(*columns, strict=True)]
+        slipped, relaxed = np.array(rows).transpose(1, 2, 0)
+        return slipped, relaxed, np.stack([slipped[-1], relaxed[-1]])
+    # In place, for these steps are many and short.
+    slipped, relaxed = np.empty_like(path), np.empty_like(path)
+    slip, relaxing = state
+    pull, more = np.empty((2, path.shape[1]))
+    least, most = np.full(path.shape[1], -held), np.full(path.shape[1], held)
+    for i, (tension, left, slips, loads) in enumerate(zip(path, decay, to_slip, to_arm, strict=True)):
+        relaxing = np.multiply(relaxing, left, out=relaxed[i])
+        np.subtract(tension, slip, out=pull)
+        pull -= relaxing
+        np.maximum(pull, least, out=more)
+        np.minimum(more, most, out=more)
+        pull -= more
+        slip = np.add(slip, np.multiply(pull, slips, out=more), out=slipped[i])
+        relaxing += np.multiply(pull, loads, out=more)
+    return slipped, relaxed, np.stack([slip, relaxing])
+
+
+def _follow_one(
+    held: float,
+    path: list[float],
+    decay: list[float],
+    to_slip: list[float],
+    to_arm: list[float],
+    state: list[float],
+) -> tuple[list[float], list[float]]:
+    """The same along one path of P times, in plain numbers: arrays of one are ten times slower."""
+    slip, relaxing = state
+    slipped, relaxed = [], []
+    for tension, left, slips, loads in zip(path, decay, to_slip, to_arm, strict=True):
+        relaxing *= left
+        pull = tension - slip - relaxing
+        pull -= -held if pull < -held else held if pull > held else pull
+        slip += pull * slips
+        relaxing += pull * loads
+        slipped.append(slip)
+        relaxed.append(relaxing)
+    return slipped, relaxed
 
 
 def _film(k: Complex, static: float, interval_s: Float) -> tuple[Float, Float, Float]:
