@@ -57,13 +57,12 @@ def headline(standing: Standing) -> Markup:
     if no_relaxation(fit) and not d:
         return flow(who, ": no relaxation of any order describes the response")
     film = f"{model_name(fit['model_order'])} model of {short(standing.material or 'the film', 30)}"
-    stiffness = numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm")
     if d:
         return flow(who, f": the simulation is right within the noise; a {film}")
     ending = _residual_words(fit)
     if not ending:
-        return flow(who, f": a {film}, ", sub("k", 0), f"{NBSP}={NBSP}{stiffness}")
-    return flow(who, f": a {film}, ", sub("k", 0), f"{NBSP}={NBSP}{stiffness}; {ending}")
+        return flow(who, f": a {film}, ", _tell_stiffness(fit))
+    return flow(who, f": a {film}, ", _tell_stiffness(fit), f"; {ending}")
 
 
 def _tell_unnamed(d: Row) -> str:
@@ -73,6 +72,14 @@ def _tell_unnamed(d: Row) -> str:
     where = f"an effect without a name acts in the {_STAGES.get(d['stage'], d['stage'])}"
     on = [str(name).replace("_", " ") for name in d["depends_on"] or ()]
     return f"{where} and depends on the {listed(on)}" if on else where
+
+
+def _tell_stiffness(fit: Row) -> Markup:
+    """The static stiffness, as far as it is known: a number that the recordings do not resolve stands in no heading."""
+    value, sd = fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"]
+    if not numbers.is_usable(sd):
+        return Markup("{} not resolved").format(sub("k", 0))
+    return Markup("{}\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{}").format(sub("k", 0), numbers.headline(value, sd, "N/mm"))
 
 
 def _residual_words(fit: Row) -> str:
@@ -97,10 +104,9 @@ def lede(standing: Standing) -> Piece:
             "Put that right first. All that follows is computed from the recordings as they are: what is fitted to them is no"
             " property of the film before."
         )
-    k0 = numbers.headline(fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"], "N/mm")
     if d:
-        return Markup("{} {} model, {} = {}; reduced χ² {}.").format(
-            "The film itself: a" if d["verdict"] == "named" else "A", model_name(fit["model_order"]), sub("k", 0), k0,
+        return Markup("{} {} model, {}; reduced χ² {}.").format(
+            "The film itself: a" if d["verdict"] == "named" else "A", model_name(fit["model_order"]), _tell_stiffness(fit),
             significant(fit["reduced_chi2"]),
         )  # fmt: skip
     if no_relaxation(fit):

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from schemas.numbers import ABSENT, NBSP, UNRESOLVED, ordinal, pm, significant, with_unit
+from schemas.numbers import ABSENT, NBSP, UNRESOLVED, is_usable, ordinal, pm, significant, with_unit
 
 RECORD = "record"
 """The stage of what is wrong with recordings and their metadata."""
@@ -305,7 +305,7 @@ def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
         return f"the cause is {plain_name(mechanism)}"
     main = next((key for key in known.parameters if key in parameters), None)
     if main is None:
-        return known.finding.partition(",")[0].replace(" {}", "")
+        return _leave_size_out(known.finding)
     if mechanism == "rig_constants":
         main = max((k for k in known.parameters if k in parameters), key=lambda k: _z(parameters[k]))
         return _rig_finding(main, parameters[main])
@@ -315,7 +315,7 @@ def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
     channel = parameters.get("channel")
     if isinstance(channel, str):
         text = text.replace("a sensor is", f"the {channel} channel is").replace("a channel reads", f"{channel} reads")
-    return text.format(amount(mechanism, main, size))
+    return text.format(amount(mechanism, main, size)) if _is_resolved(size) else _leave_size_out(text)
 
 
 def cause(diagnosis: Mapping[str, Any]) -> str:
@@ -333,6 +333,15 @@ def cause(diagnosis: Mapping[str, Any]) -> str:
         others = [finding(m, found.get(m, {})) for m in named if m not in options]
         return " and ".join([" or ".join(finding(m, {}) for m in dict.fromkeys(options)), *others])
     return " and ".join(finding(m, found.get(m, {})) for m in named)
+
+
+def _leave_size_out(finding: str) -> str:
+    return finding.partition(",")[0].replace(" {}", "")
+
+
+def _is_resolved(value: Any) -> bool:
+    """Whether a severity is a number that is known to something."""
+    return not isinstance(value, dict) or is_usable(value.get("sd"))
 
 
 def _positive(value: Any) -> Any:

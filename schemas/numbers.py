@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import TypeGuard
 
 NBSP = "\u00a0"
 THIN = "\u202f"
@@ -94,6 +95,11 @@ def _place(sd: float) -> int:
     return -exponent + (1 if lead < 2.95 else 0)
 
 
+def is_usable(sd: float | None) -> TypeGuard[float]:
+    """Whether a standard deviation says how well a value is known."""
+    return sd is not None and math.isfinite(sd) and sd > 0
+
+
 def pm(value: float | None, sd: float | None, unit: str = "") -> str:
     """Value ± SD: the SD to one digit, to two if they begin with 1 or 2; the value to the same place.
 
@@ -101,7 +107,7 @@ def pm(value: float | None, sd: float | None, unit: str = "") -> str:
     """
     if value is None or not math.isfinite(value):
         return ABSENT
-    if sd is None or not math.isfinite(sd) or sd <= 0:
+    if not is_usable(sd):
         return f"{with_unit(significant(value), unit)}, ±{NBSP}{UNRESOLVED}"
     exponent = math.floor(math.log10(max(abs(value), sd)))
     if -4 < exponent < 6:

@@ -48,6 +48,27 @@ def test_signs_are_words(mechanism: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("mechanism", "value", "expected"),
+    [
+        ("missing_relaxation", 7.78, "the model lacks a relaxation"),
+        ("gain_error", -0.3, "a channel reads too little"),
+    ],
+)
+def test_a_size_that_is_not_resolved_stands_in_no_heading(mechanism: str, value: float, expected: str) -> None:
+    first = next(iter(mechanisms.MECHANISMS[mechanism].parameters))
+    assert mechanisms.finding(mechanism, {first: {"value": value, "sd": None}}) == expected
+
+
+def test_a_stiffness_that_is_not_resolved_stands_in_no_heading() -> None:
+    fit = dict.fromkeys(TABLES["model_fits"].names) | {"model_order": 3, "k0_n_per_mm": 3.08e-4, "reduced_chi2": 1.0}
+    for d in (None, diagnosis("none", mechanisms=[])):
+        standing = Standing("P-07", None, None, fit, d)
+        for text in (findings.headline(standing), findings.lede(standing)):
+            assert "0.000308" not in plain(text)
+    assert "not resolved" in findings.headline(Standing("P-07", None, None, fit, None))
+
+
+@pytest.mark.parametrize(
     ("severity", "expected"),
     [
         (
