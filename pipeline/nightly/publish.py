@@ -68,6 +68,11 @@ _ITEMS_GONE = (
     " OR NOT EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id))"
 )
 """Items whose entry goes: made again tonight, or about something that is no longer there."""
+_BY_ACCIDENT = (
+    "EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id)"
+    " AND EXISTS (SELECT 1 FROM accidents a WHERE a.item_id = i.item_id)"
+)
+"""SQL condition on items: trouble of the machine ended them tonight, so that their earlier results stay."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +178,7 @@ def _list_deletions(night: Night, found: Found) -> Iterator[Deletion]:
     ledger, each = night.ledger, night.ledger.each
     ledger.run("DELETE FROM going")
     ledger.run(f"INSERT INTO going SELECT DISTINCT 'recording_id', recording_id {_WITHOUT_RESULTS}")
-    ledger.run(f"INSERT INTO going SELECT stage, item_id {_ITEMS_GONE}")
+    ledger.run(f"INSERT INTO going SELECT stage, item_id {_ITEMS_GONE} AND NOT ({_BY_ACCIDENT})")
     named = "SELECT name FROM going WHERE what = ?"
     gone = each(
         "SELECT source_path, source_sha256 FROM known k WHERE NOT EXISTS (SELECT 1 FROM rows r"
@@ -191,7 +196,7 @@ def _list_deletions(night: Night, found: Found) -> Iterator[Deletion]:
     for name in GROUPS:
         if ledger.row("SELECT 1 FROM going WHERE name = ?", [make_item_id(GROUP, name)]) is not None:
             yield from (Deletion(table) for table in find_rows_made_by(GROUP, name))
-    yield from _delete_in_parts("items", ("item_id",), each("SELECT name FROM going WHERE what <> 'recording_id'"))
+    yield from _delete_in_parts("items", ("item_id",), each(f"SELECT item_id {_ITEMS_GONE}"))
     yield from _delete_in_parts("files", ("path",), ((path,) for path in _list_files_gone(night, found)))
     yield Deletion("annotations")
     yield Deletion("accidents")

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -19,7 +19,11 @@ import ingest.intake
 import pipeline.nightly.night
 import pipeline.nightly.workers
 from pipeline import Lab
+from pipeline.lab.journal import DIAGNOSIS, GROUP, SPECIMEN
+from pipeline.nightly import derive
 from pipeline.nightly.night import nightly
+from pipeline.nightly.stages import GROUPS
+from schemas.tables import StageName, find_rows_made_by
 from tests.conftest import ROOT
 from tests.faults import sabotage
 from tests.faults.harness import Bench, full_disk, kills, readers, two_at_once
@@ -134,6 +138,34 @@ def test_an_accident_takes_no_earlier_result_away(
     (raw / "rigs" / "rig-a.toml").write_text(RIG)
     assert nightly([raw], lab, jobs=0).exit_status == 0
     assert content(lab) == before
+
+
+@pytest.mark.parametrize("stage", [SPECIMEN, DIAGNOSIS, GROUP])
+def test_an_accident_of_an_analysis_takes_no_earlier_result_away(
+    made: tuple[Path, Lab], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_pages: None, stage: StageName
+) -> None:
+    """A worker that was killed twice, a failing disk: what the night before found stands until it is made again."""
+    raw, lab = copy_night(made[0], made[1].folder, tmp_path)
+    before = content(lab)
+    (raw / "rigs" / "rig-a.toml").write_text(RIG + "load_cell_damping_n_s_per_mm = 0.2\n")
+    with monkeypatch.context() as broken:
+        broken.setitem(derive._ANALYSES, stage, _break_disk)
+        summary = nightly([raw], lab, jobs=0)
+    assert summary.exit_status == 3
+    assert any("an accident of the night" in line for line in summary.attention), summary.attention
+    now = content(lab)
+    kept = {name for group in (GROUPS if stage == GROUP else ("",)) for name in find_rows_made_by(stage, group)}
+    kept -= {"model_fits"} if stage == DIAGNOSIS else set()  # those of specimens are made again
+    assert any(before[name] for name in kept), "there is something to lose"
+    assert {name for name in kept if now[name] != before[name]} == set()
+    assert healthy(lab) == []
+    (raw / "rigs" / "rig-a.toml").write_text(RIG)
+    assert nightly([raw], lab, jobs=0).exit_status == 0
+    assert content(lab) == before
+
+
+def _break_disk(_task: object) -> NoReturn:
+    raise OSError(5, "Input/output error")
 
 
 def test_what_fails_unexpectedly_is_tried_again(
