@@ -343,7 +343,7 @@ def _check_range(
             expected=f"at most {limit:g} N, load_cell_range_n of the rig",
             remedy=f"Check the unit of the channel{swapped if may_be_swapped else ''} and the rig's load_cell_range_n",
         )
-    problems.append(f"{text}; expected below {limit:g} N")
+    problems.append(f"{text}; expected below {limit:g} N in size")
 
 
 def _note_sizes(recording: Recording, notes: list[str]) -> None:

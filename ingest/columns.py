@@ -1,6 +1,6 @@
 """What every reader of columns yields, and how cells become numbers.
 
-`ColumnFile` is the small protocol behind which CSV, Excel, MATLAB, HDF5, TDMS and UFF look alike; `ingest.assemble`
+`ColumnFile` is the small protocol behind which all formats look alike; `ingest.assemble`
 and `ingest.tables` take it from there. Does not belong here: any file format, units, the meaning of a column.
 """
 

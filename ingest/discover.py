@@ -43,7 +43,7 @@ _FOLDERS_AT_ONCE = 64
 class SourceFile:
     """A file that may be a recording.
 
-    `path` as found below what was given, `root` the file or folder that was given, `format` as `ingest.mapping.FORMATS`
+    `path` as found below what was given, `root` the file or folder that was given, `format` as `ingest.mapping_keys.FORMATS`
     (None when unknown), `state` `native` (MCAP), `mapped` or `unmapped`. `error` says why its mapping cannot be used.
     `part` is the label of one of several recordings in the file. Of a `remote` file, `path` is the local place that it is fetched to when it is read, below `root`, which stands for
     the address that was given.

@@ -166,7 +166,7 @@ MECHANISMS: dict[str, Mechanism] = {
             "slip_force": _share("of the peak force"),
             "slip_force_n": Parameter("slip force", 1.0, "N"),
             "overload": _BEYOND,
-            "hardening": _share("of the stiffness slips"),
+            "hardening": _share("of k₀ holds a part that slips"),
         },
     ),
     "mains_hum": Mechanism(

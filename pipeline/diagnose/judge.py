@@ -1,4 +1,6 @@
-"""The verdict: the one place where it is read off, for sessions and for records that are asked alone.
+"""The verdict, read off the probabilities, for sessions and for records that are asked alone.
+
+A session in which the search finds nothing has none to read (`diagnosis`), and faults of recordings go first (`faults.state`).
 
 `none`: nothing beyond the noise. `named`: listed causes that are as good as certain. `ambiguous`: a few hypotheses, of which one is
 true as likely as can be asked for. `unknown`: something that is in no list is likelier than what is.

@@ -102,7 +102,7 @@ class Summary:
         if self.without_result:
             number = len(self.without_result)
             parts.append(f"{number} {'recording' if number == 1 else 'recordings'} led to no result")
-        done = f"{self.analysed} results made again" if self.analysed else "nothing had to be done again"
+        done = f"{self.analysed} results made" if self.analysed else "nothing had to be done again"
         return "; ".join(parts) + f". {done[0].upper()}{done[1:]}; {self.seconds:.1f} s."
 
 

@@ -25,7 +25,11 @@ TABLES: tuple[Table, ...] = (
             CONFIGURATION,
             text("campaign", "the campaign"),
             real("voltage_kv", "kV", "voltage set"),
-            real("lifetime_s", "s", "from 95 % of the set voltage to breakdown, or the time survived"),
+            real(
+                "lifetime_s",
+                "s",
+                "from 95 % of the set voltage to breakdown; of a survivor (failed = false) the time survived",
+            ),
             truth("failed", "broke down within the test"),
             text("censored_because", "why the life is only known to be longer; NULL for a failure"),
             whole("glitches", "collapses that recovered within 0.5 s"),

@@ -220,4 +220,4 @@ def _ratios(one: Sequence[float], other: Sequence[float]) -> list[float]:
 
 
 def _row(name: str, found: dict[str, Any], note: str) -> dict[str, Any]:
-    return {"name": name, "seconds": found["seconds"], "note": f"{note}; {found['analysed']} results made again"}
+    return {"name": name, "seconds": found["seconds"], "note": f"{note}; {found['analysed']} results made"}

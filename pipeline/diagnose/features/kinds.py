@@ -3,7 +3,7 @@
 A block is a set of numbers of one kind (a sweep's response, a group of cycles, the windows after the edges of a step): their
 values, their noise covariance, what they depend on, and the operator by which the same numbers follow from a frequency
 response. No estimator stands between measurement and simulation: both go through the same functional. Belongs here: the
-types and their meaning. How a protocol is reduced is in `features_<protocol>`, what a simulation predicts in `predict`.
+types and their meaning. How a protocol is reduced is in `features.<protocol>`, what a simulation predicts in `simulation`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ RING_HZ, FILED_RING_HZ = "ring_hz", "filed_ring_hz"
 """Values of a tap that contradicts its rig's file: where it rings, and where the clamp of the file would."""
 """Among the values of a recording: a known mass on the clamp beside its own."""
 REST_HUM = "rest.hum"
-"""Mains in the rest at 50 and 100 Hz (see `features_rest`), standard normal without mains."""
+"""Mains in the rest at 50 and 100 Hz (see `features.rest`), standard normal without mains."""
 TAP_RING = "tap.ring"
 """Logarithm of the clamp-alone frequency in Hz, and its damping ratio."""
 WEIGHT_GAIN = "weight.gain"

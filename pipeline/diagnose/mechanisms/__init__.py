@@ -1,6 +1,6 @@
 """The listed mechanisms: registry, composition, and what a session cannot show of them.
 
-Adding one is adding one object to the file of its family.
+Adding one is adding one object to the file of its family, its words, an effect to simulate it and tests: see the package's README.
 """
 
 from __future__ import annotations

@@ -145,7 +145,8 @@ CLAMP_SLIP = Mechanism(
     id="clamp_slip",
     stage="contact",
     depends_on=("amplitude",),
-    equation="slider of holding force F_s with a holding spring in series with the film; it may creep",
+    equation="slider of holding force F_s with a holding spring in series with the film; "
+    "beyond F_s it slips, dx/dt = (|F| - F_s) sgn F/(k0 creep_s)",
     source="Iwan (Jenkins) element, Iwan 1966",
     parameters=(
         Parameter("overload", "1", "largest tension over the slip force, less 1", 0.05, 10.0),

@@ -1,7 +1,7 @@
 """Families of blocks that are linear functionals of a record: one rig, one kind of test, one set of nodes.
 
 The response of a family is computed at the nodes once, or once per state where an effect depends on the state, and passes
-through all operators in one product. What the response is, and what is not linear, is in `predict_mechanical` and
+through all operators in one product. What the response is, and what is not linear, is in `mechanical` and
 `predict_electrical`.
 """
 

@@ -3,7 +3,7 @@
     command → drive → V → actuation → F_A → film → T → contact → rig → F, x → sensor → drift → recorded
 
 `Simulation` sorts the blocks of a session into families once; `predict` is then a few array operations per family. The
-responses of a family and what is not linear in it are in `predict_mechanical` and `predict_electrical`.
+responses of a family and what is not linear in it are in `mechanical` and `electrical`.
 """
 
 from __future__ import annotations
