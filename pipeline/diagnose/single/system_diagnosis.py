@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, Discrepancy, Residuals
+from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN, Diagnosis, Discrepancy, Residuals
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import SystemRecord
@@ -64,6 +64,8 @@ def diagnose_system(
         verdict = judge_predictions(comparison)
         if verdict == NONE or not _is_further_better(question):
             break
+    if verdict == NAMED and _is_within_a_sample(comparison, records[0].interval_s):
+        verdict = UNKNOWN
     measured, left_out, sd = question.measured, question.left_out, question.sd
     details = _collect_details(specimen_id, tuple(dict.fromkeys(protocols)), question, comparison, verdict, unit)
     return report_comparison(comparison, verdict, measured, left_out, sd, question.plain.whole, details), comparison
@@ -80,6 +82,15 @@ def compare_models(question: SystemQuestion) -> Comparison:
     return compare_predictions(
         q.plain, q.models, q.measured, q.left_out, q.sd, [place.p_value for place in _test_places(q)]
     )
+
+
+def _is_within_a_sample(found: Comparison, interval_s: float) -> bool:
+    """Whether what was found is a delay below one interval: so much lies in how the input moves from sample to sample.
+
+    An input that is held from one sample to the next is half an interval later than one that goes straight.
+    """
+    delay = found.ranked[0].model.severity.get("delay_s")
+    return delay is not None and abs(delay.value) < interval_s
 
 
 def _is_further_better(q: SystemQuestion) -> bool:

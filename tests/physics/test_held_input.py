@@ -1,0 +1,35 @@
+"""A delay below one sampling interval is no cause: it lies in how the input moves from sample to sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from pipeline.diagnose.results import NAMED
+from pipeline.diagnose.single.oscillator import SystemRecord
+from pipeline.diagnose.single.system_diagnosis import diagnose_system
+
+INTERVAL_S = 0.01
+
+
+def respond(held: np.ndarray, hertz: float, ratio: float) -> np.ndarray:
+    """A resonance, exactly, under an input that is held from each sample to the next."""
+    w = 2 * np.pi * hertz
+    moves = expm(np.array([[0, 1, 0], [-w * w, -2 * ratio * w, w * w], [0, 0, 0]]) * INTERVAL_S)
+    state, out = np.zeros(2), np.zeros(held.size)
+    for i, u in enumerate(held):
+        out[i] = state[0]
+        state = moves[:2, :2] @ state + moves[:2, 2] * u
+    return out
+
+
+@pytest.mark.slow
+def test_an_input_that_is_held_makes_no_delayed_sensor() -> None:
+    random = np.random.default_rng(17)
+    held = np.repeat(random.standard_normal(200), 4)
+    output = respond(held, 3.0, 0.2) + 0.01 * random.standard_normal(held.size)
+    found, comparison = diagnose_system("a", [SystemRecord("a1", held, output, INTERVAL_S)], ["noise"], "1")
+    assert comparison.ranked[0].model.severity["delay_s"].value == pytest.approx(INTERVAL_S / 2, rel=0.1)
+    assert found.verdict != NAMED
+    assert found.mechanism is None
