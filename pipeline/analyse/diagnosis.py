@@ -26,7 +26,9 @@ def analyse_diagnosis(specimen_id: str, recordings: Sequence[Measured], calibrat
     analysis.note([f"diagnosis: {reason}" for reason in refused])
     if all(isinstance(r.metadata, RecordingMetadata) and r.metadata.loading == CALIBRATION for r in recordings):
         return analysis  # a clamp under its own name is no specimen
+    told = len(analysis.missing)
     alone = analysis.attempt("diagnosis", diagnosed_alone, specimen_id, recordings)
+    lacking = [reason.removeprefix("diagnosis: ") for reason in analysis.missing[told:]]
     if alone is not None:
         analysis.add(comparison_tables(*alone))
         return analysis
@@ -35,7 +37,7 @@ def analyse_diagnosis(specimen_id: str, recordings: Sequence[Measured], calibrat
         whole = replace(found, could_not_ask=(*found.could_not_ask, *refused))
         analysis.add(diagnosis_tables(whole, session))
     elif found is not None:
-        analysis.add(undiagnosed_tables(specimen_id, found))
+        analysis.add(undiagnosed_tables(specimen_id, lacking or found))
     return analysis
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.analyse import diagnosed_alone as alone
+from pipeline.analyse.diagnosis import analyse_diagnosis
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import SYSTEM, SessionFeatures
 from pipeline.transform.response import FrequencyResponse
@@ -32,6 +33,7 @@ def recorded(usable: bool | None) -> Measured:
         kept, "alone", SimpleNamespace(kind=SYSTEM, given=given, channels={"input": values, "output": values}, unit="1")
     )
     results: list[Any] = [kept]
+    object.__setattr__(kept, "refused", "other chirp recordings are not simulated")
     if usable is not None:
         response = FrequencyResponse.__new__(FrequencyResponse)
         object.__setattr__(response, "usable", np.array([False, usable]))
@@ -60,3 +62,14 @@ def test_a_refused_response_names_nothing(
         found = alone.diagnosed_alone("S-1", [recorded(usable)])
         assert found is not None
         assert found[0].verdict == verdict
+
+
+def test_the_row_says_why_a_system_has_no_diagnosis_and_not_that_it_is_not_simulated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(alone, "diagnose_system", lambda *_: (SimpleNamespace(verdict="named"), None))
+    tables = analyse_diagnosis("S-1", [recorded(None)], []).tables
+    (row,) = tables["diagnoses"][0].to_pylist()
+    assert row["verdict"] is None
+    (reason,) = row["could_not_ask"]
+    assert "the response of r1 is refused" in reason
