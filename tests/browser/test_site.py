@@ -329,7 +329,7 @@ def test_what_lives_depend_on_and_what_was_left_out_stand_on_the_page(site: Path
 
 def test_findings_stand_in_the_index(site: Path) -> None:
     index = "".join(Parsed((site / "index.html").read_text(encoding="utf-8")).text).replace("\u00a0", " ")
-    assert "Three specimens need a look; four behave as simulated; two are fitted, not diagnosed" in index
+    assert "Three specimens need a look; four behave as simulated; the other two are fitted, not diagnosed" in index
     assert "the load cell is stiffer than its file says, by 6.3 ± 0.3 %" in index
     assert "none of the 23 listed causes explains it" in index
     assert "times the life of “single AR”" in index

@@ -31,11 +31,11 @@ LOOK, QUIET, FITTED = brief("A", verdict="named"), brief("B", verdict="none"), b
         ([QUIET, QUIET], "all two specimens behave as simulated"),
         ([FITTED], "one specimen is fitted, not diagnosed"),
         ([FITTED, FITTED], "two specimens are fitted, not diagnosed"),
-        ([LOOK, FITTED], "one specimen needs a look; one is fitted, not diagnosed"),
-        ([QUIET, FITTED, FITTED], "one specimen behaves as simulated; two are fitted, not diagnosed"),
+        ([LOOK, FITTED], "one specimen needs a look; the other one is fitted, not diagnosed"),
+        ([QUIET, FITTED, FITTED], "one specimen behaves as simulated; the other two are fitted, not diagnosed"),
         (
             [LOOK, LOOK, QUIET, FITTED],
-            "two specimens need a look; one behaves as simulated; one is fitted, not diagnosed",
+            "two specimens need a look; one behaves as simulated; the other one is fitted, not diagnosed",
         ),
         ([brief("D", verdict="none", alarm=True)], "one specimen needs a look"),
     ],
@@ -50,7 +50,7 @@ def test_the_headline_counts_every_specimen_once() -> None:
     for a, b, c in itertools.product(range(3), repeat=3):
         if a + b + c:
             words = plain(standing_in_words([LOOK] * a + [QUIET] * b + [FITTED] * c)).replace("all ", "")
-            assert sum(numbers[part.split()[0]] for part in words.split("; ")) == a + b + c
+            assert sum(numbers[part.removeprefix("the other ").split()[0]] for part in words.split("; ")) == a + b + c
             assert ("as simulated" in words) == bool(b)
 
 

@@ -108,7 +108,7 @@ def standing_in_words(standings: Sequence[Brief]) -> str:
             f"{counted(simulated, 'specimen') if not parts else word(simulated)} {'behaves' if simulated == 1 else 'behave'} as simulated"
         )
     if undiagnosed:
-        who = word(undiagnosed) if parts else counted(undiagnosed, "specimen")
+        who = f"the other {word(undiagnosed)}" if parts else counted(undiagnosed, "specimen")
         parts.append(f"{who} {'is' if undiagnosed == 1 else 'are'} fitted, not diagnosed")
     return "; ".join(parts)
 
