@@ -21,7 +21,7 @@ from ingest.mapping_keys import Key
 from schemas.errors import DealabError, MissingExtraError, RefusedError
 
 Read: TypeAlias = Callable[[Path, FileMapping], ColumnFile]
-"""The columns of a file; it raises `RefusedError` for content that it cannot use, and nothing else."""
+"""The columns of a file; it raises `RefusedError` for content that it cannot use, and `MissingExtraError` where a library is missing."""
 
 
 class Reader(Protocol):

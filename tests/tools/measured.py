@@ -67,6 +67,10 @@ def costs() -> str:
     return "\n".join(lines)
 
 
+def _name_in_full(name: str, before: str) -> str:
+    return before + name.removeprefix("the same") if name.startswith("the same") else name
+
+
 def ratios() -> str:
     """The rows with a ratio, one list; what is "the same" as the row before is named after that."""
     lines = []
@@ -75,7 +79,7 @@ def ratios() -> str:
         for before, row in itertools.pairwise([{"name": ""}, *one["rows"]]):
             if row.get("ratio") is None:
                 continue
-            name = row["name"].replace("the same", before["name"].removesuffix(", 1 worker"))
+            name = _name_in_full(row["name"], before["name"].removesuffix(", 1 worker"))
             lines.append(f"| {title} | {name} | {row['ratio']:.3g} | {row.get('note') or ''} |")
             title = ""
     head = ["| benchmark | what | ratio | |", "|---|---|---:|---|"]
