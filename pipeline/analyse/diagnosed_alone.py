@@ -10,18 +10,13 @@ from collections.abc import Sequence
 from pipeline.analyse.cycle import section_over_length_mm
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import CYCLE, SYSTEM, SessionFeatures
-from pipeline.diagnose.results import AMBIGUOUS, NAMED, Diagnosis
+from pipeline.diagnose.results import Diagnosis
 from pipeline.diagnose.single.comparison import Comparison
 from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle
 from pipeline.diagnose.single.cycle_model import make_cycle
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.system_diagnosis import diagnose_system
-from pipeline.transform.response import FrequencyResponse
-from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
-
-_RESPONDING = ("chirp", "sphs", "noise")
-"""Protocols of systems that give frequency responses."""
 
 
 def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[Diagnosis, Comparison] | None:
@@ -29,7 +24,7 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
 
     None for others.
 
-    Raises `NotIdentifiableError` where the records do not carry it, and where a response that was refused stands against a name.
+    Raises `NotIdentifiableError` where the records do not carry it.
     """
     tests = [r for r in recordings if isinstance(r.metadata, RecordingMetadata)]
     asked = [(r, kept.alone) for r in tests for kept in r.of(SessionFeatures) if kept.alone is not None]
@@ -61,20 +56,4 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
         for r, alone in asked
     ]
     protocols = [r.metadata.protocol for r, _ in asked if isinstance(r.metadata, RecordingMetadata)]
-    found, comparison = diagnose_system(specimen_id, records, protocols, asked[0][1].unit)
-    refused = [r.recording_id for r, _ in asked if _lacks_response(r)]
-    if refused and found.verdict in (NAMED, AMBIGUOUS):
-        raise NotIdentifiableError(
-            f"the response of {', '.join(refused[:4])} is refused, so no cause is named from it",
-            where=specimen_id,
-            expected="records from which a frequency response can be computed",
-        )
-    return found, comparison
-
-
-def _lacks_response(recording: Measured) -> bool:
-    """Whether a record that should give a frequency response gave none with a line that can be used."""
-    about = recording.metadata
-    if not isinstance(about, RecordingMetadata) or about.protocol not in _RESPONDING:
-        return False
-    return not any(response.usable.any() for response in recording.of(FrequencyResponse))
+    return diagnose_system(specimen_id, records, protocols, asked[0][1].unit)
