@@ -79,7 +79,7 @@ def _tell_stiffness(fit: Row) -> Markup:
     value, sd = fit["k0_n_per_mm"], fit["k0_n_per_mm_sd"]
     if not numbers.is_usable(sd):
         return Markup("{} not resolved").format(sub("k", 0))
-    return Markup("{}\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{}").format(sub("k", 0), numbers.headline(value, sd, "N/mm"))
+    return flow(sub("k", 0), f"{NBSP}={NBSP}{numbers.headline(value, sd, 'N/mm')}")
 
 
 def _residual_words(fit: Row) -> str:

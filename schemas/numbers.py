@@ -95,6 +95,11 @@ def _place(sd: float) -> int:
     return -exponent + (1 if lead < 2.95 else 0)
 
 
+def finite_or_none(value: float) -> float | None:
+    """A number as a table holds it: NULL for what is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
 def is_usable(sd: float | None) -> TypeGuard[float]:
     """Whether a standard deviation says how well a value is known."""
     return sd is not None and math.isfinite(sd) and sd > 0

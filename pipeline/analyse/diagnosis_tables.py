@@ -17,6 +17,7 @@ from pipeline.diagnose.results import NONE, Diagnosis, Extension
 from pipeline.diagnose.single.comparison import Comparison, RankedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.mechanisms import FINDING
+from schemas.numbers import finite_or_none
 from schemas.protocols import MECHANICAL
 from schemas.tables import ARMS, TABLES
 
@@ -71,17 +72,17 @@ def _place_row(d: Diagnosis, place: RankedModel) -> dict[str, Any]:
     model = place.model
     key, main = next(iter(model.severity.items()), (None, None))
     gain = {
-        "gain": _finite(place.gain),
-        "gain_lower": _finite(place.lower),
-        "gain_upper": _finite(place.upper),
-        "explained": _finite(place.explained),
+        "gain": finite_or_none(place.gain),
+        "gain_lower": finite_or_none(place.lower),
+        "gain_upper": finite_or_none(place.upper),
+        "explained": finite_or_none(place.explained),
     }
     return {
         "specimen_id": d.specimen_id,
         "mechanism": model.mechanism,
         "parameter": key,
         "severity": None if main is None else main.value,
-        "severity_sd": None if main is None else _finite(main.sd),
+        "severity_sd": None if main is None else finite_or_none(main.sd),
         "held_out_error": place.after,
         **({} if d.verdict == NONE else gain),
         "form": model.variant or None,
@@ -151,7 +152,7 @@ def _correction_rows(d: Diagnosis) -> Iterator[dict[str, Any]]:
             "cause": fault.cause,
             "finding": fault.finding,
             "treatment": "left out" if fault.sets_aside else "put right",
-            "left_per_value": _finite(fault.left_per_value),
+            "left_per_value": finite_or_none(fault.left_per_value),
         }
         for recording_id in fault.recordings:
             own = [c for c in fault.corrections if c.recording_id == recording_id]
@@ -176,7 +177,9 @@ def _severity(extension: Extension) -> dict[str, dict[str, Any]]:
     """Mechanism → key → {value, sd}; with the channel where it is a sensor's, with the form where there are several."""
     found: dict[str, dict[str, Any]] = {}
     for mechanism, estimates in extension.severities.items():
-        own: dict[str, Any] = {key: {k: _finite(v) for k, v in asdict(e).items()} for key, e in estimates.items()}
+        own: dict[str, Any] = {
+            key: {k: finite_or_none(v) for k, v in asdict(e).items()} for key, e in estimates.items()
+        }
         form = extension.variants.get(mechanism, "")
         listed = MECHANISMS[mechanism]
         if form and listed.stage == "sensor":
@@ -185,10 +188,6 @@ def _severity(extension: Extension) -> dict[str, dict[str, Any]]:
             own["form"] = form
         found[mechanism] = own
     return found
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _fit_row(d: Diagnosis, extension: Extension) -> dict[str, Any]:

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from pipeline.analyse.creep import spread
-from pipeline.analyse.slow_voltage import finite_or_none
 from pipeline.fit.retardation.isotonic import Isotonic, Stroke, measure_isotonic
 from pipeline.transform.slow_voltage import SlowVoltage, measure_slow_voltage
 from schemas.errors import NotIdentifiableError
+from schemas.numbers import finite_or_none
 from schemas.recording import Recording
 from schemas.tables import TABLES
 

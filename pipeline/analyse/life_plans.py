@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pipeline.fit.life_plan.known_lives import CampaignPlan
+from schemas.numbers import finite_or_none
 from schemas.tables import TABLES
 
 if TYPE_CHECKING:
@@ -39,10 +39,6 @@ def _rows(one: CampaignPlan) -> Iterator[dict[str, Any]]:
                 "life_at_use_s": life.value,
                 "life_at_use_s_lower": life.lower,
                 "life_at_use_s_upper": life.upper,
-                "limits_ratio": _finite(plan.factor),
-                "worst_limits_ratio": _finite(plan.worst_factor),
+                "limits_ratio": finite_or_none(plan.factor),
+                "worst_limits_ratio": finite_or_none(plan.worst_factor),
             }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.transform.slow_voltage import measure_slow_voltage
+from schemas.numbers import finite_or_none
 from schemas.recording import Recording
 from schemas.tables import TABLES
 
@@ -17,11 +18,6 @@ if TYPE_CHECKING:
 NOT_ASKED = "the diagnosis does not simulate the force under a slow voltage: it does not ask this recording"
 MOST_POINTS = 400
 """Points of the curve that are kept for the pages."""
-
-
-def finite_or_none(value: float) -> float | None:
-    """A number, None for NaN."""
-    return value if math.isfinite(value) else None
 
 
 def analyse_slow_voltage(recording: Recording) -> tuple[tuple[str, ...], dict[str, pa.Table]]:
