@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from pipeline.analyse.cycle import section_over_length_mm
 from pipeline.analyse.inputs import Measured
 from pipeline.analyse.session_features import CYCLE, SYSTEM, SessionFeatures
-from pipeline.diagnose.results import Diagnosis
+from pipeline.diagnose.results import AMBIGUOUS, NAMED, Diagnosis
 from pipeline.diagnose.single.comparison import Comparison
 from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle
 from pipeline.diagnose.single.cycle_model import make_cycle
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.system_diagnosis import diagnose_system
+from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
 
 
@@ -24,7 +25,7 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
 
     None for others.
 
-    Raises `NotIdentifiableError` where the records do not carry it.
+    Raises `NotIdentifiableError` where the records do not carry it, and where a cause would rest on a test whose response is refused.
     """
     tests = [r for r in recordings if isinstance(r.metadata, RecordingMetadata)]
     asked = [(r, kept.alone) for r in tests for kept in r.of(SessionFeatures) if kept.alone is not None]
@@ -56,4 +57,19 @@ def diagnosed_alone(specimen_id: str, recordings: Sequence[Measured]) -> tuple[D
         for r, alone in asked
     ]
     protocols = [r.metadata.protocol for r, _ in asked if isinstance(r.metadata, RecordingMetadata)]
-    return diagnose_system(specimen_id, records, protocols, asked[0][1].unit)
+    found, comparison = diagnose_system(specimen_id, records, protocols, asked[0][1].unit)
+    if found.verdict in (NAMED, AMBIGUOUS):
+        _demand_responses(specimen_id, tests)
+    return found, comparison
+
+
+def _demand_responses(specimen_id: str, tests: Sequence[Measured]) -> None:
+    refused = [(r.recording_id, kept.unanswered) for r in tests for kept in r.of(SessionFeatures) if kept.unanswered]
+    if refused:
+        first, reason = refused[0]
+        others = f" (and of {len(refused) - 1} more)" if len(refused) > 1 else ""
+        raise NotIdentifiableError(
+            f"the response of {first}{others} is refused, so no cause is named from it: {reason}",
+            where=specimen_id,
+            expected="records from which a frequency response can be computed",
+        )

@@ -51,6 +51,11 @@ from schemas.tables import TABLES
 if TYPE_CHECKING:
     import pyarrow as pa
 
+_ANSWERED = ("chirp", "noise", "sphs")
+"""Protocols that give frequency responses of a system."""
+_RESPONSE = "response: "
+"""Begins what is missing of a response."""
+
 
 def analyse_content(
     content: Recording | LifetimeTable | ResponseTable | RelaxationTable, kind: str
@@ -118,8 +123,20 @@ def analyse_recording(recording: Recording) -> Analysis:
         else:
             features = analysis.attempt("features for the diagnosis", session_features, recording)
         if features is not None:
-            analysis.carry(features)
+            analysis.carry(replace(features, unanswered=_find_unanswered(analysis, about)))
     return analysis
+
+
+def _find_unanswered(analysis: Analysis, about: RecordingMetadata) -> str:
+    """Why a test of a system that gives a frequency response gave none with a line that can be used; empty where it did."""
+    if about.loading != OTHER or about.protocol not in _ANSWERED:
+        return ""
+    responses = [one for one in analysis.carried if isinstance(one, FrequencyResponse)]
+    if any(one.usable.any() for one in responses):
+        return ""
+    reasons = [text.removeprefix(_RESPONSE) for text in analysis.missing if text.startswith(_RESPONSE)]
+    reasons += [because for one in responses for because in one.unusable_because if because]
+    return reasons[0] if reasons else "no frequency can be used"
 
 
 def session_features(recording: Recording) -> SessionFeatures:

@@ -37,8 +37,10 @@ class SessionFeatures:
     content : as `pipeline.diagnose.features.encode` packs it; empty where there is none
     refused : why there is none
     alone : the record itself, where it says something without a session
+    unanswered : why a test that gives a frequency response gave none; empty where it gave one, or its protocol gives none
     """
 
     content: str
     refused: str = ""
     alone: Alone | None = None
+    unanswered: str = ""

@@ -3,7 +3,7 @@
 A session in which the search finds nothing has none to read (`diagnosis`), and faults of recordings go first (`faults.state`).
 
 `none`: nothing beyond the noise. `named`: listed causes that are as good as certain. `ambiguous`: a few hypotheses, of which one is
-true as likely as can be asked for. `unknown`: something that is in no list is likelier than what is.
+true as likely as can be asked for. `unknown`: something that is in no list is likelier than what is. No cause is named that leaves more than it may (`is_adequate`).
 
 Does not belong here: fits and tests (`search`, `single`).
 """
@@ -52,4 +52,6 @@ def judge_predictions(comparison: Comparison) -> str:
     possible = comparison.possible
     if not any(p.explained >= RULES.single.explained for p in possible):
         return UNKNOWN
-    return NAMED if len({p.model.mechanism for p in possible}) == 1 else AMBIGUOUS
+    if len({p.model.mechanism for p in possible}) > 1:
+        return AMBIGUOUS
+    return NAMED if any(p.is_adequate for p in possible) else UNKNOWN

@@ -54,6 +54,7 @@ class RankedModel:
         model's error is within the noise: there is nothing to remove
     explained : share of the misfit to everything that it explains, fitted to everything; NaN where that is within the noise
     beaten : whether the best model predicts better by more than chance
+    is_adequate : whether what it leaves, fitted to everything, is within the noise or little of the misfit (`single.adequate`)
     """
 
     model: TriedModel
@@ -64,6 +65,7 @@ class RankedModel:
     upper: float
     explained: float
     beaten: bool
+    is_adequate: bool
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ def compare_predictions(
     for model, after, drawn in tried:
         gain = float(np.maximum(1 - max(after - 1, 0.0) / excess, -1.0))
         lower, upper = _take_interval(np.maximum(1 - np.maximum(drawn - 1, 0.0) / excess, -1.0))
-        left = max(_measure_error(model.whole, measured, sd) - 1, 0.0)
+        square = _measure_error(model.whole, measured, sd)
+        left = max(square - 1, 0.0)
         worse, _ = _take_interval(drawn - tried[0][1])
         ranked.append(
             RankedModel(
@@ -135,6 +138,9 @@ def compare_predictions(
                 upper=max(upper, gain),
                 explained=float(np.maximum(1 - left / misfit, 0.0)),
                 beaten=worse > 0,
+                is_adequate=bool(
+                    np.isnan(_beyond_noise(square, measured.size)) or 1 - left / misfit >= RULES.single.adequate
+                ),
             )
         )
     return Comparison(p_value, tuple(ranked))
