@@ -48,12 +48,14 @@ from ingest.mapping_keys import (
 )
 from ingest.toml_files import content_hash, load_toml
 from schemas.errors import RefusedError
-from schemas.life_covariates import LAWS, check_name
+from schemas.life_covariates import CATEGORY, LAWS, check_name
 from schemas.lifetimes import FAILURE_MODES
 from schemas.quantities import QUANTITIES
 
 FOLDER_FILE = "recordings.toml"
 STARTED_AT = "started_at"
+ELAPSED, MINUTES = "elapsed", "mm:ss"
+"""Formats of times that count from there."""
 ORIGINS: Mapping[str, tuple[int, bool]] = {
     "unix": (0, True),
     "labview": (-24_107 * 86_400, True),
@@ -430,6 +432,8 @@ def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, sourc
         unused += ["rig"] if content.get("rig") else []
         unused += [f"time.{key}" for key in time if key != "zone"]
         unused += [f"columns.{n}.{key}" for n, c in columns.items() for key in c if key in _unused_of_table(n, c)]
+        own = {name: c for name, c in table(content, COVARIATES, source).items() if isinstance(c, dict)}
+        unused += [f"{COVARIATES}.{n}.{key}" for n, c in own.items() for key in c if key in _unused_of_covariate(c)]
     if chosen == "mcap":
         unused += ["select"] if content.get("select") else []
     else:
@@ -443,17 +447,27 @@ def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, sourc
     alone = [n for n, c in columns.items() if c.get("overrule_unit") and "unit" not in c]
     if alone:
         raise refused(source, f"columns.{alone[0]} has overrule_unit without unit", "the unit that is right beside it")
+    if time.get("overrule_unit") and "unit" not in time:
+        raise refused(source, "time has overrule_unit without unit", "the unit that is right beside it")
 
 
 def _used_of_time(time: Mapping[str, Any], chosen: str | None) -> Container[str]:
     """The keys of [time] that have an effect beside those that say where the times are."""
     if "sample_rate_hz" in time:
         return ("sample_rate_hz", "zone", "column")  # with column it is refused for that
+    if "format" in time or "date_column" in time:
+        return [key for key in TIME if key not in _unused_of_text(time) and (chosen != "mcap" or key != "index")]
     if "column" in time:
         return TIME if chosen != "mcap" else [key for key in TIME if key != "index"]
     if time.get("origin") is None:
         return TIME  # refused for lacking both
     return ("zone", "origin") if time["origin"] == STARTED_AT else ("zone",)
+
+
+def _unused_of_text(time: Mapping[str, Any]) -> Container[str]:
+    """The keys of [time] that have no effect on times as text, which say themselves what they count from."""
+    counted = time.get("format") in (ELAPSED, MINUTES) and time.get("origin") == STARTED_AT
+    return ("overrule_unit",) if counted else ("overrule_unit", "origin")
 
 
 _VALUES_OF_FAILED = ("failed_values", "censored_values", "left_censored_values", "no_test_values")
@@ -486,6 +500,12 @@ def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
     return unused
 
 
+def _unused_of_covariate(column: Mapping[str, Any]) -> Container[str]:
+    """The keys of a covariate that have no effect."""
+    unused = ["index"] if "value" in column else []
+    return [*unused, "scale", "offset"] if "value" in column or column.get("law") == CATEGORY else unused
+
+
 def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | None:
     if "time" not in content:
         return None
@@ -500,6 +520,8 @@ def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | N
         raise refused(source, f"time.sample_rate_hz is {rate}", "a rate above 0 and below 1e9 Hz")
     if "date_column" in entry and "column" not in entry:
         raise refused(source, "time has date_column without column", "the column of the times of day beside it")
+    if "date_column" in entry and "unit" in entry:
+        raise refused(source, "time has date_column and unit", "format, where the times of day need one")
     if "format" in entry and "unit" in entry:
         raise refused(source, "time has format and unit", "format for dates as text, unit for numbers")
     return TimeMapping(

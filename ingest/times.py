@@ -30,7 +30,7 @@ from ingest.clocks import (
     utc_of_local,
 )
 from ingest.columns import ColumnFile, OwnTime
-from ingest.mapping import ORIGINS, STARTED_AT, ColumnName, TimeMapping, column_label
+from ingest.mapping import ELAPSED, MINUTES, ORIGINS, STARTED_AT, ColumnName, TimeMapping, column_label
 from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
 from schemas.metadata import instant
@@ -45,7 +45,7 @@ _HALF_HOUR_S = 1800.0
 _MINUTE_S = 60.0
 _COUNTED_SINCE = re.compile(r"\s*(?P<unit>[a-zA-Z]+)\s+since\s+(?P<since>\d.*?)\s*")
 """Unit of time in netCDF files (CF conventions, section 4.4): `seconds since 2026-03-01 14:00:00`, in UTC."""
-ELAPSED, MINUTES, TIME_OF_DAY = "elapsed", "mm:ss", "time_of_day"
+TIME_OF_DAY = "time_of_day"
 
 
 @dataclass(frozen=True)

@@ -234,3 +234,47 @@ def test_keys_of_another_kind_or_format_are_errors() -> None:
         with pytest.raises(RefusedError) as refused:
             FileMapping.parse({"columns": {"force": {"column": "F"}}, **changes}, stem="run", suffix=".csv")
         assert problem in refused.value.problem
+
+
+FORCE = {"columns": {"force": {"column": "F", "unit": "N"}}}
+LIVES: dict[str, object] = {"kind": "lifetimes", "columns": {"lifetime": {"column": "L", "unit": "h"}}}
+
+
+@pytest.mark.parametrize(
+    ("content", "unused"),
+    [
+        (FORCE | {"time": {"column": "t", "format": "iso", "origin": "unix"}}, "time.origin is not used"),
+        (FORCE | {"time": {"column": "t", "format": "iso", "overrule_unit": True}}, "time.overrule_unit is not used"),
+        (FORCE | {"time": {"column": "t", "date_column": "d", "origin": "excel"}}, "time.origin is not used"),
+        (FORCE | {"time": {"column": "t", "date_column": "d", "unit": "s"}}, "time has date_column and unit"),
+        (FORCE | {"time": {"column": "t", "overrule_unit": True}}, "time has overrule_unit without unit"),
+        (LIVES | {"covariates": {"a": {"value": 1, "scale": 2}}}, "covariates.a.scale is not used"),
+        (LIVES | {"covariates": {"a": {"value": 1, "index": 2}}}, "covariates.a.index is not used"),
+        (
+            LIVES | {"covariates": {"a": {"column": "x", "law": "category", "offset": 2}}},
+            "covariates.a.offset is not used",
+        ),
+    ],
+)
+def test_keys_that_other_keys_leave_without_effect_are_errors(content: dict[str, object], unused: str) -> None:
+    with pytest.raises(RefusedError, match=unused):
+        FileMapping.parse(content, stem="run", suffix=".csv")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        FORCE | {"time": {"column": "t", "format": "elapsed", "origin": "started_at"}},
+        FORCE | {"time": {"column": "t", "date_column": "d", "format": "%H:%M"}},
+        FORCE | {"time": {"column": "t", "unit": "s", "overrule_unit": True, "origin": "unix"}},
+        LIVES | {"covariates": {"a": {"value": 1, "unit": "mm"}, "b": {"column": "x", "scale": 2}}},
+    ],
+)
+def test_keys_that_have_an_effect_are_read(content: dict[str, object]) -> None:
+    assert FileMapping.parse(content, stem="run", suffix=".csv").columns
+
+
+def test_misspelt_keys_of_a_part_are_asked_about() -> None:
+    part = {"part": "up", "column": "c", "equals": 1, "recording": {"protocol": "step"}, "recordng": {}}
+    with pytest.raises(RefusedError, match=r"did you mean select\.recording"):
+        FileMapping.parse(FORCE | {"select": [part]}, stem="run", suffix=".csv")
