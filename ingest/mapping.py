@@ -50,6 +50,7 @@ from ingest.toml_files import content_hash, load_toml
 from schemas.errors import RefusedError
 from schemas.life_covariates import CATEGORY, LAWS, check_name
 from schemas.lifetimes import FAILURE_MODES
+from schemas.metadata import RecordingMetadata, check_keys
 from schemas.quantities import QUANTITIES
 
 FOLDER_FILE = "recordings.toml"
@@ -577,6 +578,7 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
             raise refused(source, "select.run is not used so", "a number from 1 beside equals")
         if "part" in found and ways[0] in ("each", "each_of"):
             raise refused(source, f"a select entry has part and {ways[0]}", "one of the two")
+        check_keys(found.get("recording", {}), RecordingMetadata, "select.recording", source)
         if "recording" in found and "part" not in found:
             raise refused(
                 source, "a select entry has recording without part", "the name of the recording that it is for"

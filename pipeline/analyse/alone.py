@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.analyse.cycle import given_law, stretch_and_stress
 from pipeline.analyse.session_features import CYCLE, SYSTEM, Alone
+from schemas.arrays import Bool
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import OTHER
 from schemas.recording import Recording
@@ -45,17 +46,26 @@ def _of_cycle(recording: Recording) -> Alone | None:
     return Alone(CYCLE, channels, given or {})
 
 
+def _find_longest(finite: Bool) -> slice:
+    """The longest part on end of which all samples are there."""
+    ends = np.flatnonzero(~np.concatenate([[False], finite, [False]]))
+    longest = int(np.argmax(np.diff(ends)))
+    return slice(int(ends[longest]), int(ends[longest + 1]) - 1)
+
+
 def _of_system(recording: Recording) -> Alone | None:
-    """Input and output against their means; None where they are not sampled evenly and together."""
+    """Input and output against their means, of the longest part without a lost sample; None where they are not sampled evenly and together."""
     given, answer = recording.channels["input"], recording.channels["output"]
     steps = np.diff(given.time_ns)
     if not np.array_equal(given.time_ns, answer.time_ns) or steps.size < 1:
         return None
     interval = float(np.median(steps))
     finite = np.isfinite(given.values) & np.isfinite(answer.values)
-    if np.abs(steps - interval).max() > _EVEN * interval or not finite.all():
+    if np.abs(steps - interval).max() > _EVEN * interval or not finite.any():
         return None
-    inputs, outputs = given.values - given.values.mean(), answer.values - answer.values.mean()
+    whole = _find_longest(finite)
+    inputs, outputs = given.values[whole], answer.values[whole]
+    inputs, outputs = inputs - inputs.mean(), outputs - outputs.mean()
     n = outputs.size
     power = np.concatenate([[0.0], np.cumsum(outputs**2)])
     first = int(np.argmax(power[_OF_SYSTEM:] - power[: n + 1 - _OF_SYSTEM])) if n > _OF_SYSTEM else 0

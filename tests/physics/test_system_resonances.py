@@ -89,3 +89,13 @@ def test_values_that_no_resonance_can_have_are_refused_with_the_reason(quantity:
     spoilt = replace(record, **{quantity: getattr(record, quantity) * value + 1.0})
     with pytest.raises(NotIdentifiableError, match=why):
         diagnose_system("S", [spoilt], ["noise"], "V")
+
+
+def test_a_pure_gain_is_no_matter_of_spikes() -> None:
+    """Its best resonance lies beyond what is sampled, and the message sent people to look for spikes."""
+    rng = np.random.default_rng(1)
+    given = rng.standard_normal(600)
+    record = SystemRecord("record", given, 2.5 * given + 0.05 * rng.standard_normal(600), INTERVAL_S)
+    with pytest.raises(NotIdentifiableError, match="follows the input at once") as refused:
+        diagnose_system("S", [record], ["noise"], "V")
+    assert "spikes" not in str(refused.value)

@@ -274,7 +274,16 @@ def test_keys_that_have_an_effect_are_read(content: dict[str, object]) -> None:
     assert FileMapping.parse(content, stem="run", suffix=".csv").columns
 
 
-def test_misspelt_keys_of_a_part_are_asked_about() -> None:
-    part = {"part": "up", "column": "c", "equals": 1, "recording": {"protocol": "step"}, "recordng": {}}
-    with pytest.raises(RefusedError, match=r"did you mean select\.recording"):
-        FileMapping.parse(FORCE | {"select": [part]}, stem="run", suffix=".csv")
+@pytest.mark.parametrize(
+    ("changes", "meant"),
+    [
+        ({"recordng": {}}, r"did you mean select\.recording"),
+        ({"recording": {"protokol": "noise"}}, r"did you mean protocol"),
+    ],
+)
+def test_misspelt_keys_of_a_part_are_asked_about(changes: dict[str, object], meant: str) -> None:
+    """A part that should have another protocol kept the one that all have: `protokol` was a note, since `protocol` was given."""
+    part = {"part": "up", "column": "c", "equals": 1, "recording": {"protocol": "step"}} | changes
+    about = {"recording": {"recording_id": "r-{each}", "protocol": "step"}}
+    with pytest.raises(RefusedError, match=meant):
+        FileMapping.parse(FORCE | about | {"select": [part]}, stem="run", suffix=".csv")

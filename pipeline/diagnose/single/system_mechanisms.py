@@ -70,6 +70,8 @@ from schemas.errors import NotIdentifiableError
 _LINEAR = (STIFFNESS, DAMPING, GAIN)
 _LARGEST = 1e100
 """Values of a record from which sums of their powers leave the range of doubles."""
+_AT_ONCE = 0.95
+"""Resonance over half the sampling rate from which a record shows none."""
 MOST_RESONANCES = 1 + len(FURTHER)
 """Resonances that a linear simulation may have."""
 _DRAWN = 200
@@ -461,7 +463,14 @@ def _check_memory(records: Sequence[SystemRecord], mode: Mode) -> None:
     found = (
         f"the best resonance, {mode.angular_frequency / (2 * np.pi):.3g} Hz with a damping ratio of {mode.ratio:.2g},"
     )
-    if memory > RULES.single.run_in * last and not all(r.periodic for r in records):
+    is_too_long = memory > RULES.single.run_in * last and not all(r.periodic for r in records)
+    if is_too_long and mode.angular_frequency >= _AT_ONCE * np.pi / records[0].interval_s:
+        raise NotIdentifiableError(
+            f"{found} is as fast as the samples: the output follows the input at once, or without a resonance",
+            expected="a system whose resonance lies within what is sampled; a pure gain has nothing to ask",
+            remedy="Sample faster, if there should be a resonance",
+        )
+    if is_too_long:
         raise NotIdentifiableError(
             f"{found} remembers its start for {memory:.3g} s and the records last {last:.3g} s",
             expected="records that outlast it, or one steady period (period_s)",
