@@ -60,6 +60,7 @@ MECHANISMS: dict[str, Mechanism] = {
             "rise_time_constant_s": Parameter("rise time constant", 1e3, "ms"),
             "fall_time_constant_s": Parameter("fall time constant", 1e3, "ms"),
             "slew_kv_per_s": Parameter("slew rate", 1.0, "kV/s"),
+            "further_time_constant_s": Parameter("time constant behind the monitor", 1e3, "ms"),
         },
     ),
     "amplitude_softening": Mechanism(

@@ -18,10 +18,10 @@ from pipeline.diagnose.proposals.next_recording import Rival, propose_separating
 from pipeline.diagnose.report import report_session
 from pipeline.diagnose.results import AMBIGUOUS, UNKNOWN, Diagnosis, NextRecording
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.search.amplifier import find_amplifier_lag
+from pipeline.diagnose.search.amplifier import find_amplifier_lag, fit_further_lag
 from pipeline.diagnose.search.consensus import find_consensus, search_from_consensus
 from pipeline.diagnose.search.discrepancies import compute_least_p
-from pipeline.diagnose.search.evidence import Evidence, find_best
+from pipeline.diagnose.search.evidence import Evidence
 from pipeline.diagnose.search.extended_model import Extended, ExtendedFit
 from pipeline.diagnose.search.fit_mechanisms import (
     confirm_best,
@@ -86,7 +86,7 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     elif function is not None:
         held_out = predict_by_function(function)
     # 9. What to measure next.
-    proposal = _propose_recording(evidence) if verdict == AMBIGUOUS else None
+    proposal = _propose_recording(evidence) if verdict == AMBIGUOUS and not evidence.is_unnamed else None
     # 10. Numbers and words.
     extended = None if final is None else settle_outliers(final)
     found = report_session(simulation, evidence, verdict, held_out, extended, proposal)
@@ -151,9 +151,11 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
     lag = find_amplifier_lag(plain, tempered_signatures)
     given = plain if lag is None else temper_fit(lag)
     given_signatures = compute_signatures(changes, given)
-    fitted = confirm_best(
-        fit_each_mechanism(given, find_best_scores(given_signatures), given_signatures, RULES.fit.mechanisms)
-    )
+    scores = find_best_scores(given_signatures)
+    fitted: Sequence[ExtendedFit] = ()
+    if lag is None or (scores and given_signatures.reaches(scores[0].statistic, RULES.cause.level)):
+        fits = fit_each_mechanism(given, scores, given_signatures, RULES.fit.mechanisms)
+        fitted = confirm_best(fits if lag is None else [*fits, fit_further_lag(given)])
     singles = fitted if lag is None else (lag,)
     fall = max((plain.chi2 - f.chi2 for f in singles), default=0.0)
     left = test_patterns(plain) if by_pattern else None
@@ -198,19 +200,13 @@ def _search_from(of: Extended, start: Float, mechanical: Float | None, earlier: 
         again = _test_again(changes, noise, in_doubt=noise is posterior.hypotheses[0])
         if again >= RULES.alarm.mechanism_level:
             return replace(nothing, p_value=again, noise_fit=noise.model, louder=noise.weight)
-    best = find_best(posterior)
-    final = None if best is None else order_causes(refit_under(plain, best))
+    p_value = min(p_value, patterns.p_value if by_pattern else 1.0)
+    found = replace(nothing, p_value=p_value, plain=plain, singles=singles, posterior=posterior)
+    told = found.sure or found.best
+    final = None if told is None else order_causes(refit_under(plain, told))
 
     # 6. What the causes leave.
-    return replace(
-        nothing,
-        p_value=min(p_value, patterns.p_value if by_pattern else 1.0),
-        plain=plain,
-        singles=singles,
-        posterior=posterior,
-        final=final,
-        patterns_after=test_patterns(plain if final is None else final),
-    )
+    return replace(found, final=final, patterns_after=test_patterns(plain if final is None else final))
 
 
 def _screen(of: Extended, start: Float) -> tuple[Secants, Evidence]:

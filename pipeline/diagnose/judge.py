@@ -3,7 +3,8 @@
 A session in which the search finds nothing has none to read (`diagnosis`), and faults of recordings go first (`faults.state`).
 
 `none`: nothing beyond the noise. `named`: listed causes that are as good as certain. `ambiguous`: a few hypotheses, of which one is
-true as likely as can be asked for. `unknown`: something that is in no list is likelier than what is. No cause is named that leaves more than it may (`is_adequate`).
+true as likely as can be asked for, or causes that are certain beside something that is in no list. `unknown`: something that is in no
+list is likelier than what is. No cause is named that leaves more than it may (`is_adequate`).
 
 Does not belong here: fits and tests (`search`, `single`).
 """
@@ -30,9 +31,8 @@ def judge_session(evidence: Evidence) -> str:
     posterior, best = evidence.posterior, evidence.best
     if posterior is None:
         return NONE
-    listed = sum(posterior.probability[h.name] for h in posterior.listed)
-    if best is None or listed < RULES.verdict.listed:
-        return UNKNOWN
+    if best is None or evidence.is_unnamed:
+        return UNKNOWN if evidence.sure is None else AMBIGUOUS
     return NAMED if posterior.probability[best.name] >= RULES.verdict.credible and best.is_adequate else AMBIGUOUS
 
 

@@ -67,8 +67,9 @@ def report_session(
         they have no name
     proposal : the recording to make next
     """
-    # What has no name has a function in place of causes.
-    final, function = (None, evidence.function) if verdict == UNKNOWN else (evidence.final, None)
+    # What has no name has a function in place of causes, or beside those that are certain.
+    final = None if verdict == UNKNOWN else evidence.final
+    function = evidence.function if evidence.is_unnamed else None
     session = evidence.noise_fit.of.session
     context = make_context(simulation, evidence.noise_fit)
     smallest = find_smallest(discount_further_arms(evidence.noise_fit, evidence.signatures), evidence.threshold)
@@ -265,10 +266,10 @@ def _estimate_effective_size(plain: ExtendedFit) -> float:
 
 
 def _predict_extended(extended: ExtendedFit | None, function: RegionFit | None) -> Float | None:
-    """(N,) features by the extended model: with the causes, or with the function of what has no name."""
-    if extended is not None:
-        return extended.of.predict(extended.x)
-    return None if function is None else function.predict()
+    """(N,) features by the extended model: with the causes, or with the function of what has no name, which has those beside it."""
+    if function is not None:
+        return function.predict()
+    return None if extended is None else extended.of.predict(extended.x)
 
 
 def _list_residuals(plain_fit: ExtendedFit, predicted: Float | None) -> tuple[Residuals, ...]:
@@ -387,6 +388,8 @@ def _describe_closest(evidence: Evidence) -> list[str]:
 def _describe_doubt(evidence: Evidence) -> list[str]:
     """What speaks for a cause that is in no list: the most probable region among the credible hypotheses."""
     found = [_tell_region(h) for h in evidence.credible if h.region is not None]
+    if found and evidence.is_unnamed:
+        return [f"Something in no list is there as well: {found[0]}."]
     return [f"It may be a cause that is in no list: that {found[0]} would explain it as well."] if found else []
 
 

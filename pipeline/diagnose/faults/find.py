@@ -46,8 +46,9 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import CALIBRATION
 
-_EXPECTED = Mechanisms(0.5 * RULES.fault.mechanism, as_film=0.5 * RULES.fault.mechanism)
-"""Of a recording like which there is no other."""
+_EACH_WAY = RULES.fault.mechanism / 3
+_EXPECTED = Mechanisms(_EACH_WAY, as_film=_EACH_WAY, as_delay=_EACH_WAY)
+"""Of a recording like which there is no other, or of all that there are: nothing contradicts a mechanism that shows in these alone."""
 _EVIDENT = Mechanisms(0.25, as_film=0.25, as_scale=0.25, as_delay=0.25)
 """Where other recordings show one: in which of the ways is as likely as in another."""
 

@@ -228,13 +228,7 @@ def _delays(suspect: Suspect, prior: float, as_mechanism: float) -> Iterator[Hyp
     )  # fmt: skip
     yield skew
     if as_mechanism > 0:
-        yield replace(
-            skew,
-            cause=MECHANISM,
-            predict=None,
-            log_prior=float(np.log(as_mechanism)),
-            own_chi2=lambda: suspect.compute_chi2(suspect.delay(late, 0.0)),
-        )
+        yield replace(skew, cause=MECHANISM, log_prior=float(np.log(as_mechanism)))
     drift = _search(lambda x: suspect.delay(0.0, x), suspect, _spread(_FASTEST, 1e-7))
     drifting: Callable[[float], Prediction] = partial(suspect.delay, 0.0)
     if suspect.compute_chi2(drifting(drift)) < _PROMISING * suspect.sound_chi2:
@@ -346,11 +340,11 @@ def judge_hypotheses(
             continue
         chi2 = _measure_chi2(suspect, h, predicted)
         total = h.log_prior - 0.5 * h.free * float(np.log(max(fall, 2.0)))
-        if h.cause == MECHANISM and h.own_chi2 is None:
+        if h.cause == MECHANISM and h.predict is None and h.own_chi2 is None:
             total += _weigh_mechanism(suspect, suspect.sound, suspect.sound_chi2, mechanisms.any_way)
         elif predicted is None or h.cause == SOUND:
             total -= 0.5 * suspect.temper(chi2)
-        else:  # what a fault leaves may be a mechanism, as it may be without one
+        else:  # what a fault or a delay leaves may be a mechanism, as it may be without one
             beside = _weigh_mechanism(suspect, predicted, chi2, mechanisms.any_way)
             total += float(np.logaddexp(-0.5 * suspect.temper(chi2), beside))
         total += sum(

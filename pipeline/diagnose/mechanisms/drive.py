@@ -11,8 +11,8 @@ from pipeline.diagnose.mechanisms.mechanism import AMPLIFIER, BENT, SHAPE, Conte
 from pipeline.diagnose.simulation.effects import Effect, View, Wave
 from schemas.arrays import Complex, Float
 
-MONITORED, _HIDDEN = "monitored", "hidden from the monitor"
-"""Variants of a lag: whether the voltage that was measured lags as well."""
+MONITORED, _HIDDEN, FURTHER = "monitored", "hidden from the monitor", "monitored, and further behind the monitor"
+"""Variants of a lag: whether the voltage that was measured lags as well, and whether the film's lags behind that in its turn."""
 _ROUNDS = 4
 """Rounds in which the rate of a lagging voltage is found."""
 
@@ -63,7 +63,15 @@ def _lag(values: Values, variant: str) -> Effect:
 
     if variant == _HIDDEN:
         return Effect(film_voltage=(wave,), film_edges=(squared_edge,))
-    return Effect(monitor_wave=(wave,), monitor_edges=(edge,))
+    monitored = Effect(monitor_wave=(wave,), monitor_edges=(edge,))
+    if variant == MONITORED:
+        return monitored
+    behind = {
+        "rise_time_constant_s": values["further_time_constant_s"],
+        "fall_ratio": 1.0,
+        "limit_kv": float("inf"),
+    }
+    return monitored | _lag(behind, _HIDDEN)
 
 
 def _lag_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
@@ -72,7 +80,7 @@ def _lag_report(values: Values, variant: str, context: Context) -> Mapping[str, 
         "rise_time_constant_s": rise,
         "fall_time_constant_s": rise * values["fall_ratio"],
         "slew_kv_per_s": values["limit_kv"] / rise if rise else float("inf"),
-    }
+    } | {name: values[name] for name in ("further_time_constant_s",) if variant == FURTHER}
 
 
 def _offset(values: Values, variant: str) -> Effect:
@@ -133,6 +141,15 @@ DRIVE_LAG = Mechanism(
             50.0,
             SHAPE,
             least=0.01,
+        ),
+        Parameter(
+            "further_time_constant_s",
+            "s",
+            "time constant of the film's voltage behind the measured one",
+            1e-5,
+            1e-2,
+            SHAPE,
+            only=FURTHER,
         ),
     ),
     shows=AMPLIFIER | BENT,

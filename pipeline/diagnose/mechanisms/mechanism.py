@@ -41,7 +41,8 @@ class Parameter:
     `low` to `high` is the plausible range of its size (no limit), `least` and `most` are hard limits. The effect vanishes
     where all severities are 0; a shape has no effect by itself. `log`: searched and believed uniform in the logarithm of its
     size. `signed`: both signs are possible. `factor`: 1 + value multiplies a constant that the plain model searches in the
-    logarithm; its own logarithm is searched, so that the two can change places. `start` is where a search begins.
+    logarithm; its own logarithm is searched, so that the two can change places. `start` is where a search begins. `only`: the one
+    variant that has it, which no screen tries.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Parameter:
     factor: bool = False
     least: float = 0.0
     most: float = float("inf")
+    only: str = ""
 
     def is_at_limit(self, value: float) -> bool:
         """Whether a fit ended at the largest value, or, of one with both signs, the least that there can be."""
@@ -135,8 +137,8 @@ class Mechanism:
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:
-        """Parameters that have no effect by themselves."""
-        return tuple(p for p in self.parameters if p.role == SHAPE)
+        """Parameters of every variant that have no effect by themselves."""
+        return tuple(p for p in self.parameters if p.role == SHAPE and not p.only)
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""

@@ -30,8 +30,8 @@ class Evidence:
     singles : every mechanism that was fitted alone under the weights of `plain`, best evidence first; the lag of the amplifier alone
         where that is beyond doubt, and all else was asked beside it
     posterior : of all hypotheses; None where nothing is beyond the noise
-    final : the most probable hypothesis of listed causes under the weights of `plain`, the strongest cause first; None where
-        there is none, or the plain model is more probable
+    final : the listed causes that are told, under the weights of `plain`, the strongest first: those that are as good as certain beside
+        what has no name, the most probable hypothesis otherwise; None where there is none, or the plain model is more probable
     patterns_after : smooth patterns that the best causes leave, or the plain model where there are none
     louder : (N,) weights of the residuals under the noise that the likelihood makes of the session, where nothing is found beyond that;
         None where the noise is that of the rests
@@ -53,6 +53,20 @@ class Evidence:
     def best(self) -> Hypothesis | None:
         """The most probable hypothesis of listed causes; None where the plain model is more probable."""
         return None if self.posterior is None else find_best(self.posterior)
+
+    @property
+    def is_unnamed(self) -> bool:
+        """Whether something without a name is more probable than that listed causes are all that there is."""
+        return self.posterior is not None and self.posterior.named_share < RULES.verdict.listed
+
+    @property
+    def sure(self) -> Hypothesis | None:
+        """Listed causes that are as good as certain beside what has no name; None where there are none but the amplifier's lag, which
+        is no cause of what the film shows.
+        """
+        found = None if self.posterior is None or not self.is_unnamed else self.posterior.find_sure_beside()
+        lag = () if self.given is None else self.given.of.mechanism_ids
+        return None if found is None or {*found.causes} <= {*lag} else found
 
     @property
     def given(self) -> ExtendedFit | None:

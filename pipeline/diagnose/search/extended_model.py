@@ -163,7 +163,12 @@ class Extended:
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The mechanisms' parameters, (Q,) in the order of the entries after θ."""
-        return tuple(Coordinate(i, p) for i, c in enumerate(self.chosen) for p in c.mechanism.parameters)
+        return tuple(
+            Coordinate(i, p)
+            for i, c in enumerate(self.chosen)
+            for p in c.mechanism.parameters
+            if p.only in ("", c.variant)
+        )
 
     @cached_property
     def limits(self) -> tuple[Float, Float]:

@@ -203,14 +203,32 @@ class Posterior:
         shares = np.cumsum([self.probability[h.name] for h in self.hypotheses])
         return self.hypotheses[: int(np.searchsorted(shares, probability)) + 1]
 
+    @property
+    def named_share(self) -> float:
+        """Probability that listed causes are all that there is."""
+        return sum(self.probability[h.name] for h in self.listed)
+
     def find_sure(self) -> tuple[Hypothesis, ...]:
         """The hypotheses of listed causes that are as good as certain, whatever is beside them: what has no name may be, and a cause of
         a hypothesis may stand for it. The most probable first; empty where no cause is certain.
         """
-        causes = {id for h in self.listed for id in h.causes}
-        total = {id: sum(self.probability[h.name] for h in self.listed if id in h.causes) for id in causes}
-        sure = {id for id, p in total.items() if p >= RULES.verdict.credible}
+        sure = self._list_sure()
         return tuple(h for h in self.listed if {*h.causes} <= sure)
+
+    def find_sure_beside(self) -> Hypothesis | None:
+        """The listed causes beside which the most probable region without a name was fitted, where they are as good as certain."""
+        beside = {id for h in self.regions[:1] for id in h.beside}
+        if not beside or not beside <= self._list_sure():
+            return None
+        return next((h for h in self.listed if {*h.causes} == beside), None)
+
+    def _list_sure(self) -> set[str]:
+        """Listed causes that are there as good as certainly, alone or beside anything else."""
+        of = {h.name: {*h.causes, *h.beside} for h in self.hypotheses}
+        total = {
+            id: sum(self.probability[name] for name, own in of.items() if id in own) for id in set().union(*of.values())
+        }
+        return {id for id, p in total.items() if p >= RULES.verdict.credible}
 
     def sum_by(self, stage: bool) -> dict[str, float]:
         """Stage, or what something depends on → probability that a cause acts there."""
