@@ -79,12 +79,12 @@ def diagnose(recordings: Sequence[RecordingFeatures]) -> Diagnosis:
     evidence = _screen(of, plain.theta)[1] if checked.is_barred else _search_causes(of, plain)
     # 7. The verdict, and 8. parts are left out and predicted: with the named causes, or the function of what has no name.
     verdict = judge_session(evidence)
-    final, function = (evidence.final, None) if verdict != UNKNOWN else (None, evidence.function)
+    final = None if verdict == UNKNOWN else evidence.final
     held_out = None
-    if final is not None:
+    if evidence.is_unnamed and evidence.function is not None:
+        held_out = predict_by_function(evidence.function)
+    elif final is not None:
         held_out = predict_left_out(evidence.plain, final)
-    elif function is not None:
-        held_out = predict_by_function(function)
     # 9. What to measure next.
     proposal = _propose_recording(evidence) if verdict == AMBIGUOUS and not evidence.is_unnamed else None
     # 10. Numbers and words.

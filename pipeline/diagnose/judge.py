@@ -31,7 +31,7 @@ def judge_session(evidence: Evidence) -> str:
     posterior, best = evidence.posterior, evidence.best
     if posterior is None:
         return NONE
-    if best is None or evidence.is_unnamed:
+    if evidence.is_unnamed or best is None:
         return UNKNOWN if evidence.sure is None else AMBIGUOUS
     return NAMED if posterior.probability[best.name] >= RULES.verdict.credible and best.is_adequate else AMBIGUOUS
 

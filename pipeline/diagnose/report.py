@@ -389,7 +389,9 @@ def _describe_doubt(evidence: Evidence) -> list[str]:
     """What speaks for a cause that is in no list: the most probable region among the credible hypotheses."""
     found = [_tell_region(h) for h in evidence.credible if h.region is not None]
     if found and evidence.is_unnamed:
-        return [f"Something in no list is there as well: {found[0]}."]
+        return [
+            f"Something in no list is there as well: {found[0]}. The gain is what its function removes of the error that these causes leave."
+        ]
     return [f"It may be a cause that is in no list: that {found[0]} would explain it as well."] if found else []
 
 

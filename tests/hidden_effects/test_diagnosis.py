@@ -264,12 +264,13 @@ def test_what_has_no_name_is_told_beside_a_cause_that_is_sure() -> None:
     """A film that softens with the humidity of the room: thermal softening of the other sign came nearest, and was named with the other."""
     sure = Effect("field_dependent_permittivity", 2 * KINDS["field_dependent_permittivity"].typical)
     found = observe(compact_session(BESIDE_A_CAUSE, (sure, Effect("humidity", 0.01))))
-    assert (found.verdict, found.stage, found.depends_on) == ("unknown", "film", ("session_time",))
+    assert (found.verdict, found.stage, found.depends_on) == ("ambiguous", "film", ("session_time",))
+    assert (found.mechanisms, found.also_possible) == (("field_dependent_permittivity",), (UNLISTED,))
     assert (
         max(found.probabilities, key=lambda h: found.probabilities[h])
         == "field_dependent_permittivity+film/session_time"
     )
-    assert any("beside" in text for text in found.unexplained)
+    assert any("in no list is there as well" in text and "beside" in text for text in found.unexplained)
     assert found.held_out is not None
     assert found.held_out.gain > 0.9
 

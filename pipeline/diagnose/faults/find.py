@@ -46,9 +46,11 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import CALIBRATION
 
+_EXPECTED = Mechanisms(0.5 * RULES.fault.mechanism, as_film=0.5 * RULES.fault.mechanism)
+"""Of a recording like which there is no other, or of all that there are."""
 _EACH_WAY = RULES.fault.mechanism / 3
-_EXPECTED = Mechanisms(_EACH_WAY, as_film=_EACH_WAY, as_delay=_EACH_WAY)
-"""Of a recording like which there is no other, or of all that there are: nothing contradicts a mechanism that shows in these alone."""
+_LAGGING = Mechanisms(_EACH_WAY, as_film=_EACH_WAY, as_delay=_EACH_WAY)
+"""The same of electrical tests, which alone are late where the drive lags."""
 _EVIDENT = Mechanisms(0.25, as_film=0.25, as_scale=0.25, as_delay=0.25)
 """Where other recordings show one: in which of the ways is as likely as in another."""
 
@@ -242,9 +244,18 @@ def _list_alike(session: Session, asked: frozenset[str]) -> list[tuple[int, ...]
 
 
 def judge_together(
-    suspect: Suspect, numbers: Sequence[int], levels: dict[str, Levels], mechanisms: Mechanisms = _EXPECTED
+    suspect: Suspect, numbers: Sequence[int], levels: dict[str, Levels], mechanisms: Mechanisms | None = None
 ) -> Fault | None:
-    """A fault that recordings of one kind have in common, None where none puts them right together."""
+    """A fault that all recordings of one kind have in common, None where none puts them right together.
+
+    Parameters
+    ----------
+    suspect, numbers : the recordings, and their numbers in the session
+    levels : by recording
+    mechanisms : what is believed of them; None: what may be where no other recordings contradict one
+    """
+    if mechanisms is None:
+        mechanisms = _LAGGING if suspect.is_electrical else _EXPECTED
     names = tuple(suspect.session.recordings[n].recording_id for n in numbers)
     own = [levels[name] for name in names]
     judged = judge_hypotheses(suspect, own[0], mechanisms, own[1:])
@@ -277,7 +288,8 @@ def _judge_one(suspect: Suspect, levels: Levels, asked: frozenset[str]) -> Fault
     session = suspect.session
     own = session.recordings[suspect.number]
     peers = [r for r in session.recordings if r.recording_id not in asked]
-    mechanisms = _EXPECTED
+    is_alike = [(r.protocol, r.loading) == (own.protocol, own.loading) for r in peers]
+    mechanisms = _LAGGING if suspect.is_electrical and not any(is_alike) else _EXPECTED
     if _has_peer(own, peers):
         # What it does here it does in part beside: that nothing of it shows there is the less likely the more there is here.
         rare = RULES.fault.mechanism_beside_peer / float(np.sqrt(max(suspect.sound_chi2 - suspect.size, 1.0)))

@@ -29,6 +29,8 @@ _PER_BRANCH = 16
 """Windows of the loading and of the unloading of a cycle."""
 _MOVING = 0.02
 """Share of the step by which the displacement may miss its level and still count as held."""
+_SMOOTH = 5
+"""Degree of the polynomial that follows the second half of a relaxation: in log time that is a tenth of three decades."""
 _RINGING_TURNS = 3.0
 """Turns of the clamp after a step in which it rings, and which are no feature."""
 _HIGHEST_HZ = 200.0
@@ -42,8 +44,8 @@ def relaxation_blocks(
 ) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
     """Blocks, noise, values, warnings of a mechanical `step`. Raises `NotIdentifiableError` where nothing can be read."""
     found, x, y, names, rest = _prepared(recording)
-    noise = [found.noise(q, v[:rest]) for q, v in zip(names, (x, y), strict=True)]
     holds = _holds(x, rest)
+    noise = [_read_noise(found, q, v, rest, holds) for q, v in zip(names, (x, y), strict=True)]
     settling = max(_RINGING_TURNS / clamp_hz(recording.rig), ringing_s(recording.rig, found.interval_s))
     x = _held(x, rest, holds)
     windows: list[tuple[int, int]] = []
@@ -61,6 +63,20 @@ def relaxation_blocks(
             expected=f"at least {RULES.features.ramp_windows}",
         )
     return _finished(recording, found, x, y, names, rest, windows, ramps, nodes, RELAXATION_FORCE, noise)
+
+
+def _read_noise(
+    found: Record, quantity: str, values: Float, rest: int, holds: list[tuple[int, int, int]]
+) -> NoiseSample | None:
+    """The noise of a channel (n,) at rest; where there is no rest, in the second half of the longest hold, about a smooth relaxation."""
+    at_rest = found.noise(quantity, values[:rest])
+    if at_rest is not None or not holds:
+        return at_rest
+    _, start, stop = max(holds, key=lambda hold: hold[2] - hold[1])
+    second = slice((start + stop) // 2, stop)
+    if found.lost[second].any():
+        return None
+    return found.noise(quantity, values[second], degree=_SMOOTH)
 
 
 def _is_recorded(found: Record, a: int, b: int) -> bool:

@@ -56,8 +56,9 @@ class Evidence:
 
     @property
     def is_unnamed(self) -> bool:
-        """Whether something without a name is more probable than that listed causes are all that there is."""
-        return self.posterior is not None and self.posterior.named_share < RULES.verdict.listed
+        """Whether something is found, and that listed causes are all of it is less probable than not, or than that there is nothing."""
+        posterior = self.posterior
+        return posterior is not None and (self.best is None or posterior.named_share < RULES.verdict.listed)
 
     @property
     def sure(self) -> Hypothesis | None:

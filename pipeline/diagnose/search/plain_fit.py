@@ -247,7 +247,8 @@ def _choose_creep(session: Session, simulation: Simulation, model: BaseModel, th
 
 def _responds_to_motion(session: Session) -> bool:
     """Whether the features say how stiff the film is by themselves, without what the voltage does to it."""
-    return any(p.block.kind in (CHIRP_RESPONSE, CYCLIC_RESPONSE) for p in session.places)
+    kinds = session.kinds
+    return bool(kinds & {CHIRP_RESPONSE, CYCLIC_RESPONSE}) or (RELAXATION_FORCE in kinds and SPHS_RESPONSE not in kinds)
 
 
 def refit_plain(
@@ -452,13 +453,15 @@ def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Com
         stiffness.append(rig.film_stiffness(g, clamp)[clear])
     if sum(f.size for f in frequencies) == 0:
         _append_electrical(session, frequencies, stiffness, ratio)
+    if sum(f.size for f in frequencies) == 0:
+        _append_relaxations(session, frequencies, stiffness)
     f, k = np.concatenate(frequencies), np.concatenate(stiffness)
     sound = np.isfinite(k) & (f > 0)
     if sound.sum() < 2:
         raise NotIdentifiableError(
             "no recording shows the film's response over frequency",
             where=session.specimen_id,
-            expected="a chirp, an sphs or cyclic recordings at several frequencies",
+            expected="a chirp, an sphs, a relaxation or cyclic recordings at several frequencies",
         )
     return f[sound], k[sound]
 
@@ -484,6 +487,23 @@ def _append_electrical(session: Session, frequencies: list[Float], stiffness: li
         frequencies.append(f)
         cell = min(rig.stiffness, 1e9)
         stiffness.append(np.where(k.real > 0.02 * cell, k, 0.1 * cell))
+
+
+def _append_relaxations(session: Session, frequencies: list[Float], stiffness: list[Complex]) -> None:
+    """The same from the first holds of relaxations G(t), which show the film at ω = 1/t, roughly: Re k = G, Im k = −(π/2) dG/d ln t
+    (Booij and Thoone 1982)."""
+    for p in session.places:
+        if p.block.kind != RELAXATION_FORCE:
+            continue
+        since, strain = p.block.support["since_s"], p.block.support["strain"]
+        length = session.recordings[p.recording].values["strain_length_mm"]
+        first = (np.cumsum(np.diff(since, prepend=0.0) < 0) == 0) & (since > 0)
+        if np.count_nonzero(first) < 2:
+            continue
+        t, g = since[first], p.block.value[first] / (strain[first] * length)
+        slope = np.gradient(g, np.log(t))
+        frequencies.append(1 / (2 * np.pi * t))
+        stiffness.append(g + 1j * np.maximum(-0.5 * np.pi * slope, 0.0))
 
 
 def _load_clamp(session: Session, number: int, ratio: float) -> Rig:

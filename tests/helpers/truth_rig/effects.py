@@ -63,8 +63,8 @@ _ALL = (
     ),
     Kind(
         "drive_lag", "rise_time_constant_s", 2e-3, 1e-2, ("sphs", "step"), _MECHANICAL,
-        "rise and fall of different rate blended over 50 V, slew limit approached as tanh, small second pole",
-        {"fall_ratio": 4.0, "slew_kv_per_s": 1000.0}, {"fall_ratio": (1.5, 6.0), "slew_kv_per_s": (300.0, 3000.0)},
+        "rise and fall of different rate blended over 50 V, slew limit approached as tanh, small second pole; and again behind the monitor",
+        {"fall_ratio": 4.0, "slew_kv_per_s": 1000.0, "behind": 0.0}, {"fall_ratio": (1.5, 6.0), "slew_kv_per_s": (300.0, 3000.0)},
     ),
     Kind(
         "amplitude_softening", "drop", 0.12, 0.3, ("chirp", "cyclic"), _ELECTRICAL,

@@ -142,6 +142,9 @@ class TruthRig:
         if leakage := self.hidden.get("leakage"):
             seen = drive.drooped(seen, half, leakage.severity, self.plain.voltage, leakage.number("build_up_s"))
         on_film = seen
+        if lag and lag.number("behind") > 0:
+            behind = lag.severity * lag.number("behind")
+            on_film = drive.lagged(seen, half, behind, behind, slew(lag))
         offset = self.hidden.get("drive_offset")
         if offset is not None and plan.loading == "electrical":
             if offset.text("form") == "rectified":
