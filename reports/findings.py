@@ -15,7 +15,7 @@ from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxat
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
-from schemas.mechanisms import MECHANISMS, RECORD, UNLISTED, cause, model_name, plain_name
+from schemas.mechanisms import MECHANISMS, RECORD, UNLISTED, cause, has_unnamed_beside, model_name, plain_name
 from schemas.numbers import NBSP, capital, compact, p_equals, pm, removed, significant, symbols, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
@@ -48,6 +48,8 @@ def headline(standing: Standing) -> Markup:
     if d and d["verdict"] == "named":
         removes = "" if d["gain"] is None else f" Correcting it removes {removed(d['gain'])} of the held-out error."
         return flow(who, f": {what_is_wrong(standing)}.{removes}")
+    if d and has_unnamed_beside(d):
+        return flow(who, f": {what_is_wrong(standing)}")
     if d and d["verdict"] == "ambiguous":
         return flow(who, f": {what_is_wrong(standing)}. The recordings cannot tell which.")
     if d and d["verdict"] == "unknown":
@@ -141,6 +143,11 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
                 f" to {significant(d['held_out_error_after'], 2)} times the noise."
                 + (f" Gain: {gain(d)} of what can be removed." if d["gain"] is not None else "")
             )
+    elif has_unnamed_beside(d):
+        ids = listed([code(m) for m in d["mechanisms"]])
+        sentences.append(
+            flow(tag("ambiguous"), " · ", ids, ", as good as certain, and something beside that is in no list.")
+        )
     elif d["verdict"] == "ambiguous":
         options = [m for m in dict.fromkeys([d["mechanism"], *(d["also_possible"] or [])]) if m]
         beside = [code(m) for m in (d["mechanisms"] or [])[1:]] if len(options) == 1 else []

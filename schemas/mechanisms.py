@@ -319,6 +319,17 @@ def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
     return text.format(amount(mechanism, main, size)) if _is_resolved(size) else _leave_size_out(text)
 
 
+def has_unnamed_beside(diagnosis: Mapping[str, Any]) -> bool:
+    """Whether the causes of a row of `diagnoses` are certain, with something beside them that is in no list: the likeliest hypothesis is
+    `rig_constants+film/frequency`, say.
+    """
+    if diagnosis["verdict"] != "ambiguous":
+        return False
+    shares: dict[str, float] = json.loads(diagnosis.get("probabilities") or "{}")
+    *beside, last = max(shares, key=lambda name: shares[name], default="").split("+")
+    return "/" in last and {*beside} == {*(diagnosis["mechanisms"] or ())}
+
+
 def cause(diagnosis: Mapping[str, Any]) -> str:
     """What is wrong, from a row of `diagnoses`: `the load cell is stiffer than its file says, by 6.3 ± 0.3 %`.
 
@@ -327,6 +338,8 @@ def cause(diagnosis: Mapping[str, Any]) -> str:
     """
     found = nested(diagnosis["severity"])
     named = [m for m in (diagnosis["mechanisms"] or [diagnosis["mechanism"]]) if m]
+    if has_unnamed_beside(diagnosis):
+        return f"{' and '.join(finding(m, found.get(m, {})) for m in named)}, and something that is in no list acts beside that"
     if diagnosis["verdict"] == "ambiguous" and not diagnosis["also_possible"] and len(named) > 1:
         return f"{finding(named[0], found.get(named[0], {}))}, and perhaps {' and '.join(finding(m, {}) for m in named[1:])}"
     if diagnosis["verdict"] == "ambiguous":

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from pipeline.diagnose.features.reduce import reduce
+from pipeline.diagnose.judge import judge_session
+from pipeline.diagnose.search import patterns
+from pipeline.diagnose.search.evidence import Evidence
 from pipeline.diagnose.search.extended_model import Chosen, Extended
 from pipeline.diagnose.search.form_functions import RegionChange, differentiate_regions
 from pipeline.diagnose.search.likelihood import find_absorbed
 from pipeline.diagnose.search.named_regions import name_regions
 from pipeline.diagnose.search.plain_fit import fit_plain
-from pipeline.diagnose.search.posterior import Hypothesis, Posterior, RegionFit, weigh_fit
-from pipeline.diagnose.search.screen import compute_secants
+from pipeline.diagnose.search.posterior import PLAIN, Hypothesis, Posterior, RegionFit, weigh_fit
+from pipeline.diagnose.search.screen import compute_secants, compute_signatures
 from pipeline.diagnose.search.several_causes import try_causes_of_form
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
@@ -104,6 +107,29 @@ def test_a_cause_that_all_probable_hypotheses_share_is_sure_whatever_is_beside_i
     other = replace(hypothesis(plain, theta, slack=SLACK), log_evidence=-110.0)
     found = Posterior.of([alone, replace(both, log_evidence=-99.5), other])
     assert [h.name for h in found.find_sure()] == ["amplitude_softening"]
+
+
+def test_a_cause_that_is_sure_is_told_where_what_has_no_name_beside_it_is_likelier_than_all_names(
+    plain: Extended, theta: Float
+) -> None:
+    """A clamp far from its file was `unknown`, because something in no list was there as well."""
+    cause = hypothesis(plain, theta, amplitude_softening=SOFTENING)
+    function = region_like(plain, theta, cause, 1.0, "contact").region
+    assert function is not None
+    beside = replace(
+        cause, name="amplitude_softening+contact/amplitude", fit=None, log_evidence=-80.0,
+        region=replace(function, plain=cause.model),
+    )  # fmt: skip
+    noise = replace(weigh_fit(plain.refine(plain.fit(theta, most=0))), name=PLAIN, log_evidence=-500.0)
+    fit = cause.model
+    nothing = Evidence(fit, compute_signatures(compute_secants(noise.model), noise.model), 0.0, 10.0, patterns.test_patterns(fit), plain=noise.model)  # fmt: skip
+    found = replace(nothing, posterior=Posterior.of([noise, cause, beside]))
+    assert found.sure is cause
+    assert judge_session(found) == "ambiguous"
+    alone = replace(beside, name="contact/amplitude", region=replace(function, plain=noise.model))
+    doubtful = replace(nothing, posterior=Posterior.of([noise, cause, alone]))
+    assert doubtful.sure is None
+    assert judge_session(doubtful) == "unknown"
 
 
 def test_causes_that_a_function_may_be_the_form_of_are_tried_where_none_was(plain: Extended, theta: Float) -> None:

@@ -98,6 +98,19 @@ def test_named() -> None:
     )
 
 
+def test_what_is_beside_causes_that_are_certain_is_no_alternative_to_them() -> None:
+    d = diagnosis(
+        "ambiguous", mechanism="slack", mechanisms=["slack"], also_possible=["unlisted"],
+        probabilities='{"slack": 0.01, "slack+film/frequency": 0.99}',
+    )  # fmt: skip
+    assert mechanisms.has_unnamed_beside(d)
+    assert mechanisms.cause(d).endswith(", and something that is in no list acts beside that")
+    assert " or " not in mechanisms.cause(d)
+    instead = {**d, "probabilities": '{"slack": 0.4, "film/frequency": 0.6}'}
+    assert not mechanisms.has_unnamed_beside(instead)
+    assert not mechanisms.has_unnamed_beside({**d, "probabilities": None})
+
+
 def test_ambiguous_names_all_and_unknown_names_none() -> None:
     d = diagnosis("ambiguous", mechanism="slack", mechanisms=["slack"], also_possible=["strain_stiffening"])
     text = plain(findings.headline(Standing("P-11", None, None, None, d)))

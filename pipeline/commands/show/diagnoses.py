@@ -11,7 +11,18 @@ from pipeline.lab.reader import Reader
 from schemas.alike import ask_meant
 from schemas.corrections import write_corrections
 from schemas.errors import UsageError
-from schemas.mechanisms import UNLISTED, amount, candidate, cause, main, nested, parameter_words, plain_name, severity
+from schemas.mechanisms import (
+    UNLISTED,
+    amount,
+    candidate,
+    cause,
+    has_unnamed_beside,
+    main,
+    nested,
+    parameter_words,
+    plain_name,
+    severity,
+)
 from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, significant
 from schemas.visible import make_safe
 
@@ -105,6 +116,8 @@ def _state_verdict(row: Row) -> str:
     text = cause(row)
     if verdict == "named":
         return f"{text} (named)."
+    if has_unnamed_beside(row):
+        return f"{text} (ambiguous)."
     if verdict == "ambiguous":
         which = " which" if row["also_possible"] else ""
         return f"{text}; these recordings cannot tell{which} (ambiguous)."
@@ -155,7 +168,7 @@ def _tabulate_causes(row: Row) -> Iterator[str]:
         yield f"    {name.ljust(widths[0])}  {columns}  {size}"
     for mechanism, parameters in nested(row["severity"]).items():
         yield f"  {plain_name(mechanism)} ({mechanism}): {severity(mechanism, parameters)}"
-    if row["also_possible"]:
+    if row["also_possible"] and not has_unnamed_beside(row):
         possible = (plain_name(m) if m == UNLISTED else m for m in row["also_possible"])
         yield f"  Cannot be told from it: {', '.join(possible)}"
     if row["supported_by"]:
