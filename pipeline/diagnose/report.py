@@ -238,13 +238,14 @@ def _list_candidates(
         chosen = fit.of.chosen[own[0]]
         estimates = _estimate_severity(fit, own[0], make_linear_ends(fit.estimate_spread()), context)
         key = find_main_key(chosen.id, estimates)
+        parameters = sum(c.owner == own[0] for c in fit.of.coordinates)
         ratio = max(base.chi2 - fit.chi2, 0.0)  # a model with one cause more is no worse at its optimum
         is_the_cause = {*causes} == {*hypothesis.causes}
         found.append(
             Candidate(
                 mechanism=chosen.id,
                 likelihood_ratio=float(ratio),
-                bic=float(ratio - len(chosen.mechanism.parameters) * np.log(size)),
+                bic=float(ratio - parameters * np.log(size)),
                 probability=posterior.probability[hypothesis.name],
                 severity=estimates[key].value,
                 severity_sd=estimates[key].sd,
