@@ -16,6 +16,8 @@ from schemas.lifetimes import LifetimeRow
 from schemas.metadata import RecordingMetadata
 
 _SERIES = 3
+_OPEN = " (not decided)"
+"""Behind the likeliest reason of a life that the record does not tell: alone it would read as a fact."""
 _CONFIRMS = {"leakage_current": ("jumps", "stays high"), "force": ("steps",)}
 _SPEAKS_AGAINST = {
     "leakage_current": ("follows the voltage", "follows the voltage, slowly sampled", "goes on", "shows nothing"),
@@ -100,6 +102,9 @@ def lifetime(
     confirmed, against = verdict.channels(_CONFIRMS), verdict.channels(_SPEAKS_AGAINST)
     contradictions = _contradictions(site, verdict, broke=broke)
     notes = [*counts.notes, *verdict.notes, *contradictions]
+    because = verdict.because
+    if because is not None and not verdict.decided:
+        because += _OPEN
     if counts.glitches >= _SERIES:
         notes.append(f"a series of {counts.glitches} glitches: a self-clearing film or a bad contact")
     if trace.dropouts:
@@ -116,7 +121,7 @@ def lifetime(
         voltage_kv=trace.set_point,
         lifetime_s=max(end_s - start_s, 0.0),
         failed=verdict.failed,
-        censored_because=verdict.because,
+        censored_because=because,
         glitches=counts.glitches,
         breakdown_voltage_kv=breakdown_voltage,
         failure_site=metadata.failure_site,

@@ -31,7 +31,10 @@ TABLES: tuple[Table, ...] = (
                 "from 95 % of the set voltage to breakdown; of a survivor (failed = false) the time survived",
             ),
             truth("failed", "broke down within the test"),
-            text("censored_because", "why the life is only known to be longer; NULL for a failure"),
+            text(
+                "censored_because",
+                "why the life is only known to be longer, `(not decided)` behind it where `decided` is false; NULL for a failure",
+            ),
             whole("glitches", "collapses that recovered within 0.5 s"),
             real(
                 "breakdown_voltage_kv",

@@ -300,6 +300,8 @@ def test_record_that_ends_during_a_fall_is_not_decided() -> None:
     found = bench.detect()
     assert not found.failed
     assert found.decided is False
+    assert found.censored_because is not None
+    assert found.censored_because.endswith("(not decided)"), "a reason that reads as a fact, beside decided = false"
     assert Bench(seconds=12.3).detect().failed is False
     longer = Bench(seconds=12.15)
     longer.fall(12.0, 0.1)
@@ -652,6 +654,7 @@ def test_any_record_gives_a_life_or_a_reason(
     assert found.failed == (found.censored_because is None)
     assert found.start_s <= found.end_s
     assert (found.decided is False) == any("cannot be decided" in text for text in found.warnings)
+    assert str(found.censored_because).endswith("(not decided)") == (found.decided is False and not found.failed)
 
 
 @settings(deadline=None)
