@@ -124,7 +124,10 @@ def _tell_text(start: bytes) -> str | None:
     text = start.decode(guess_encoding(start), "replace").removeprefix("\ufeff")
     if text.startswith(lvm_reader.BEGINS) and lvm_reader.ENDS in text:
         return "lvm"
-    return "trios" if any(line.strip() in trios_reader.MARKS for line in text.splitlines()) else None
+    lines = text.splitlines()
+    marks = [number for number, line in enumerate(lines) if line.strip() in trios_reader.MARKS]
+    # The same export with commas is a table behind a head, as any other.
+    return "trios" if marks and any("\t" in line for line in lines[marks[0] :]) else None
 
 
 def _open_tabbed(path: Path, found: str, said: Mapping[str, str]) -> Opened:

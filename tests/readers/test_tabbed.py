@@ -279,3 +279,16 @@ def test_an_export_cut_in_its_last_line_keeps_the_rows_before_it(
     file = read_trios(path, ALL)
     assert list(file.cells("Gap")) == [gap for _, _, gap in rows[: -1 if why else None]]
     assert [why in problem for problem in file.problems] == ([True] if why else [])
+
+
+def test_an_export_with_commas_is_a_table_behind_a_head(tmp_path: Path) -> None:
+    """It was drafted as TRIOS, with all its columns as one, since it has a line `[step]`."""
+    rows = "\n".join(f"{10 ** (i / 9):.4g},{1 + i / 20:.3f},{0.1 + i / 90:.4f}" for i in range(19))
+    path = tmp_path / "sweep.csv"
+    path.write_text(
+        f"Instrument name,Q800\n\n[step]\nSweep\nFrequency,Storage modulus,Loss modulus\nHz,MPa,MPa\n{rows}\n"
+    )
+    content = make_draft(path).content
+    assert content["kind"] == "frequency_response"
+    assert set(content["columns"]) == {"frequency", "storage", "loss"}
+    assert content.get("format", "csv") == "csv"
