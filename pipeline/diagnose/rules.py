@@ -304,7 +304,7 @@ class SingleRules:
     adequate: float = _rule(
         0.95,
         "share of the misfit that a mechanism must explain to be named, where it leaves more than noise",
-        "a measured Duffing circuit has 0.978 and 0.999 for the cause it was built with, simulated integrators 0.69 to 0.74 for none",
+        "a measured Duffing circuit has 0.978 and 0.999 for the cause it was built with, two simulated integrators 0.71 and 0.74 for none",
     )
     interval: float = _rule(0.95, "probability of the interval of a gain, and of one model being better than another")
     detectable: float = _rule(2.8, "smallest detectable severity", "theory: 80 % power at a level of 5 %", "SD")
