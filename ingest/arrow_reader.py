@@ -8,6 +8,7 @@ Parquet without its end is nothing: what stands where is said there alone. Does 
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC
@@ -138,9 +139,9 @@ def read_arrow(path: Path, mapping: FileMapping) -> ArrowFile:
             where=path.name,
             expected=f"1 to {CELL_LIMIT} rows",
         )
-    names = [one.name for one in listed]
+    times = Counter(one.name for one in listed)
     twice = "one of several columns of that name"
-    columns = tuple(replace(o, refusal=twice) if names.count(o.name) > 1 else o for o in listed)
+    columns = tuple(replace(o, refusal=twice) if times[o.name] > 1 else o for o in listed)
     return ArrowFile(path, columns, parsed, problems)
 
 

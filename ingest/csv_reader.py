@@ -23,11 +23,13 @@ from ingest.csv_dialect import UNREADABLE, WHITESPACE, Dialect, as_utf8, wrong_e
 from ingest.csv_rows import checked_end, cut_reason, parsed_rows
 from ingest.mapping import ColumnName, FileMapping, column_label
 from ingest.notations import read_cell, read_column
-from ingest.repeats import REPEATED, find_repeated_heads
+from ingest.repeats import REPEATED, find_repeated_heads, is_head
 from schemas.arrays import Float
 from schemas.errors import RefusedError
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
+_LONGEST = 1 << 20
+"""Bytes of the longest line: pyarrow reads blocks of that size. A hundred thousand columns take less."""
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\n|\r|\Z)")
 
 
@@ -133,6 +135,7 @@ def parse_csv(
     first = next((line for line in _lines(body) if line.strip()), None)
     if first is None:
         raise RefusedError("there are no rows of data", where=where, expected="rows after the header")
+    _refuse_length(first, where)
     fields = dialect.fields(first.decode("utf-8", "replace"))
     names = _fitted(_without_constants(header, units, len(fields)), fields, dialect, where)
     _check_names(names, wanted, dialect, where)
@@ -184,8 +187,9 @@ def _row(body: bytes, dialect: Dialect, where: str) -> tuple[list[str], bytes]:
     start = next((match.start() for match in _LINE.finditer(body) if match.group().strip()), len(body))
     quotes = _Quotes(dialect)
     end = start
-    while end < len(body) and (end == start or quotes.is_open):
+    while end < min(len(body), start + _LONGEST) and (end == start or quotes.is_open):
         following = _LINE.match(body, end).end()  # type: ignore[union-attr]
+        _refuse_length(body[end:following], where)
         quotes.read(body[end:following].decode("utf-8", "replace"))
         end = following
     if quotes.is_open:
@@ -200,12 +204,26 @@ def _row(body: bytes, dialect: Dialect, where: str) -> tuple[list[str], bytes]:
     return [" ".join(field.split()) for field in fields], body[end:]
 
 
+def _refuse_length(line: bytes, where: str) -> None:
+    """Raises `RefusedError` for a line that is longer than any row, before its fields are made."""
+    if len(line) > _LONGEST:
+        raise RefusedError(
+            f"a line is {len(line)} bytes long",
+            where=where,
+            expected=f"lines of at most {_LONGEST} bytes",
+            remedy="Check delimiter, skip_rows and quote in the mapping TOML; export fewer columns at once",
+        )
+
+
 def _without_repeated_heads(body: bytes, header: Sequence[str], dialect: Dialect) -> tuple[bytes, list[str]]:
     """The rows without heads that are said again between them, and a note where there were some."""
-    longest = max(header, key=len, default="")
-    if not longest or longest.encode() not in body:
+    telling = [name.encode() for name in sorted(header, key=len)[-2:]]
+    if len(telling) < 2 or not all(name and name in body for name in telling):
         return body, []
     lines = list(_lines(body))
+    likely = (line for line in lines if all(name in line for name in telling))  # fields of all lines take long
+    if not any(is_head(dialect.fields(line.decode("utf-8", "replace").rstrip("\r\n")), header) for line in likely):
+        return body, []
     fields = [dialect.fields(line.decode("utf-8", "replace").rstrip("\r\n")) for line in lines]
     repeated = find_repeated_heads(fields, header, dialect.decimal)
     if not repeated:

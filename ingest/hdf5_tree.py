@@ -89,7 +89,10 @@ def _below(file: Any, group: Any, path: str, above: frozenset[Any], depth: int) 
         if not isinstance(key, str) or (not path and key.startswith("#")):
             continue  # MATLAB's hidden groups; a name that is no UTF-8 comes as bytes, and no mapping can name it
         name = f"{path}/{key}" if path else key
-        if _leads_out(file, f"{group.name.rstrip('/')}/{key}"):
+        link = group.get(key, getlink=True)
+        if isinstance(link, h5py.ExternalLink) or (
+            isinstance(link, h5py.SoftLink) and _leads_out(file, _address(group.name, link.path))
+        ):
             yield name, Listed("", refusal="a link to another file", remedy="Copy its content into this file")
             continue
         try:
@@ -116,22 +119,34 @@ def _leads_out(file: Any, address: str, links: int = 0) -> bool:
         if isinstance(link, h5py.ExternalLink):
             return True
         if isinstance(link, h5py.SoftLink):
-            base = link.path if link.path.startswith("/") else f"{here}/{link.path}"
-            return _leads_out(file, "/".join([base, *parts[place + 1 :]]), links + 1)
+            return _leads_out(file, "/".join([_address(here, link.path), *parts[place + 1 :]]), links + 1)
         here = f"{here.rstrip('/')}/{part}"
     return False
 
 
+def _address(group: str, path: str) -> str:
+    """Where a soft link in a group leads."""
+    return path if path.startswith("/") else f"{group}/{path}"
+
+
 def _item(file: Any, item: Any, name: str, above: frozenset[Any], depth: int) -> Iterator[tuple[str, Listed]]:
-    matlab_class = _text(item.attrs.get("MATLAB_class")) or ""
-    if "MATLAB_sparse" in item.attrs:
+    attributes = _attributes(item)
+    matlab_class = _text(attributes.get("MATLAB_class")) or ""
+    if item.name is None:
+        yield name, Listed("", refusal="something that stands nowhere in the file", remedy="Save it under a name")
+    elif "MATLAB_sparse" in attributes:
         yield name, Listed(item.name, refusal="a sparse matrix", remedy="Save it as full(…)")
-    elif matlab_class in _OBJECTS or ("MATLAB_object_decode" in item.attrs and matlab_class not in _PLAIN_CLASSES):
+    elif matlab_class in _OBJECTS or ("MATLAB_object_decode" in attributes and matlab_class not in _PLAIN_CLASSES):
         yield name, object_of(item.name, matlab_class)
     elif isinstance(item, h5py.Group):
         yield from _below(file, item, name, above, depth)
     elif isinstance(item, h5py.Dataset):
-        yield from _dataset(file, item, name, matlab_class, above, depth)
+        yield from _dataset(file, item, name, attributes, above, depth)
+
+
+def _attributes(item: Any) -> dict[str, Any]:
+    """What a group or an array says of itself, each read once: that takes most of the time of a file of many small arrays."""
+    return {str(key): value for key, value in item.attrs.items()}
 
 
 def object_of(address: str, matlab_class: str) -> Listed:
@@ -144,14 +159,15 @@ def object_of(address: str, matlab_class: str) -> Listed:
 
 
 def _dataset(
-    file: Any, dataset: Any, name: str, matlab_class: str, above: frozenset[Any], depth: int
+    file: Any, dataset: Any, name: str, attributes: Mapping[str, Any], above: frozenset[Any], depth: int
 ) -> Iterator[tuple[str, Listed]]:
+    matlab_class = _text(attributes.get("MATLAB_class"))
     try:
         dtype, shape = dataset.dtype.base, (*(dataset.shape or ()), *dataset.dtype.shape)
     except (TypeError, ValueError) as error:  # types of HDF5 that numpy has not: times, odd floats
         yield name, Listed(dataset.name, refusal=f"an array of a type that is not read ({str(error)[:80]})")
         return
-    plain = Listed(dataset.name, (), shape[::-1] if matlab_class else shape, unit_of(dataset.attrs))
+    plain = Listed(dataset.name, (), shape[::-1] if matlab_class else shape, unit_of(attributes))
     if dataset.is_virtual or dataset.external:
         yield name, replace(plain, refusal=_IN_OTHER_FILES, remedy="Copy them into one file")
     elif h5py.check_ref_dtype(dtype) is not None:
@@ -161,11 +177,11 @@ def _dataset(
             replace(plain, refusal=_elements(name, shape, "a cell array" if is_cell else "an array of references")),
         )
         if h5py.check_ref_dtype(dtype) is h5py.Reference and math.prod(shape) <= _MOST and depth <= _DEPTH:
-            yield from _referenced(file, dataset, name, above, depth)
+            yield from _referenced(file, dataset, name, is_cell, above, depth)
     elif lacking := _lacking_filter(dataset):
         remedy = "Save it with gzip"
         yield name, replace(plain, refusal=f"compressed with {lacking}, which is not installed", remedy=remedy)
-    elif "MATLAB_empty" in dataset.attrs:
+    elif "MATLAB_empty" in attributes or dataset.shape is None:
         yield name, replace(plain, refusal="empty")
     elif dtype.names is not None and not _is_complex(dtype):
         fields = ", ".join(dtype.names[:20])
@@ -173,9 +189,9 @@ def _dataset(
             name,
             replace(plain, refusal=f"a table with the fields {fields}", remedy=f"Name one: {name}/{dtype.names[0]}"),
         )
-        yield from _fields(dataset, dtype, plain, name)
+        yield from _fields(attributes, dtype, plain, name)
     else:
-        yield name, _typed(plain, dtype, dataset.attrs, is_text=matlab_class == "char")
+        yield name, _typed(plain, dtype, attributes, is_text=matlab_class == "char")
 
 
 def _lacking_filter(dataset: Any) -> str:
@@ -188,34 +204,35 @@ def _lacking_filter(dataset: Any) -> str:
     return ""
 
 
-def _referenced(file: Any, dataset: Any, name: str, above: frozenset[Any], depth: int) -> Iterator[tuple[str, Listed]]:
+def _referenced(
+    file: Any, dataset: Any, name: str, is_cell: bool, above: frozenset[Any], depth: int
+) -> Iterator[tuple[str, Listed]]:
     """The elements of a cell or structure array, in MATLAB's order. `data/0` of field data is listed as `0/data`."""
-    matlab_class = _text(dataset.attrs.get("MATLAB_class"))
     parent, _, last = name.rpartition("/")
     for i, reference in enumerate(np.asarray(dataset[()]).reshape(-1)):
         if not reference:
             continue
-        place = f"{name}/{i}" if matlab_class == "cell" or not parent else f"{parent}/{i}/{last}"
+        place = f"{name}/{i}" if is_cell or not parent else f"{parent}/{i}/{last}"
         target = file[reference]
         if isinstance(target, h5py.Group | h5py.Dataset):
             yield from _item(file, target, place, above, depth + 1)
 
 
-def _fields(dataset: Any, dtype: Any, plain: Listed, name: str) -> Iterator[tuple[str, Listed]]:
+def _fields(attributes: Mapping[str, Any], dtype: Any, plain: Listed, name: str) -> Iterator[tuple[str, Listed]]:
     """The fields of a table, and of structures within its rows."""
-    listed_units = _texts(next((dataset.attrs[k] for k in dataset.attrs if k.lower() in _UNITS), None))
+    listed_units = _texts(next((value for key, value in attributes.items() if key.lower() in _UNITS), None))
     for place, field in enumerate(dtype.names):
         inner, inside = dtype[field], dtype[field].base
         own = {
             key[len(field) + 1 :]: value
-            for key, value in dataset.attrs.items()
+            for key, value in attributes.items()
             if key.startswith((f"{field}_", f"{field}."))
         }
         unit = unit_of(own) or (listed_units[place] if len(listed_units) == len(dtype.names) else None)
         entry = replace(plain, fields=(*plain.fields, field), shape=(*plain.shape, *inner.shape), unit=unit)
         below = f"{name}/{field}"
         if inside.names is not None and not _is_complex(inside) and len(entry.fields) < _DEPTH:
-            yield from _fields(dataset, inside, entry, below)
+            yield from _fields(attributes, inside, entry, below)
         else:
             yield below, _typed(entry, inside, own)
 

@@ -210,7 +210,7 @@ def read_column(
     found = {text: read_cell(text, decimal, thousands) for text in dict.fromkeys(texts)}
     first = dict(zip(reversed(texts), reversed(rows.tolist()), strict=True))
     grouped = any(w is not None and w.notation == THOUSANDS for w in found.values())
-    fractions = int(np.count_nonzero(np.isfinite(values) & (values % 1 != 0)))
+    fractions = int(np.count_nonzero(values[np.isfinite(values)] % 1))
     other_mark = sum(_OTHER_MARK.fullmatch(text) is not None for text in texts)
     unknown: Counter[str] = Counter()
     nothing = 0

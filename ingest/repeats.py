@@ -24,10 +24,7 @@ def find_repeated_heads(rows: Sequence[Sequence[Any]], header: Sequence[str], de
     header : names of the columns
     decimal : decimal mark of numbers that are text
     """
-    names = _plain(header)
-    if sum(map(bool, names)) < 2:
-        return set()
-    again = [i for i, row in enumerate(rows) if _plain(row) == names]
+    again = [i for i, row in enumerate(rows) if is_head(row, header)]
     if not again:
         return set()
     first = next((row for row in rows if _numbers(row, decimal)), ())
@@ -40,6 +37,12 @@ def find_repeated_heads(rows: Sequence[Sequence[Any]], header: Sequence[str], de
                 found.add(row)
                 row += step
     return found
+
+
+def is_head(cells: Sequence[Any], header: Sequence[str]) -> bool:
+    """Whether a row says the names of the columns; one name alone is none."""
+    names = _plain(header)
+    return sum(map(bool, names)) >= 2 and _plain(cells) == names
 
 
 def _plain(cells: Sequence[Any]) -> list[str]:

@@ -11,7 +11,9 @@ import pytest
 
 h5py = pytest.importorskip("h5py", reason="the extra `hdf5` is not installed")
 
+from ingest.hdf5_reader import read_hdf5  # noqa: E402
 from ingest.hdf5_tree import list_arrays, read_array  # noqa: E402
+from ingest.mapping import FileMapping  # noqa: E402
 
 SECRET = 1234.5
 
@@ -89,3 +91,33 @@ def test_nothing_of_another_file_is_read(put: Any, secret: Path, tmp_path: Path)
     out = next(name for name in found if name.endswith("out"))
     assert "other file" in found[out].refusal or "another file" in found[out].refusal
     assert read == {"own": list(range(8)), "link within": list(range(8))}
+
+
+def test_what_only_a_reference_leads_to_has_no_path_and_is_named(secret: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["own"] = np.arange(8.0)
+        island = file.create_group("island")
+        island["itself"], island["numbers"] = island, np.arange(3.0)
+        island["out"] = h5py.ExternalLink(str(secret), "/key")
+        cells = file.create_dataset("cells", (2,), h5py.ref_dtype)
+        cells[:] = [island.ref, island["numbers"].ref]
+        cells.attrs["MATLAB_class"] = np.bytes_("cell")
+        file.create_dataset("nothing", data=h5py.Empty("f8"))
+        del file["island"]  # what stands in it keeps it alive
+    for matlab in (False, True):
+        found = read_hdf5(path, FileMapping("recording", None, {}, None, {}, {}, {}), matlab=matlab)
+        assert found.names() == ("own",)
+        refusals = {name: held.refusal for name, held in found.held.items() if name[-1] in "01g"}
+        nowhere = "something that stands nowhere in the file"
+        assert list(refusals.values()) == [nowhere, nowhere, "empty"]
+
+
+def test_a_sound_file_of_thousands_of_small_arrays_is_listed(tmp_path: Path) -> None:
+    path = tmp_path / "many.h5"
+    with h5py.File(path, "w", libver="latest") as file:
+        for number in range(3000):
+            file.create_dataset(f"{number // 100}/{number}", data=np.arange(4.0)).attrs["unit"] = "N"
+    found = read_hdf5(path, FileMapping("recording", None, {}, None, {}, {}, {}))
+    assert len(found.names()) == 3000
+    assert found.unit("7/712") == "N"

@@ -1,4 +1,4 @@
-"""Text files with a lone quotation mark, or with blanks without end: read, or refused, in a moment."""
+"""Text files with a lone quotation mark, or with blanks, comments or lines without end: read, or refused, in a moment."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ ROWS = b"1.0,2.0\n" * 100_000
         (b't,"F\n' + ROWS, Dialect(), "a quotation mark in the header is never closed"),
         (b't,F\n1.0,2.0\n"1.0,2.0\n' + ROWS, Dialect(), ""),
         (b"\n" * 2_000_000 + b"t,F\n" + ROWS[:80], Dialect(), ""),
+        (b"# x\n" * 1_000_000, Dialect(), ""),
+        (b"t," + b"(" * 200_000 + b"\n" + ROWS[:80], Dialect(), ""),
+        (b"x" * 2_000_000 + b",F\n" + ROWS[:80], Dialect(), "a line is 2000003 bytes long"),
+        (b"t,F\n1.0," + b"9" * 2_000_000 + b"\n" + ROWS[:80], Dialect(), "a line is 2000005 bytes long"),
+        (b"t,F\n" + ROWS[:80] + b"1.0," + b"9" * 900_000, Dialect(), ""),
+        (b";" * 5_000_000 + b"\n", Dialect(delimiter=";"), "a line is 5000001 bytes long"),
         (b"t F\n" + b" " * 400_000 + b"1.0 2.0\n3.0 4.0\n", Dialect(delimiter="whitespace"), ""),
     ],
 )

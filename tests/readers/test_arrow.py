@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import decimal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -181,3 +182,13 @@ def test_only_what_is_mapped_is_read(tmp_path: Path) -> None:
     file: ArrowFile = read_arrow(path, ALL)
     assert file.names() == ("F", "l")
     assert file.numbers("F").values.tolist() == [1.0]
+
+
+def test_thousands_of_columns_are_told_apart_in_a_moment(tmp_path: Path) -> None:
+    names = [f"c{i}" for i in range(15_000)]
+    table = pa.table([pa.array([1.0])] * 15_001, names=[*names, "c7"])
+    pyarrow.feather.write_feather(table, tmp_path / "wide.feather", compression="uncompressed")
+    begin = time.process_time()
+    found = read_arrow(tmp_path / "wide.feather", ALL)
+    assert time.process_time() - begin < 2.0
+    assert {one.name for one in found.listed if one.refusal} == {"c7"}
