@@ -15,7 +15,16 @@ from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxat
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
-from schemas.mechanisms import MECHANISMS, RECORD, UNLISTED, cause, has_unnamed_beside, model_name, plain_name
+from schemas.mechanisms import (
+    MECHANISMS,
+    RECORD,
+    UNLISTED,
+    cause,
+    has_unnamed_beside,
+    model_name,
+    plain_name,
+    quote_name,
+)
 from schemas.numbers import NBSP, capital, compact, p_equals, pm, removed, significant, symbols, whole, word
 
 LISTED_CAUSES = len(MECHANISMS)
@@ -178,12 +187,7 @@ _CAUSES = re.compile(r"\b(?:" + "|".join(sorted((m for m in MECHANISMS if "_" in
 
 def name_causes(text: str) -> str:
     """The text with causes by their everyday names in place of their ids."""
-    return _CAUSES.sub(lambda found: _in_sentence(plain_name(found[0])), text)
-
-
-def _in_sentence(words: str) -> str:
-    """A name as it stands within a sentence."""
-    return f"“{words[:1].lower()}{words[1:]}”"
+    return _CAUSES.sub(lambda found: quote_name(found[0]), text)
 
 
 _CONSTANTS = {

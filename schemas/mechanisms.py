@@ -219,6 +219,12 @@ def plain_name(mechanism: str) -> str:
     return known.name if known else mechanism.replace("_", " ")
 
 
+def quote_name(mechanism: str) -> str:
+    """The everyday name of a mechanism as it stands within a sentence: “constants of the rig”."""
+    name = plain_name(mechanism)
+    return f"“{name[:1].lower()}{name[1:]}”"
+
+
 def nested(text: str | None) -> dict[str, dict[str, Any]]:
     """JSON of the form {mechanism: {parameter: anything}}; what is not of that form is left out."""
     try:

@@ -39,7 +39,7 @@ from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
-from schemas.mechanisms import UNLISTED, plain_name
+from schemas.mechanisms import UNLISTED, quote_name
 from schemas.numbers import percent
 
 NORMAL_95 = 1.96
@@ -365,7 +365,7 @@ def _tell_region(hypothesis: Hypothesis) -> str:
     """A region in words, with the causes that it is beside."""
     if hypothesis.region is None:
         return hypothesis.name
-    beside = " and ".join(plain_name(id) for id in hypothesis.beside)
+    beside = " and ".join(quote_name(id) for id in hypothesis.beside)
     return hypothesis.region.region.text + (f", beside {beside}" if beside else "")
 
 
@@ -380,7 +380,7 @@ def _describe_closest(evidence: Evidence) -> list[str]:
     share = 1 - max(float(after @ after) - of.session.size, 0.0) / max(beyond, 1.0)
     if share < RULES.verdict.closest:
         return []
-    names = " with ".join(plain_name(id) for id in best.causes)
+    names = " with ".join(quote_name(id) for id in best.causes)
     return [
         f"Of the listed causes {names} comes closest: it takes {percent(share, 4)} of the misfit away, in another form perhaps all."
     ]
