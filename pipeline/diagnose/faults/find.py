@@ -49,6 +49,7 @@ from schemas.protocols import CALIBRATION
 _EXPECTED = Mechanisms(0.5 * RULES.fault.mechanism, as_film=0.5 * RULES.fault.mechanism)
 """Of a recording like which there is no other, or of all that there are."""
 _EACH_WAY = RULES.fault.mechanism / 3
+"""The probability of a mechanism, shared by the three ways in which it may show in an electrical test."""
 _LAGGING = Mechanisms(_EACH_WAY, as_film=_EACH_WAY, as_delay=_EACH_WAY)
 """The same of electrical tests, which alone are late where the drive lags."""
 _EVIDENT = Mechanisms(0.25, as_film=0.25, as_scale=0.25, as_delay=0.25)

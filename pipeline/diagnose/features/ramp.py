@@ -31,6 +31,8 @@ _MOVING = 0.02
 """Share of the step by which the displacement may miss its level and still count as held."""
 _SMOOTH = 5
 """Degree of the polynomial that follows the second half of a relaxation: in log time that is a tenth of three decades."""
+_ROUNDING = 1e-12
+"""Share of the largest value below which what scatters is arithmetic."""
 _RINGING_TURNS = 3.0
 """Turns of the clamp after a step in which it rings, and which are no feature."""
 _HIGHEST_HZ = 200.0
@@ -45,7 +47,7 @@ def relaxation_blocks(
     """Blocks, noise, values, warnings of a mechanical `step`. Raises `NotIdentifiableError` where nothing can be read."""
     found, x, y, names, rest = _prepared(recording)
     holds = _holds(x, rest)
-    noise = [_read_noise(found, q, v, rest, holds) for q, v in zip(names, (x, y), strict=True)]
+    noise = [found.noise(names[0], x[:rest]), _read_noise(found, names[1], y, rest, holds)]
     settling = max(_RINGING_TURNS / clamp_hz(recording.rig), ringing_s(recording.rig, found.interval_s))
     x = _held(x, rest, holds)
     windows: list[tuple[int, int]] = []
@@ -68,15 +70,25 @@ def relaxation_blocks(
 def _read_noise(
     found: Record, quantity: str, values: Float, rest: int, holds: list[tuple[int, int, int]]
 ) -> NoiseSample | None:
-    """The noise of a channel (n,) at rest; where there is no rest, in the second half of the longest hold, about a smooth relaxation."""
+    """The noise of an output (n,) at rest; where there is no rest, in the second half of the longest hold, about a smooth relaxation.
+
+    None where its converter hides it: next to an output that stands still any model is wrong by thousands of times its noise.
+    """
     at_rest = found.noise(quantity, values[:rest])
     if at_rest is not None or not holds:
-        return at_rest
+        return at_rest if at_rest is None or _scatters(found, quantity, values[:rest]) else None
     _, start, stop = max(holds, key=lambda hold: hold[2] - hold[1])
-    second = slice((start + stop) // 2, stop)
-    if found.lost[second].any():
+    second = values[(start + stop) // 2 : stop]
+    if found.lost[(start + stop) // 2 : stop].any() or not _scatters(found, quantity, second):
         return None
-    return found.noise(quantity, values[second], degree=_SMOOTH)
+    return found.noise(quantity, second, degree=_SMOOTH)
+
+
+def _scatters(found: Record, quantity: str, values: Float) -> bool:
+    """Whether neighbouring samples (n,) differ by more than a converter's rounding makes of nothing."""
+    step = found.resolution.get(quantity) or 0.0
+    scatter = float(np.diff(values, 2).std()) / np.sqrt(6) if values.size > 2 else 0.0
+    return bool(scatter > max(step / np.sqrt(12), _ROUNDING * float(np.abs(values).max(initial=0.0))))
 
 
 def _is_recorded(found: Record, a: int, b: int) -> bool:
