@@ -17,9 +17,8 @@ UNREADABLE = "\ufffd"
 _WRONG_BYTES = 0.01
 """Largest share of unreadable places that may be damage; beyond it the encoding is another one."""
 
-csv.field_size_limit(
-    2**31 - 1
-)  # a field may be as long as its file: Python raises an error of its own from 131 072 characters on
+# A field may be as long as its file: Python raises an error of its own from 131 072 characters on.
+csv.field_size_limit(2**31 - 1)
 
 
 @dataclass(frozen=True)

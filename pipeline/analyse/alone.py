@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.analyse.cycle import given_law, stretch_and_stress
 from pipeline.analyse.session_features import CYCLE, SYSTEM, Alone
-from schemas.arrays import Bool
+from pipeline.transform.sampling import runs
 from schemas.errors import NotIdentifiableError
 from schemas.protocols import OTHER
 from schemas.recording import Recording
@@ -46,13 +46,6 @@ def _of_cycle(recording: Recording) -> Alone | None:
     return Alone(CYCLE, channels, given or {})
 
 
-def _find_longest(finite: Bool) -> slice:
-    """The longest part on end of which all samples are there."""
-    ends = np.flatnonzero(~np.concatenate([[False], finite, [False]]))
-    longest = int(np.argmax(np.diff(ends)))
-    return slice(int(ends[longest]), int(ends[longest + 1]) - 1)
-
-
 def _of_system(recording: Recording) -> Alone | None:
     """Input and output against their means, of the longest part without a lost sample; None where they are not sampled evenly and together."""
     given, answer = recording.channels["input"], recording.channels["output"]
@@ -63,7 +56,7 @@ def _of_system(recording: Recording) -> Alone | None:
     finite = np.isfinite(given.values) & np.isfinite(answer.values)
     if np.abs(steps - interval).max() > _EVEN * interval or not finite.any():
         return None
-    whole = _find_longest(finite)
+    whole = slice(*max(runs(finite), key=lambda part: part[1] - part[0]))
     inputs, outputs = given.values[whole], answer.values[whole]
     inputs, outputs = inputs - inputs.mean(), outputs - outputs.mean()
     n = outputs.size

@@ -238,7 +238,7 @@ def _list_candidates(
         chosen = fit.of.chosen[own[0]]
         estimates = _estimate_severity(fit, own[0], make_linear_ends(fit.estimate_spread()), context)
         key = find_main_key(chosen.id, estimates)
-        parameters = sum(c.owner == own[0] for c in fit.of.coordinates)
+        parameters = len(chosen.mechanism.list_parameters(chosen.variant))
         ratio = max(base.chi2 - fit.chi2, 0.0)  # a model with one cause more is no worse at its optimum
         is_the_cause = {*causes} == {*hypothesis.causes}
         found.append(

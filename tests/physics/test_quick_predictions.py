@@ -21,11 +21,7 @@ from tests.helpers.judging import Case, made
 SESSION = 4_242
 """Seed of a session: specimen, pauses and noise follow from it."""
 
-FORMS = [
-    (id, variant)
-    for id, m in MECHANISMS.items()
-    for variant in (*(m.variants or ("",)), *(p.only for p in m.parameters if p.only))
-]
+FORMS = [(id, variant) for id, m in MECHANISMS.items() for variant in m.forms]
 SHARE = 1e-3
 """What few nodes may miss of what a cause changes, root mean square; causes' forms are wrong by far more."""
 NOISE = 0.02
@@ -53,8 +49,7 @@ def fitted() -> _Fitted:
 
 def effect(id: str, variant: str) -> Effect:
     """A clear one: three tenths up the plausible range of each parameter."""
-    own = [p for p in MECHANISMS[id].parameters if p.only in ("", variant)]
-    values = {p.name: p.low + 0.3 * (p.high - p.low) for p in own}
+    values = {p.name: p.low + 0.3 * (p.high - p.low) for p in MECHANISMS[id].list_parameters(variant)}
     return make_effect(id, values, variant)
 
 

@@ -22,16 +22,14 @@ def make_effect(id: str, values: Mapping[str, float], variant: str | None = None
     """Effect of one mechanism; shapes that are not given are at their start. ValueError for names it does not have."""
     mechanism = MECHANISMS[id]
     chosen = mechanism.variants[0] if variant is None else variant
-    known = (*mechanism.variants, *(p.only for p in mechanism.parameters if p.only))
-    if chosen not in known:
-        raise ValueError(f"{id} has no variant {chosen!r}; it has {known}")
-    names = {p.name for p in mechanism.parameters if p.only in ("", chosen)}
+    if chosen not in mechanism.forms:
+        raise ValueError(f"{id} has no variant {chosen!r}; it has {mechanism.forms}")
+    parameters = mechanism.list_parameters(chosen)
+    names = {p.name for p in parameters}
     if unknown := set(values) - names:
         raise ValueError(f"{id} has no {sorted(unknown)}; it has {sorted(names)}")
     severities = {p.name: values.get(p.name, 0.0) for p in mechanism.severities}
-    shapes = {
-        p.name: values.get(p.name, p.start) for p in mechanism.parameters if p.role == SHAPE and p.only in ("", chosen)
-    }
+    shapes = {p.name: values.get(p.name, p.start) for p in parameters if p.role == SHAPE}
     if all(v == 0 for v in severities.values()):
         return Effect()
     return mechanism.effect(severities | shapes, chosen)

@@ -76,11 +76,13 @@ def _lag(values: Values, variant: str) -> Effect:
 
 def _lag_report(values: Values, variant: str, context: Context) -> Mapping[str, float | str]:
     rise = values["rise_time_constant_s"]
+    further = {"further_time_constant_s": values["further_time_constant_s"]} if variant == FURTHER else {}
     return {
         "rise_time_constant_s": rise,
         "fall_time_constant_s": rise * values["fall_ratio"],
         "slew_kv_per_s": values["limit_kv"] / rise if rise else float("inf"),
-    } | {name: values[name] for name in ("further_time_constant_s",) if variant == FURTHER}
+        **further,
+    }
 
 
 def _offset(values: Values, variant: str) -> Effect:

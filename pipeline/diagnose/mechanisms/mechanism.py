@@ -126,6 +126,15 @@ class Mechanism:
     report: Callable[[Values, str, Context], Mapping[str, float | str]] | None = field(default=None)
 
     @property
+    def forms(self) -> tuple[str, ...]:
+        """Its variants, with those that no screen tries."""
+        return self.variants + tuple(p.only for p in self.parameters if p.only)
+
+    def list_parameters(self, variant: str) -> tuple[Parameter, ...]:
+        """The parameters that a variant has."""
+        return tuple(p for p in self.parameters if p.only in ("", variant))
+
+    @property
     def covariates(self) -> tuple[str, ...]:
         """What its form may be another function of."""
         return self.depends_on + self.varies_with

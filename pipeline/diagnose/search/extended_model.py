@@ -164,10 +164,7 @@ class Extended:
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The mechanisms' parameters, (Q,) in the order of the entries after θ."""
         return tuple(
-            Coordinate(i, p)
-            for i, c in enumerate(self.chosen)
-            for p in c.mechanism.parameters
-            if p.only in ("", c.variant)
+            Coordinate(i, p) for i, c in enumerate(self.chosen) for p in c.mechanism.list_parameters(c.variant)
         )
 
     @cached_property
