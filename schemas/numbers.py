@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 from typing import TypeGuard
 
 NBSP = "\u00a0"
@@ -47,16 +48,21 @@ def power(exponent: float) -> str:
     return text.translate(_SUPERSCRIPT)
 
 
+def _over_power(value: float, exponent: int) -> float:
+    """`value` / 10^`exponent`; the power of ten by itself may be too small or too large for a number."""
+    return float(Decimal(value).scaleb(-exponent))
+
+
 def significant(value: float | None, digits: int = 3) -> str:
     """`value` to so many significant digits; very small and very large ones as a power of ten; `–` when absent."""
     if value is None or not math.isfinite(value):
         return ABSENT
     if value == 0:
         return "0"
-    exponent = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
     if -4 <= exponent < 6:
         return fixed(value, digits - 1 - exponent)
-    return f"{fixed(value / 10.0**exponent, digits - 1)}{NBSP}×{NBSP}{_power(exponent)}"
+    return f"{fixed(_over_power(value, exponent), digits - 1)}{NBSP}×{NBSP}{_power(exponent)}"
 
 
 def span(low: float, high: float) -> str:
@@ -91,7 +97,7 @@ def with_unit(text: str, unit: str) -> str:
 def _place(sd: float) -> int:
     """Decimals to which an SD is given: one digit, two if they begin with 1 or 2."""
     exponent = math.floor(math.log10(sd))
-    lead = round(sd / 10.0**exponent, 6)
+    lead = round(_over_power(sd, exponent), 6)
     return -exponent + (1 if lead < 2.95 else 0)
 
 
@@ -118,9 +124,9 @@ def pm(value: float | None, sd: float | None, unit: str = "") -> str:
     if -4 < exponent < 6:
         place = _place(sd)
         return with_unit(f"{fixed(value, place)}{NBSP}±{NBSP}{fixed(sd, place)}", unit)
-    scale = 10.0**exponent
-    place = _place(sd / scale)
-    pair = f"({fixed(value / scale, place)}{NBSP}±{NBSP}{fixed(sd / scale, place)}){NBSP}×{NBSP}{_power(exponent)}"
+    place = _place(sd) + exponent
+    value, sd = _over_power(value, exponent), _over_power(sd, exponent)
+    pair = f"({fixed(value, place)}{NBSP}±{NBSP}{fixed(sd, place)}){NBSP}×{NBSP}{_power(exponent)}"
     return with_unit(pair, unit)
 
 
@@ -159,9 +165,8 @@ def bounds(value: float | None, lower: float | None, upper: float | None, scale:
         if len(known) == 2 and max(known) > 0 and 0 < min(known) < _SAME_POWER * max(known):
             each = [significant(v, 2) for v in (value, *sorted(known))]
             return f"{each[0]}{NBSP}({each[1]}{ABSENT}{each[2]})"
-        unit = 10.0**-exponent
-        low, high = (None if e is None else e * unit * scale for e in (lower, upper))
-        reduced = bounds(value * unit, low, high)
+        low, high = (None if e is None else _over_power(e * scale, exponent) for e in (lower, upper))
+        reduced = bounds(_over_power(value, exponent), low, high)
         return f"{reduced}{NBSP}×{NBSP}{_power(exponent)}"
     place = _place(width / (4 if len(known) == 2 else 2))
     if len(known) == 1:

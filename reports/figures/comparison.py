@@ -62,8 +62,7 @@ class Compared:
         if not np.iscomplexobj(self.measured):
             return False
         off = (self.measured - self.plain) / np.maximum(self.sd, _LEAST)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = off * np.conj(self.measured) / np.abs(self.measured)
+        along = (off * np.exp(-1j * np.angle(self.measured)))[self.measured != 0]
         return bool(np.nansum(along.imag**2) > np.nansum(along.real**2))
 
     @property

@@ -203,6 +203,29 @@ def test_whatever_is_shown_is_typeset(value: float, down: float, up: float) -> N
     assert all(" " not in text for text in texts[1:] if "unresolved" not in text)
 
 
+@pytest.mark.parametrize(
+    ("shown", "expected"),
+    [
+        (numbers.significant(5e-324), "4.94 × 10⁻³²⁴"),
+        (numbers.significant(-1.797e308), "-1.80 × 10³⁰⁸"),
+        (numbers.pm(5e-324, 2e-320), "(0.0 ± 2.0) × 10⁻³²⁰"),
+        (numbers.bounds(2e-312, 1e-312, 3e-312), "2.0 (1.0–3.0) × 10⁻³¹²"),
+    ],
+)
+def test_the_smallest_and_largest_numbers_are_written(shown: str, expected: str) -> None:
+    assert plain(shown) == expected
+
+
+@settings(deadline=None)
+@given(st.floats(), st.floats(), st.floats())
+def test_no_number_stops_a_page(value: float, sd: float, limit: float) -> None:
+    for text in (
+        numbers.significant(value), numbers.compact(value), numbers.pm(value, sd), numbers.headline(value, sd), numbers.p_value(value),
+        numbers.never_negative(value, sd), numbers.bounds(value, sd, limit), numbers.span(value, sd), numbers.percent(value),
+    ):  # fmt: skip
+        assert text
+
+
 @settings(deadline=None)
 @given(EVERY, st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))
 def test_an_interval_is_never_shown_as_a_point(value: float, down: float, up: float) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from reports.features import KINDS, compared, kind_of
@@ -47,6 +47,7 @@ numbers = st.complex_numbers(max_magnitude=100, allow_nan=False, allow_infinity=
 
 
 @given(st.lists(st.tuples(numbers, numbers), min_size=2, max_size=8))
+@example([(0j, 0j), (5e-324 + 0j, 0j)])
 def test_residuals_are_those_of_both_components_in_sd(pairs: list[tuple[complex, complex]]) -> None:
     measured, plain = (np.array(v) for v in zip(*pairs, strict=True))
     data = compared("chirp.response", sweep(measured, plain, measured), together=False)

@@ -76,7 +76,8 @@ def fewer_nodes(nodes: Float, impedance: Complex) -> Float:
         i = int(at[0])
         width = abs(float(z.imag[i] * (x[i + 1] - x[i]) / (z.real[i + 1] - z.real[i])))
         middle = float(x[i])
-        fine = min(max(width / _FEWER_PER_WIDTH, float(x[i + 1] - x[i])), coarse)
+        lightest = _PER_WIDTH * float(x[i + 1] - x[i])
+        fine = min(max(width, lightest) / _FEWER_PER_WIDTH, coarse)
         found = _graded(whole, (middle - _ABOUT, middle + _ABOUT), fine, coarse, _FEWER_GRADED)
     else:
         found = np.arange(whole[0], whole[1] + coarse, coarse)
