@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ingest.compressed import ZIP, is_compressed
-from ingest.formats import UNREAD
-from ingest.mapping import FileMapping, find_mapping, format_of, own_mapping
+from ingest.mapping import FOLDER_FILE, FileMapping, find_mapping, format_of, own_mapping
 from ingest.mapping_keys import IGNORE
 from ingest.parts import list_parts, part_of
+from ingest.passed_over import STRAY_TOML, Passed, Tally, explain_unread, find_kind_without_data, is_document
 from ingest.plain_files import open_plain
 from ingest.remote import Mirror, RemoteFile
+from ingest.rigs import FOLDER as RIGS
 from schemas.alike import ask_meant
 from schemas.errors import DealabError, PendingError, RefusedError, UsageError
 from schemas.visible import shown
@@ -32,8 +33,6 @@ NATIVE, MAPPED, UNMAPPED = "native", "mapped", "unmapped"
 _YOUNG_S = 60.0
 _LOOK_S = 1.0
 _UNFINISHED = (".part", ".partial", ".tmp", ".crdownload", ".filepart", ".swp", "~")
-_DOCUMENTS = ("readme", "licence", "license", "changes", "changelog", "notes", "copying", "citation")
-"""Beginnings of names of text files that are no data."""
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _FOLDERS_AT_ONCE = 64
 """Folders whose listing is remembered: those on the way down to the one that is walked, mostly."""
@@ -63,29 +62,30 @@ class SourceFile:
 
 def discover(
     paths: Iterable[Path],
-    note: Callable[[str], object],
+    note: Callable[[Passed], object],
     *,
     skip: Sequence[Path] = (),
+    rigs: Path | None = None,
     mirrors: Iterable[Mirror] = (),
     first_time: Callable[[str], bool] | None = None,
 ) -> Iterator[SourceFile]:
     """The data files among files and folders, as they are found; folders are walked in sorted order.
 
-    Hidden and unfinished files, documents, TOML files and folders under `skip` (the lab itself) are passed over; links
-    that lead nowhere or in a circle, pipes, devices and unreadable folders too, each with a `note`. A file that is reached
-    twice counts once: `first_time` says whether a place is new to it, where so many are met that memory must not hold
-    them. The files of `mirrors` are taken as they are listed. Raises `UsageError` for a given path that does not exist.
+    All others are passed over and told in a `note`, those that are plainly no data together (`ingest.passed_over`): hidden
+    and unfinished files, documents, formats that are not read, links that lead nowhere or in a circle, pipes, devices,
+    unreadable folders. Without a word go only mappings, rig files (of `rigs` as well) and what is under `skip`, the lab
+    itself. A file that is reached twice counts once: `first_time` says whether a place is new to it, where so many are
+    met that memory must not hold them. The files of `mirrors` are taken as they are listed. Raises `UsageError` for a
+    given path that does not exist.
     """
     check_given(paths := tuple(paths))
-    walk = _Walk([s.resolve() for s in skip], note, first_time or _Met())
+    walk = _Walk([s.resolve() for s in skip], rigs, note, first_time or _Met())
     for given in paths:
         yield from walk.take(given)
     for mirror in mirrors:
-        for told in mirror.notes:
-            note(told)
-        for path, file in mirror.files:
-            if not any(part.startswith((".", "~$")) for part in file.name.split("/")):
-                yield from walk.file(path, mirror.folder, file.size, file.mtime_ns, file)
+        yield from walk.take_mirror(mirror)
+    for passed in walk.tally.close():
+        note(passed)
 
 
 def check_given(paths: Iterable[str | os.PathLike[str]]) -> None:
@@ -209,10 +209,19 @@ class _Met:
 
 
 class _Walk:
-    def __init__(self, skip: Sequence[Path], note: Callable[[str], object], first_time: Callable[[str], bool]) -> None:
+    def __init__(
+        self,
+        skip: Sequence[Path],
+        rigs: Path | None,
+        note: Callable[[Passed], object],
+        first_time: Callable[[str], bool],
+    ) -> None:
         self.skip = skip
+        self.rigs = None if rigs is None else rigs.resolve()
         self.note = note
         self.first_time = first_time
+        self.tally = Tally()
+        self._urls: dict[Path, str] = {}
         self._beside = functools.lru_cache(maxsize=_FOLDERS_AT_ONCE)(_folder)
 
     def take(self, root: Path) -> Iterator[SourceFile]:
@@ -226,22 +235,46 @@ class _Walk:
             try:
                 info = path.stat()
                 if stat.S_ISDIR(info.st_mode):
-                    waiting.append(self._list(path, info))
+                    waiting.append(self._list(path, root, info))
                 elif stat.S_ISREG(info.st_mode):
                     yield from self.file(path, root, info.st_size, info.st_mtime_ns)
                 else:
-                    self.note(f"{shown(path)}: a pipe, socket or device: passed over")
+                    self._pass(path, "a pipe, socket or device: passed over")
             except OSError as error:
                 what = "a link that leads nowhere or in a circle" if _is_link(path) else error.strerror or "unreadable"
-                self.note(f"{shown(path)}: {what}: passed over")
+                self._pass(path, f"{what}: passed over")
 
-    def _list(self, folder: Path, info: os.stat_result) -> Iterator[Path]:
+    def take_mirror(self, mirror: Mirror) -> Iterator[SourceFile]:
+        """The files of a remote folder, as they are listed."""
+        self._urls[mirror.folder] = mirror.url
+        for told in mirror.passed_over:
+            self.note(told)
+        for path, file in mirror.files:
+            if any(part.startswith((".", "~$")) for part in file.name.split("/")):
+                self.tally.take_hidden(path.name, mirror.url)
+            else:
+                yield from self.file(path, mirror.folder, file.size, file.mtime_ns, file)
+
+    def _spell(self, root: Path) -> str:
+        """What was given, as it was given: a URL where the root stands for one."""
+        return shown(self._urls.get(root, root))
+
+    def _pass(self, path: Path, why: str) -> None:
+        """Says, or counts, that a file is passed over."""
+        told = self.tally.take(shown(path), why)
+        if told is not None:
+            self.note(told)
+
+    def _list(self, folder: Path, root: Path, info: os.stat_result) -> Iterator[Path]:
         """What is in a folder, in order; nothing where that has been met before. Raises `OSError`."""
         if any(folder.resolve() == s for s in self.skip) or not self.first_time(f"{info.st_dev}:{info.st_ino}"):
             return iter(())
         if folder.suffix.lower() == ".mcap":
-            self.note(f"{shown(folder)}: a folder with the name of a recording")
+            self._pass(folder, "a folder with the name of a recording: what is in it is looked at")
         names = sorted(os.listdir(folder))
+        for name in names:
+            if name.startswith((".", "~$")):
+                self.tally.take_hidden(name, self._spell(root))
         return (folder / name for name in names if not name.startswith((".", "~$")))
 
     def file(
@@ -252,11 +285,16 @@ class _Walk:
         Nothing where it is passed over, or has been met before. Raises `OSError`.
         """
         if path.suffix.lower() == ".toml":
-            return
-        if path.name.lower().endswith(_UNFINISHED):
-            self.note(f"{shown(path)}: an unfinished file: passed over")
+            if not self._has_use(path):
+                self._pass(path, STRAY_TOML)
             return
         beside = self._beside(os.path.dirname(path))
+        plain = beside.links is not None and path.name not in beside.links
+        if not self.first_time(os.path.join(beside.place, path.name) if plain else os.path.realpath(path)):
+            return
+        if path.name.lower().endswith(_UNFINISHED):
+            self._pass(path, "an unfinished file: passed over")
+            return
         mapping, error = None, None
         try:
             mapping = find_mapping(path, beside.instructions)
@@ -264,24 +302,29 @@ class _Walk:
             error = found
         file_format = format_of(path, mapping)
         if mapping is not None and mapping.kind == IGNORE:
-            self.note(f"{shown(path)}: passed over, as {mapping.source} says")
+            self._pass(path, f"passed over, as {mapping.source} says")
             return
-        if file_format is None and mapping is None and not own_mapping(path).is_file():
-            if path.suffix.lower() in UNREAD:
-                todo = UNREAD[path.suffix.lower()]
-                self.note(f"{shown(path)}: a format that is not read: passed over; {todo}")
+        unread = file_format is None and mapping is None and not own_mapping(path).is_file()
+        if unread or (mapping is None and error is None and is_document(path)):
+            kind = find_kind_without_data(path)
+            if kind is not None:
+                self.tally.take_plain(path, kind, self._spell(root))
+            else:
+                self._pass(path, explain_unread(path))
             return
         if mapping is None and error is None:
-            if path.name.lower().startswith(_DOCUMENTS):
-                return
             state = NATIVE if file_format == "mcap" else UNMAPPED
         else:
             state = NATIVE if file_format == "mcap" and mapping is None else MAPPED
-        plain = beside.links is not None and path.name not in beside.links
-        place = os.path.join(beside.place, path.name) if plain else os.path.realpath(path)
-        if self.first_time(place):
-            found_file = SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote)
-            yield from _parts(found_file) if mapping is not None and mapping.parts_file else (found_file,)
+        found_file = SourceFile(path, root, size, mtime_ns, file_format, state, mapping, error, remote)
+        yield from _parts(found_file) if mapping is not None and mapping.parts_file else (found_file,)
+
+    def _has_use(self, toml: Path) -> bool:
+        """Whether a TOML is a mapping of something here, or the file of a rig."""
+        folder = toml.parent
+        if toml.name == FOLDER_FILE or RIGS in (folder.name, folder.resolve().name):
+            return True
+        return toml.with_name(toml.name[: -len(toml.suffix)]).exists() or folder.resolve() == self.rigs
 
 
 def _parts(file: SourceFile) -> Iterator[SourceFile]:

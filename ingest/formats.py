@@ -25,9 +25,25 @@ UNREAD: Mapping[str, str] = {
     **dict.fromkeys((".pkl", ".pickle"), "export it as CSV, NumPy or HDF5: who opens a pickle runs what is in it"),
     **dict.fromkeys((".prn", ".tab"), 'text: a mapping with format = "csv" reads it'),
     **dict.fromkeys((".tdm", ".tdx"), "export it as TDMS"),
-    **dict.fromkeys((".dxd", ".wfm", ".isf", ".trc", ".sie", ".wav", ".bin", ".raw"), "export it as CSV, MAT or HDF5"),
+    **dict.fromkeys((".rda", ".rdata", ".rds"), "R data: export it as CSV, with write.csv"),
     **dict.fromkeys(
-        (".json", ".jsonl", ".ndjson", ".xml", ".db3", ".bag", ".sqlite", ".db"), "export it as CSV or MCAP"
+        (".sav", ".zsav", ".por", ".xpt", ".sas7bdat", ".dta"), "data of a statistics program: export it as CSV"
+    ),
+    **dict.fromkeys(
+        (".opj", ".opju", ".pxp", ".ibw", ".pzfx", ".jnb"), "a project of a plotting program: export it as CSV"
+    ),
+    **dict.fromkeys(
+        (".tri", ".rdm", ".zs2", ".zse", ".is_tens", ".is_tcyclic", ".is_trelax", ".mss"),
+        "the machine's own format: export it as CSV or text",
+    ),
+    **dict.fromkeys((".mdb", ".accdb"), "a database: export its tables as CSV"),
+    ".mpl": "material data of a finite element program: what was fitted, no measurement",
+    **dict.fromkeys(
+        (".dxd", ".wfm", ".isf", ".trc", ".sie", ".wav", ".bin", ".raw", ".abf", ".edf", ".smr", ".spc", ".fits"),
+        "export it as CSV, MAT or HDF5",
+    ),
+    **dict.fromkeys(
+        (".json", ".jsonl", ".ndjson", ".xml", ".db3", ".bag", ".sqlite", ".sqlite3", ".db"), "export it as CSV or MCAP"
     ),
 }
 """Endings of files that often hold measurements and that no reader of ours takes, with what to do about them."""

@@ -19,6 +19,7 @@ from typing import Any
 
 from ingest.atomic import written_whole
 from ingest.extras import advise_install
+from ingest.passed_over import Passed
 from schemas.errors import LabError, PendingError, UsageError
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
@@ -54,7 +55,7 @@ class Mirror:
     url: str
     folder: Path
     files: tuple[tuple[Path, RemoteFile], ...]
-    notes: tuple[str, ...]
+    passed_over: tuple[Passed, ...]
 
 
 def is_url(given: str | os.PathLike[str]) -> bool:
@@ -72,11 +73,11 @@ def mirror(url: str, folder: Path) -> Mirror:
         folder
         / f"{re.sub(r'[^A-Za-z0-9]+', '-', root)[-40:].strip('-')}-{hashlib.sha256(root.encode()).hexdigest()[:12]}"
     )
-    notes, placed, kept = [], [], set()
+    passed, placed, kept = [], [], set()
     for file in files:
         parts = file.name.split("/")
         if any(part in ("", ".", "..") or "\0" in part or len(os.fsencode(part)) > 200 for part in parts):
-            notes.append(f"{file.url}: its name cannot be that of a local file: passed over")
+            passed.append(Passed(file.url, "its name cannot be that of a local file: passed over"))
             continue
         path = own.joinpath(*parts)
         if path.suffix.lower() != ".toml":
@@ -87,7 +88,7 @@ def mirror(url: str, folder: Path) -> Mirror:
     for path in own.rglob("*.toml"):
         if path not in kept:
             path.unlink()
-    return Mirror(root, own, tuple(placed), tuple(notes))
+    return Mirror(root, own, tuple(placed), tuple(passed))
 
 
 def _instructed(file: RemoteFile, path: Path) -> None:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ingest.draft import Draft
+    from ingest.passed_over import Passed
 
 YES = argument(
     "--yes",
@@ -40,14 +41,20 @@ def run(arguments: Namespace) -> int:
 def _list_files(given: Sequence[Path]) -> tuple[list[Path], set[Path]]:
     """The files, those without a mapping in place of each folder, and which of them were found so."""
     from ingest.discover import UNMAPPED, discover
+    from schemas.visible import shown
 
     files = [path for path in given if not path.is_dir()]
     found: list[Path] = []
     for folder in (path for path in given if path.is_dir()):
-        new = [
-            one.path for one in discover([folder], lambda text: print(text, file=sys.stderr)) if one.state == UNMAPPED
-        ]
-        new = sorted({*new, *_list_named_otherwise(folder)})
+        named_otherwise = _list_named_otherwise(folder)
+        passed: list[Passed] = []
+        new = sorted(
+            {*named_otherwise, *(one.path for one in discover([folder], passed.append) if one.state == UNMAPPED)}
+        )
+        looked_at = {shown(path) for path in named_otherwise}
+        for one in passed:
+            if one.place not in looked_at:
+                print(one, file=sys.stderr)
         if not new:
             print(f"{folder}: no file without a mapping", file=sys.stderr)
         found += new
@@ -58,12 +65,13 @@ def _list_named_otherwise(folder: Path) -> list[Path]:
     """Texts without a mapping whose ending tells no format: machines name their exports after themselves (`.TRA`)."""
     from ingest.formats import UNREAD
     from ingest.mapping import format_of, own_mapping
+    from ingest.passed_over import find_kind_without_data
 
     found = []
     for path in folder.rglob("*"):
         hidden = any(part.startswith((".", "~$")) for part in path.relative_to(folder).parts)
         known = path.suffix.lower() in (".toml", *UNREAD) or format_of(path) is not None
-        if hidden or known or not path.is_file() or own_mapping(path).is_file():
+        if hidden or known or find_kind_without_data(path) or not path.is_file() or own_mapping(path).is_file():
             continue
         with path.open("rb") as file:
             start = file.read(4096)

@@ -10,13 +10,19 @@ from pipeline.lab.lab import Lab
 
 
 def run(arguments: Namespace) -> int:
+    from pipeline.nightly.look import NothingFoundError
     from pipeline.nightly.night import nightly
     from schemas.visible import make_safe
 
     lab = Lab(arguments.lab)
-    summary = nightly(
-        arguments.raw, lab, jobs=arguments.jobs, rigs=arguments.rigs, cluster=arguments.cluster, track=track
-    )
+    try:
+        summary = nightly(
+            arguments.raw, lab, jobs=arguments.jobs, rigs=arguments.rigs, cluster=arguments.cluster, track=track
+        )
+    except NothingFoundError as nothing:
+        for line in nothing.lines:
+            print(make_safe(line), file=sys.stderr)
+        raise
     for line in (*summary.notes, *summary.attention, *summary.without_result):
         print(make_safe(line), file=sys.stderr)
     if summary.without_result:

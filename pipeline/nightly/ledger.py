@@ -96,6 +96,8 @@ TABLES: Mapping[str, str] = {
         "source_path TEXT, source_sha256 TEXT, status TEXT, problem TEXT, recording_id TEXT, source_present INTEGER,"
         " look INTEGER, changed INTEGER, run_id TEXT"
     ),
+    # Files that are passed over, or have no mapping, and why: their items say it.
+    "passed": "item_id TEXT PRIMARY KEY, outcome TEXT, line TEXT",
     # Items that there have to be after tonight, and whether their results are in the lab.
     "standing": "item_id TEXT PRIMARY KEY, results INTEGER",
     # What goes from the snapshot: results of recordings by id (`what` is recording_id), items by stage.

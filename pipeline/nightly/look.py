@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ingest.discover import UNMAPPED, SourceFile, check_unchanged, discover, file_sha256, growing, lacks_end
+from ingest.passed_over import Passed
 from ingest.paths import spell_root, spell_source
 from ingest.remote import RemoteFile, fetch, is_staged, is_url, mirror
 from pipeline.lab.journal import ACCIDENT, PENDING, RECORDING, Freshness, Outcome, make_item_id
@@ -28,6 +29,9 @@ from schemas.errors import AccidentError, DealabError, LabError, PendingError, R
 
 SOURCE = "place, root, found_size, found_mtime_ns, format, state, url, name, version, whole, part"
 """Columns of `looks` that say which file it was."""
+FILE = "file"
+"""Stage of the items of files that are not read: what was passed over, or could not be looked at."""
+NO_MAPPING = "no mapping: not read; `dealab add FILE` makes one"
 _YOUNG_NS = 60_000_000_000
 _AT_ONCE = 500
 """Files that wait to be hashed."""
@@ -49,13 +53,19 @@ class Found:
     roots : the files, folders and addresses that were looked through
     some_new : a file among them is new or changed
     unmapped : data files without a mapping, which are no recordings
-    notes : what was passed over, and why
+    passed : what was passed over, and why
     """
 
     roots: tuple[str, ...]
     some_new: bool
     unmapped: tuple[str, ...]
-    notes: tuple[str, ...]
+    passed: tuple[Passed, ...]
+
+
+class NothingFoundError(LabError):
+    """There is no recording among the raw files; `lines` say of each file why it is none."""
+
+    lines: tuple[str, ...] = ()
 
 
 def has_newer_folder(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
@@ -82,25 +92,34 @@ def has_newer_folder(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> bool:
 
 
 def look_at_files(
-    raw: Sequence[str | os.PathLike[str]], lab: Lab, ledger: Ledger, *, run_id: str, deadline_s: float
+    raw: Sequence[str | os.PathLike[str]],
+    lab: Lab,
+    ledger: Ledger,
+    *,
+    run_id: str,
+    deadline_s: float,
+    rigs: Path | None = None,
 ) -> Found:
     """Finds the raw files that may be recordings and books a look at each, with its content.
 
     `raw` are files, folders and URLs. A file that is as it was last time is not read for its content again. Reading a
-    file for its content may take `deadline_s`.
+    file for its content may take `deadline_s`. `rigs` is the folder of rig files that was given.
 
     Raises `LabError` when there is not a single recording: nothing to do is a failure, not a success.
     """
     mirrors = [mirror(given, lab.remote) for given in raw if isinstance(given, str) and is_url(given)]
     paths_given = [Path(os.path.abspath(given)) for given in raw if not is_url(given)]
     unmapped: list[str] = []
-    notes: list[str] = []
+    passed: list[Passed] = []
 
     def first_time(place: str) -> bool:
         return ledger.run("INSERT OR IGNORE INTO reached VALUES (?)", [os.fsencode(place)]) == 1
 
     def look() -> Iterator[tuple[Any, ...]]:
-        for source in discover(paths_given, notes.append, skip=[lab.folder], mirrors=mirrors, first_time=first_time):
+        found = discover(
+            paths_given, passed.append, skip=[lab.folder], rigs=rigs, mirrors=mirrors, first_time=first_time
+        )
+        for source in found:
             if source.state == UNMAPPED:
                 unmapped.append(spell_source(source))
             else:
@@ -109,18 +128,21 @@ def look_at_files(
     ledger.add("looks", look())
     if not ledger.number("SELECT EXISTS (SELECT 1 FROM looks)"):
         also = f"; {len(unmapped)} data files have no mapping" if unmapped else ""
-        also += f"; {len(notes)} were passed over, such as {notes[0]}" if notes else ""
-        raise LabError(
+        also += f"; passed over: {passed[0]}" if passed else ""
+        also += f" (and {len(passed) - 1} more lines)" if len(passed) > 1 else ""
+        nothing = NothingFoundError(
             f"no recordings were found{also}",
             where=", ".join(os.fspath(given) for given in raw)[:300],
             expected="*.mcap files, or data files with a mapping TOML",
             remedy="`dealab inspect FILE` says what a file holds and drafts a mapping",
         )
+        nothing.lines = (*map(str, passed), *(f"{path}: {NO_MAPPING}" for path in unmapped))
+        raise nothing
     _hash_new(ledger, _Staging(lab.remote), run_id, deadline_s)
     separate_readings(ledger)
     roots = (*(spell_root(given) for given in paths_given), *(found.url for found in mirrors))
     some_new = bool(ledger.number("SELECT EXISTS (SELECT 1 FROM looks WHERE settled)"))
-    return Found(roots, some_new, tuple(unmapped), tuple(notes))
+    return Found(roots, some_new, tuple(unmapped), tuple(passed))
 
 
 def separate_readings(ledger: Ledger) -> None:
@@ -231,7 +253,7 @@ def _book_accident(ledger: Ledger, source: SourceFile, error: AccidentError, run
     """Books trouble with a file whose content is not known."""
     path = spell_source(source)
     facts = {ACCIDENT: True, "source_path": path}
-    item_id = make_item_id("file", path)
+    item_id = make_item_id(FILE, path)
     outcome = Outcome(item_id, RECORDING, Freshness("", "", ""), PENDING, 0.0, error.problem, facts)
     return PendingError(book_accident(ledger, outcome, run_id), where=source.path.name)
 

@@ -24,7 +24,7 @@ from pipeline.lab.lock import hold_lab
 from pipeline.lab.settings import load_settings
 from pipeline.nightly.derive import derive_results
 from pipeline.nightly.ledger import Ledger, learn_lab
-from pipeline.nightly.look import Found, has_newer_folder, look_at_files
+from pipeline.nightly.look import NO_MAPPING, Found, has_newer_folder, look_at_files
 from pipeline.nightly.ownership import write_rows
 from pipeline.nightly.publish import (
     Counts,
@@ -144,7 +144,9 @@ def nightly(
     with end_when_told(), hold_lab(lab):
         clock = time.monotonic()
         with _prepare(raw, lab, jobs, rigs, cluster, track) as night:
-            found = look_at_files(raw, lab, night.ledger, run_id=night.run_id, deadline_s=night.settings.deadline_s)
+            found = look_at_files(
+                raw, lab, night.ledger, run_id=night.run_id, deadline_s=night.settings.deadline_s, rigs=rigs
+            )
             if found.some_new:
                 night.workers.prepare()
             reports = _load_beside(_REPORTS)
@@ -190,7 +192,7 @@ def _summarise(night: Night, found: Found, seconds: float, problem: str | None) 
         count_missing(night),
         (*find_broken_lines(night.lab), *list_attention(night)),
         list_without_result(night),
-        (*found.notes, *(f"{path}: no mapping, passed over" for path in found.unmapped)),
+        (*map(str, found.passed), *(f"{path}: {NO_MAPPING}" for path in found.unmapped)),
         problem,
     )
 

@@ -39,7 +39,7 @@ from pipeline.lab.journal import (
 from pipeline.lab.reader import Reader, open_published
 from pipeline.lab.snapshot import Changes, Deletion, Rows, Streamed, publish
 from pipeline.nightly.ledger import describe_accident, split
-from pipeline.nightly.look import SOURCE, Found, make_source
+from pipeline.nightly.look import FILE, NO_MAPPING, SOURCE, Found, make_source
 from pipeline.nightly.ownership import ANALYSED_SQL, DUPLICATE, ITEM
 from pipeline.nightly.stages import (
     GROUPS,
@@ -65,9 +65,10 @@ _WITHOUT_RESULTS = f"FROM known WHERE status {ANALYSED_SQL} AND (NOT {_RESULTS} 
 """Published recordings whose rows go: read again, no longer accepted, or forgotten."""
 _ITEMS_GONE = (
     "FROM items i WHERE (EXISTS (SELECT 1 FROM outcomes o WHERE o.done AND o.item_id = i.item_id)"
-    " OR NOT EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id))"
+    " OR NOT EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id)"
+    " AND NOT EXISTS (SELECT 1 FROM passed p WHERE p.item_id = i.item_id AND p.line = i.error))"
 )
-"""Items whose entry goes: made again tonight, or about something that is no longer there."""
+"""Items whose entry goes: made again tonight, about something that is no longer there, or passed over otherwise."""
 _BY_ACCIDENT = (
     "EXISTS (SELECT 1 FROM standing s WHERE s.item_id = i.item_id)"
     " AND EXISTS (SELECT 1 FROM accidents a WHERE a.item_id = i.item_id)"
@@ -165,9 +166,17 @@ def publish_night(night: Night, found: Found) -> None:
     """
     _place_samples(night)
     _place_refused(night)
+    _book_passed(night, found)
     publish(night.lab, Changes(Streamed(_list_deletions, night, found), Streamed(_list_insertions, night, found)))
     _remove_old_samples(night)
     _release_strays(night)
+
+
+def _book_passed(night: Night, found: Found) -> None:
+    """Books what was passed over, so that each such file, or line for many, has an item that says why."""
+    passed = [(make_item_id(FILE, one.place), "passed over", str(one)) for one in found.passed]
+    unmapped = ((make_item_id(FILE, path), "unmapped", f"{path}: {NO_MAPPING}") for path in found.unmapped)
+    night.ledger.add("passed", itertools.chain(passed, unmapped))
 
 
 # --- what changes -----------------------------------------------------------------------------------------------------
@@ -237,6 +246,15 @@ def _list_insertions(night: Night, found: Found) -> Iterator[Mapping[str, Rows]]
             yield {"recordings": _complete_rows(night, some, reader)}
     for some in split(ledger.each(f"SELECT {', '.join(f'o.{name}' for name in _ITEM)} {made}")):
         yield {"items": [{**dict(zip(_ITEM, row, strict=True)), "run_id": night.run_id} for row in some]}
+    as_before = "SELECT 1 FROM items i WHERE i.item_id = p.item_id AND i.error = p.line"
+    passed = f"SELECT item_id, outcome, line FROM passed p WHERE NOT EXISTS ({as_before}) ORDER BY item_id"
+    for some in split(ledger.each(passed)):
+        yield {
+            "items": [
+                {"item_id": item, "stage": FILE, "outcome": outcome, "error": line, "run_id": night.run_id}
+                for item, outcome, line in some
+            ]
+        }
     for some in split(ledger.each(f"SELECT {', '.join(_FILE)} FROM looks WHERE settled ORDER BY path")):
         yield {"files": [dict(zip(_FILE, row, strict=True)) for row in some]}
     # An accident stays booked until its file is met again: tonight's folders may be others.
@@ -278,7 +296,7 @@ def _complete_row(night: Night, row: Sequence[Any], full: Mapping[str, Any]) -> 
 
 
 def _describe_run(night: Night, found: Found) -> dict[str, Any]:
-    notes = [*found.notes, *(f"{path}: no mapping" for path in found.unmapped)]
+    notes = [*map(str, found.passed), *(f"{path}: {NO_MAPPING}" for path in found.unmapped)]
     return {
         "run_id": night.run_id,
         "started_at": night.started_at,

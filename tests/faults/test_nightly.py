@@ -29,6 +29,7 @@ from pipeline.lab.annotations import annotate
 from pipeline.lab.lock import hold_lab
 from pipeline.nightly.look import has_newer_folder
 from pipeline.nightly.night import Summary, nightly
+from reports.build import build_reports
 from schemas.errors import LabError, UsageError
 from schemas.tables import TABLES
 from tests.conftest import ROOT
@@ -383,6 +384,33 @@ def test_the_garbage_collector_is_left_as_it_was(night: Any, tmp_path: Path) -> 
     with pytest.raises(UsageError):
         night(tmp_path / "nowhere")
     assert gc.get_threshold() == before
+
+
+def test_every_file_that_is_not_read_has_an_item_and_a_line(night: Any) -> None:
+    """Licences, unknown endings and R data went without a word: neither the page nor the database knew of them."""
+    for name in ("LICENSE", "lives.rda", "fit.MPL", "table.csv"):
+        (night.raw / name).write_text("a;b\n1;2\n")
+    summary = night()
+    items = "SELECT item_id, outcome, error FROM items WHERE stage = 'file' ORDER BY item_id"
+    told = {item.rpartition("/")[2]: (outcome, error) for item, outcome, error in select(night.lab, items)}
+    assert set(told) == {night.raw.name, "lives.rda", "fit.MPL", "table.csv"}
+    assert told["lives.rda"][0] == "passed over"
+    assert "R data" in told["lives.rda"][1]
+    assert told["table.csv"][0] == "unmapped"
+    assert "documents 1 (LICENSE)" in told[night.raw.name][1]
+    assert {error for _, error in told.values()} == set(summary.notes)
+    build_reports(night.lab.folder)
+    assert "lives.rda" in (night.lab.reports / "index.html").read_text(encoding="utf-8")
+    assert healthy(night.lab) == []
+    night()
+    again = "SELECT DISTINCT run_id FROM items WHERE stage = 'file'"
+    assert len(select(night.lab, again)) == 1
+    assert redone(night.lab) == set(), "what is passed over as before is not booked again"
+    (night.raw / "lives.rda").unlink()
+    (night.raw / "b.rds").write_text("x")
+    night()
+    left = {item.rpartition("/")[2] for item, *_ in select(night.lab, items)}
+    assert left == {night.raw.name, "b.rds", "fit.MPL", "table.csv"}
 
 
 def test_only_folders_without_recordings_are_a_failure(night: Any, tmp_path: Path) -> None:

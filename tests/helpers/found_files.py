@@ -22,5 +22,8 @@ class Discovery:
 def discover(paths: Sequence[Path], *, skip: Sequence[Path] = ()) -> Discovery:
     """All files and notes of a walk."""
     notes: list[str] = []
-    files = sorted(ingest.discover.discover(paths, notes.append, skip=skip), key=lambda one: os.fspath(one.path))
+    files = sorted(
+        ingest.discover.discover(paths, lambda passed: notes.append(str(passed)), skip=skip),
+        key=lambda one: os.fspath(one.path),
+    )
     return Discovery(tuple(files), tuple(notes))

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import ingest.discover
 from ingest.discover import (
     MAPPED,
     NATIVE,
@@ -59,8 +60,10 @@ def test_walk_is_sorted_and_classified(tmp_path: Path) -> None:
         ("b/z.mcap", NATIVE, "mcap"),
     ]
     assert all(f.size == 1 and f.root == tmp_path for f in found.files)
-    assert len(found.notes) == 1
+    assert len(found.notes) == 2
     assert "x.csv.part" in found.notes[0]
+    for part in ("documents 1 (README.txt)", "hidden or temporary 2 (.hidden.csv, ~$a.xlsx)", "pictures 1 (p.png)"):
+        assert part in found.notes[1]
 
 
 def test_links_pipes_and_circles_are_passed_over(tmp_path: Path) -> None:
@@ -320,5 +323,80 @@ def test_a_format_that_is_not_read_is_named(name: str, tmp_path: Path) -> None:
     (tmp_path / "photo.jpg").write_bytes(b"x")
     found = discover([tmp_path])
     assert found.files == ()
-    assert len(found.notes) == 1
+    assert len(found.notes) == 2
     assert f"{name}: a format that is not read: passed over; " in found.notes[0]
+    assert "pictures 1 (photo.jpg)" in found.notes[1]
+
+
+NAMES = [
+    "LICENSE", "README.md", "notes.txt", "photo.PNG", "film.mp4", "fit.py", "SHA256SUMS", ".DS_Store", "~$list.xlsx", "run.tdms_index",
+    "lives.rda", "lives.rds", "prony_terms.MPL", "survey.sav", "survey.xpt", "run.zst", "run.bin", "run.QQQ", "DESCRIPTION",
+    "run.log", "run.part", "run7.toml", "notes_of_forces.csv", "license.dat",
+]  # fmt: skip
+
+
+def test_every_file_is_found_or_has_a_line(tmp_path: Path) -> None:
+    """Files of unknown endings (`.rda`, `.MPL`, no ending), documents and misnamed mappings went without a word."""
+    for name in NAMES:
+        (tmp_path / name).write_bytes(b"x")
+    found = discover([tmp_path])
+    assert [file.path.name for file in found.files] == ["license.dat", "notes_of_forces.csv"]
+    text = "\n".join(found.notes)
+    for name in (
+        "lives.rda",
+        "lives.rds",
+        "prony_terms.MPL",
+        "survey.sav",
+        "survey.xpt",
+        "run.zst",
+        "run.bin",
+        "run.QQQ",
+    ):
+        assert f"{tmp_path / name}: a" in text
+    for said in (
+        "DESCRIPTION: an unknown format (its name has no ending)",
+        "run7.toml: a TOML that belongs to nothing",
+    ):
+        assert said in text
+    assert "R data: export it as CSV" in text
+    (plain,) = [note for note in found.notes if "files that are no data" in note]
+    for kind in (
+        "documents 3",
+        "hidden or temporary 2",
+        "pictures 1",
+        "films 1",
+        "programs 1",
+        "checksums 1",
+        "indexes of TDMS files 1",
+    ):
+        assert kind in plain
+    single = [name for name in NAMES if any(f"{tmp_path / name}: " in note for note in found.notes)]
+    assert len(single) + 10 + len(found.files) == len(NAMES)
+
+
+def test_many_files_that_are_passed_over_alike_do_not_drown_a_lab(tmp_path: Path) -> None:
+    for number in range(300):
+        (tmp_path / f"run{number:03}.wav").write_bytes(b"x")
+        (tmp_path / f"picture{number:03}.png").write_bytes(b"x")
+        (tmp_path / f"run{number:03}.json").write_bytes(b"{}")
+    notes = discover([tmp_path]).notes
+    assert len(notes) == 2 * 21 + 1
+    assert any("run020.wav and 279 more: a format that is not read" in note for note in notes)
+    assert "pictures 300 (picture000.png, picture001.png, picture002.png, …)" in notes[-1]
+
+
+def test_a_file_given_twice_has_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.rda").write_bytes(b"x")
+    assert len(discover([tmp_path, tmp_path / "a.rda"]).notes) == 1
+
+
+def test_mappings_and_rig_files_have_a_use(tmp_path: Path) -> None:
+    (tmp_path / "rigs").mkdir()
+    (tmp_path / "given").mkdir()
+    for name in ("recordings.toml", "a.csv.toml", "rigs/rig-a.toml", "given/rig-b.toml"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "a.csv").write_text("1\n")
+    passed: list[object] = []
+    list(ingest.discover.discover([tmp_path], passed.append, rigs=tmp_path / "given"))
+    assert passed == []
+    assert [note.partition(": ")[0] for note in discover([tmp_path]).notes] == [str(tmp_path / "given" / "rig-b.toml")]

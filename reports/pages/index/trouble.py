@@ -208,4 +208,4 @@ def _passed_over(site: Site) -> list[Fold]:
     rows = tuple(Row((t,)) for t in texts[:100])
     query = Query("SELECT notes\nFROM runs\nORDER BY run_id DESC\nLIMIT 1")
     table = Table("Passed over", (Head("What"),), rows, query.shown(), f"{len(texts[:100])} of {len(texts)}")
-    return [Fold(f"{digits(len(texts), 'file or folder', 'files and folders')} passed over", (table,))]
+    return [Fold(f"What was passed over, in {digits(len(texts), 'line')}", (table,))]
