@@ -113,7 +113,9 @@ def _answer(writing: int, parent: int, seconds: float, call: Callable[[], Any]) 
         end_with_parent()
         if os.getppid() != parent:  # gone before the kernel was told
             return
-        faulthandler.disable()  # the parent says what happened
+        faulthandler.disable()  # the parent says what happened, and libraries of compiled code only how
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 2)
         for number in (signal.SIGPROF, signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
         if seconds < math.inf:

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column, telling
 from ingest.mapping import ColumnName, FileMapping
 from ingest.notations import read_cell, read_column
 from ingest.repeats import REPEATED, find_repeated_heads
+from ingest.sheet_size import Size, measure_sheet, measure_workbook
 from ingest.workbook_cut import mend_workbook
 from ingest.zip_cut import is_cut
 from schemas.arrays import Float
@@ -37,13 +37,10 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runti
 """What reading a damaged archive raises."""
 _BYTES_PER_S = 2e5
 """Slowest parsing of a sound workbook: a million cells, 4 MB, take two seconds."""
+_MOST_CELLS = CELL_LIMIT >> 4
+"""Cells of a sheet, each of which takes 100 bytes on its way."""
 SHEET = "sheet"
 """The column of the names of sheets that are read one below the other."""
-_PIECE = 1 << 20
-_PLACE = re.compile(rb"""\sr=["']([A-Z]{0,3})([0-9]{1,7})["']""")
-"""Where a cell or a row of a sheet's XML says that it stands."""
-_SHEET = re.compile(rb"""<(?:\w+:)?sheet\s[^>]*?:id=["']([^"']{1,200})["']""")
-_RELATION = re.compile(rb"<(?:\w+:)?Relationship\s[^>]*>")
 
 
 @dataclass(frozen=True)
@@ -229,66 +226,29 @@ def _read_rows(path: Path, sheet: str | int | None) -> list[list[Any]]:
             remedy="Give sheet in [excel] of the mapping TOML",
         )
     name = sheet if isinstance(sheet, str) else names[sheet or 0]
-    if zipfile.is_zipfile(path):
-        _refuse_size(*_guarded(_measure_sheet, path, names.index(name), where=where), where=where)
+    _refuse_size(_guarded(measure_sheet, path, names.index(name), where=where), where=where)
     found = _guarded(book.get_sheet_by_name, name, where=where)
-    _refuse_size(found.total_height, found.total_width, where=where)
+    height, width = found.total_height, found.total_width
+    _refuse_size(Size(height, width, height * width, height * width), where=where)
     rows: list[list[Any]] = list(_guarded(found.to_python, skip_empty_area=False, where=where))
     # old files of two-byte letters come with a zero byte behind each
     return [[c.replace("\x00", "") if isinstance(c, str) and "\x00" in c else c for c in row] for row in rows]
 
 
-def _refuse_size(height: int, width: int, *, where: str) -> None:
-    if height * width > CELL_LIMIT >> 4:
-        raise RefusedError(
-            f"the sheet has {height} × {width} cells",
-            where=where,
-            expected=f"at most {CELL_LIMIT >> 4}",
-            remedy="Delete what stands far away from the data",
-        )
-
-
-def _measure_sheet(path: Path, number: int) -> tuple[int, int]:
-    """(rows, columns) up to the last cell of an .xlsx sheet, (0, 0) for other formats.
-
-    The library makes all cells between the first and the last before anybody can ask for their number: two cells in
-    opposite corners take 500 GB, for which the whole process ends.
-    """
-    height, letters = 0, {b""}
-    with zipfile.ZipFile(path) as archive:
-        for member in _find_members(archive, number):
-            rest = b""
-            with archive.open(member) as file:
-                while piece := file.read(_PIECE):
-                    found = _PLACE.findall(rest + piece)
-                    height = max(height, max((int(row) for _, row in found), default=0))
-                    letters |= {column for column, _ in found}
-                    rest = piece[-32:]  # a place may lie across the border
-    return height, max(_number_column(column) for column in letters)
-
-
-def _find_members(archive: zipfile.ZipFile, number: int) -> list[str]:
-    """The members that hold a sheet; those of all sheets where the workbook does not say which."""
-    sheets = [name for name in archive.namelist() if name.startswith("xl/worksheets/") and name.endswith(".xml")]
-    try:
-        wanted = _SHEET.findall(archive.read("xl/workbook.xml"))[number]
-        relations = _RELATION.findall(archive.read("xl/_rels/workbook.xml.rels"))
-    except (KeyError, IndexError):
-        return sheets
-    for relation in relations:
-        values = dict(re.findall(rb"""\s(Id|Target)=["']([^"']*)["']""", relation))
-        if values.get(b"Id") == wanted:
-            target = PurePosixPath("/xl", values.get(b"Target", b"").decode("utf-8", "replace")).as_posix()[1:]
-            return [target] if target in sheets else sheets
-    return sheets
-
-
-def _number_column(letters: bytes) -> int:
-    """A = 1, Z = 26, AA = 27; 0 for none."""
-    number = 0
-    for letter in letters:
-        number = 26 * number + letter - ord("A") + 1
-    return number
+def _refuse_size(size: Size, *, where: str) -> None:
+    if max(size.cells, size.stated) <= _MOST_CELLS and not size.is_sparse:
+        return
+    told = f"the sheet has {size.height} × {size.width} cells"
+    if size.cells > size.height * size.width:
+        told = f"the sheets have {size.cells} cells, the largest {size.height} × {size.width}"
+    elif size.stated > max(size.cells, _MOST_CELLS):
+        told = f"a sheet says that it has {size.stated} cells"
+    raise RefusedError(
+        told + (f", and something stands in {size.filled} of them" if size.is_sparse else ""),
+        where=where,
+        expected=f"at most {_MOST_CELLS}" + (", and no cells far away from the others" if size.is_sparse else ""),
+        remedy="Delete what stands far away from the data",
+    )
 
 
 def _workbook(path: Path) -> Any:
@@ -306,6 +266,7 @@ def _workbook(path: Path) -> Any:
                 where=path.name,
                 expected=f"at most {_INFLATED_LIMIT >> 20} MiB",
             )
+    _refuse_size(_guarded(measure_workbook, path, where=path.name), where=path.name)
     return _guarded(python_calamine.load_workbook, str(path), where=path.name)
 
 
@@ -332,7 +293,7 @@ def _guarded(call: Any, *arguments: Any, where: str, **options: Any) -> Any:
 
 def _unreadable(where: str, error: BaseException) -> RefusedError:
     return RefusedError(
-        f"the workbook cannot be read: {str(error)[:200] or type(error).__name__}",
+        f"the workbook cannot be read: {' '.join(str(error).split())[:200] or type(error).__name__}",
         where=where,
         expected="a whole Excel or OpenDocument file",
         remedy="Copy the file again, or save it anew",

@@ -23,6 +23,7 @@ _BOOK, _RELATIONS = "xl/workbook.xml", "xl/_rels/workbook.xml.rels"
 _ROOT = "_rels/.rels"
 _TEXTS, _STYLES = "xl/sharedStrings.xml", "xl/styles.xml"
 _SHEET = re.compile(r"xl/worksheets/[^/]*?(\d*)\.xml")
+_BINARY_SHEET = re.compile(r"xl/worksheets/[^/]*\.bin")
 _CONTENT, _KIND = "content.xml", "application/vnd.oasis.opendocument.spreadsheet"
 _TAG = re.compile(rb"""<(/?)([A-Za-z][\w:.-]*)(?:[^<>"']|"[^"]*"|'[^']*')*?(/?)>""")
 _CELL = re.compile(rb"<(?P<tag>(?:\w+:)?c)\b(?P<about>[^>]*?)(?:/>|>(?P<held>.*?)</(?:\w+:)?c>)", re.S)
@@ -69,6 +70,13 @@ def mend_workbook(path: Path) -> tuple[bytes, tuple[str, ...]]:
             left.whole[member.name] = content
         elif not member.is_there:
             left.begun[member.name] = content
+    if any(_BINARY_SHEET.fullmatch(name) for name in (*left.whole, *left.begun)):
+        raise RefusedError(
+            "the workbook cannot be read: its end is missing, and sheets of .xlsb are not read without it",
+            where=path.name,
+            expected="a whole Excel or OpenDocument file",
+            remedy="Copy the file again, or save it anew",
+        )
     is_open_document = _CONTENT in left.whole or _CONTENT in left.begun
     parts = _mend_open_document(left) if is_open_document else _mend_excel(left)
     if not parts:

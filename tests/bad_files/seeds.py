@@ -19,6 +19,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from ingest.mapping import FileMapping
+from tests.helpers.binary_workbooks import write_xls, write_xlsb
 from tests.helpers.cut_workbooks import write_excel, write_open_document
 from tests.helpers.mcap_files import METADATA, START, packaged
 from tests.helpers.xlsx_files import write_xlsx
@@ -141,12 +142,15 @@ def csv() -> list[Seed]:
 
 
 def excel() -> list[Seed]:
-    """A workbook of two sheets with its texts in the cells; one with its lists behind the sheet, and one of OpenDocument."""
+    """A workbook of two sheets with its texts in the cells; one with its lists behind the sheet; OpenDocument and the binary ones."""
     rows: list[list[Any]] = [["t", "F", "x"], *(list(map(float, row)) for row in zip(TIME, FORCE, TRAVEL, strict=True))]
     content = _made(lambda path: write_xlsx(path, {"run": rows, "notes": [["slow", 1]]}), ".xlsx")
     lines = [list(map(float, row)) for row in zip(TIME, FORCE, TRAVEL, strict=True)]
     header = ["t", "F", "x"]
+    cells = {(r, c): cell for r, row in enumerate([header, *lines]) for c, cell in enumerate(row)}
     return [
+        Seed("excel", "Excel 97", ".xls", write_xls({"run": cells}), _mapped(".xls")),
+        Seed("excel", "binary", ".xlsb", write_xlsb({"run": cells}), _mapped(".xlsb")),
         Seed("excel", "workbook", ".xlsx", content, _mapped(".xlsx", excel={"sheet": "run"})),
         Seed("excel", "lists", ".xlsx", write_excel(header, lines, book_first=True), _mapped(".xlsx")),
         Seed(

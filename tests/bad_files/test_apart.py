@@ -52,6 +52,20 @@ def test_a_crash_is_a_refusal(path: Path, number: signal.Signals) -> None:
         apart(path, lambda: os._exit(3))
 
 
+def test_what_a_library_prints_before_it_dies_is_for_nobody(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A library in Rust prints a page of its own functions, and goes on or not."""
+
+    def panic() -> None:
+        os.write(2, b"thread panicked at cfb.rs:305:41\nstack backtrace: ...")
+        os.abort()
+
+    with pytest.raises(RefusedError, match="SIGABRT"):
+        apart(path, panic)
+    assert capfd.readouterr() == ("", "")
+    os.write(2, b"ours")
+    assert capfd.readouterr().err == "ours", "the parent can still speak"
+
+
 def test_going_round_for_ever_ends_within_a_second_of_work(path: Path) -> None:
     def forever() -> None:
         while True:
