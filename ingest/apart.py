@@ -24,11 +24,15 @@ from schemas.errors import RefusedError
 Given = ParamSpec("Given")
 Value = TypeVar("Value")
 _SHORTEST_S = 0.7
-_BYTES_PER_S = 1e6
-"""Slowest parsing of a sound file, one of many small arrays: HDF5 takes 370 bytes for an array of four numbers and, on a
-machine with other work, 0.2 to 0.4 ms to list it; MDF takes 230 bytes for a channel and 0.15 ms."""
+_BYTES_PER_S = 2.5e5
+"""Slowest parsing of a sound file, one of many small arrays: HDF5 takes 370 bytes for an array of four numbers and 0.2 ms of a
+processor to list it, up to 0.7 ms on a machine whose cores are all busy; MDF takes 230 bytes for a channel and 0.15 ms."""
 _SET_PARENT_DEATH_SIGNAL = 1
 """PR_SET_PDEATHSIG of Linux."""
+_CRASHES = tuple(
+    getattr(signal, name) for name in ("SIGSEGV", "SIGBUS", "SIGABRT", "SIGFPE", "SIGILL") if hasattr(signal, name)
+)
+"""Signals that compiled code ends with."""
 _FREE_S = 0.02
 """Processor time of a child that does nothing."""
 
@@ -116,8 +120,8 @@ def _answer(writing: int, parent: int, seconds: float, call: Callable[[], Any]) 
         faulthandler.disable()  # the parent says what happened, and libraries of compiled code only how
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 2)
-        for number in (signal.SIGPROF, signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, signal.SIG_DFL)
+        for number in (signal.SIGPROF, signal.SIGTERM, signal.SIGINT, *_CRASHES):
+            signal.signal(number, signal.SIG_DFL)  # what the parent does about them is not for a child to do
         if seconds < math.inf:
             signal.setitimer(signal.ITIMER_PROF, seconds)
         try:
@@ -145,7 +149,7 @@ def _pickled(error: Exception) -> bytes:
 def _refusal(path: Path, code: int) -> RefusedError:
     if -code == signal.SIGPROF:
         what = "its parser does not come to an end"
-    elif -code in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL):
+    elif -code in _CRASHES:
         what = f"its parser crashed ({signal.Signals(-code).name})"
     else:
         what = f"its parser was ended (exit status {code})"

@@ -50,7 +50,7 @@ class DealabError(Exception):
         if self.expected:
             text += f"; expected {self.expected}"
         if self.remedy:
-            text += f". {self.remedy}"
+            text += f"{'' if text.endswith('?') else '.'} {self.remedy}"
         return text
 
 

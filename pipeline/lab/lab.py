@@ -73,6 +73,11 @@ class Lab:
         return self.folder / ".work"
 
     @property
+    def is_of_one_case(self) -> bool:
+        """Its file system keeps one file for names that differ by case only, as those of macOS and Windows do."""
+        return self.work.with_name(self.work.name.upper()).exists()
+
+    @property
     def ledger(self) -> Path:
         """What a night that is at work knows; gone with it."""
         return self.work / "ledger.sqlite"

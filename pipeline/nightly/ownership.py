@@ -85,6 +85,7 @@ class Claim:
     seen : tonight's looks found it somewhere
     order : its place in tonight's order; contents that were not looked at come first
     successor : the content that was found tonight at its path
+    recording_id : as this content spells it
     """
 
     sha256: str
@@ -94,6 +95,7 @@ class Claim:
     seen: bool
     order: tuple[int, str]
     successor: str | None
+    recording_id: str = ""
 
 
 @dataclass(frozen=True)
@@ -157,6 +159,14 @@ def judge_claims(recording_id: str, claims: Sequence[Claim]) -> Verdict:
 
 def _refuse_claim(recording_id: str, owner: Claim, other: Claim) -> RefusedError:
     where = "this file's earlier content" if owner.path == other.path else f"{owner.path}"
+    if owner.recording_id != other.recording_id:
+        return RefusedError(
+            f'recording_id "{other.recording_id}" differs by case only from "{owner.recording_id}" of {where},'
+            " and the file system of this lab keeps one file for both",
+            where=other.path,
+            expected="ids that differ by more",
+            remedy="Give this recording another id, or keep the lab where upper and lower case are told apart",
+        )
     return RefusedError(
         f'recording_id "{recording_id}" belongs to other content already: {where} (SHA-256 {owner.sha256[:12]}…)',
         where=other.path,
@@ -245,8 +255,12 @@ def set_aside(ledger: Ledger, aside: Mapping[str, str]) -> None:
         ledger.run(f"INSERT OR IGNORE INTO contents {_select_unseen('source_sha256 = ?')}", [sha256])
 
 
-def collect_readings(ledger: Ledger) -> None:
-    """Fills `readings`: what each content gave, as far as it has been read, and who owns which recording id."""
+def collect_readings(ledger: Ledger, *, one_case: bool = False) -> None:
+    """Fills `readings`: what each content gave, as far as it has been read, and who owns which recording id.
+
+    With `one_case` ids that differ by case only are one: their samples would be one file.
+    """
+    spelt = "lower(recording_id)" if one_case else "recording_id"
     ledger.run("DELETE FROM readings")
     ledger.run("DELETE FROM superseded")
     ledger.run("DELETE FROM judged")
@@ -259,13 +273,12 @@ def collect_readings(ledger: Ledger) -> None:
     )
     ledger.run("DELETE FROM readings WHERE sha256 IN (SELECT sha256 FROM superseded)")
     conflicts = ledger.each(
-        "SELECT recording_id, r.sha256, path, status, look IS NOT NULL, length, first,"
+        f"SELECT {spelt}, r.sha256, path, status, look IS NOT NULL, length, first,"
         f" EXISTS (SELECT 1 FROM known WHERE source_sha256 = r.sha256 AND status {ANALYSED_SQL}),"
-        " (SELECT sha256 FROM looks WHERE looks.path = c.path AND sha256 IS NOT NULL)"
+        " (SELECT sha256 FROM looks WHERE looks.path = c.path AND sha256 IS NOT NULL), recording_id"
         " FROM readings r JOIN contents c USING (sha256)"
-        " WHERE accepted AND recording_id IN"
-        " (SELECT recording_id FROM readings WHERE accepted GROUP BY recording_id HAVING count(*) > 1)"
-        " ORDER BY recording_id"
+        f" WHERE accepted AND {spelt} IN (SELECT {spelt} FROM readings WHERE accepted GROUP BY 1 HAVING count(*) > 1)"
+        " ORDER BY 1"
     )
     for recording_id, group in itertools.groupby(conflicts, itemgetter(0)):
         verdict = judge_claims(recording_id, [_make_claim(row) for row in group])
@@ -297,8 +310,8 @@ def _list_readings(ledger: Ledger) -> Iterator[tuple[Any, ...]]:
 
 
 def _make_claim(row: tuple[Any, ...]) -> Claim:
-    _, sha256, path, status, seen, length, first, owns, successor = row
-    return Claim(sha256, path, status, bool(owns), bool(seen), (length, first), successor)
+    _, sha256, path, status, seen, length, first, owns, successor, recording_id = row
+    return Claim(sha256, path, status, bool(owns), bool(seen), (length, first), successor, recording_id)
 
 
 def write_rows(ledger: Ledger, roots: Sequence[str], excluded: Collection[str]) -> None:

@@ -257,7 +257,7 @@ def read_contents(night: Night, found: Found) -> None:
     )
     while True:
         set_aside(ledger, _read_stale(night))
-        collect_readings(ledger)
+        collect_readings(ledger, one_case=night.lab.is_of_one_case)
         ledger.run("DELETE FROM stale")
         ledger.run(
             "INSERT INTO stale SELECT sha256 FROM readings r WHERE accepted"

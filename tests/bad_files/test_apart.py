@@ -52,6 +52,20 @@ def test_a_crash_is_a_refusal(path: Path, number: signal.Signals) -> None:
         apart(path, lambda: os._exit(3))
 
 
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGFPE])
+def test_what_the_parent_does_about_crashes_is_not_done_by_the_child(path: Path, number: signal.Signals) -> None:
+    """A program that handles crashes, such as a fuzzer, would take that of a child for its own."""
+    seen: list[int] = []
+    before = signal.signal(number, lambda got, _: seen.append(got))
+    try:
+        with pytest.raises(RefusedError, match=rf"crashed \({number.name}\)"):
+            apart(path, lambda: os.kill(os.getpid(), number))
+        assert signal.getsignal(number) is not signal.SIG_DFL
+    finally:
+        signal.signal(number, before)
+    assert seen == []
+
+
 def test_what_a_library_prints_before_it_dies_is_for_nobody(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A library in Rust prints a page of its own functions, and goes on or not."""
 

@@ -93,6 +93,58 @@ def test_nothing_of_another_file_is_read(put: Any, secret: Path, tmp_path: Path)
     assert read == {"own": list(range(8)), "link within": list(range(8))}
 
 
+def write_netcdf(path: Path, secret: Path, place: str) -> None:
+    """A file as netCDF-4 writes it, of which an array, or the scale of all, is the secret one's."""
+    with h5py.File(path, "w") as file:
+        file.attrs["_NCProperties"] = "version=2,netcdf=4.9.2"
+        scale = file.create_dataset("time", data=np.arange(8.0))
+        scale.make_scale("time")
+        file.create_dataset("force", data=np.arange(8.0), fletcher32=True, shuffle=True).dims[0].attach_scale(scale)
+        if place:
+            del file[place]
+            file[place] = h5py.ExternalLink(str(secret), "/key")
+
+
+def write_nwb(path: Path, secret: Path, place: str) -> None:
+    """A file as Neurodata Without Borders has it: shared times behind a link, references in a table, groups in circles."""
+    with h5py.File(path, "w") as file:
+        file.attrs[".specloc"] = file.create_group("specifications").ref
+        for name in ("force", "displacement"):
+            file[f"acquisition/{name}/data"] = np.arange(8.0)
+        file["time"] = np.arange(8.0)
+        file["acquisition/displacement/timestamps"] = h5py.SoftLink("/time")
+        row = np.dtype([("count", "i4"), ("series", h5py.ref_dtype)])
+        table = file.create_dataset("trials", (1,), row)
+        table[0] = (5, file["acquisition/force"].ref)
+        regions = file.create_dataset("regions", (1,), h5py.regionref_dtype)
+        regions[0] = file["acquisition/force/data"].regionref[2:5]
+        file["acquisition/again"] = file["/"]
+        if place:
+            del file[place]
+            file[place] = h5py.ExternalLink(str(secret), "/key" if place.endswith(("data", "time")) else "/group")
+
+
+@pytest.mark.parametrize(
+    ("write", "place"),
+    [
+        (write_netcdf, ""), (write_netcdf, "force"), (write_netcdf, "time"),
+        (write_nwb, ""), (write_nwb, "acquisition/force/data"), (write_nwb, "acquisition/force"), (write_nwb, "time"),
+    ],
+)  # fmt: skip
+def test_nothing_of_another_file_is_read_through_netcdf_or_nwb(
+    write: Any, place: str, secret: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.h5"
+    write(path, secret, place)
+    found = read_hdf5(path, FileMapping("recording", None, {}, None, {}, {}, {}))
+    read = {name: found.numbers(name).values.tolist() for name in found.names()}
+    assert read
+    assert all(SECRET not in values for values in read.values())
+    assert ("time" in read) == (place != "time")
+    refused = {name for name, held in found.held.items() if "another file" in held.refusal}
+    assert (place in refused) == bool(place)
+
+
 def test_what_only_a_reference_leads_to_has_no_path_and_is_named(secret: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with h5py.File(path, "w") as file:

@@ -282,6 +282,22 @@ def test_same_id_with_other_content_is_a_conflict_and_the_first_stays(night: Any
     assert night().exit_status == 3
 
 
+def test_ids_that_differ_by_case_are_one_where_the_file_system_keeps_one_file(night: Any) -> None:
+    """Elsewhere the samples of the second would have been those of the first, without a word."""
+    life(night.raw / "other.mcap", 7, name="l-0")
+    assert night().exit_status == 0, "this system tells them apart"
+    life(night.raw / "another.mcap", 8, name="p-1-CHIRP-0")
+    (night.lab.folder / night.lab.work.name.upper()).symlink_to(night.lab.work.name)  # as if it did not
+    summary = night()
+    assert statuses(night.lab)["another.mcap"] == "quarantined"
+    (told,) = (line for line in summary.attention if "another.mcap" in line)
+    assert '"p-1-CHIRP-0" differs by case only from "P-1-chirp-0"' in told
+    assert "keep the lab where upper and lower case are told apart" in told
+    assert statuses(night.lab)["P-1-chirp-0.mcap"] == "ok", "the first keeps its name"
+    (night.lab.folder / night.lab.work.name.upper()).unlink()
+    assert night().exit_status == 0
+
+
 def test_a_conflict_is_resolved_when_the_first_gets_another_id(night: Any) -> None:
     """The mapping of a table is changed, so that its id is free for the file that was refused for it."""
     table = night.raw / "lives.csv"
