@@ -25,6 +25,9 @@ from schemas.quantities import QUANTITIES
 from schemas.recording import RawChannel, RawRecording
 from schemas.units import ANY, Conversion
 
+_ZONE = "time zone"
+"""What the assumption is called that times without a zone have that of the mapping."""
+
 
 @dataclass
 class _Assembly:
@@ -56,6 +59,11 @@ def assemble(file: ColumnFile, mapping: FileMapping, *, where: str) -> RawRecord
     if zone is not None and isinstance(started, datetime) and started.tzinfo is zone:
         shared.assumptions.append(_assume_zone(mapping))
     channels = tuple(_channel(quantity, column, shared) for quantity, column in mapping.columns.items())
+    has_column = mapping.time is not None and mapping.time.column is not None
+    if zone is not None and has_column and not any(one.what == _ZONE for one in shared.assumptions):
+        shared.notes.append(
+            "zone of [time] has no effect here: neither started_at nor a time in the file lacks its own"
+        )
     if mapping.counts_rows_as_time:
         channels = _without_summary(channels, shared)
     if "started_at" not in shared.metadata and channels:
@@ -89,7 +97,7 @@ def _assume_zone(mapping: FileMapping) -> Assumption:
     """The zone that the mapping gives to times without one."""
     zone = (mapping.time.zone if mapping.time is not None else None) or "that of started_at"
     return Assumption(
-        "time zone",
+        _ZONE,
         zone,
         "the times in the file have none; the mapping gives it",
         "started_at and the order of recordings",

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import fnmatch
 import functools
-from collections.abc import Callable, Container, Mapping
+import math
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from datetime import datetime
@@ -423,12 +424,18 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
 def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, source: str) -> None:
     """Refuses keys that are known and that this kind of file does not use: to ignore them would mislead."""
     if kind == IGNORE:
+        more = [key for key in content if key != "kind"]
+        if more:
+            raise refused(
+                source, f'{more[0]} is not used for kind "{IGNORE}"', "kind alone: nothing of the file is read"
+            )
         return
     time = table(content, "time", source)
     columns = {name: c for name, c in table(content, "columns", source).items() if isinstance(c, dict)}
     unused = []
     if kind == RECORDING:
-        unused += [f"time.{key}" for key in time if key not in _used_of_time(time, chosen)]
+        own_times = [c.get("time") is not None for c in columns.values()]
+        unused += [f"time.{key}" for key in time if key not in _used_of_time(time, chosen, own_times)]
     else:
         unused += ["rig"] if content.get("rig") else []
         unused += [f"time.{key}" for key in time if key != "zone"]
@@ -439,6 +446,8 @@ def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, sourc
         unused += ["select"] if content.get("select") else []
     else:
         unused += [f"columns.{n}.field" for n, c in columns.items() if "field" in c]
+    if "zone" in time and not _reads_local_time(content, time, kind, chosen):
+        unused.append("time.zone")
     unused += ["repeated"] if "repeated" in content and kind not in (FREQUENCY_RESPONSE, RELAXATION) else []
     if unused:
         what = f"{chosen} files" if kind == RECORDING else f'kind "{kind}"'
@@ -452,20 +461,55 @@ def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, sourc
         raise refused(source, "time has overrule_unit without unit", "the unit that is right beside it")
 
 
-def _used_of_time(time: Mapping[str, Any], chosen: str | None) -> Container[str]:
-    """The keys of [time] that have an effect beside those that say where the times are."""
+def _used_of_time(time: Mapping[str, Any], chosen: str | None, own_times: Sequence[bool]) -> Container[str]:
+    """The keys of [time] that have an effect beside those that say where the times are.
+
+    `own_times` says of each column whether it has a time column of its own.
+    """
     if "sample_rate_hz" in time:
         return ("sample_rate_hz", "zone", "column")  # with column it is refused for that
+    unused = {"index"} if chosen == "mcap" else set()
+    if own_times and all(own_times):
+        unused |= {"column", "index", "sample_rate_hz"}
+    elif "column" not in time and not any(own_times):
+        if "date_column" in time or time.get("origin") is None:
+            return TIME  # refused for lacking the column
+        return ("zone", "origin") if time["origin"] == STARTED_AT else ("zone",)
     if "format" in time or "date_column" in time:
-        return [key for key in TIME if key not in _unused_of_text(time) and (chosen != "mcap" or key != "index")]
-    if "column" in time:
-        return TIME if chosen != "mcap" else [key for key in TIME if key != "index"]
-    if time.get("origin") is None:
-        return TIME  # refused for lacking both
-    return ("zone", "origin") if time["origin"] == STARTED_AT else ("zone",)
+        unused.update(_unused_of_text(time))
+    return [key for key in TIME if key not in unused]
 
 
-def _unused_of_text(time: Mapping[str, Any]) -> Container[str]:
+def _reads_local_time(content: Mapping[str, Any], time: Mapping[str, Any], kind: str, chosen: str | None) -> bool:
+    """Whether there may be a time without a zone of its own: in the file, or `started_at`."""
+    about = content.get("recording", {})
+    entries = content.get("select", [])
+    stated = (
+        [about, *(e.get("recording", {}) for e in entries if isinstance(e, dict))] if isinstance(entries, list) else []
+    )
+    starts = [one["started_at"] for one in stated if isinstance(one, dict) and one.get("started_at")]
+    if any(_is_local(start) for start in starts) or (chosen == "mcap" and not starts):
+        return True  # the messages of an MCAP file may have the start of the recording beside them
+    if kind != RECORDING or "sample_rate_hz" in time or time.get("format") in (ELAPSED, MINUTES):
+        return False
+    origin = str(time.get("origin"))
+    if origin == STARTED_AT and "column" not in time:
+        return False
+    counted = "unit" in time and "date_column" not in time
+    return not (counted and origin in ORIGINS and ORIGINS[origin][1])
+
+
+def _is_local(start: Any) -> bool:
+    """Whether a `started_at` lacks its zone, as far as one can read it."""
+    if isinstance(start, datetime):
+        return start.tzinfo is None
+    try:
+        return datetime.fromisoformat(str(start).strip()).tzinfo is None
+    except ValueError:
+        return True
+
+
+def _unused_of_text(time: Mapping[str, Any]) -> tuple[str, ...]:
     """The keys of [time] that have no effect on times as text, which say themselves what they count from."""
     counted = time.get("format") in (ELAPSED, MINUTES) and time.get("origin") == STARTED_AT
     return ("overrule_unit",) if counted else ("overrule_unit", "origin")
@@ -503,8 +547,8 @@ def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
 
 def _unused_of_covariate(column: Mapping[str, Any]) -> Container[str]:
     """The keys of a covariate that have no effect."""
-    unused = ["index"] if "value" in column else []
-    return [*unused, "scale", "offset"] if "value" in column or column.get("law") == CATEGORY else unused
+    unused = ["index", "scale", "offset"] if "value" in column else []
+    return [*unused, "scale", "offset", "unit"] if column.get("law") == CATEGORY else unused
 
 
 def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | None:
@@ -514,6 +558,8 @@ def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | N
     if "column" in entry and "sample_rate_hz" in entry:
         raise refused(source, "time has column and sample_rate_hz", "one of the two")
     by_itself = entry.get("origin") is not None or "zone" in entry  # of a file that has times without any column
+    columns = [c for c in table(content, "columns", source).values() if isinstance(c, dict)]
+    by_itself |= bool(columns) and all(c.get("time") is not None for c in columns)
     if kind == RECORDING and "column" not in entry and "sample_rate_hz" not in entry and not by_itself:
         raise refused(source, "time has neither column nor sample_rate_hz", "one of the two")
     rate = entry.get("sample_rate_hz")
@@ -537,6 +583,18 @@ def _time(content: Mapping[str, Any], kind: str, source: str) -> TimeMapping | N
         date_column=entry.get("date_column"),
         overrule_unit=entry.get("overrule_unit", False),
     )
+
+
+def _as_list(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value of `equals` is one, as a number or as its text."""
+    try:
+        return math.isfinite(float(str(value).strip().replace(",", ".")))
+    except ValueError:
+        return False
 
 
 def _origin(value: str, source: str) -> str:
@@ -572,6 +630,10 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
             raise refused(source, f"a select entry has {' and '.join(ways)}", "one of them")
         if found.get("tolerance", 0) < 0 or ("tolerance" in found and ways[0] not in ("equals", "each", "each_of")):
             raise refused(source, "select.tolerance is not used so", "a tolerance from 0 beside equals or each")
+        wanted = (*found.get("each_of", ()), *_as_list(found.get("equals", ())))
+        words = [v for v in wanted if isinstance(v, bool) or not isinstance(v, int | float | str) or not _is_number(v)]
+        if found.get("tolerance") and words:
+            raise refused(source, f'select.tolerance is not used for "{words[0]}"', "a tolerance beside numbers")
         if "runs" in found and ways[0] not in ("each", "each_of"):
             raise refused(source, "select.runs is not used so", "runs beside each or each_of")
         if "run" in found and (ways[0] != "equals" or found["run"] < 1):
@@ -583,11 +645,10 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
             raise refused(
                 source, "a select entry has recording without part", "the name of the recording that it is for"
             )
-        equals = found.get("equals", ())
         selections.append(
             Selection(
                 found.get("column"),
-                tuple(equals) if isinstance(equals, list | tuple) else (equals,),
+                tuple(_as_list(found.get("equals", ()))),
                 float(found.get("tolerance", 0.0)),
                 None if "at_least" not in found else float(found["at_least"]),
                 None if "at_most" not in found else float(found["at_most"]),

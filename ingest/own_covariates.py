@@ -12,6 +12,7 @@ import numpy as np
 from ingest.cell_units import plain_unit
 from ingest.mapping_keys import COVARIATES
 from ingest.table_rows import TableRows, cell_text
+from schemas.errors import RefusedError
 from schemas.life_covariates import CATEGORY, OwnCovariate, from_metadata, make_covariate
 
 
@@ -37,6 +38,16 @@ def read_covariates(table: TableRows) -> list[tuple[OwnCovariate, ...]]:
     return found
 
 
+def _unused(covariate: str, key: str, because: str, table: TableRows) -> RefusedError:
+    """The error for a key of a covariate that its cells leave without effect."""
+    return RefusedError(
+        f"{covariate}.{key} is not used: {because}",
+        where=table.mapping.source or table.where,
+        expected="only keys that have an effect",
+        remedy="Correct the mapping TOML",
+    )
+
+
 def _is_own(key: str) -> bool:
     return key.startswith(f"{COVARIATES}.")
 
@@ -51,6 +62,10 @@ def _read_column(table: TableRows, key: str, name: str) -> list[OwnCovariate | N
         are_numbers = all(np.isfinite(value) for value, text in zip(values, cells, strict=True) if text)
         if law is None and not are_numbers:
             law = CATEGORY
+            if column.unit or column.says_scale:
+                raise _unused(key, "unit" if column.unit else "scale", "its cells are words", table)
+        elif found.units and column.says_scale:
+            raise _unused(key, "scale", "its cells have units of their own", table)
         elif not found.units:  # a cell with a unit of its own says both itself
             scaled = column.scale * values + column.offset
             cells = [repr(float(x)) if np.isfinite(x) else text for x, text in zip(scaled, cells, strict=True)]

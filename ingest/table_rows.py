@@ -88,6 +88,15 @@ class TableRows:
                 expected="one of " + " or ".join(" and ".join(pair) for pair in pairs),
                 remedy="Correct the mapping TOML",
             )
+        of_pairs = dict.fromkeys(name for pair in pairs for name in pair)
+        beside = [name for name in of_pairs if name in self.mapping.columns and name not in found[0]]
+        if beside:
+            raise RefusedError(
+                f"columns.{beside[0]} is not used beside {' and '.join(found[0])}",
+                where=self.mapping.source or self.where,
+                expected="only columns that have an effect",
+                remedy="Correct the mapping TOML",
+            )
         return found[0]
 
     def numbers(self, name: str, canonical: str) -> Float:
