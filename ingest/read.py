@@ -5,7 +5,6 @@ Does not belong here: finding files (`ingest.discover`) and mappings (`ingest.ma
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
@@ -27,6 +26,7 @@ from ingest.tables import (
 from ingest.times import with_zone, zone_of
 from schemas.errors import PendingError, RefusedError, UnmappedError
 from schemas.recording import RawRecording
+from schemas.visible import quote_path
 
 Content: TypeAlias = RawRecording | LifetimeTable | ResponseTable | RelaxationTable
 
@@ -49,7 +49,7 @@ def read_raw(path: Path, mapping: FileMapping | None) -> Content:
         raise UnmappedError(
             "there is no mapping TOML for this file",
             where=path.name,
-            remedy=f"`dealab add {shlex.quote(asked)}` writes one, {path.name[:100]}.toml, beside the file",
+            remedy=f"`dealab add {quote_path(asked)}` writes one, {path.name[:100]}.toml, beside the file",
         )
     try:
         if found == "mcap":
@@ -82,7 +82,7 @@ def _read_columns(path: Path, found: str, mapping: FileMapping) -> Content:
             "the file holds several recordings: [[select]] has each",
             where=path.name,
             expected="one of its parts",
-            remedy=f"`dealab inspect {shlex.quote(path.name)}` lists them; the nightly reads each",
+            remedy=f"`dealab inspect {quote_path(path.name)}` lists them; the nightly reads each",
         )
     file = open_columns(path, found, mapping)
     with telling(file.problems):

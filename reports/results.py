@@ -7,7 +7,6 @@ same rows. The database is opened read-only and nothing else is read.
 from __future__ import annotations
 
 import itertools
-import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
@@ -26,6 +25,7 @@ from schemas.errors import LabError
 from schemas.numbers import bounds
 from schemas.tables import TABLES
 from schemas.views import VIEWS
+from schemas.visible import quote_path
 
 Row = dict[str, Any]
 DATABASE = "results.duckdb"
@@ -94,7 +94,7 @@ class Results:
             raise LabError(
                 "there is no database to report on",
                 where=str(self.path),
-                remedy=f"Run `dealab nightly RAW --lab {shlex.quote(str(lab))}` first",
+                remedy=f"Run `dealab nightly RAW --lab {quote_path(str(lab))}` first",
             )
         try:
             self._connection = connect(self.path)
@@ -106,7 +106,7 @@ class Results:
             raise LabError(
                 f"the database cannot be read: {str(error).splitlines()[0]}",
                 where=str(self.path),
-                remedy=f"`dealab doctor --lab {shlex.quote(str(lab))}` says more; the next nightly over all raw folders builds it anew",
+                remedy=f"`dealab doctor --lab {quote_path(str(lab))}` says more; the next nightly over all raw folders builds it anew",
             ) from error
         missing = sorted({*TABLES, *(view.name for view in VIEWS if not view.parameters)} - found)
         if missing:

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pipeline.commands.command import ATTENTION, DONE, FAILED, RIGS, Command, argument, parse_path
+from schemas.visible import make_safe, quote_path, shown
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,7 +42,6 @@ def run(arguments: Namespace) -> int:
 def _list_files(given: Sequence[Path]) -> tuple[list[Path], set[Path]]:
     """The files, those without a mapping in place of each folder, and which of them were found so."""
     from ingest.discover import UNMAPPED, discover
-    from schemas.visible import shown
 
     files = [path for path in given if not path.is_dir()]
     found: list[Path] = []
@@ -83,7 +83,6 @@ def _list_named_otherwise(folder: Path) -> list[Path]:
 def _add_found(path: Path, arguments: Namespace, shared: Mapping[Path, Collection[str]]) -> int:
     """As `add_file`, of a file that nobody named: one that is no table, such as a note, is passed over."""
     from schemas.errors import RefusedError
-    from schemas.visible import make_safe
 
     try:
         return add_file(path, arguments, shared=shared)
@@ -117,7 +116,6 @@ def add_file(
     from ingest.answers import split_answers
     from ingest.mapping import own_mapping
     from schemas.errors import UsageError
-    from schemas.visible import make_safe
 
     beside = own_mapping(path)
     if not path.is_file():
@@ -127,7 +125,7 @@ def add_file(
             "it has a mapping already",
             where=beside.name,
             expected="a file without one",
-            remedy=f"`dealab inspect {shlex.quote(str(path))}` says what it gives; --replace writes another",
+            remedy=f"`dealab inspect {quote_path(str(path))}` says what it gives; --replace writes another",
         )
     given = split_answers(arguments.yes or [])
     given = {key: value for key, value in given.items() if key not in shared.get(path, ())}
@@ -158,7 +156,7 @@ def _ready(
     if is_asked and draft.questions:
         wanted = shlex.join(f"{q.key}={_shown(q.suggestion)}" for q in draft.questions)
         lines += [f"  asks       {q.key}: {q.text}" for q in draft.questions]
-        return None, [*lines, f"Answer with: `dealab add {shlex.quote(str(draft.path))} --yes {wanted}`"]
+        return None, [*lines, f"Answer with: `dealab add {quote_path(str(draft.path))} --yes {wanted}`"]
     draft, taken = as_suggested(draft)
     if draft.questions:
         lines += [f"  asks       {q.key}: {q.text}; it cannot be guessed" for q in draft.questions]
@@ -220,7 +218,6 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
     from ingest.faults import find_faults
     from ingest.mapping import FileMapping
     from pipeline.commands.show.preview import describe_preview
-    from schemas.visible import make_safe
 
     path = draft.path
     faults = find_faults(path, draft.content, source=beside.name, rigs=rigs)
@@ -234,7 +231,7 @@ def _write(draft: Draft, beside: Path, rigs: Path | None) -> int:
     with written_whole(beside) as place:
         place.write_text(draft.as_toml(), encoding="utf-8")
     print("\n".join(lines))
-    folder = make_safe(shlex.quote(str(path.parent)))
+    folder = make_safe(quote_path(str(path.parent)))
     print(f"Written: {make_safe(str(beside))}. The next `dealab nightly {folder}` takes the file.")
     return ATTENTION if any(line.startswith("  problem") for line in lines) else DONE
 

@@ -146,7 +146,12 @@ def read_tables(path: Path, only: Container[str] | None = None) -> dict[str, pa.
     """The rows in an entry that `read_outcome` found whole: of all tables, or of those named."""
     content = _read_content(path)
     if content is None:
-        raise ValueError(f"{path.name} is not a whole journal entry")
+        raise LabError(
+            "results that a worker has kept are not in the lab",
+            where=str(path),
+            remedy="Let nobody change .work in the lab, give all workers of a cluster the lab under the same path, and"
+            " run the nightly again",
+        )
     header, at = _read_header(content)
     body = pa.py_buffer(content)
     tables = {}

@@ -7,6 +7,7 @@ import os
 from typing import TYPE_CHECKING
 
 from schemas.errors import LabError
+from schemas.visible import quote_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -141,10 +142,9 @@ class Lab:
 
     def spell_command(self, words: str) -> str:
         """A command on this lab as it is typed where it was named, between backticks: `dealab status --lab LAB`."""
-        import shlex
 
         folder = os.fspath(self.folder)
-        return f"`dealab {words}`" if folder == DEFAULT_LAB else f"`dealab {words} --lab {shlex.quote(folder)}`"
+        return f"`dealab {words}`" if folder == DEFAULT_LAB else f"`dealab {words} --lab {quote_path(folder)}`"
 
     def require_database(self) -> Path:
         """The published database; `LabError` with the remedy where there is none."""

@@ -7,6 +7,7 @@ ended.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import threading
 import time
@@ -107,6 +108,8 @@ class Summary:
 
 
 _REPORTS = "reports.build"
+_SHARED = 100
+"""Names in a raw folder that workers of a cluster are asked about."""
 _TASKS = ("pipeline.nightly.read", "pipeline.nightly.derive")
 _PRELOAD = (*_TASKS, *(module for stage in STAGES.values() for module in stage.modules))
 """Modules that workers are started with: the tasks, and all that they compute with."""
@@ -179,8 +182,25 @@ def _prepare(
     if has_newer_folder(raw, lab):
         workers.prepare()
     with Ledger(lab.ledger) as ledger, contextlib.closing(workers):
+        workers.refuse_blind(list(_list_shared(raw, lab)))
         number = learn_lab(lab, ledger) + 1
         yield Night(lab, settings, ledger, workers, rigs, f"{number:06d}", started, read_annotations(lab))
+
+
+def _list_shared(raw: Sequence[str | os.PathLike[str]], lab: Lab) -> Iterator[str]:
+    """Files that every worker has to see: the ledger, which only this night has, and what stands in the raw folders."""
+    yield os.path.abspath(lab.ledger)
+    for given in raw:
+        if is_url(given):
+            continue
+        place = os.path.abspath(given)
+        yield place
+        if os.path.isdir(place):
+            with (
+                contextlib.suppress(OSError),
+                os.scandir(place) as items,
+            ):  # a closed folder is told of when it is looked at
+                yield from (item.path for item in itertools.islice(items, _SHARED))
 
 
 def _summarise(night: Night, found: Found, seconds: float, problem: str | None) -> Summary:

@@ -16,12 +16,14 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import logging
 import multiprocessing
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
 from types import ModuleType
@@ -29,11 +31,12 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 
 from ingest.apart import end_with_parent
 from ingest.extras import advise_install
+from ingest.formats import identify_plugins
 from pipeline.import_path import leave_working_folder, start_without_working_folder
 from pipeline.lab.journal import Outcome
 from pipeline.lab.settings import Settings
 from schemas.errors import LabError
-from schemas.version import describe_software
+from schemas.version import MISSING, describe_software
 
 Given = TypeVar("Given")
 AnyTask = TypeVar("AnyTask", bound="Task")
@@ -49,6 +52,12 @@ _LEAST_MB = 1024
 """Fewer MB do not hold what a worker loads and a usual recording."""
 _CONNECT_S = "20s"
 """How long a cluster has to answer."""
+_LOOK_S = 20.0
+"""After so long without a result a cluster is asked whether it still has workers."""
+_EMPTY_S = 300.0
+"""How long a cluster may be without a worker: those that a batch system ended are started again within minutes."""
+_NAMED = 5
+"""Files that a worker does not see and that are named."""
 
 
 class Task(Protocol):
@@ -115,6 +124,12 @@ class Workers:
         """Begins to load what local workers need, while whoever called goes on."""
         if self.local:
             prepare_workers(self._preload)
+
+    def refuse_blind(self, places: Sequence[str]) -> None:
+        """Raises `LabError` where a worker of a cluster does not see files that are there for the night."""
+        executor = None if self.local else self._open(0)
+        if isinstance(executor, _ClusterExecutor):
+            executor.refuse_blind(places)
 
     def perform(self, tasks: Iterable[AnyTask], count: int, what: str) -> Iterator[tuple[AnyTask, Outcome | Casualty]]:
         """Tasks and their outcomes, or `Casualty`, as they are ready. Raises `LabError` as `run_all` does."""
@@ -190,7 +205,9 @@ def _run_once(
                 ready.pop()
             if not running:
                 break
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            done, _ = wait(running, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+            if not done and isinstance(executor, _ClusterExecutor):
+                executor.refuse_empty()
             for future in done:
                 yield running.pop(future), _take_result(future)
         finished = True
@@ -199,7 +216,14 @@ def _run_once(
 
 
 def _take_result(future: Future[Any]) -> Any:
-    error = future.exception()
+    try:
+        error = future.exception()
+    except CancelledError:  # by dask, when its scheduler has gone: nobody else cancels what is waited for
+        raise LabError(
+            "the cluster has gone during the night",
+            expected="a dask scheduler that runs as long as the night",
+            remedy="Start it and its workers again, then the nightly; what is finished is kept",
+        ) from None
     if error is None:
         return future.result()
     if isinstance(error, LabError):
@@ -310,17 +334,22 @@ def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
         from distributed import Client
     except ImportError:
         raise LabError("dask.distributed is not installed", remedy=advise_install("cluster")) from None
+    for name in (
+        "distributed",
+        "distributed.client",
+    ):  # what it logs are pages of its own functions; what matters we tell
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client: Any = Client(address, timeout=_CONNECT_S)
-    except (OSError, ValueError) as error:
+    except Exception as error:  # of an address dask makes whatever its transports do
         raise LabError(
             f"the cluster does not answer: {error}", where=address, expected="the address of a dask scheduler"
         ) from None
-    here = describe_software()
+    here = describe_readers_too()
     try:
         # Those that are being started again have no software to speak of yet, and are not to be trusted unasked.
         client.wait_for_workers(1, timeout=_CONNECT_S)
-        refuse_other_software(here, client.run(describe_software, on_error="return"))
+        refuse_other_software(here, client.run(describe_readers_too, on_error="return"))
     except LabError:
         client.close()
         raise
@@ -341,19 +370,20 @@ def refuse_other_software(here: Mapping[str, str], there: Mapping[str, Mapping[s
 
     Parameters
     ----------
-    here : `schemas.version.describe_software` of the night
+    here : `describe_readers_too` of the night
     there : the same of each worker by its address, or why it could not say
     """
-    wrong = []
+    wrong, names = [], {"dealab"}
     for address, found in sorted(there.items()):
         if isinstance(found, BaseException):
             wrong.append(f"{address} cannot say what it has ({type(found).__name__}: {str(found)[:100]})")
-        elif other := [f"{name} {found.get(name, 'missing')}" for name in here if found.get(name) != here[name]]:
-            wrong.append(f"{address} has {', '.join(other)}")
+        elif other := [name for name in sorted({*here, *found}) if found.get(name, MISSING) != here.get(name, MISSING)]:
+            wrong.append(f"{address} has {', '.join(f'{name} {found.get(name, MISSING)}' for name in other)}")
+            names |= set(other)
     if wrong:
         raise LabError(
             f"workers of the cluster have other software: {'; '.join(wrong[:_REFUSED])}",
-            expected=", ".join(f"{name} {version}" for name, version in here.items()),
+            expected=", ".join(f"{name} {here.get(name, MISSING)}" for name in sorted(names)),
             remedy="Install the same release of dealab with the same libraries for the workers and start them again",
         )
 
@@ -371,14 +401,56 @@ def _perform_with(here: Mapping[str, str], function: Callable[..., Any], *args: 
 
 @functools.cache
 def _describe_once() -> Mapping[str, str]:
-    return describe_software()
+    return describe_readers_too()
+
+
+def describe_readers_too() -> dict[str, str]:
+    """What results depend on: our software and libraries, and the readers of other packages."""
+    readers = dict(plugin.split("=", 1) for plugin in identify_plugins())
+    return describe_software() | {f"the reader of {name} from": origin for name, origin in readers.items()}
+
+
+def list_unseen(places: Sequence[str]) -> list[str]:
+    """Which of these paths are not there, asked where this runs."""
+    return [place for place in places if not os.path.lexists(place)]
 
 
 class _ClusterExecutor(Executor):
     """dask's own executor with the whole interface of the standard library's; `here` is the software of the night."""
 
     def __init__(self, client: Any, here: Mapping[str, str]) -> None:
-        self._executor, self._here = client.get_executor(pure=False, retries=0), here
+        self._client, self._here = client, here
+        self._executor = client.get_executor(pure=False, retries=0)
+        self._empty_since: float | None = None
+
+    def refuse_blind(self, places: Sequence[str]) -> None:
+        """Raises `LabError` where a worker does not see files of the lab or the raw folders under the same paths."""
+        found = self._client.run(list_unseen, list(places), on_error="return")
+        for address, unseen in sorted(found.items()):
+            if isinstance(unseen, BaseException):
+                raise LabError(f"a worker of the cluster cannot look at files: {unseen}", where=address)
+            unseen = [place for place in unseen if os.path.lexists(place)]  # what has gone meanwhile nobody sees
+            if unseen:
+                more = f" and {len(unseen) - _NAMED} more" if len(unseen) > _NAMED else ""
+                raise LabError(
+                    f"a worker of the cluster does not see {', '.join(unseen[:_NAMED])}{more}",
+                    where=address,
+                    expected="the lab and the raw folders under the same paths everywhere",
+                    remedy="Mount them there, or run without --cluster",
+                )
+
+    def refuse_empty(self) -> None:
+        """Raises `LabError` where the cluster has been without a worker for too long: nothing would ever come of it."""
+        if self._client.ncores():
+            self._empty_since = None
+            return
+        self._empty_since = self._empty_since or time.monotonic()
+        if time.monotonic() - self._empty_since >= _EMPTY_S:
+            raise LabError(
+                f"the cluster has been without a worker for {_EMPTY_S / 60:g} minutes",
+                expected="at least one `dask worker` of that scheduler",
+                remedy="Start one, then the nightly; what is finished is kept",
+            )
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = self._executor.submit(_perform_with, self._here, fn, *args, **kwargs)

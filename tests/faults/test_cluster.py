@@ -9,12 +9,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
+from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import pipeline.nightly.night
 import pipeline.nightly.workers
+from ingest.extras import EXTRAS
 from pipeline import Lab
 from pipeline.nightly import workers
 from pipeline.nightly.night import nightly
@@ -119,6 +123,24 @@ def test_what_a_worker_has_is_held_against_the_nights() -> None:
     with pytest.raises(LabError, match=r"tcp://b has numpy 2\.3; tcp://c cannot say") as refused:
         refuse(here, there)
     assert "dealab 0.1.0 (aa), numpy 2.4" in str(refused.value)
+    with pytest.raises(LabError, match=r"has h5py missing.*expected .*h5py 3\.15"):
+        refuse(here | {"h5py": "3.15"}, {"tcp://a": here | {"h5py": "missing"}})
+    with pytest.raises(
+        LabError, match=r"has the reader of ldat from ours 1\.0.*expected .*the reader of ldat from missing"
+    ):
+        refuse(here, {"tcp://a": here | {"the reader of ldat from": "ours 1.0"}})
+
+
+def test_libraries_and_readers_that_read_files_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without one a worker refuses the files of its format; with another it may read other numbers."""
+    monkeypatch.setattr(workers, "identify_plugins", lambda: ("ldat=our-package 1.2",))
+    found = workers.describe_readers_too()
+    needed = set(EXTRAS["hdf5"] + EXTRAS["mdf"] + EXTRAS["tdms"] + EXTRAS["uff"]) | {"python-calamine", "mcap"}
+    assert needed <= set(found)
+    assert found["the reader of ldat from"] == "our-package 1.2"
+    known = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: known("no such thing" if name == "h5py" else name))
+    assert workers.describe_readers_too()["h5py"] == "missing"
 
 
 def test_a_worker_that_joins_during_the_night_is_asked_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +148,7 @@ def test_a_worker_that_joins_during_the_night_is_asked_too(monkeypatch: pytest.M
 
     with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:  # type: ignore[no-untyped-call]
         open_executor, _ = workers.connect_cluster(cluster.scheduler_address)
-        other = describe_software() | {"numpy": "0.1"}
+        other = workers.describe_readers_too() | {"numpy": "0.1"}
         monkeypatch.setattr(workers, "_describe_once", lambda: other)  # the cluster's worker is a thread of ours
         with pytest.raises(LabError, match=r"has numpy 0\.1") as told:
             list(workers.run_all([1], str, open_executor, jobs=1))
@@ -148,6 +170,55 @@ def test_a_cluster_without_workers_is_told(tmp_path: Path, monkeypatch: pytest.M
     ):
         nightly([raw], lab, jobs=1, cluster=cluster.scheduler_address)
     assert not lab.database.exists()
+
+
+class Client:
+    """A dask client of one worker, as far as an executor asks it."""
+
+    def __init__(self, unseen: list[str] | BaseException = [], cores: int = 1) -> None:  # noqa: B006 - is not changed
+        self._unseen, self._cores = unseen, cores
+
+    def get_executor(self, **_: Any) -> None:
+        """None is asked for work."""
+
+    def run(self, *_: Any, **__: Any) -> dict[str, Any]:
+        return {"tcp://b": self._unseen}
+
+    def ncores(self) -> dict[str, int]:
+        return {"tcp://b": 1} if self._cores else {}
+
+
+def test_a_worker_that_does_not_see_the_lab_or_the_raw_folders_is_told(tmp_path: Path) -> None:
+    """Its results would have gone into another lab, and what it was to read would have been pending every night."""
+    here = [str(tmp_path / name) for name in "abcdefg"]
+    for name in here:
+        Path(name).touch()
+    with pytest.raises(LabError, match=r"tcp://b: a worker of the cluster does not see .*/a, .* and 2 more"):
+        workers._ClusterExecutor(Client(here), {}).refuse_blind(here)
+    with pytest.raises(LabError, match="cannot look at files: no"):
+        workers._ClusterExecutor(Client(RuntimeError("no")), {}).refuse_blind(here)
+    workers._ClusterExecutor(Client([str(tmp_path / "renamed meanwhile")]), {}).refuse_blind(here)
+    assert workers.list_unseen([*here, str(tmp_path / "x")]) == [str(tmp_path / "x")]
+
+
+def test_a_cluster_that_loses_its_workers_or_its_scheduler_ends_the_night(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It waited for ever, or ended with a page of dask's own functions."""
+    executor = workers._ClusterExecutor(Client(cores=0), {})
+    executor.refuse_empty()
+    monkeypatch.setattr(workers, "_EMPTY_S", 0.0)
+    with pytest.raises(LabError, match="has been without a worker"):
+        executor.refuse_empty()
+    workers._ClusterExecutor(Client(), {}).refuse_empty()
+    lost: Future[None] = Future()
+    lost.cancel()
+    with pytest.raises(LabError, match="the cluster has gone during the night"):
+        workers._take_result(lost)
+
+
+@pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "ucx://x:1", "http://127.0.0.1:1", "nonsense", "tcp://"])
+def test_an_address_that_is_none_is_told(address: str) -> None:
+    with pytest.raises(LabError, match="the cluster does not answer"):
+        workers.connect_cluster(address)
 
 
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,14 +36,14 @@ FILL = {
     "FILE": "run7.csv",
     "RECORDING": "L-1",
     "TEXT": "loose",
-    "{shlex.quote(path.name)}": "run7.csv",
-    "{shlex.quote(asked)}": "run7.csv",
-    "{shlex.quote(str(path))}": "run7.csv",
+    "{quote_path(path.name)}": "run7.csv",
+    "{quote_path(asked)}": "run7.csv",
+    "{quote_path(str(path))}": "run7.csv",
     " --yes {wanted}": "",
-    "{shlex.quote(str(draft.path))}": "run7.csv",
+    "{quote_path(str(draft.path))}": "run7.csv",
     "{folder}": "raw",
-    "{shlex.quote(str(lab))}": "lab",
-    "{shlex.quote(short(r['source_path'] or file, 300))}": "run7.csv",
+    "{quote_path(str(lab))}": "lab",
+    "{quote_path(short(r['source_path'] or file, 300))}": "run7.csv",
     "{query}": "SELECT 1",
 }
 """What stands for the words that a message fills in, and for those that a person does."""
@@ -138,6 +138,41 @@ def test_the_answers_that_are_asked_for_can_be_given_as_printed(
     (typed,) = _TYPED.findall(capsys.readouterr().err)
     assert main([word.replace("…", "7") for word in shlex.split(typed)[1:]]) != 2
     assert "there is no" not in capsys.readouterr().err
+
+
+NASTY = (
+    "-x.csv",
+    "--lab.csv",
+    "a b.csv",
+    "$(touch pwned).csv",
+    "a;b&c.csv",
+    "*.csv",
+    "~x.csv",
+    "#x.csv",
+    'say "x".csv',
+    "a\\b.csv",
+    "%s.csv",
+)
+"""Names that a shell or a command would take for something else."""
+
+
+@pytest.mark.parametrize("name", NASTY)
+def test_what_is_told_of_a_file_works_as_printed_whatever_its_name(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text("t (s),F\n" + "".join(f"{t / 10},{t % 7}\n" for t in range(40)))
+    for command in ("inspect", "validate", "add"):
+        main([command, "--", name])
+        said = "".join(capsys.readouterr())
+        told = [typed for typed in _TYPED.findall(said) if "FILE" not in typed]
+        assert told, said
+        for typed in told:
+            main([word.replace("…", "7") for word in shlex.split(typed)[1:]])
+            again = capsys.readouterr().err
+            assert "there is no" not in again, (typed, again)
+            assert "required" not in again, (typed, again)
+    assert not Path("pwned").exists()
 
 
 def test_a_hint_names_the_lab_that_was_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 
 from reports.blocks import Block, Fold, Head, Piece, Row, Section, Table, Text, code, flow, link, name, tag
 from reports.names import short
@@ -12,6 +11,7 @@ from reports.pages import listing
 from reports.results import Query
 from reports.site import RECORDINGS, REFUSED, Site
 from schemas.numbers import ABSENT, capital, digits, joined, seconds, word
+from schemas.visible import quote_path
 
 LAST_RUN = "(SELECT max(run_id) FROM runs)"
 _REFUSED_SHOWN = 25
@@ -88,7 +88,7 @@ def refused_table(site: Site, limit: int, offset: int, note: str = "", root: str
         why, remedy = reason(r["problem"])
         file = (r["source_path"] or ABSENT).rpartition("/")[2]
         todo: Piece = remedy or flow(
-            code(f"dealab inspect {shlex.quote(short(r['source_path'] or file, 300))}"),
+            code(f"dealab inspect {quote_path(short(r['source_path'] or file, 300))}"),
             " says more; mend the file and copy it again.",
         )
         new: Piece = " new" if r["new"] else ""
