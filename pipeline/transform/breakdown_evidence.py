@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.transform.breakdown_falls import LASTING_S, SHORTEST_LASTING_S, Fall
+from pipeline.transform.breakdown_falls import FAST_S, LASTING_S, SHORTEST_LASTING_S, Fall
 from pipeline.transform.breakdown_signal import FULL, Trace, finite_samples
 from schemas.arrays import Float
 from schemas.recording import Channel, Recording
@@ -27,6 +27,8 @@ class Rules:
     """Below this time constant a discharge can look like a breakdown (physics, 4.7)."""
     discharge_shows_s: float = 3e-3
     """Up to this distance of samples most discharges are resolved."""
+    short_discharge_shows_s: float = 8e-3
+    """Up to this distance of samples the discharges are hidden that are over in five of their shortest time constants."""
     spark_shows_s: float = 25e-3
     """Up to this distance of samples the longest discharges are resolved, and a spark before a trip is seen."""
     settled_s: float = 0.15
@@ -45,6 +47,10 @@ class Rules:
     """What still falls by a fifth while it is watched is a discharge cut short."""
     unrest: float = 0.04
     """Share of the level by which a voltage that hunts goes up and down."""
+    collapse: float = 0.1
+    """Share of the level that a collapse within a fall takes at once, beyond what the fall before it explains."""
+    steeper: float = 2.5
+    """How many times faster than the fall before it a collapse is: a discharge through a resistor only gets slower."""
     raised: float = 3.0
     """A current that has risen so many times above its early value is no longer the film's usual leakage."""
     planned_slack_s: float = 0.5
@@ -52,6 +58,10 @@ class Rules:
 
 
 RULES = Rules()
+_SLOW_SAMPLES = 3
+"""Samples of a fall that show that it is slow."""
+_SLOW_LOSS = 0.02
+"""Share of the level that is lost on the way, where a fall is slow before it collapses."""
 _BEFORE_S = 1.0
 _SPIKE = 1.5
 """A spark shows above everything that the current did in the life before, by this factor."""
@@ -122,7 +132,7 @@ class Witnesses:
         settled = self._settled(fall, until)
         after, left = self._after(fall, settled)
         found = {
-            "fall": self._speed(fall, until, 0.0 if after in ("falls on", "not seen") else left),
+            "fall": self._speed(fall, until, after, 0.0 if after in ("falls on", "not seen") else left),
             "after": after,
             "command": state,
             "leakage_current": self._leakage(fall, life, until, left),
@@ -184,7 +194,7 @@ class Witnesses:
         parts = [float(np.median(part)) for part in np.array_split(value, 3)[:2]]
         return ("holds" if parts[1] >= RULES.steady * parts[0] else "falls on"), left
 
-    def _speed(self, fall: Fall, until: float, left: float) -> str:
+    def _speed(self, fall: Fall, until: float, after: str, left: float) -> str:
         """How the voltage fell to what is `left` of it, against what the resistor across the film allows."""
         trace, level = self.trace, fall.level
         stop = int(np.searchsorted(trace.time, until, side="right"))
@@ -200,15 +210,21 @@ class Witnesses:
         t, v = time[way], value[way] - floor
         if floor <= max(RULES.residual, RULES.significant * noise):
             t, v = time[way], value[way]
+        if fall.back is None and after != "hunts" and _collapses(time, value, noise):
+            return "slow, then at once"
+        rest = "zero" if left <= max(RULES.residual, RULES.significant * noise) else "a rest"
         if t.size < 3 or np.any(v <= 0):
             if fall.entry - fall.last > 2:
                 return "fast" if fall.fast else "slow"
             if time[1] <= RULES.discharge_shows_s:
                 return "in one step"
-            return "in one slow step" if time[1] <= RULES.spark_shows_s else "between slow samples"
+            if time[1] <= RULES.short_discharge_shows_s:
+                return f"in one step of some ms to {rest}"
+            return (
+                f"in one slow step to {rest}" if time[1] <= RULES.spark_shows_s else f"between slow samples to {rest}"
+            )
         tau, misfit = _exponential(t, v)
         if tau > 0 and misfit <= max(3 * noise, 0.02):
-            rest = "zero" if left <= max(RULES.residual, RULES.significant * noise) else "a rest"
             pace = "short" if tau < RULES.like_breakdown_s else ("long" if tau < RULES.settled_s else "slow")
             return "slow" if pace == "slow" and rest != "zero" else f"{pace} discharge to {rest}"
         return "fast" if fall.fast else "slow"
@@ -320,6 +336,26 @@ def _site(site: str | None) -> str:
     if site in (None, "unknown"):
         return ""
     return "none" if site == "none" else "a place"
+
+
+def _collapses(time: Float, value: Float, noise: float) -> bool:
+    """Whether a fall, as shares of the level from its beginning on, goes slowly for some samples and then at once.
+
+    What discharges through a resistor is fastest at its beginning, so that nothing which does falls faster later on.
+    """
+    if value.size < _SLOW_SAMPLES + 2:
+        return False
+    step = max(1, round(FAST_S / float(np.median(np.diff(time)))))
+    drops = value[:-step] - value[step:]
+    if not drops.size:
+        return False
+    at = int(np.argmax(drops))
+    before, lasted = float(value[0] - value[at]), float(time[at] - time[0])
+    if at < max(_SLOW_SAMPLES, 3 * step) or before <= max(_SLOW_LOSS, RULES.significant * noise):
+        return False
+    expected = before / lasted * float(time[at + step] - time[at])
+    taken = float(drops[at])
+    return taken >= RULES.steeper * expected and taken - expected >= max(RULES.collapse, 10 * noise)
 
 
 def _exponential(t: Float, v: Float) -> tuple[float, float]:

@@ -486,6 +486,34 @@ def test_fading_insulation_shows_current_before_the_voltage() -> None:
     assert "leakage_current" in found.confirmed_by
 
 
+@pytest.mark.parametrize(("rate", "sag_s", "down_to"), [(1000.0, 0.4, 0.75), (100.0, 1.2, 0.4), (10.0, 1.0, 0.5)])
+def test_a_sag_that_ends_at_once_is_no_discharge(rate: float, sag_s: float, down_to: float) -> None:
+    """Insulation that fades pulls the voltage down until it breaks: that was read as a discharge, and the life censored."""
+    bench = Bench(rate=rate)
+    tau = sag_s / -np.log(down_to)
+    bench.fall(12.0, 0.0, tau=tau)
+    bench.fall(12.0 + sag_s, 0.0)
+    found = bench.detect(command=False)
+    assert found.failed or not found.decided
+    assert "slowly and then at once" in (found.evidence or "")
+    smooth = Bench(rate=rate)
+    smooth.fall(12.0, 0.0, tau=tau)
+    assert "slowly and then at once" not in (smooth.detect(command=False).evidence or "")
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0])
+def test_what_is_gone_within_one_slow_step_may_be_a_trip_of_the_supply(rate: float) -> None:
+    """With the command still on: a discharge of some ms into nothing looks like a short circuit on a clock of 10 to 20 ms."""
+    bench = Bench(rate=rate)
+    bench.fall(12.0, 0.0)
+    assert not bench.detect().decided
+    held = Bench(rate=rate)
+    held.fall(12.0, 1.0)
+    found = held.detect()
+    assert found.failed
+    assert found.decided
+
+
 def test_monitor_that_loses_the_voltage_is_no_breakdown() -> None:
     bench = Bench()
     bench.others["leakage_current"] = quiet_current(bench)
