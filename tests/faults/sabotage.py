@@ -19,7 +19,7 @@ def perform(task: Any) -> Any:
     if isinstance(task, RecordingTask):
         fault = task.source.path.stem.partition("-")[0]
         if fault.endswith("once"):
-            mark = task.source.path.with_suffix(".seen")
+            mark = task.source.path.parent.with_suffix(".seen")  # beside the raw folder, all of whose files are told
             fault = "" if mark.exists() else fault.removesuffix("once")
             mark.touch()
         if fault == "kill":
