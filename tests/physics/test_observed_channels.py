@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from pipeline.diagnose.features.observed import FREQUENCY, SEEN, observe_channels
+from pipeline.diagnose.features.observed import FREQUENCY, HELD, SEEN, observe_channels
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
 
@@ -56,3 +56,27 @@ def test_an_input_that_does_not_swing_has_none_either(given: np.ndarray) -> None
     force = replace(recording.channels["force"], time_ns=channel.time_ns[:4000], values=np.zeros(4000))
     seen = observe_channels(replace(recording, channels={"displacement": still, "force": force}))
     assert SEEN + FREQUENCY not in seen
+
+
+def test_a_channel_that_is_lost_while_it_rests_is_dead_and_has_no_highest_frequency() -> None:
+    """Its stretch without noise made the noise of the rest pass for the fastest swings of the sweep: a sample rate 4 times wrong."""
+    recording = sweep(0.0, 2e-4)
+    given = recording.channels["displacement"]
+    step = 1e-4
+    coarse = np.round(given.values / step) * step
+    first = int((REST_S + 0.98 * SWEEP_S) * RATE_HZ)
+    lost = np.where((np.arange(coarse.size) >= first) & (np.arange(coarse.size) < first + 900), 0.0, coarse)
+    observed = observe_channels(
+        replace(recording, channels={**recording.channels, "displacement": replace(given, values=lost)})
+    )
+    assert observed[HELD + "displacement"] == pytest.approx(900 / lost.size, rel=0.01)
+    assert observed.get(SEEN + FREQUENCY, STOP_HZ) < 1.1 * STOP_HZ
+
+
+def test_a_machine_that_resets_its_reading_at_rest_has_lost_nothing() -> None:
+    recording = sweep(0.0, 2e-4)
+    given = recording.channels["displacement"]
+    moving = np.abs(np.arange(given.values.size) / RATE_HZ - REST_S - SWEEP_S / 2) < SWEEP_S / 2
+    reset = replace(given, values=np.where(moving, given.values, 0.0))
+    observed = observe_channels(replace(recording, channels={**recording.channels, "displacement": reset}))
+    assert HELD + "displacement" not in observed

@@ -137,7 +137,7 @@ def find_stopped(given: Float, name: str, found: Float | None = None) -> dict[st
     """Share of the record in which an input that moves all the time holds one value without having stopped, between its motions.
 
     It may rest where it begins, in the middle of its motion, and where it ends: there its channel was lost only where the output
-    `found` goes on.
+    `found` goes on, or where its own rest shows noise.
     """
     sound = given[np.isfinite(given)]
     if not sound.size:
@@ -147,6 +147,9 @@ def find_stopped(given: Float, name: str, found: Float | None = None) -> dict[st
     lengths, held = np.diff(bounds), given[bounds[:-1]]
     lost = np.abs(held - rest) > _STILL * travel
     lost &= np.abs(held - float(np.median(sound))) > _STILL * travel
+    # A channel that rests with noise where it begins does not rest without any later.
+    rests_with_noise = lengths[0] < _FEWEST_HELD and float(np.ptp(sound[:_FEWEST_HELD])) < _STILL * travel
+    lost |= rests_with_noise & (lengths >= _FEWEST_HELD)
     lost[[0, -1]] = False
     if found is not None:
         own = np.interp(np.arange(given.size), np.linspace(0, given.size - 1, found.size), found)
@@ -214,12 +217,23 @@ class _Swings:
 
 def _estimate_floor(values: Float) -> float:
     """The swing below which all may be noise or steps of the converter: second differences of the quietest part of the record."""
-    bent = np.abs(np.diff(values, 2))
+    bent = np.abs(np.diff(_take_stop_out(values), 2))
     parts = np.array_split(bent, min(_WINDOWS, max(bent.size // _FEWEST_HELD, 1)))
     noise = min(float(np.median(part)) for part in parts) / (0.6745 * np.sqrt(6))
     steps = np.abs(np.diff(values))
     least = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
     return float(max(_FLOOR * noise, 2 * least))
+
+
+def _take_stop_out(values: Float) -> Float:
+    """A channel (n,) without the one stretch in which it was lost and holds one value: that shows no noise."""
+    bounds = _split_runs(values)
+    lengths = np.diff(bounds)
+    longest, second = np.sort(np.append(lengths, 0))[-1:-3:-1]
+    if not max(_FEWEST_HELD, _LONGER * second) <= longest < values.size:
+        return values
+    run = int(np.argmax(lengths))
+    return np.delete(values, slice(int(bounds[run]), int(bounds[run + 1])))
 
 
 def _find_swings(time_s: Float, values: Float) -> _Swings:
