@@ -191,7 +191,8 @@ FREQUENCY_DEPENDENT_PERMITTIVITY = Mechanism(
     equation="ε (jf/1 Hz)^{−b/ln 10}: falls by b per decade of frequency; or ε (1 + (2b/ln 10)/(1 + jωτ)): by b per decade at 1/τ",
     source="Curie-von Schweidler law of dielectrics; Debye relaxation",
     parameters=(
-        Parameter("per_decade", "1", "fall per decade", 0.002, 0.06, signed=True, least=-0.5, most=0.5),
+        # A passive dielectric only falls: its loss is not negative (Kramers-Kronig).
+        Parameter("per_decade", "1", "fall per decade", 0.002, 0.06, most=0.5),
         Parameter("time_constant_s", "s", "τ of one relaxation", 3e-3, 30.0, SHAPE),
     ),
     variants=("power", "relaxation"),
