@@ -39,9 +39,10 @@ def test_nothing_is_found_where_nothing_is_hidden(with_rest: bool) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("with_rest", [True, False])
-def test_a_film_that_stiffens_with_strain_is_named(with_rest: bool) -> None:
-    found = diagnose_relaxations(7, Effect("strain_stiffening", 0.3, {}), with_rest=with_rest)
+@pytest.mark.parametrize(("seed", "with_rest"), [(7, True), (7, False), (8, False)])
+def test_a_film_that_stiffens_with_strain_is_named(seed: int, with_rest: bool) -> None:
+    """Without rest the displacement begins with one noisy sample: how far each step goes is known no better."""
+    found = diagnose_relaxations(seed, Effect("strain_stiffening", 0.3, {}), with_rest=with_rest)
     assert found.verdict == "named"
     assert found.mechanisms == ("strain_stiffening",)
 
@@ -53,14 +54,3 @@ def test_the_noise_is_told_from_the_hold_where_there_is_no_rest() -> None:
         for r in (recording, cut_rest(recording))
     )
     assert in_hold["force"] == pytest.approx(at_rest["force"], rel=0.3)
-
-
-@pytest.mark.parametrize("with_rest", [True, False])
-def test_a_force_that_stands_still_shows_no_noise_to_judge_by(with_rest: bool) -> None:
-    """Rounded to nothing but steps, a record without noise was missed by 10¹⁰ times its noise, and a cause was named with that."""
-    (recording,) = make_session(7, RELAXATIONS[:1], ()).recordings
-    force = recording.channels["force"]
-    rounded = replace(force, values=np.round(force.values, 0), resolution=1.0)
-    still = replace(recording, channels={**recording.channels, "force": rounded})
-    found = reduce(still if with_rest else cut_rest(still))
-    assert "force" not in {n.quantity for n in found.noise}

@@ -15,6 +15,8 @@ from schemas.arrays import Bool, Complex, Float
 
 _MATTERS = 0.1
 """Sum of dropped weights times the largest response, in standard deviations of the feature; most of it cancels."""
+UNIT_NOISE = "unit/0"
+"""Part of the noise that no channel's law scales."""
 GroupEdges = tuple[tuple[int, int], ...]
 
 
@@ -127,6 +129,22 @@ def assembled(
         time_s=column(time),
         support=support or {},
     )
+
+
+def add_unit_noise(made: FeatureBlock, covariance: Float) -> FeatureBlock:
+    """A block with noise (n, n) beside that of its channels, in the square of its own unit."""
+    basis = made.basis if made.basis.ndim == 3 else np.array([np.diag(row) for row in made.basis])
+    return replace(
+        made, components=(*made.components, UNIT_NOISE), basis=np.concatenate([basis, np.asarray(covariance)[None]])
+    )
+
+
+def add_rounding(made: FeatureBlock, variance: float) -> FeatureBlock:
+    """A block of mean levels against one rest level with the rounding of its output by the converter, where that hides the noise.
+
+    A level that hardly moves stays on one step of the converter: however long it is averaged, it is wrong by up to half a step.
+    """
+    return made if variance == 0 else add_unit_noise(made, variance * (np.eye(made.size) + 1))
 
 
 def operator_support(made: Operator) -> dict[str, Float]:

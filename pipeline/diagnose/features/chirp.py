@@ -96,15 +96,15 @@ def chirp_blocks(
     # After a sweep the film still relaxes: a parabola takes that off.
     degree = 1 if start.rests else 2
     noise = [found.noise(q, v[s], degree=degree) for s in start.quiet for q, v in zip(names, (x, y), strict=True)]
-    if not start.quiet:
+    if not any(n is not None and n.quantity == names[1] for n in noise):
         noise = [found.noise_beyond(q, _CLEAR_OF_HARMONICS * high) for q in names]
-    if None in noise[:2]:
-        raise NotIdentifiableError(
-            "no rest before the first sweep nor after one, and samples too rare for the noise beyond it",
-            where=where,
-            expected=f"at least {RULES.features.chirp_rest} samples of rest,"
-            f" or more than {2 * _CLEAR_OF_HARMONICS * high:.4g} samples a second",
-        )
+        if not start.quiet and None in noise:
+            raise NotIdentifiableError(
+                "no rest before the first sweep nor after one, and samples too rare for the noise beyond it",
+                where=where,
+                expected=f"at least {RULES.features.chirp_rest} samples of rest,"
+                f" or more than {2 * _CLEAR_OF_HARMONICS * high:.4g} samples a second",
+            )
     warnings: list[str] = []
     signals = Signals(
         x, y, found.interval_s, nodes, (), found.channel_factor(names[1], names[0]), noise_sd=white_sd(y, start.quiet)

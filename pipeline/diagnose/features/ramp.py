@@ -11,10 +11,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.diagnose.features.blocks import Signals, block, log_windows, window_means
+from pipeline.diagnose.features.blocks import Signals, add_rounding, add_unit_noise, block, log_windows, window_means
 from pipeline.diagnose.features.functionals import Component, lines_spectrum
 from pipeline.diagnose.features.kinds import CYCLE_FORCE, RELAXATION_FORCE, REST_INPUT, FeatureBlock, NoiseSample
-from pipeline.diagnose.features.records import Record, clamp_hz, record, rest_samples, ringing_s, strain_length_mm
+from pipeline.diagnose.features.records import (
+    Record,
+    clamp_hz,
+    record,
+    rest_samples,
+    ringing_s,
+    strain_length_mm,
+    white_sd,
+)
 from pipeline.diagnose.rules import RULES
 from pipeline.transform.channels import drive
 from pipeline.transform.sampling import runs
@@ -31,8 +39,6 @@ _MOVING = 0.02
 """Share of the step by which the displacement may miss its level and still count as held."""
 _SMOOTH = 5
 """Degree of the polynomial that follows the second half of a relaxation: in log time that is a tenth of three decades."""
-_ROUNDING = 1e-12
-"""Share of the largest value below which what scatters is arithmetic."""
 _RINGING_TURNS = 3.0
 """Turns of the clamp after a step in which it rings, and which are no feature."""
 _HIGHEST_HZ = 200.0
@@ -47,7 +53,9 @@ def relaxation_blocks(
     """Blocks, noise, values, warnings of a mechanical `step`. Raises `NotIdentifiableError` where nothing can be read."""
     found, x, y, names, rest = _prepared(recording)
     holds = _holds(x, rest)
-    noise = [found.noise(names[0], x[:rest]), _read_noise(found, names[1], y, rest, holds)]
+    quiet, degree = _find_quiet(found, names[1], y, rest, holds)
+    noise = [found.noise(names[0], x[:rest]), found.noise(names[1], quiet, degree=degree)]
+    rounding = found.rounding(names[1], quiet)
     settling = max(_RINGING_TURNS / clamp_hz(recording.rig), ringing_s(recording.rig, found.interval_s))
     x = _held(x, rest, holds)
     windows: list[tuple[int, int]] = []
@@ -64,31 +72,20 @@ def relaxation_blocks(
             where=recording.metadata.recording_id,
             expected=f"at least {RULES.features.ramp_windows}",
         )
-    return _finished(recording, found, x, y, names, rest, windows, ramps, nodes, RELAXATION_FORCE, noise)
+    return _finished(recording, found, x, y, names, rest, windows, ramps, nodes, RELAXATION_FORCE, noise, rounding)
 
 
-def _read_noise(
+def _find_quiet(
     found: Record, quantity: str, values: Float, rest: int, holds: list[tuple[int, int, int]]
-) -> NoiseSample | None:
-    """The noise of an output (n,) at rest; where there is no rest, in the second half of the longest hold, about a smooth relaxation.
-
-    None where its converter hides it: next to an output that stands still any model is wrong by thousands of times its noise.
-    """
-    at_rest = found.noise(quantity, values[:rest])
-    if at_rest is not None or not holds:
-        return at_rest if at_rest is None or _scatters(found, quantity, values[:rest]) else None
-    _, start, stop = max(holds, key=lambda hold: hold[2] - hold[1])
-    second = values[(start + stop) // 2 : stop]
-    if found.lost[(start + stop) // 2 : stop].any() or not _scatters(found, quantity, second):
-        return None
-    return found.noise(quantity, second, degree=_SMOOTH)
-
-
-def _scatters(found: Record, quantity: str, values: Float) -> bool:
-    """Whether neighbouring samples (n,) differ by more than a converter's rounding makes of nothing."""
-    step = found.resolution.get(quantity) or 0.0
-    scatter = float(np.diff(values, 2).std()) / np.sqrt(6) if values.size > 2 else 0.0
-    return bool(scatter > max(step / np.sqrt(12), _ROUNDING * float(np.abs(values).max(initial=0.0))))
+) -> tuple[Float, int]:
+    """Samples (n,) of an output that show its noise, and the degree of the polynomial about which it is: the rest, or, where that is too short
+    or stands still, the second half of the longest hold."""
+    at_rest = values[:rest]
+    if found.noise(quantity, at_rest) is None and holds:
+        _, start, stop = max(holds, key=lambda hold: hold[2] - hold[1])
+        if not found.lost[(start + stop) // 2 : stop].any():
+            return values[(start + stop) // 2 : stop], _SMOOTH
+    return at_rest, 1
 
 
 def _is_recorded(found: Record, a: int, b: int) -> bool:
@@ -132,8 +129,9 @@ def cycle_blocks(
         raise NotIdentifiableError("no cycle above the noise", where=recording.metadata.recording_id)
     lines = _lines(x, found.interval_s, (rest, top, last))
     return _finished(
-        recording, found, x, y, names, rest, windows, [rest] * len(windows), nodes, CYCLE_FORCE, noise, lines
-    )
+        recording, found, x, y, names, rest, windows, [rest] * len(windows), nodes, CYCLE_FORCE, noise,
+        found.rounding(names[1], y[:rest]), lines,
+    )  # fmt: skip
 
 
 def _lines(x: Float, interval_s: float, corners: tuple[int, int, int]) -> Callable[[Float], Complex] | None:
@@ -209,6 +207,7 @@ def _finished(
     nodes: Float,
     kind: str,
     noise: list[NoiseSample | None],
+    rounding: float,
     spectrum: Callable[[Float], Complex] | None = None,
 ) -> tuple[list[FeatureBlock], list[NoiseSample], dict[str, float], list[str]]:
     kernels = window_means(windows, 0, found.count, found.lost)
@@ -245,6 +244,9 @@ def _finished(
         support={"since_s": (at - np.array(ramps)) * found.interval_s, "strain": _strains(x, windows, length)},
         drifts=True,
     )
+    # The level at which the displacement rests is known from so many samples only, and all that is held is off by its error.
+    level_error = made.value / height * white_sd(x, ()) / np.sqrt(rest)
+    made = add_unit_noise(add_rounding(made, rounding), np.outer(level_error, level_error))
     values = {
         "largest_strain": height / length,
         "rest_force_n": float(found.values[force][:rest].mean()),

@@ -6,7 +6,7 @@ Belongs here: what all protocols share before their functionals are formed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,12 @@ _WHOLE = 0.02
 """Samples by which a period may miss a whole number."""
 _NORMAL_MEDIAN = 0.6745
 """Median of the size of a standard normal number."""
+_HIDES = 0.8
+"""Share of the scatter of a converter's rounding up to which what scatters may be rounding alone."""
+_WHOLE_STEPS = 0.05
+"""Steps of a converter by which a change may miss a whole number of them."""
+_ARITHMETIC = 1e-7
+"""Share of a channel's largest value below which what scatters is arithmetic, in single precision: no instrument is as quiet."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,7 @@ class Record:
     thinned : samples of the recording per sample here
     resolution : quantity → converter step, None where not known
     own_interval_s : quantity → interval of the channel's own samples, s; longer than the clock's where it was interpolated
+    steps : quantity → step of which all changes of its samples are multiples, 0 where there is none
     """
 
     interval_s: float
@@ -58,6 +65,7 @@ class Record:
     thinned: int
     resolution: Mapping[str, float | None]
     own_interval_s: Mapping[str, float]
+    steps: Mapping[str, float]
 
     @property
     def count(self) -> int:
@@ -82,9 +90,13 @@ class Record:
         return mains_of(lambda frequency: thinned_gain(frequency * self.interval_s / self.thinned, self.thinned))
 
     def noise(self, quantity: str, values: Float, *, degree: int = 1, below_hz: float = np.inf) -> NoiseSample | None:
-        """Periodogram of a stretch (n,) of a channel without signal, or with one that a polynomial of that degree follows."""
+        """Periodogram of a stretch (n,) of a channel without signal, or with one that a polynomial of that degree follows.
+
+        Where the converter's step hides the noise it is that of the rounding; None where nothing scatters and there is no such step:
+        next to an output without noise any model is wrong by thousands of times its noise.
+        """
         passed_hz = _PASSED * 0.5 / self.interval_s if self.thinned > 1 else np.inf
-        return noise_sample(
+        found = noise_sample(
             quantity,
             values,
             self.interval_s,
@@ -92,10 +104,29 @@ class Record:
             below_hz=min(below_hz, passed_hz, self._sampled_hz(quantity)),
             setting=self.setting(quantity),
         )
+        if found is None or not self._is_hidden(quantity, values):
+            return found
+        rounding = self.rounding(quantity, values) / self.thinned
+        return replace(found, power=np.maximum(found.power, rounding)) if rounding > 0 else None
+
+    def rounding(self, quantity: str, values: Float) -> float:
+        """Variance of a sample's rounding where it hides the noise of a stretch (n,) of a channel, in its unit squared; 0 where it does not.
+
+        Rounding is as good as white noise in what moves by many steps of the converter; in what hardly moves it does not average out.
+        """
+        return self.steps[quantity] ** 2 / 12 if self._is_hidden(quantity, values) else 0.0
+
+    def _is_hidden(self, quantity: str, values: Float) -> bool:
+        scatter = float(np.diff(values, 2).std()) / np.sqrt(6) if values.size > 2 else 0.0
+        by_step = _HIDES * self.steps[quantity] / np.sqrt(12 * self.thinned)
+        return bool(scatter <= max(by_step, _ARITHMETIC * self._find_largest(quantity)))
+
+    def _find_largest(self, quantity: str) -> float:
+        return float(np.abs(self.values[quantity]).max(initial=0.0))
 
     def noise_beyond(self, quantity: str, above_hz: float) -> NoiseSample | None:
         """Periodogram of a whole channel at its own samples above a frequency; None where there is nothing above that."""
-        return noise_sample(
+        found = noise_sample(
             quantity,
             _bridged(self.sampled.values[quantity]),
             self.interval_s / self.thinned,
@@ -103,6 +134,8 @@ class Record:
             below_hz=self._sampled_hz(quantity),
             setting=self.setting(quantity),
         )
+        least = (_ARITHMETIC * self._find_largest(quantity)) ** 2
+        return None if found is None or float(np.median(found.power)) <= least else found
 
     def _sampled_hz(self, quantity: str) -> float:
         """Frequency up to which a channel's own samples show its spectrum, where the clock's are more: they are interpolated."""
@@ -164,6 +197,7 @@ def record(
         factor,
         {q: c.resolution for q, c in channels.items()},
         {q: float(np.median(np.diff(c.time_ns))) * 1e-9 for q, c in channels.items()},
+        {q: find_converter_step(c.values) for q, c in channels.items()},
     )
 
 
@@ -286,6 +320,17 @@ def _step_of(values: Float) -> float:
     """Least change between neighbours; 0 where there is none. Of what a converter recorded at rest, its step."""
     changes = np.abs(np.diff(values))
     return float(changes[changes > 0].min(initial=np.inf)) if changes.any() else 0.0
+
+
+def find_converter_step(values: Float) -> float:
+    """The step of which all changes between neighbours are multiples, (n,) samples as they were recorded, NaN where one was lost; 0 where
+    there is no such step."""
+    known = values[np.isfinite(values)]
+    step = _step_of(known)
+    if step <= _ARITHMETIC * float(np.abs(known).max(initial=0.0)):
+        return 0.0
+    steps = np.diff(known) / step
+    return step if bool((np.abs(steps - np.rint(steps)) <= _WHOLE_STEPS).all()) else 0.0
 
 
 def bode_gain(frequency_hz: float, value: complex) -> Callable[[Float], Float]:

@@ -18,7 +18,7 @@ from pipeline.diagnose.features.kinds import (
     WEIGHT_GAIN,
     FeatureBlock,
 )
-from pipeline.diagnose.features.records import rest_samples
+from pipeline.diagnose.features.records import find_converter_step, rest_samples
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.mains import HUM_HZ
 from pipeline.transform.calibration import describe_contradiction, read_ring, weigh
@@ -55,8 +55,9 @@ def hum_block(recording: Recording) -> FeatureBlock | None:
     n = np.arange(y.size) * sampled.interval_s
     largest = float(np.abs(y).max())
     y = y - np.polynomial.polynomial.polyval(n, np.polynomial.polynomial.polyfit(n, y, 2))
-    if float(np.abs(y).max()) <= _ROUNDING * largest:
-        return None  # a rest without noise has no neighbourhood to hold the mains against
+    step = find_converter_step(source.output.values)
+    if float(np.abs(y).max()) <= max(_ROUNDING * largest, step):
+        return None  # a rest without noise, or one that the converter hides, has no neighbourhood to hold the mains against
     z, variance, freedom = [], [], []
     for f in HUM_HZ:
         # Off-centre bins on both sides of the mains' own: the same transform, moved by whole bins; none near another line.

@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.diagnose.features.blocks import Signals, block, cycle_groups, log_windows
+from pipeline.diagnose.features.blocks import (
+    Signals,
+    add_rounding,
+    add_unit_noise,
+    block,
+    cycle_groups,
+    log_windows,
+)
 from pipeline.diagnose.features.functionals import Component
 from pipeline.diagnose.features.kinds import STEP_CAPACITANCE, STEP_FORCE, STEP_VOLTAGE, FeatureBlock, NoiseSample
 from pipeline.diagnose.features.records import Record, clamp_hz, record, ringing_s
@@ -113,7 +120,16 @@ def step_blocks(
     )
     settled_s = ringing_s(recording.rig, found.interval_s)
     for group in groups:
-        made = _windows(STEP_FORCE, group, base, rest, found, edge_s, least_s=settled_s)
+        made = _windows(
+            STEP_FORCE,
+            group,
+            base,
+            rest,
+            found,
+            edge_s,
+            least_s=settled_s,
+            rounding=found.rounding("force", force[:rest]),
+        )
         if made is not None:
             blocks.append(made)
     values = {
@@ -133,7 +149,11 @@ def step_blocks(
             factor=found.channel_factor("capacitance", "voltage"),
         )
         for group in groups:
-            made = _windows(STEP_CAPACITANCE, group, one, rest, found, edge_s, least_s=max(_DISTURBED_S, settled_s))
+            made = _windows(
+                STEP_CAPACITANCE, group, one, rest, found, edge_s,
+                least_s=max(_DISTURBED_S, settled_s),
+                rounding=found.rounding("capacitance", sensed[:rest]),
+            )  # fmt: skip
             if made is not None:
                 blocks.append(made)
     if "command" in channels and np.ptp(found.values["command"]) > 0:
@@ -223,7 +243,15 @@ def _spans(group: _Group, least: int) -> tuple[list[list[tuple[int, int]]], list
 
 
 def _windows(
-    kind: str, group: _Group, signals: Signals, rest: int, found: Record, edge_s: float, *, least_s: float
+    kind: str,
+    group: _Group,
+    signals: Signals,
+    rest: int,
+    found: Record,
+    edge_s: float,
+    *,
+    least_s: float,
+    rounding: float,
 ) -> FeatureBlock | None:
     """Means of the output in windows after the edges of a group. An edge is known to `edge_s`, for it lies between two samples."""
     spans, since, side = _spans(group, int(least_s / signals.interval_s) + 1)
@@ -263,6 +291,7 @@ def _windows(
         drifts=True,
     )
     slope = np.array(rows) @ np.gradient(signals.output[:stop])
+    made = add_rounding(made, rounding)
     return _with_timing(made, slope, sides, edge_s / signals.interval_s)
 
 
@@ -272,9 +301,7 @@ def _with_timing(made: FeatureBlock, slope: Float, sides: Float, sd: float) -> F
     Edges of one test lie alike between the samples: more cycles do not make it less.
     """
     on, off = (np.where(sides == side, slope, 0.0) * sd for side in (1.0, -1.0))
-    timing = np.outer(on, on) + np.outer(off, off)
-    basis = made.basis if made.basis.ndim == 3 else np.array([np.diag(row) for row in made.basis])
-    return replace(made, components=(*made.components, "unit/0"), basis=np.concatenate([basis, timing[None]]))
+    return add_unit_noise(made, np.outer(on, on) + np.outer(off, off))
 
 
 def _without_spikes(sensed: Float, cycles: list[_Cycle], interval_s: float) -> Float:
@@ -315,7 +342,8 @@ def _voltage_blocks(found: Record, groups: list[_Group], rest: int, edge_s: floa
             noise_sd=float(voltage[:rest].std()),
             largest_response=float(np.abs(voltage).max()),
         )
-        one = _windows(STEP_VOLTAGE, group, signals, rest, found, edge_s, least_s=0.0)
+        rounding = found.rounding("voltage", voltage[:rest]) / plateau**2
+        one = _windows(STEP_VOLTAGE, group, signals, rest, found, edge_s, least_s=0.0, rounding=rounding)
         if one is not None:
             made.append(one)
     return made
