@@ -285,7 +285,7 @@ def _plain(seed: int, size: str, material: str | None) -> _Plain:
 
 def _left(truth: Session, fit: ExtendedFit) -> tuple[FeatureSession, Float]:
     """The session without noise, and what a fit of the plain model leaves of it, (N′,)."""
-    silent = session_of([reduce(recording) for recording in truth.noise_free])
+    silent = session_of([reduce(recording) for recording in truth.noise_free], fit.of.session.laws)
     return silent, silent.value - Simulation(silent).predict(fit.of.model, fit.theta)
 
 

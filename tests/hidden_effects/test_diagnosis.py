@@ -80,7 +80,8 @@ def test_the_hidden_effect_is_named_first(id: str) -> None:
     assert found.verdict in ("named", "ambiguous"), found.unexplained
     assert found.mechanisms[0] == id
     assert found.candidates[0].mechanism == id
-    assert found.candidates[0].probability > 0.5
+    # What a strip of two arms does beyond one arm may be said of the film beside it.
+    assert sum(p for name, p in found.probabilities.items() if id in name.split("+")) > 0.5
     assert found.held_out is not None
     assert found.held_out.gain > 0.4 or np.isnan(found.held_out.gain)
     assert found.held_out.after < found.held_out.before

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.diagnose.faults.fitted import fit_session
+from pipeline.diagnose.features.kinds import STEP_CAPACITANCE
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.report import estimate_film_sd
 from pipeline.diagnose.search.extended_model import Extended
@@ -126,3 +128,23 @@ def test_entries_of_the_mechanical_tests_alone_are_those_of_the_model_or_none() 
     found = fit_plain(session, Simulation(session))
     assert found.model.arms == 2
     assert found.mechanical is None
+
+
+@pytest.mark.parametrize("times", [-1.0, 100.0])
+def test_a_sensing_region_may_make_any_number_of_pf_of_a_newton(times: float) -> None:
+    """Above 60 pF per N the search stopped at the bound of a logarithm, 80 000 standard deviations off."""
+    designs = [{"protocol": "chirp", "loading": "mechanical"}, {"protocol": "step", "loading": "electrical"}]
+    recordings = true_session(5, designs).recordings
+    chi2 = []
+    for factor in (1.0, times):
+        scaled = []
+        for r in recordings:
+            sensed = r.channels.get("capacitance")
+            if sensed is not None:
+                more = sensed.values[0] + factor * (sensed.values - sensed.values[0])
+                r = replace(r, channels={**r.channels, "capacitance": replace(sensed, values=more)})
+            scaled.append(reduce(r))
+        session, _, plain = fit_session(scaled)
+        assert any(p.block.kind == STEP_CAPACITANCE for p in session.places)
+        chi2.append(plain.chi2)
+    assert chi2[1] == pytest.approx(chi2[0], rel=0.01)

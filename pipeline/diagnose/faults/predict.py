@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.diagnose.faults.undo import CAPACITANCE, RESPONSES, follow_block, scale_of, turn, turned
-from pipeline.diagnose.features.kinds import AMPLIFIER, REST_HUM, SPHS_RESPONSE
+from pipeline.diagnose.faults.undo import RESPONSES, follow_block, scale_of, turn, turned
+from pipeline.diagnose.features.kinds import AMPLIFIER, CAPACITANCE, REST_HUM, SPHS_RESPONSE
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.plain_fit import PlainFit, make_bounds
 from pipeline.diagnose.simulation.effects import NONE, Effect, View

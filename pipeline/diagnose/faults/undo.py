@@ -14,21 +14,19 @@ from scipy.sparse import csr_array
 
 from pipeline.diagnose.features.blocks import operator_of
 from pipeline.diagnose.features.kinds import (
+    CAPACITANCE,
     CHIRP_HARMONIC,
     CHIRP_LEVEL,
     CHIRP_RESPONSE,
     CYCLE_FORCE,
-    CYCLIC_CAPACITANCE,
     CYCLIC_HARMONIC,
     CYCLIC_LEVEL,
     CYCLIC_RESPONSE,
     RELAXATION_FORCE,
     REST_HUM,
-    SPHS_CAPACITANCE,
     SPHS_DETECTION,
     SPHS_RESPONSE,
     SPHS_VOLTAGE,
-    STEP_CAPACITANCE,
     STEP_FORCE,
     STEP_VOLTAGE,
     FeatureBlock,
@@ -53,7 +51,6 @@ _OF_OUTPUT = frozenset(
     }
 )
 """Kinds of functionals of the force."""
-CAPACITANCE = frozenset({CYCLIC_CAPACITANCE, SPHS_CAPACITANCE, STEP_CAPACITANCE})
 _TIMES_KNOWN = 0.02
 """Share to which the time of a feature is known by which a drift is followed: a window sees each frequency at another time."""
 _VOLTAGE = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})

@@ -62,6 +62,8 @@ WEIGHT_GAIN = "weight.gain"
 CALIBRATIONS = frozenset({TAP_RING, WEIGHT_GAIN})
 """Kinds in which there is no film: what contradicts the rig's file there is the rig or the sensor itself."""
 
+CAPACITANCE = frozenset({SPHS_CAPACITANCE, CYCLIC_CAPACITANCE, STEP_CAPACITANCE})
+"""Kinds of the sensing region: they are proportional to what it makes of a tension or a displacement."""
 AMPLIFIER = frozenset({SPHS_VOLTAGE, STEP_VOLTAGE})
 """Kinds that show what the amplifier makes of the command: no film and no rig changes them."""
 
@@ -123,6 +125,11 @@ class FeatureBlock:
     @property
     def size(self) -> int:
         return self.value.size
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Channels whose noise is in it, that of the output first."""
+        return tuple(dict.fromkeys(name.split("/")[0] for name in self.components))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from scipy.optimize import nnls
 
 from pipeline.diagnose.features.kinds import (
     AMPLIFIER,
+    CAPACITANCE,
     CHIRP_LEVEL,
     CHIRP_RESPONSE,
     CYCLE_FORCE,
@@ -23,12 +24,11 @@ from pipeline.diagnose.features.kinds import (
     SPHS_CAPACITANCE,
     SPHS_RESPONSE,
     STEP_CAPACITANCE,
-    STEP_FORCE,
     TAP_RING,
     WEIGHT_GAIN,
 )
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.simulation.parameters import BaseModel
+from pipeline.diagnose.simulation.parameters import SENSING, BaseModel
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel, debye
@@ -42,8 +42,6 @@ _MECHANICAL = frozenset({CHIRP_RESPONSE, CYCLIC_RESPONSE, RELAXATION_FORCE, CYCL
 _LEVELS = frozenset({CHIRP_LEVEL, CYCLIC_LEVEL})
 _PER_DECADE = 6
 """Arms of a fine ladder per decade of time."""
-_FAR = 60.0
-"""Limit of entries that have none, in logarithms."""
 _MOST = 30
 """Steps of a search at most."""
 _IDLE = 0.05
@@ -256,8 +254,9 @@ def refit_plain(
 ) -> PlainFit:
     """The optimum of a plain model from a start nearby."""
     about = simulation.about(model.physical(start))
+    begin = _scale_sensing(session, about, model, start)
     found = minimise(
-        lambda several: compute_residuals(session, about, model, several), start, *make_bounds(model), most=most
+        lambda several: compute_residuals(session, about, model, several), begin, *make_bounds(model), most=most
     )
     return PlainFit(model, found.x, found, found.chi2, found.residual[: session.size])
 
@@ -309,9 +308,8 @@ def compute_deviations(model: BaseModel, theta: Float) -> Float:
 
 
 def make_bounds(model: BaseModel) -> tuple[Float, Float]:
-    low = np.array([max(e.low, -_FAR) for e in model.entries])
-    high = np.array([min(e.high, _FAR) for e in model.entries])
-    return low, high
+    """Least and largest values (P,) of the entries."""
+    return np.array([e.low for e in model.entries]), np.array([e.high for e in model.entries])
 
 
 def _fit_order(
@@ -333,7 +331,8 @@ def _fit_order(
         several agree."""
         ends: list[Solution] = []
         for start in starts:
-            end = minimise(residuals, start, *make_bounds(model), most=_MOST)
+            begin = _scale_sensing(session, about, model, start)
+            end = minimise(residuals, begin, *make_bounds(model), most=_MOST)
             if np.isfinite(end.chi2):
                 ends.append(end)
                 best = min(e.chi2 for e in ends)
@@ -419,19 +418,32 @@ def _add_arm(model: BaseModel, lower: PlainFit, tau: float) -> Float:
 
 def _make_theta(session: Session, model: BaseModel, film: RelaxationModel) -> Float:
     theta = model.theta(film)
-    place = model.index("capacitance per force")
-    if place is not None:
-        theta[place] = _estimate_sensing(session)
+    theta[_find_sensing(model)] = 1.0
     return theta
 
 
-def _estimate_sensing(session: Session) -> float:
-    """Rough pF per N: largest change of the capacitance over that of the force among the steps."""
-    force = [np.abs(p.block.value).max() for p in session.places if p.block.kind == STEP_FORCE]
-    change = [
-        p.block.value[np.argmax(np.abs(p.block.value))] for p in session.places if p.block.kind == STEP_CAPACITANCE
-    ]
-    return float(np.median(change) / np.median(force)) if force and change else 0.0
+def _find_sensing(model: BaseModel) -> list[int]:
+    """Places of the entries that the capacitances are proportional to."""
+    return [i for i, name in enumerate(model.names) if name in SENSING]
+
+
+def _scale_sensing(session: Session, simulation: Simulation, model: BaseModel, theta: Float) -> Float:
+    """Entries (P,) with those of the sensing region where they fit best beside the others: the search takes steps of logarithms, and pF per N
+    may be thousands."""
+    places, scaled = _find_sensing(model), theta.copy()
+    if not places:
+        return scaled
+    own = np.concatenate([np.full(p.block.size, p.block.kind in CAPACITANCE) for p in session.places])
+    columns = []
+    for place in places:
+        alone = theta.copy()
+        alone[places] = 0.0
+        alone[place] = 1.0
+        columns.append(session.whiten(np.where(own, simulation.predict(model, alone), 0.0)))
+    seen = session.whiten(np.where(own, session.value, 0.0))
+    if all(np.isfinite(c).all() for c in columns):
+        scaled[places] = np.linalg.lstsq(np.column_stack(columns), seen, rcond=None)[0]
+    return scaled
 
 
 def estimate_stiffness(session: Session, ratio: float = 1.0) -> tuple[Float, Complex]:

@@ -25,9 +25,15 @@ to the data: what a clamp carries changes, and nobody writes it down."""
 _RIG_NAMES = (CLAMP_MASS, "load-cell stiffness", "load-cell damping", "force gain")
 
 
+PER_FORCE, PER_DISPLACEMENT = SENSING = "capacitance per force", "capacitance per displacement"
+"""Entries that the capacitances are proportional to."""
+_FAR = 60.0
+"""Limit of logarithms that have none of their own."""
+
+
 @dataclass(frozen=True)
 class Entry:
-    """One entry of θ: prior mean and standard deviation (infinite: flat), bounds of a search.
+    """One entry of θ: prior mean and standard deviation (infinite: flat), bounds of a search, by default those of a logarithm.
 
     also : another mean that is as likely
     """
@@ -35,8 +41,8 @@ class Entry:
     name: str
     mean: float = 0.0
     sd: float = np.inf
-    low: float = -np.inf
-    high: float = np.inf
+    low: float = -_FAR
+    high: float = _FAR
     also: float | None = None
 
 
@@ -180,8 +186,8 @@ class BaseModel:
             rigs=tuple(rigs),
             actuation=float(np.exp(named.get(ACTUATION, 0.0))),
             amplifier=tuple(float(np.exp(named.get(f"log amplifier {i}", 0.0))) for i in range(len(self.rigs))),
-            pf_per_n=float(named.get("capacitance per force", 0.0)),
-            pf_per_mm=float(named.get("capacitance per displacement", 0.0)),
+            pf_per_n=float(named.get(PER_FORCE, 0.0)),
+            pf_per_mm=float(named.get(PER_DISPLACEMENT, 0.0)),
             sensing_creep=self.sensing_creep,
         )
 

@@ -30,6 +30,8 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.effects import Scale
 from pipeline.diagnose.simulation.parameters import (
     ACTUATION,
+    PER_DISPLACEMENT,
+    PER_FORCE,
     BaseModel,
     Entry,
     film_entries,
@@ -241,9 +243,9 @@ class Session:
             if any(p.block.kind in AMPLIFIER and self.rig[p.recording] == number for p in self.places):
                 entries.append(_amplifier_entry(f"log amplifier {number}", rig))
         if self.kinds & {SPHS_CAPACITANCE, STEP_CAPACITANCE}:
-            entries.append(Entry("capacitance per force"))
+            entries.append(Entry(PER_FORCE, low=-np.inf, high=np.inf))
         if CYCLIC_CAPACITANCE in self.kinds:
-            entries.append(Entry("capacitance per displacement"))
+            entries.append(Entry(PER_DISPLACEMENT, low=-np.inf, high=np.inf))
         return BaseModel(arms, dashpot, tuple(entries), priors, self.loaded)
 
     @cached_property
@@ -420,18 +422,20 @@ def _states(
 def _leave_out_unknown_noise(
     ordered: Sequence[RecordingFeatures], rigs: Sequence[int], laws: Mapping[tuple[int, str], NoiseLaw]
 ) -> tuple[list[RecordingFeatures], tuple[str, ...]]:
-    """The recordings without blocks of which no part of the noise is known, and what is left out: where no recording of a rig shows a channel
-    at rest, any misfit of it would be without bound."""
+    """The recordings without blocks of whose output no noise is known, and what is left out: where no recording of a rig shows the noise of a
+    channel, any misfit of it would be without bound."""
     kept, unasked = [], []
     for r, rig in zip(ordered, rigs, strict=True):
-        quantities = [{name.split("/")[0] for name in block.components} for block in r.blocks]
-        known = ["unit" in own or any((rig, q) in laws for q in own) for own in quantities]
+        # The first part of a block's noise is that of its output; without that of its input it is still bounded.
+        outputs = [block.quantities[0] for block in r.blocks]
+        known = [q == "unit" or (rig, q) in laws for q in outputs]
         kept.append(replace(r, blocks=tuple(b for b, is_known in zip(r.blocks, known, strict=True) if is_known)))
-        lacking = sorted({q for own, is_known in zip(quantities, known, strict=True) if not is_known for q in own})
+        left_out = [b for b, is_known in zip(r.blocks, known, strict=True) if not is_known]
+        lacking = sorted({q for b in left_out for q in b.quantities if (rig, q) not in laws})
         if lacking:
             unasked.append(
-                f"{r.recording_id}: no recording on its rig shows the noise of {' and '.join(lacking)} at rest; "
-                "what they say is left out."
+                f"{r.recording_id}: no recording on its rig shows the noise of {' and '.join(lacking)}; what they say is left out. "
+                "An output that stands still where its input rests shows none: export it as it was measured."
             )
     return kept, tuple(unasked)
 
