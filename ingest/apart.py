@@ -137,7 +137,9 @@ def _answer(writing: int, parent: int, seconds: float, call: Callable[[], Any]) 
 
 
 def _pickled(error: Exception) -> bytes:
-    """An exception for the way back; one that cannot travel goes as its text."""
+    """An exception for the way back, without what was handled when it was raised; one that cannot travel goes as its text."""
+    # Where `tblib` is at work (distributed installs it) these would travel too, and errors of compiled code cannot.
+    error.__cause__ = error.__context__ = None
     try:
         answer = pickle.dumps((False, error))
         pickle.loads(answer)  # noqa: S301

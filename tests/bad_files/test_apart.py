@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copyreg
 import os
 import signal
 import time
@@ -42,6 +43,30 @@ def test_large_values_and_errors_come_back(path: Path) -> None:
 
     with pytest.raises(ValueError, match="Local: here only"):
         apart(path, fail, Local("here only"))
+
+
+def _pickle_whole(error: RefusedError) -> tuple[Any, ...]:
+    """As `tblib` has it, which distributed installs for the errors it carries: with what was handled when it was raised."""
+    return RefusedError, (error.problem,), {"__context__": error.__context__}
+
+
+def test_an_error_comes_back_without_what_was_handled_when_it_was_raised(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A panic of a library in compiled code cannot be pickled, and made a refusal a ValueError with a traceback."""
+    monkeypatch.setitem(copyreg.dispatch_table, RefusedError, _pickle_whole)
+
+    class Panic(BaseException):
+        """Cannot be imported elsewhere, so it cannot be pickled."""
+
+    def refuse() -> None:
+        try:
+            raise Panic
+        except Panic:
+            raise RefusedError("cannot be read") from None
+
+    with pytest.raises(RefusedError, match="cannot be read"):
+        apart(path, refuse)
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT])
