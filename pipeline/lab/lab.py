@@ -142,7 +142,6 @@ class Lab:
 
     def spell_command(self, words: str) -> str:
         """A command on this lab as it is typed where it was named, between backticks: `dealab status --lab LAB`."""
-
         folder = os.fspath(self.folder)
         return f"`dealab {words}`" if folder == DEFAULT_LAB else f"`dealab {words} --lab {quote_path(folder)}`"
 

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from pipeline.diagnose.features.blocks import operator_of
+from pipeline.diagnose.features.blocks import add_unit_noise, operator_of, operator_support
+from pipeline.diagnose.features.functionals import Operator
 from pipeline.diagnose.features.kinds import (
     CAPACITANCE,
     CHIRP_HARMONIC,
@@ -131,22 +132,10 @@ def follow_block(block: FeatureBlock, nodes: Float, delay_s: float, drift: float
 
     re = csr_array(turn_weights(operator.re, np.cos) + turn_weights(operator.im, np.sin))
     im = csr_array(turn_weights(operator.im, np.cos) - turn_weights(operator.re, np.sin))
-    support = dict(block.support)
-    for name, weights in (("re", re), ("im", im)):
-        support |= {
-            f"{name}_data": weights.data,
-            f"{name}_columns": weights.indices.astype(float),
-            f"{name}_rows": weights.indptr.astype(float),
-        }
+    support = {**block.support, **operator_support(Operator(re, im))}
     uncertain = _TIMES_KNOWN * drift * np.nan_to_num(block.time_s)
     doubt = 2 * np.pi * np.nan_to_num(block.frequency_hz) * uncertain * _measure_size(block)
-    added = doubt**2 if block.basis.ndim == 2 else np.diag(doubt**2)
-    return replace(
-        block,
-        support=support,
-        components=(*block.components, "unit/0"),
-        basis=np.concatenate([block.basis, added[None]]),
-    )
+    return add_unit_noise(replace(block, support=support), doubt**2)
 
 
 def _measure_size(block: FeatureBlock) -> Float:

@@ -132,11 +132,13 @@ def assembled(
 
 
 def add_unit_noise(made: FeatureBlock, covariance: Float) -> FeatureBlock:
-    """A block with noise (n, n) beside that of its channels, in the square of its own unit."""
-    basis = made.basis if made.basis.ndim == 3 else np.array([np.diag(row) for row in made.basis])
-    return replace(
-        made, components=(*made.components, UNIT_NOISE), basis=np.concatenate([basis, np.asarray(covariance)[None]])
-    )
+    """A block with noise (n, n), or (n,) of independent values, beside that of its channels, in the square of its own unit."""
+    basis = made.basis
+    if basis.ndim == 3 and covariance.ndim == 1:
+        covariance = np.diag(covariance)
+    elif basis.ndim == 2 and covariance.ndim == 2:
+        basis = np.array([np.diag(row) for row in basis])
+    return replace(made, components=(*made.components, UNIT_NOISE), basis=np.concatenate([basis, covariance[None]]))
 
 
 def add_rounding(made: FeatureBlock, variance: float) -> FeatureBlock:

@@ -158,8 +158,7 @@ def find_stopped(given: Float, name: str, found: Float | None = None) -> dict[st
     lengths = lengths[lost]
     if not lengths.size:
         return {}
-    longest, second = np.sort(np.append(lengths, 0))[-1:-3:-1]
-    return {HELD + name: float(longest) / given.size} if longest >= max(_FEWEST_HELD, _LONGER * second) else {}
+    return {HELD + name: float(lengths.max()) / given.size} if _has_one_stop(lengths) else {}
 
 
 def _goes_on(found: Float, first: int, stop: int) -> bool:
@@ -229,11 +228,16 @@ def _take_stop_out(values: Float) -> Float:
     """A channel (n,) without the one stretch in which it was lost and holds one value: that shows no noise."""
     bounds = _split_runs(values)
     lengths = np.diff(bounds)
-    longest, second = np.sort(np.append(lengths, 0))[-1:-3:-1]
-    if not max(_FEWEST_HELD, _LONGER * second) <= longest < values.size:
+    if bounds.size <= 2 or not _has_one_stop(lengths):
         return values
     run = int(np.argmax(lengths))
     return np.delete(values, slice(int(bounds[run]), int(bounds[run + 1])))
+
+
+def _has_one_stop(lengths: Int) -> bool:
+    """Whether one of the runs of one value, of so many samples each, is far longer than every other."""
+    longest, second = np.sort(np.append(lengths, 0))[-1:-3:-1]
+    return bool(longest >= max(_FEWEST_HELD, _LONGER * second))
 
 
 def _find_swings(time_s: Float, values: Float) -> _Swings:

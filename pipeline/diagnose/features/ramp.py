@@ -53,8 +53,8 @@ def relaxation_blocks(
     """Blocks, noise, values, warnings of a mechanical `step`. Raises `NotIdentifiableError` where nothing can be read."""
     found, x, y, names, rest = _prepared(recording)
     holds = _holds(x, rest)
-    quiet, degree = _find_quiet(found, names[1], y, rest, holds)
-    noise = [found.noise(names[0], x[:rest]), found.noise(names[1], quiet, degree=degree)]
+    of_force, quiet = _read_noise(found, names[1], y, rest, holds)
+    noise = [found.noise(names[0], x[:rest]), of_force]
     rounding = found.rounding(names[1], quiet)
     settling = max(_RINGING_TURNS / clamp_hz(recording.rig), ringing_s(recording.rig, found.interval_s))
     x = _held(x, rest, holds)
@@ -75,17 +75,19 @@ def relaxation_blocks(
     return _finished(recording, found, x, y, names, rest, windows, ramps, nodes, RELAXATION_FORCE, noise, rounding)
 
 
-def _find_quiet(
+def _read_noise(
     found: Record, quantity: str, values: Float, rest: int, holds: list[tuple[int, int, int]]
-) -> tuple[Float, int]:
-    """Samples (n,) of an output that show its noise, and the degree of the polynomial about which it is: the rest, or, where that is too short
-    or stands still, the second half of the longest hold."""
+) -> tuple[NoiseSample | None, Float]:
+    """The noise of an output (n,) and the samples that show it: the rest, or, where that is too short or stands still, the second half of the
+    longest hold, about a smooth relaxation."""
     at_rest = values[:rest]
-    if found.noise(quantity, at_rest) is None and holds:
+    noise = found.noise(quantity, at_rest)
+    if noise is None and holds:
         _, start, stop = max(holds, key=lambda hold: hold[2] - hold[1])
+        second = values[(start + stop) // 2 : stop]
         if not found.lost[(start + stop) // 2 : stop].any():
-            return values[(start + stop) // 2 : stop], _SMOOTH
-    return at_rest, 1
+            return found.noise(quantity, second, degree=_SMOOTH), second
+    return noise, at_rest
 
 
 def _is_recorded(found: Record, a: int, b: int) -> bool:

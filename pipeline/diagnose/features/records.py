@@ -106,7 +106,7 @@ class Record:
         )
         if found is None or not self._is_hidden(quantity, values):
             return found
-        rounding = self.rounding(quantity, values) / self.thinned
+        rounding = self.steps[quantity] ** 2 / 12 / self.thinned
         return replace(found, power=np.maximum(found.power, rounding)) if rounding > 0 else None
 
     def rounding(self, quantity: str, values: Float) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fdtrc, fdtri, ndtr, ndtri
 
-from pipeline.diagnose.features.blocks import assembled
+from pipeline.diagnose.features.blocks import UNIT_NOISE, assembled
 from pipeline.diagnose.features.kinds import (
     FILED_RING_HZ,
     REST_HUM,
@@ -85,7 +85,7 @@ def hum_block(recording: Recording) -> FeatureBlock | None:
         REST_HUM,
         "rest before the test",
         np.array(z)[known],
-        ("unit/0",),
+        (UNIT_NOISE,),
         np.eye(int(known.sum()))[None],
         is_complex=False,
         frequency=np.array(HUM_HZ)[known],
@@ -133,7 +133,7 @@ def calibration_blocks(recording: Recording) -> tuple[list[FeatureBlock], dict[s
         weighed = weigh(recording)
         value, variance = np.array([weighed.gain]), np.array([weighed.gain_sd**2 + RULES.features.weight_sd**2])
         kind, label = WEIGHT_GAIN, f"{weighed.plateaus} levels"
-    return [assembled(kind, label, value, ("unit/0",), np.diag(variance)[None], is_complex=False)], values, []
+    return [assembled(kind, label, value, (UNIT_NOISE,), np.diag(variance)[None], is_complex=False)], values, []
 
 
 _REPEATABLE = 5e-4

@@ -119,17 +119,9 @@ def step_blocks(
         largest_response=float(np.ptp(force)) / float(squared.max()),
     )
     settled_s = ringing_s(recording.rig, found.interval_s)
+    rounding = found.rounding("force", force[:rest])
     for group in groups:
-        made = _windows(
-            STEP_FORCE,
-            group,
-            base,
-            rest,
-            found,
-            edge_s,
-            least_s=settled_s,
-            rounding=found.rounding("force", force[:rest]),
-        )
+        made = _windows(STEP_FORCE, group, base, rest, found, edge_s, least_s=settled_s, rounding=rounding)
         if made is not None:
             blocks.append(made)
     values = {
@@ -148,12 +140,9 @@ def step_blocks(
             largest_response=float(np.ptp(sensed)) / float(squared.max()),
             factor=found.channel_factor("capacitance", "voltage"),
         )
+        least_s, rounding = max(_DISTURBED_S, settled_s), found.rounding("capacitance", sensed[:rest])
         for group in groups:
-            made = _windows(
-                STEP_CAPACITANCE, group, one, rest, found, edge_s,
-                least_s=max(_DISTURBED_S, settled_s),
-                rounding=found.rounding("capacitance", sensed[:rest]),
-            )  # fmt: skip
+            made = _windows(STEP_CAPACITANCE, group, one, rest, found, edge_s, least_s=least_s, rounding=rounding)
             if made is not None:
                 blocks.append(made)
     if "command" in channels and np.ptp(found.values["command"]) > 0:
@@ -319,7 +308,7 @@ def _voltage_blocks(found: Record, groups: list[_Group], rest: int, edge_s: floa
     """Voltage in windows after the edges over the plateau of the command, answer to the command."""
     command = found.values["command"]
     voltage = found.values["voltage"]
-    made = []
+    made, rounding = [], found.rounding("voltage", voltage[:rest])
     for group in groups:
         middle = [(c.up + c.fall) // 2 for c in group.cycles]
         plateau = float(np.mean([np.mean(command[m - 1 : m + 2]) for m in middle]) - command[:rest].mean())
@@ -342,8 +331,7 @@ def _voltage_blocks(found: Record, groups: list[_Group], rest: int, edge_s: floa
             noise_sd=float(voltage[:rest].std()),
             largest_response=float(np.abs(voltage).max()),
         )
-        rounding = found.rounding("voltage", voltage[:rest]) / plateau**2
-        one = _windows(STEP_VOLTAGE, group, signals, rest, found, edge_s, least_s=0.0, rounding=rounding)
+        one = _windows(STEP_VOLTAGE, group, signals, rest, found, edge_s, least_s=0.0, rounding=rounding / plateau**2)
         if one is not None:
             made.append(one)
     return made

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from pipeline.diagnose.features.blocks import assembled
+from pipeline.diagnose.features.blocks import UNIT_NOISE, assembled
 from pipeline.diagnose.features.kinds import (
     AMPLIFIER,
     EXTRA_MASS,
@@ -374,7 +374,7 @@ def _imagine_calibration(session: Session, proposal: Proposal, place: int, start
     sd, extra_kg = np.array(_CALIBRATION_SD[proposal.test]), float(proposal.designs[place].get(_EXTRA_KG, 0.0))
     kind = TAP_RING if proposal.test == "tap" else WEIGHT_GAIN
     value = np.zeros(sd.size) if kind == TAP_RING else np.ones(1)
-    block = assembled(kind, proposal.text, value, ("unit/0",), np.diag(sd**2)[None], is_complex=False)
+    block = assembled(kind, proposal.text, value, (UNIT_NOISE,), np.diag(sd**2)[None], is_complex=False)
     last = session.recordings[-1]
     return replace(
         last,
