@@ -339,9 +339,13 @@ def connect_cluster(address: str) -> tuple[Callable[[int], Executor], int]:
         "distributed.client",
     ):  # what it logs are pages of its own functions; what matters we tell
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    # In two steps, so that a client that cannot connect is closed here. Else dask closes it when it is garbage, which
+    # may be within the start of the next client: that one then waits for itself.
+    client: Any = Client.__new__(Client)
     try:
-        client: Any = Client(address, timeout=_CONNECT_S)
+        client.__init__(address, timeout=_CONNECT_S)
     except Exception as error:  # of an address dask makes whatever its transports do
+        client.close()
         raise LabError(
             f"the cluster does not answer: {error}", where=address, expected="the address of a dask scheduler"
         ) from None

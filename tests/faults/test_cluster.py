@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -215,8 +216,11 @@ def test_a_cluster_that_loses_its_workers_or_its_scheduler_ends_the_night(monkey
 
 @pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "ucx://x:1", "http://127.0.0.1:1", "nonsense", "tcp://"])
 def test_an_address_that_is_none_is_told(address: str) -> None:
+    before = threading.active_count()
     with pytest.raises(LabError, match="the cluster does not answer"):
         workers.connect_cluster(address)
+    # What dask closes when it is collected as garbage may be collected while dask holds the lock that closing needs.
+    assert threading.active_count() == before, "a client that could not connect is left half open"
 
 
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
