@@ -15,12 +15,11 @@ from reports.evidence import Standing, beyond_noise, less_than_noise, no_relaxat
 from reports.names import short
 from reports.results import Row
 from schemas import numbers
+from schemas.explanations import Explanation, cause, has_unnamed_beside, list_explanations, tell_doubt
 from schemas.mechanisms import (
     MECHANISMS,
     RECORD,
     UNLISTED,
-    cause,
-    has_unnamed_beside,
     model_name,
     plain_name,
     quote_name,
@@ -60,7 +59,7 @@ def headline(standing: Standing) -> Markup:
     if d and has_unnamed_beside(d):
         return flow(who, f": {what_is_wrong(standing)}")
     if d and d["verdict"] == "ambiguous":
-        return flow(who, f": {what_is_wrong(standing)}. The recordings cannot tell which.")
+        return flow(who, f": {what_is_wrong(standing)}. The recordings {tell_doubt(d)}.")
     if d and d["verdict"] == "unknown":
         return flow(who, f": {_tell_unnamed(d)}; none of the {LISTED_CAUSES} listed causes explains it")
     if fit is None:
@@ -158,14 +157,9 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
             flow(tag("ambiguous"), " · ", ids, ", as good as certain, and something beside that is in no list.")
         )
     elif d["verdict"] == "ambiguous":
-        options = [m for m in dict.fromkeys([d["mechanism"], *(d["also_possible"] or [])]) if m]
-        beside = [code(m) for m in (d["mechanisms"] or [])[1:]] if len(options) == 1 else []
-        text = listed([plain_name(m) if m == UNLISTED else code(m) for m in options], " or ")
-        if beside:
-            doubt = flow(": whether ", listed(beside), " acts beside it these recordings cannot tell.")
-        else:
-            doubt = flow(": too close to tell apart with these recordings.")
-        sentences.append(flow(tag("ambiguous"), " · ", text, doubt))
+        options = [_by_ids(one) for one in list_explanations(d)]
+        text = flow("either " if len(options) > 1 else "", Markup(", or ").join(options))
+        sentences.append(flow(tag("ambiguous"), " · ", text, ": too close to tell apart with these recordings."))
     elif d["verdict"] == "unknown":
         sentences.append(
             flow(tag("unknown"), f". The discrepancy is real ({p_equals(d['p_value'])}); no listed cause leaves noise.")
@@ -173,6 +167,13 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
     else:
         sentences.append(flow(tag("none"), f". No discrepancy beyond the noise ({p_equals(d['p_value'])})."))
     return tuple(sentences)
+
+
+def _by_ids(explanation: Explanation) -> Piece:
+    """Causes that are there together, by their ids."""
+    if not explanation:
+        return "nothing but noise"
+    return Markup(" with ").join(plain_name(m) if m == UNLISTED else code(m) for m in explanation)
 
 
 def what_next(diagnosis: Row | None) -> Next | None:

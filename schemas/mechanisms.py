@@ -301,11 +301,11 @@ def candidate(mechanism: str, value: float | None, sd: float | None, parameter: 
     return amount(mechanism, shown, {"value": value, "sd": sd})
 
 
-def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
-    """The cause as a sentence without its subject, by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`."""
+def finding(mechanism: str, parameters: Mapping[str, Any], *, beside: bool = False) -> str:
+    """The cause as a sentence by its main parameter: `the load cell is stiffer …, by 6.3 ± 0.3 %`; `beside` another that is told before."""
     known = _WORDS.get(mechanism)
     if mechanism == UNLISTED:
-        return "the cause is in no list"
+        return "something that is in no list acts beside that" if beside else "the cause is in no list"
     if isinstance(parameters.get(FINDING), str):
         return str(parameters[FINDING])
     if known is None:
@@ -323,36 +323,6 @@ def finding(mechanism: str, parameters: Mapping[str, Any]) -> str:
     if isinstance(channel, str):
         text = text.replace("a sensor is", f"the {channel} channel is").replace("a channel reads", f"{channel} reads")
     return text.format(amount(mechanism, main, size)) if _is_resolved(size) else _leave_size_out(text)
-
-
-def has_unnamed_beside(diagnosis: Mapping[str, Any]) -> bool:
-    """Whether the causes of a row of `diagnoses` are certain, with something beside them that is in no list: the likeliest hypothesis is
-    `rig_constants+film/frequency`, say.
-    """
-    if diagnosis["verdict"] != "ambiguous":
-        return False
-    shares: dict[str, float] = json.loads(diagnosis.get("probabilities") or "{}")
-    *beside, last = max(shares, key=lambda name: shares[name], default="").split("+")
-    return "/" in last and {*beside} == {*(diagnosis["mechanisms"] or ())}
-
-
-def cause(diagnosis: Mapping[str, Any]) -> str:
-    """What is wrong, from a row of `diagnoses`: `the load cell is stiffer than its file says, by 6.3 ± 0.3 %`.
-
-    Causes that cannot be told apart are said without their sizes, with "or" between them; several that act together with "and". Where
-    the first is beyond doubt and only what acts beside it is not, that has a "perhaps".
-    """
-    found = nested(diagnosis["severity"])
-    named = [m for m in (diagnosis["mechanisms"] or [diagnosis["mechanism"]]) if m]
-    if has_unnamed_beside(diagnosis):
-        return f"{' and '.join(finding(m, found.get(m, {})) for m in named)}, and something that is in no list acts beside that"
-    if diagnosis["verdict"] == "ambiguous" and not diagnosis["also_possible"] and len(named) > 1:
-        return f"{finding(named[0], found.get(named[0], {}))}, and perhaps {' and '.join(finding(m, {}) for m in named[1:])}"
-    if diagnosis["verdict"] == "ambiguous":
-        options = [m for m in (diagnosis["mechanism"], *(diagnosis["also_possible"] or ())) if m]
-        others = [finding(m, found.get(m, {})) for m in named if m not in options]
-        return " and ".join([" or ".join(finding(m, {}) for m in dict.fromkeys(options)), *others])
-    return " and ".join(finding(m, found.get(m, {})) for m in named)
 
 
 def _leave_size_out(finding: str) -> str:

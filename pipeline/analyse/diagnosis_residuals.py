@@ -66,10 +66,14 @@ class _Block:
         return float(np.sqrt(np.mean(((self.measured - simulated) / np.maximum(self.sd, _LEAST_SHOWN)) ** 2)))
 
     @property
+    def gain(self) -> float:
+        """What the extension takes off χ²."""
+        return self.size * (self.rms(self.plain) ** 2 - self.rms(self.extended) ** 2)
+
+    @property
     def telling(self) -> float:
         """χ² of the plain model beyond the noise, and what the extension takes off it."""
-        plain, extended = self.rms(self.plain) ** 2, self.rms(self.extended) ** 2
-        return self.size * (max(plain - 1, 0.0) + max(plain - extended, 0.0))
+        return self.size * max(self.rms(self.plain) ** 2 - 1, 0.0) + max(self.gain, 0.0)
 
 
 def _blocks(d: Diagnosis, features: Sequence[RecordingFeatures]) -> Iterator[_Block]:
@@ -92,8 +96,13 @@ def _blocks_of(r: Residuals, sources: Sequence[FeatureBlock]) -> Iterator[_Block
 
 
 def _chosen(blocks: Sequence[_Block]) -> list[_Block]:
-    """The blocks to keep for figures, in their own order: the most telling, and of each kind some."""
+    """The blocks to keep for figures, in their own order: the one in which the cause explains most, the most telling, and of each kind
+    some.
+    """
     ranked = sorted(range(len(blocks)), key=lambda i: (-blocks[i].telling, i))
+    if ranked:
+        most = max(ranked, key=lambda i: blocks[i].gain)
+        ranked = [most, *(i for i in ranked if i != most)]
     wanted = set(ranked[:_SHOWN_BLOCKS])
     of_kind: dict[str, int] = {}
     for i in ranked:

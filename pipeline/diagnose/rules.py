@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from schemas.explanations import CREDIBLE
+
 NOT_CALIBRATED = "not calibrated"
 STUDY = "study of hidden effects (`tests/studies/results.md`)"
 TEMPERING = f"{STUDY}, starting from 10 to 20 % of a block's misfit"
@@ -233,7 +235,7 @@ class PriorRules:
 class VerdictRules:
     """From probabilities to one of the four verdicts."""
 
-    credible: float = _rule(0.95, "probability of what is named, and of the set that is possible", "given: 95 %")
+    credible: float = _rule(CREDIBLE, "probability of what is named, and of the set that is possible", "given: 95 %")
     listed: float = _rule(
         0.5, "probability of all listed causes together below which the verdict is `unknown`", "given: 50 %"
     )

@@ -15,7 +15,8 @@ import duckdb
 import pyarrow as pa
 
 from pipeline.diagnose.rules import RULES
-from schemas.mechanisms import candidate, cause, nested
+from schemas.explanations import cause
+from schemas.mechanisms import candidate, nested
 
 TABLES = ("diagnoses", "discrepancies", "diagnosis_candidates", "diagnosis_terms")
 FAR = 1e-6

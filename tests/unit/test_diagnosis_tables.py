@@ -162,6 +162,14 @@ def test_curves_are_kept_where_the_models_differ_and_not_without_end() -> None:
     assert tables["diagnosis_blocks"].num_rows == 40
 
 
+def test_the_block_in_which_the_cause_explains_most_is_kept_whatever_else_is_missed() -> None:
+    """Other blocks miss more and fill all that is kept, but the cause takes nothing off them."""
+    many = [recording(f"r-{i}", block("chirp.response", "sweep 1", 1400, is_complex=True)) for i in range(4)]
+    left = [residuals(many[0], 3.0, 1.0), *(residuals(f, 90.0, 90.0) for f in many[1:])]
+    curves = diagnosis_tables(replace(NAMED, residuals=tuple(left)), many)["diagnosis_curves"].to_pylist()
+    assert "r-0" in {c["recording_id"] for c in curves}
+
+
 def test_covariates_of_blocks_that_are_not_known_are_left_open() -> None:
     curves = diagnosis_tables(NAMED, ())["diagnosis_curves"].to_pylist()
     assert {c["amplitude"] for c in curves} == {None}

@@ -64,7 +64,7 @@ def test_a_cause_that_may_stand_beside_a_sure_one_is_told_as_such(lab: Lab) -> N
 def test_a_named_cause_is_told_with_size_gain_interval_and_what_moved(lab: Lab) -> None:
     text = told(lab, "S-1")
     first, second, third = text.splitlines()[:3]
-    assert first == "● S-1: force reads too much, by 10.0 ± 1.0 % and the film softens from cycle to cycle (named)."  # fmt: skip
+    assert first == "● S-1: force reads too much, by 10.0 ± 1.0 %, and the film softens from cycle to cycle (named)."  # fmt: skip
     assert "97 % (95 % interval 94 % to 99 %)" in second
     assert third == "  5.00 → 1.20 times the noise."
     assert "r-1: The response is missed by 3 %." in text
@@ -81,9 +81,9 @@ def test_causes_that_cannot_be_told_apart_are_both_named_without_sizes(lab: Lab)
     first = told(lab, "S-2").splitlines()[0]
     assert (
         first
-        == "◐ S-2: the film goes slack or the film stiffens with strain; these recordings cannot tell which (ambiguous)."
+        == "◐ S-2: either the film goes slack or the film stiffens with strain; these recordings cannot tell which (ambiguous)."
     )
-    assert "Cannot be told from it: strain_stiffening" in told(lab, "S-2")
+    assert "Cannot be told apart: slack; strain_stiffening" in told(lab, "S-2")
 
 
 def test_nothing_found_says_what_would_have_been(lab: Lab) -> None:

@@ -12,7 +12,7 @@ from reports.pages.campaign.lives import decisive
 from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
 from reports.pages.specimen import models
-from schemas import mechanisms
+from schemas import explanations, mechanisms
 from schemas.tables import TABLES
 from tests.helpers.mechanism_ids import CONTRACT
 
@@ -103,12 +103,12 @@ def test_what_is_beside_causes_that_are_certain_is_no_alternative_to_them() -> N
         "ambiguous", mechanism="slack", mechanisms=["slack"], also_possible=["unlisted"],
         probabilities='{"slack": 0.01, "slack+film/frequency": 0.99}',
     )  # fmt: skip
-    assert mechanisms.has_unnamed_beside(d)
-    assert mechanisms.cause(d).endswith(", and something that is in no list acts beside that")
-    assert " or " not in mechanisms.cause(d)
+    assert explanations.has_unnamed_beside(d)
+    assert explanations.cause(d).endswith(", and something that is in no list acts beside that")
+    assert " or " not in explanations.cause(d)
     instead = {**d, "probabilities": '{"slack": 0.4, "film/frequency": 0.6}'}
-    assert not mechanisms.has_unnamed_beside(instead)
-    assert not mechanisms.has_unnamed_beside({**d, "probabilities": None})
+    assert not explanations.has_unnamed_beside(instead)
+    assert not explanations.has_unnamed_beside({**d, "probabilities": None})
 
 
 def test_ambiguous_names_all_and_unknown_names_none() -> None:

@@ -11,19 +11,18 @@ from pipeline.lab.reader import Reader
 from schemas.alike import ask_meant
 from schemas.corrections import write_corrections
 from schemas.errors import UsageError
+from schemas.explanations import cause, has_unnamed_beside, list_explanations, tell_doubt
 from schemas.mechanisms import (
     UNLISTED,
     amount,
     candidate,
-    cause,
-    has_unnamed_beside,
     main,
     nested,
     parameter_words,
     plain_name,
     severity,
 )
-from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, significant
+from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, removed, significant
 from schemas.visible import make_safe
 
 _JSON_COLUMNS = ("severity", "smallest_detectable", "held_out_parts", "next_design")
@@ -86,7 +85,7 @@ def _parse_objects(row: Row) -> dict[str, Any]:
 
 def _describe_diagnosis(row: Row) -> Iterator[str]:
     """The finding first, then what carries it, then what to do, then what would have been seen."""
-    yield f"{_SIGNS.get(row['verdict'], '–')} {row['specimen_id']}: {_state_verdict(row)}"
+    yield f"{_SIGNS.get(row['verdict'], '–')} {row['specimen_id']}: {describe_verdict(row)}"
     yield from _list_corrections(row)
     yield from _describe_gain(row)
     yield from _list_discrepancies(row)
@@ -108,7 +107,8 @@ def _list_corrections(row: Row) -> Iterator[str]:
         yield from _list_under("What would put it right, to be checked and accepted", text.splitlines())
 
 
-def _state_verdict(row: Row) -> str:
+def describe_verdict(row: Row) -> str:
+    """What a diagnosis found, in a sentence."""
     verdict = row["verdict"]
     if verdict is None:
         reasons = "; ".join(row["could_not_ask"] or ("no reason given",))
@@ -116,11 +116,9 @@ def _state_verdict(row: Row) -> str:
     text = cause(row)
     if verdict == "named":
         return f"{text} (named)."
-    if has_unnamed_beside(row):
-        return f"{text} (ambiguous)."
     if verdict == "ambiguous":
-        which = " which" if row["also_possible"] else ""
-        return f"{text}; these recordings cannot tell{which} (ambiguous)."
+        doubt = tell_doubt(row)
+        return f"{text}{f'; these recordings {doubt}' if doubt else ''} (ambiguous)."
     if verdict == "unknown":
         return f"the simulation is wrong, {p_equals(row['p_value'])}, and no listed cause explains all of it (unknown)."
     return f"the simulation is right within the noise, {p_equals(row['p_value'])} (none)."
@@ -130,12 +128,8 @@ def _describe_gain(row: Row) -> Iterator[str]:
     before, after = row["held_out_error_before"], row["held_out_error_after"]
     if row["gain"] is None or before is None or after is None:
         return
-    limits = ""
-    if row["gain_lower"] is not None and row["gain_upper"] is not None:
-        limits = f" (95 % interval {percent(row['gain_lower'])} to {percent(row['gain_upper'])})"
-    yield (
-        f"  Mending it removes {percent(row['gain'])}{limits} of the removable error on data that the fit has not seen:"
-    )
+    share = removed(row["gain"], row["gain_lower"], row["gain_upper"])
+    yield f"  Mending it removes {share} of the removable error on data that the fit has not seen:"
     yield f"  {significant(before)} → {significant(after)} times the noise."
     parts = sorted(json.loads(row["held_out_parts"] or "{}").items(), key=lambda part: -part[1]["before"])
     if len(parts) > 1:
@@ -168,9 +162,12 @@ def _tabulate_causes(row: Row) -> Iterator[str]:
         yield f"    {name.ljust(widths[0])}  {columns}  {size}"
     for mechanism, parameters in nested(row["severity"]).items():
         yield f"  {plain_name(mechanism)} ({mechanism}): {severity(mechanism, parameters)}"
-    if row["also_possible"] and not has_unnamed_beside(row):
-        possible = (plain_name(m) if m == UNLISTED else m for m in row["also_possible"])
-        yield f"  Cannot be told from it: {', '.join(possible)}"
+    if row["verdict"] == "ambiguous" and not has_unnamed_beside(row):
+        possible = (
+            " + ".join(plain_name(m) if m == UNLISTED else m for m in one) or "nothing but noise"
+            for one in list_explanations(row)
+        )
+        yield f"  Cannot be told apart: {'; '.join(possible)}"
     if row["supported_by"]:
         yield f"  Shown by: {', '.join(row['supported_by'])}"
 

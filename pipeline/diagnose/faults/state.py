@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,7 +12,8 @@ from pipeline.diagnose.faults.fault import Fault
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, UNKNOWN, Diagnosis
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.search.posterior import PLAIN
-from schemas.mechanisms import RECORD, plain_name
+from schemas.explanations import cause
+from schemas.mechanisms import RECORD
 
 
 def state_faults(diagnosis: Diagnosis, faults: Sequence[Fault]) -> Diagnosis:
@@ -51,8 +53,8 @@ def _combine(diagnosis: Diagnosis, faults: Sequence[Fault]) -> dict[str, float]:
         other = next((id for id in (*(c.cause for c in fault.corrections), *fault.alike) if id != fault.cause), "")
         with_fault: dict[tuple[str, ...], float] = {}
         for names, p in found.items():
-            for cause, share in ((fault.cause, fault.probability), (other, 1 - fault.probability)):
-                both = names if not cause or cause in names else (cause, *names)
+            for one, share in ((fault.cause, fault.probability), (other, 1 - fault.probability)):
+                both = names if not one or one in names else (one, *names)
                 with_fault[both] = with_fault.get(both, 0.0) + p * share
         found = with_fault
     return {"+".join(names) or PLAIN: p for names, p in found.items()}
@@ -73,5 +75,14 @@ def _describe_rest(diagnosis: Diagnosis, faults: Sequence[Fault]) -> tuple[str, 
         return ("What the other recordings show is explained by no listed cause either.",)
     if diagnosis.verdict != AMBIGUOUS:
         return ()
-    options = dict.fromkeys((*diagnosis.mechanisms, *diagnosis.also_possible))
-    return (f"Beside the fault, the other recordings show {' or '.join(plain_name(m) for m in options)}.",)
+    told = cause(
+        {
+            "verdict": diagnosis.verdict,
+            "mechanism": next(iter(diagnosis.mechanisms), None),
+            "mechanisms": diagnosis.mechanisms,
+            "also_possible": diagnosis.also_possible,
+            "probabilities": json.dumps(diagnosis.probabilities),
+            "severity": None,
+        }
+    )
+    return (f"What the other recordings show beside the fault: {told}.",)

@@ -30,7 +30,7 @@ from reports.pages.index import control
 from reports.pages.specimen import comparing_models, film
 from reports.site import CONTROL, SPECIMENS, Site
 from reports.standings import Brief, of_lab
-from schemas.mechanisms import cause
+from schemas.explanations import cause
 from schemas.numbers import capital, counted, digits, significant, word
 
 _WIDE = 2

@@ -1,9 +1,10 @@
-"""Measured against simulated: the kinds of features in which the plain and the extended model differ most, a figure each."""
+"""Measured against simulated, a figure per kind of features: first where the cause explains most, then where most is missed."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from reports.blocks import Block, Figure, Heading, Pair, bold, flow
 from reports.csvfile import Column
@@ -35,7 +36,8 @@ ORDER BY (SELECT min(started_at) FROM recordings AS r WHERE r.recording_id = c.r
          min(time_s) OVER (PARTITION BY recording_id, kind, block), block, position"""
 
 
-Key = tuple[str, str, str]
+Key = tuple[str, str]
+"""Recording and block."""
 Keep = Callable[[str, Mapping[str, Column]], str]
 """Name and columns of a figure's data → the address of their file."""
 
@@ -57,51 +59,86 @@ def foremost(site: Site, specimen: str) -> Figure | None:
 
 
 def _figures(results: Results, specimen: str, keep: Keep) -> Iterator[Figure]:
-    """A figure per kind of features, the most telling first; kinds that are simulated within the noise have none."""
-    by_block: dict[Key, list[Record]] = {}
+    """A figure per kind of features; kinds that are simulated within the noise have none.
+
+    A finding is shown where its cause explains most: the figure in which the cause takes most off χ² goes before all others, however
+    much more is missed elsewhere. The others follow by what is missed.
+    """
+    by_kind: dict[str, dict[Key, list[Record]]] = {}
     for r in results.rows(Query(_CURVE_SQL, {"specimen": specimen})):
-        by_block.setdefault((r["kind"], r["recording_id"], r["block"]), []).append(r)
-    by_kind: dict[str, list[tuple[float, Key]]] = {}
-    for key, rows in by_block.items():
-        by_kind.setdefault(key[0], []).append((_telling(rows), key))
-    ranked = sorted(by_kind.items(), key=lambda item: (-sum(score for score, _ in item[1]), item[0]))
-    for place, (kind, scored) in enumerate(ranked):
-        most = max(score / len(by_block[key]) for score, key in scored)
-        if most > (_WORTH if place else 0.0):
-            figure = _comparison(kind, sorted(scored, key=lambda s: (-s[0], s[1])), by_block, keep)
+        by_kind.setdefault(r["kind"], {}).setdefault((r["recording_id"], r["block"]), []).append(r)
+    chosen = sorted((_choose(kind, blocks) for kind, blocks in by_kind.items()), key=lambda c: (-c.missed, c.kind))
+    first = max(chosen, key=lambda c: c.gain, default=None)
+    chosen.sort(key=lambda c: c is not first)
+    shown = 0
+    for one in chosen:
+        if one.worth > (_WORTH if shown else 0.0):
+            figure = _comparison(one, keep)
             if figure is not None:
+                shown += 1
                 yield figure
 
 
-def _telling(rows: list[Record]) -> float:
-    """χ² of the plain model beyond the noise, and what the extension takes off it."""
+@dataclass(frozen=True)
+class _Chosen:
+    """What of a kind is drawn.
 
-    def chi2(name: str) -> float:
-        terms = (((r["measured"] - r[name]) / r["sd"]) ** 2 for r in rows if r[name] is not None and r["sd"])
-        return float(sum(terms))
+    Parameters
+    ----------
+    kind : of the features
+    rows : values of one block, or of all small blocks together
+    where : what they are of; `together` where there are several
+    missed : χ² of all blocks beyond the noise under the plain model, with what the extension takes off it
+    worth : the largest of these of a block, per value
+    """
 
-    plain = chi2("plain")
-    extended = plain if any(r["extended"] is None for r in rows) else chi2("extended")
-    return max(plain - len(rows), 0.0) + max(plain - extended, 0.0)
+    kind: str
+    rows: Sequence[Record]
+    where: str
+    together: bool
+    missed: float
+    worth: float
+
+    @property
+    def gain(self) -> float:
+        """What the cause takes off χ² of that which is drawn."""
+        return _rank(self.rows)[0]
 
 
-def _comparison(
-    kind: str, scored: list[tuple[float, Key]], blocks: Mapping[Key, list[Record]], keep: Keep
-) -> Figure | None:
-    """One figure for a kind: its most telling block, or all of its small ones together."""
-    first = scored[0][1]
-    small = len(blocks[first]) < _SMALL
-    keys = [key for key in blocks if key[0] == kind] if small else [first]
-    rows = [r for key in keys for r in blocks[key]]
-    if small:  # harmonics of different order stand in one block: those of one order share their place in it
-        place = max((r["position"] for r in rows), key=lambda p: _telling([r for r in rows if r["position"] == p]))
-        half = len(blocks[first]) // 2
-        is_complex = bool(blocks[first][0]["component"])
-        rows = [r for r in rows if r["position"] == place or (is_complex and r["position"] % half == place % half)]
-    data = compared(kind, rows, together=small)
+def _choose(kind: str, blocks: Mapping[Key, list[Record]]) -> _Chosen:
+    """Of a kind, the block in which the cause explains most; all of its small ones together."""
+    ranks = {key: _rank(rows) for key, rows in blocks.items()}
+    missed = sum(one for _, one in ranks.values())
+    worth = max(one / len(blocks[key]) for key, (_, one) in ranks.items())
+    first = min(blocks, key=lambda key: (-ranks[key][0], -ranks[key][1], key))
+    rows = blocks[first]
+    if len(rows) >= _SMALL:
+        return _Chosen(kind, rows, f"{short(first[0], 40)}, {visible(first[1])}", False, missed, worth)
+    # Harmonics of different order stand in one block: those of one order share their place in it.
+    half, is_complex = len(rows) // 2, bool(rows[0]["component"])
+    every = [r for block in blocks.values() for r in block]
+    place = max((r["position"] for r in every), key=lambda p: _rank([r for r in every if r["position"] == p]))
+    rows = [r for r in every if r["position"] == place or (is_complex and r["position"] % half == place % half)]
+    return _Chosen(kind, rows, "All recordings", True, missed, worth)
+
+
+def _rank(rows: Sequence[Record]) -> tuple[float, float]:
+    """What the cause takes off χ², and the χ² of the plain model beyond the noise with that."""
+    plain = _chi2(rows, "plain")
+    gain = 0.0 if any(r["extended"] is None for r in rows) else max(plain - _chi2(rows, "extended"), 0.0)
+    return gain, max(plain - len(rows), 0.0) + gain
+
+
+def _chi2(rows: Sequence[Record], model: str) -> float:
+    return float(sum(((r["measured"] - r[model]) / r["sd"]) ** 2 for r in rows if r[model] is not None and r["sd"]))
+
+
+def _comparison(chosen: _Chosen, keep: Keep) -> Figure | None:
+    """The figure of what was chosen of a kind."""
+    kind, rows = chosen.kind, chosen.rows
+    data = compared(kind, rows, together=chosen.together)
     if data is None or data.x.size < 2:
         return None
-    where = "All recordings" if small else f"{short(first[1], 40)}, {visible(first[2])}"
     words = f"{significant(data.rms(data.plain), 2)} times the noise with the plain model"
     left = ""
     if data.extended is not None:
@@ -116,7 +153,7 @@ def _comparison(
     about = kind_of(kind).words
     address = keep(f"diagnosis_{kind.replace('.', '_')}", {n: [r[n] for r in rows] for n in rows[0]})
     return Figure(
-        comparison(data, alt=f"{capital(about)}, {where}: residual {words}."),
-        flow(bold(f"{capital(about)}."), f" {where}. Residual {words}.{left}"),
+        comparison(data, alt=f"{capital(about)}, {chosen.where}: residual {words}."),
+        flow(bold(f"{capital(about)}."), f" {chosen.where}. Residual {words}.{left}"),
         address,
     )

@@ -55,7 +55,7 @@ def blocks(draft: Draft, d: Record) -> list[Block]:
 
 def describe(hypothesis: str) -> str:
     """A hypothesis of the column `probabilities` in words."""
-    return " and ".join(_describe_one(name) for name in hypothesis.split("+"))
+    return " + ".join(_describe_one(name) for name in hypothesis.split("+"))
 
 
 def _describe_one(name: str) -> str:

@@ -1,0 +1,143 @@
+"""What may be behind a specimen's recordings, from a row of `diagnoses`: as sets of causes, and as one sentence.
+
+The causes themselves in words are `schemas.mechanisms`. Does not belong here: how probable an explanation is, which is the analysis'.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from schemas.mechanisms import RECORD, UNLISTED, finding, nested
+from schemas.numbers import word
+
+CREDIBLE = 0.95
+"""Probability that explanations hold together which are said to be possible, and that one alone has which is named."""
+_TOLD = 4
+"""Explanations that a sentence tells; more would not be read."""
+_PLAIN = "plain"
+"""The explanation, in `probabilities`, that nothing is beside the simulation but noise."""
+
+Explanation = tuple[str, ...]
+"""Causes that are there together; none of them: nothing is wrong beyond the noise."""
+
+
+def list_explanations(diagnosis: Mapping[str, Any]) -> list[Explanation]:
+    """The explanations among which a diagnosis cannot tell, or the one that it names, the likeliest first.
+
+    Parameters
+    ----------
+    diagnosis : a row of `diagnoses`
+
+    Returns
+    -------
+    Sets of causes; `unlisted` stands for one that is in no list. Where probabilities were not computed, each cause that is possible is
+    one of its own.
+    """
+    named = tuple(m for m in (diagnosis["mechanisms"] or [diagnosis["mechanism"]]) if m)
+    if diagnosis["verdict"] != "ambiguous":
+        return [named] if named else []
+    possible = [m for m in diagnosis["also_possible"] or () if m not in named]
+    found = list(_take_likeliest(diagnosis, {*named, *possible, UNLISTED}))
+    if not any({*one} == {*named} for one in found):
+        found.insert(0, named)
+    if len(found) == 1 and not possible and len(named) > 1:
+        found.append(named[:1])
+    found += [(m,) for m in possible if not any(m in one for one in found)]
+    return [tuple(sorted(one, key=lambda m: _place(m, named))) for one in found]
+
+
+def _place(mechanism: str, named: Sequence[str]) -> tuple[bool, int]:
+    """The order within an explanation: as they are named, what is in no list last."""
+    return mechanism == UNLISTED, named.index(mechanism) if mechanism in named else len(named)
+
+
+def _take_likeliest(diagnosis: Mapping[str, Any], allowed: set[str]) -> Iterator[Explanation]:
+    """The fewest explanations that hold `CREDIBLE` together, of these causes.
+
+    Of faults of recordings all is told that is `allowed`, whatever is behind the sound ones: they are told of elsewhere.
+    """
+    shares: dict[str, float] = json.loads(diagnosis.get("probabilities") or "{}")
+    total, known = 0.0, set()
+    for name, share in sorted(shares.items(), key=lambda item: -item[1]):
+        if total >= CREDIBLE:
+            return
+        total += share
+        causes = {UNLISTED if "/" in m or m not in allowed | {_PLAIN} else m for m in name.split("+")} - {_PLAIN}
+        if diagnosis.get("stage") == RECORD:
+            causes &= allowed - {UNLISTED}
+        if frozenset(causes) not in known:
+            known.add(frozenset(causes))
+            yield tuple(causes)
+
+
+def has_unnamed_beside(diagnosis: Mapping[str, Any]) -> bool:
+    """Whether the causes of a row of `diagnoses` are certain, with something beside them that is in no list: the likeliest hypothesis is
+    `rig_constants+film/frequency`, say.
+    """
+    if diagnosis["verdict"] != "ambiguous":
+        return False
+    shares: dict[str, float] = json.loads(diagnosis.get("probabilities") or "{}")
+    *beside, last = max(shares, key=lambda name: shares[name], default="").split("+")
+    return "/" in last and {*beside} == {*(diagnosis["mechanisms"] or ())}
+
+
+def cause(diagnosis: Mapping[str, Any]) -> str:
+    """What is wrong, from a row of `diagnoses`: `the load cell is stiffer than its file says, by 6.3 ± 0.3 %`.
+
+    A cause that is in every explanation is said with its size, and what may be beside it with "perhaps". Explanations that have no cause
+    in common stand between "either" and "or", without sizes.
+    """
+    found = nested(diagnosis["severity"])
+    named = [m for m in (diagnosis["mechanisms"] or [diagnosis["mechanism"]]) if m]
+    if has_unnamed_beside(diagnosis):
+        return _join([finding(m, found.get(m, {})) for m in named] + [finding(UNLISTED, {}, beside=True)])
+    explanations = list_explanations(diagnosis)
+    if len(explanations) < 2:
+        return _join([finding(m, found.get(m, {})) for one in explanations for m in one])
+    common = [m for m in explanations[0] if m != UNLISTED and all(m in one for one in explanations)]
+    if not common:
+        return _choose([_state(one, explanations) for one in explanations])
+    sure = _join([finding(m, found.get(m, {})) for m in common])
+    beside = [tuple(m for m in one if m not in common) for one in explanations]
+    perhaps = _choose([_state(one, beside, beside=True) for one in beside if one])
+    return f"{sure}, and {'perhaps' if () in beside else 'in addition'} {perhaps}"
+
+
+def tell_doubt(diagnosis: Mapping[str, Any]) -> str:
+    """What recordings cannot do whose verdict is `ambiguous`: `cannot tell which`, of causes to choose from, or `cannot tell`, of one that
+    may be beside another; empty where nothing is in doubt.
+    """
+    if diagnosis["verdict"] != "ambiguous" or has_unnamed_beside(diagnosis):
+        return ""
+    first, *others = (set(one) - {UNLISTED} for one in list_explanations(diagnosis))
+    return "cannot tell" if first.intersection(*others) and others else "cannot tell which"
+
+
+def _state(one: Explanation, of: Sequence[Explanation], *, beside: bool = False) -> str:
+    """An explanation without sizes; of one that another holds too, with more, that it is only this."""
+    if not one:
+        return "nothing is wrong beyond the noise"
+    together = [finding(m, {}, beside=beside or len(one) > 1) for m in one]
+    text = f"{', '.join(together[:-1])} and {together[-1]}" if len(together) > 1 else together[0]
+    return f"only {text}" if one != (UNLISTED,) and any({*one} < {*other} for other in of) else text
+
+
+def _join(clauses: Sequence[str]) -> str:
+    """Clauses that all hold; they may have commas in them."""
+    if len(clauses) < 3:
+        return ", and ".join(clauses)
+    return f"{'; '.join(clauses[:-1])}; and {clauses[-1]}"
+
+
+def _choose(clauses: Sequence[str]) -> str:
+    """Clauses of which one holds."""
+    if len(clauses) == 1:
+        return clauses[0]
+    if len(clauses) == 2 and not any(re.search(", | and | or ", clause) for clause in clauses):
+        return f"either {clauses[0]} or {clauses[1]}"
+    more = len(clauses) - _TOLD
+    ending = [] if more <= 0 else ["something else that fits as well" if more == 1 else f"one of {word(more)} others"]
+    return "either " + ", or ".join([*clauses[:_TOLD], *ending])
