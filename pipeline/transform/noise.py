@@ -21,15 +21,14 @@ def autoregression(residual: Float, removed: Float | None = None) -> tuple[Float
     n = e.size
     removed = np.zeros(1) if removed is None else removed
     largest = int(min(_LARGEST_ORDER, n // 10))
-    size = 1 << int(np.ceil(np.log2(2 * n)))
-    left = np.fft.irfft(np.abs(np.fft.rfft(e, size)) ** 2, size)[: largest + 1] / n
+    left = np.array([e[lag:] @ e[: n - lag] for lag in range(largest + 1)]) / n
     if left[0] == 0:
         return np.zeros(0), 0.0
-    waves = np.cos(2 * np.pi * np.outer(np.arange(largest + 1), removed))
-    covariance = left
+    turns = np.exp(-2j * np.pi * np.outer(np.arange(largest + 1), removed))
+    waves, covariance = turns.real, left
     for _ in range(_GIVING_BACK):
         coefficients, innovation = _levinson(covariance, n)
-        taken = np.array([innovation * density_ratio(coefficients, float(f)) for f in removed])
+        taken = innovation / np.abs(1 - coefficients @ turns[1 : coefficients.size + 1]) ** 2
         covariance = left + waves @ np.minimum(taken, n * left[0]) / n
     return _levinson(covariance, n)
 
@@ -41,7 +40,9 @@ def _levinson(covariance: Float, n: int) -> tuple[Float, float]:
     for order in range(covariance.size):
         if order:
             reflection = (covariance[order] - a @ covariance[order - 1 : 0 : -1]) / error
-            a = np.append(a - reflection * a[::-1], reflection)
+            longer = np.empty(order)
+            longer[:-1], longer[-1] = a - reflection * a[::-1], reflection
+            a = longer
             error *= 1 - reflection**2
             if error <= 1e-14 * covariance[0]:
                 break

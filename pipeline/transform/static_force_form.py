@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from pipeline.physics.least_squares import Options, minimise_each, with_prior
-from schemas.arrays import Float, Int
+from schemas.arrays import Bool, Float, Int
 
 _DRIFT_S, _SLOW_S = (1e-3, 30.0), (0.05, 0.5)
 """Plausible t0 in lengths of the record; shortest τ in s and longest in times of voltage: what is slower cannot be told from drift."""
@@ -51,6 +52,23 @@ class Windows:
     start_s: float
     record_s: float
     cycles: Sequence[tuple[float, float]]
+
+    @cached_property
+    def lasted_s(self) -> Float:
+        """(C,) how long the voltage was on."""
+        return np.array([off - on for on, off in self.cycles])
+
+    @cached_property
+    def since_s(self) -> tuple[Float, Float]:
+        """(m, C) since the voltage came on and since it went off, 0 before."""
+        on, off = (self.time[:, None] - np.array(edges) for edges in zip(*self.cycles, strict=True))
+        return np.maximum(on, 0.0), np.maximum(off, 0.0)
+
+    @cached_property
+    def state(self) -> tuple[Bool, Bool]:
+        """(m, C) whether the voltage has come on, and whether it has gone off."""
+        on, off = (self.time[:, None] >= np.array(edges) for edges in zip(*self.cycles, strict=True))
+        return on, off
 
 
 @dataclass(frozen=True)
@@ -203,8 +221,8 @@ class _Point:
 
     @classmethod
     def of(cls, windows: Windows, whitener: Whitener, searched: Searched, x: Float) -> _Point:
-        design = whitener.matrix @ build_design(windows, x)
-        y = whitener.matrix @ windows.force
+        seen_alike = whitener.matrix @ np.column_stack([build_design(windows, x), windows.force])
+        design, y = seen_alike[:, :-1], seen_alike[:, -1]
         q, r = np.linalg.qr(design)
         seen = q.T @ y
         residual, freedom = y - q @ seen, y.size - design.shape[1]
@@ -231,14 +249,15 @@ def build_design(windows: Windows, x: Float) -> Float:
     """(m, 2 + C) columns of F0, b and the forces at what is searched; b is the drift over the whole record."""
     time, late = windows.time, math.exp(x[0])
     drift = np.log(time - windows.start_s + late)
-    columns = [np.ones_like(time), (drift - drift.mean()) / math.log1p(windows.record_s / late)]
-    tau, share = (math.exp(x[1]), x[2]) if x.size > 1 else (1.0, 0.0)
-    for on, off in windows.cycles:
-        risen = np.where(time >= on, 1 - share * np.exp(-np.maximum(time - on, 0.0) / tau), 0.0)
-        # The part that came slowly goes slowly: what it had reached is left when the voltage goes.
-        reached = share * -math.expm1(-(off - on) / tau)
-        columns.append(-np.where(time >= off, reached * np.exp(-np.maximum(time - off, 0.0) / tau), risen))
-    return np.column_stack(columns)
+    course = [np.ones_like(time), (drift - drift.mean()) / math.log1p(windows.record_s / late)]
+    has_come, has_gone = windows.state
+    if x.size == 1:
+        return np.column_stack([*course, -np.where(has_gone, 0.0, has_come)])
+    tau, share = math.exp(x[1]), x[2]
+    up, down = (np.exp(-since / tau) for since in windows.since_s)
+    # The part that came slowly goes slowly: what it had reached is left when the voltage goes.
+    reached = -share * np.expm1(-windows.lasted_s / tau)
+    return np.column_stack([*course, -np.where(has_gone, reached * down, np.where(has_come, 1 - share * up, 0.0))])
 
 
 def differentiate_design(windows: Windows, x: Float, linear: Float) -> Float:
@@ -249,14 +268,12 @@ def differentiate_design(windows: Windows, x: Float, linear: Float) -> Float:
     course = change - change.mean() + (drift - drift.mean()) * shrinks / whole
     columns = [linear[1] / whole * course]
     if x.size > 1:
-        tau, share, by_tau, by_share = math.exp(x[1]), x[2], np.zeros_like(since), np.zeros_like(since)
-        for force, (on, off) in zip(linear[2:], windows.cycles, strict=True):
-            up, down = (np.maximum(windows.time - edge, 0.0) / tau for edge in (on, off))
-            rest = math.exp(-(off - on) / tau)
-            after, on_now = windows.time >= off, windows.time >= on
-            grown = np.where(after, np.exp(-down) * (1 - rest), np.where(on_now, -np.exp(-up), 0.0))
-            later = np.where(after, np.exp(-down) * ((1 - rest) * down - rest * (off - on) / tau), -np.exp(-up) * up)
-            by_share -= force * grown
-            by_tau -= force * share * np.where(on_now, later, 0.0)
-        columns += [by_tau, by_share]
+        tau, share, force = math.exp(x[1]), x[2], linear[2:]
+        up, down = (past / tau for past in windows.since_s)
+        has_come, has_gone = windows.state
+        rises, falls, lasted = np.exp(-up), np.exp(-down), windows.lasted_s / tau
+        rest = np.exp(-lasted)
+        grown = np.where(has_gone, falls * (1 - rest), np.where(has_come, -rises, 0.0))
+        later = np.where(has_gone, falls * ((1 - rest) * down - rest * lasted), np.where(has_come, -rises * up, 0.0))
+        columns += [-share * (later @ force), -(grown @ force)]
     return np.column_stack(columns)
