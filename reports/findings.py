@@ -157,7 +157,8 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
             flow(tag("ambiguous"), " · ", ids, ", as good as certain, and something beside that is in no list.")
         )
     elif d["verdict"] == "ambiguous":
-        options = [_by_ids(one) for one in list_explanations(d)]
+        explanations = list_explanations(d)
+        options = [_by_ids(one, explanations) for one in explanations]
         text = flow("either " if len(options) > 1 else "", Markup(", or ").join(options))
         sentences.append(flow(tag("ambiguous"), " · ", text, ": too close to tell apart with these recordings."))
     elif d["verdict"] == "unknown":
@@ -169,11 +170,12 @@ def evidence(standing: Standing) -> tuple[Piece, ...]:
     return tuple(sentences)
 
 
-def _by_ids(explanation: Explanation) -> Piece:
-    """Causes that are there together, by their ids."""
+def _by_ids(explanation: Explanation, of: Sequence[Explanation]) -> Piece:
+    """Causes that are there together, by their ids; alone where others hold them with more."""
     if not explanation:
         return "nothing but noise"
-    return Markup(" with ").join(plain_name(m) if m == UNLISTED else code(m) for m in explanation)
+    ids = Markup(" with ").join(plain_name(m) if m == UNLISTED else code(m) for m in explanation)
+    return flow(ids, " alone") if any({*explanation} < {*other} for other in of) else ids
 
 
 def what_next(diagnosis: Row | None) -> Next | None:

@@ -16,7 +16,7 @@ from schemas.numbers import word
 CREDIBLE = 0.95
 """Probability that explanations hold together which are said to be possible, and that one alone has which is named."""
 _TOLD = 4
-"""Explanations that a sentence tells; more would not be read."""
+"""Explanations that a sentence tells where there are two or more others; more would not be read."""
 _PLAIN = "plain"
 """The explanation, in `probabilities`, that nothing is beside the simulation but noise."""
 
@@ -138,6 +138,5 @@ def _choose(clauses: Sequence[str]) -> str:
         return clauses[0]
     if len(clauses) == 2 and not any(re.search(", | and | or ", clause) for clause in clauses):
         return f"either {clauses[0]} or {clauses[1]}"
-    more = len(clauses) - _TOLD
-    ending = [] if more <= 0 else ["something else that fits as well" if more == 1 else f"one of {word(more)} others"]
-    return "either " + ", or ".join([*clauses[:_TOLD], *ending])
+    told = clauses if len(clauses) <= _TOLD + 1 else [*clauses[:_TOLD], f"one of {word(len(clauses) - _TOLD)} others"]
+    return "either " + ", or ".join(told)
