@@ -11,9 +11,11 @@ from pipeline.diagnose.features.kinds import STEP_CAPACITANCE
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.report import estimate_film_sd
 from pipeline.diagnose.search.extended_model import Extended
-from pipeline.diagnose.search.plain_fit import fit_plain
+from pipeline.diagnose.search.plain_fit import choose_sensing, fit_plain
+from pipeline.diagnose.simulation.parameters import STRAIN, STRESS, TENSION
 from pipeline.diagnose.simulation.session import make_session
 from pipeline.diagnose.simulation.simulation import Simulation
+from pipeline.physics.film import RelaxationModel
 from tests.helpers.judging import Case, made
 from tests.helpers.truth_rig import Effect, compact_designs
 from tests.helpers.truth_rig import make_session as true_session
@@ -128,6 +130,22 @@ def test_entries_of_the_mechanical_tests_alone_are_those_of_the_model_or_none() 
     found = fit_plain(session, Simulation(session))
     assert found.model.arms == 2
     assert found.mechanical is None
+
+
+@pytest.mark.parametrize("sensing", [STRAIN, TENSION, STRESS])
+def test_what_a_sensing_region_follows_is_read_off_its_capacitance(sensing: str) -> None:
+    """Where it was as the squared voltage while the force crept, an amplifier that lags was said to be the cause."""
+    designs = [{"protocol": "chirp", "loading": "mechanical"}, {"protocol": "step", "loading": "electrical"}]
+    session = make_session([reduce(r) for r in true_session(5, designs).recordings])
+    simulation = Simulation(session)
+    model = replace(session.base_model(1), sensing=sensing)
+    # A stiff film that creeps within the plateaus, on a load cell that gives way: the three differ by far more than the noise.
+    theta = model.theta(
+        RelaxationModel(5.0, (2.0,), (0.5,), 0.0), log_actuation=np.log(1e-3), capacitance_per_force=1.0
+    )
+    noise = session.sd * np.random.default_rng(1).normal(size=session.size)
+    measured = replace(session, value=simulation.predict(model, theta) + noise)
+    assert choose_sensing(measured, simulation, session.base_model(1), theta).sensing == sensing
 
 
 @pytest.mark.parametrize("times", [-1.0, 100.0])

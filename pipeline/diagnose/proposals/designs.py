@@ -28,6 +28,7 @@ from pipeline.diagnose.features.kinds import (
 )
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.mechanisms.mechanism import CYCLES, RAMPS, SPHS_FORCE, STEP_SENSED, SWEEPS, Mechanism
+from pipeline.diagnose.simulation.electrical import follow_voltage
 from pipeline.diagnose.simulation.parameters import Physical
 from pipeline.diagnose.simulation.session import Session
 from pipeline.physics import excitation
@@ -413,11 +414,13 @@ def _reduce_test(session: Session, physical: Physical, design: Mapping[str, Key]
     if electrical and kinds & AMPLIFIER:
         channels["command"] = given / physical.amplifier[number]
     if kind == "step" and STEP_CAPACITANCE in kinds:
-        k = physical.film.stiffness(frequency)
-        crept = (physical.film.k0 / k) ** physical.sensing_creep
-        channels["capacitance"] = answer(
-            _compute_response(physical, number, frequency, True) * crept * physical.pf_per_n
+        followed = follow_voltage(
+            physical,
+            physical.film.stiffness(frequency),
+            -_compute_response(physical, number, frequency, True),
+            physical.actuation,
         )
+        channels["capacitance"] = answer(-physical.pf_per_n * followed)
     begin = int(last.started_at.timestamp() * _NS)
     stamps = begin + np.rint(time * _NS).astype(np.int64)
     made = {

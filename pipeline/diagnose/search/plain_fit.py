@@ -28,7 +28,7 @@ from pipeline.diagnose.features.kinds import (
     WEIGHT_GAIN,
 )
 from pipeline.diagnose.rules import RULES
-from pipeline.diagnose.simulation.parameters import SENSING, BaseModel
+from pipeline.diagnose.simulation.parameters import SENSING, STRAIN, STRESS, TENSION, BaseModel
 from pipeline.diagnose.simulation.session import Session
 from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel, debye
@@ -99,7 +99,7 @@ def fit_plain(session: Session, simulation: Simulation, *, order: int | None = N
         model = model.widened
     start = _make_theta(session, model, found.model.physical(found.theta).film)
     carry_entries(found, model, start)
-    model = _choose_creep(session, simulation, model, start)
+    model = choose_sensing(session, simulation, model, start)
     starts = [start, *_place_idle_arms(session, model, start)]
     found = min((refit_plain(session, simulation, model, s) for s in starts), key=lambda f: f.chi2)
     whole = found if order else _add_arms_that_suffice(session, simulation, found)
@@ -181,7 +181,7 @@ def add_arm(
 
 def _make_model_like(session: Session, model: BaseModel, arms: int) -> BaseModel:
     """A plain model that is as free as another, with so many arms."""
-    own = replace(session.base_model(arms), sensing_creep=model.sensing_creep)
+    own = replace(session.base_model(arms), sensing=model.sensing)
     return own.widened if model.is_widened else own
 
 
@@ -219,8 +219,8 @@ def _place_idle_arms(session: Session, model: BaseModel, start: Float) -> list[F
     return starts
 
 
-def _choose_creep(session: Session, simulation: Simulation, model: BaseModel, theta: Float) -> BaseModel:
-    """The plain model whose sensing region creeps as the film of the mechanical tests does, or not at all: what its own capacitance shows.
+def choose_sensing(session: Session, simulation: Simulation, model: BaseModel, theta: Float) -> BaseModel:
+    """The plain model whose sensing region follows what its own capacitance shows, with the film of the mechanical tests.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def _choose_creep(session: Session, simulation: Simulation, model: BaseModel, th
         )
         return float(seen @ seen - (seen @ made) ** 2 / max(made @ made, np.finfo(float).tiny))
 
-    return min((model, replace(model, sensing_creep=0.0)), key=measure_left)
+    return min((replace(model, sensing=each) for each in (STRAIN, TENSION, STRESS)), key=measure_left)
 
 
 def _responds_to_motion(session: Session) -> bool:

@@ -18,7 +18,7 @@ from pipeline.diagnose.features.kinds import SPHS_CAPACITANCE, SPHS_DETECTION, S
 from pipeline.diagnose.simulation.describing import SLOPES, Loads, along
 from pipeline.diagnose.simulation.effects import NONE, Course, Edge, Effect, View, Wave, bent
 from pipeline.diagnose.simulation.families import Family, channel, dynamic, film_at, rig_of, state_view
-from pipeline.diagnose.simulation.parameters import Physical, Several
+from pipeline.diagnose.simulation.parameters import STRAIN, STRESS, Physical, Several
 from pipeline.diagnose.simulation.remembered import Inputs
 from pipeline.diagnose.simulation.session import Place, Session
 from pipeline.physics.rig import Rig
@@ -34,7 +34,7 @@ _INPUTS = {
         "film_voltage film_edges squared actuation electrode film tension rig clamp force voltage reading picked_up",
     ),
     CAPACITANCE: Inputs.named(
-        "film rigs actuation pf_per_n sensing_creep",
+        "film rigs actuation pf_per_n sensing",
         "film_voltage film_edges squared actuation electrode film rig clamp voltage capacitance",
     ),
     VOLTAGE: Inputs.named("amplifier", "monitor monitor_wave monitor_edges voltage"),
@@ -57,8 +57,20 @@ def electrical_response(
     response = drive / rig.loaded(film.k, own)
     if output == FORCE:
         return np.asarray(rig.gain * response * channel(effect.force, view))
-    sensed = -physical.pf_per_n * own * response * (physical.k0 / film.k) ** physical.sensing_creep
+    sensed = -physical.pf_per_n * follow_voltage(physical, film.k, own * response, np.asarray(drive, dtype=complex))
     return np.asarray(sensed * channel(effect.capacitance, view) * channel(effect.electrode, view))
+
+
+def follow_voltage(physical: Physical | Several, k: Complex, tension: Complex, stress: Complex | float) -> Complex:
+    """What the sensing region follows, as the tension at rest would be: N/kV², shape of the film's stiffness `k` N/mm.
+
+    Parameters
+    ----------
+    tension, stress : of the film and of the voltage, over the square of the voltage, N/kV²
+    """
+    if physical.sensing == STRESS:
+        return np.asarray(stress * np.ones_like(k))
+    return np.asarray(tension * physical.k0 / k if physical.sensing == STRAIN else tension)
 
 
 def squared(effect: Effect, wave: Wave) -> Float:

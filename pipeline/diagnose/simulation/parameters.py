@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,9 @@ _RIG_NAMES = (CLAMP_MASS, "load-cell stiffness", "load-cell damping", "force gai
 
 PER_FORCE, PER_DISPLACEMENT = SENSING = "capacitance per force", "capacitance per displacement"
 """Entries that the capacitances are proportional to."""
+STRAIN, TENSION, STRESS = "strain", "tension", "stress"
+"""What a sensing region may follow under a voltage: the film's strain, which creeps under a tension as the film does; the tension,
+where stiff electrodes keep it from creeping; or the stress that the voltage makes, where the active region itself pushes it."""
 _FAR = 60.0
 """Limit of logarithms that have none of their own."""
 
@@ -55,7 +59,7 @@ class Physical:
     actuation : F_A/V², N/kV²
     amplifier : kV/V, per rig
     pf_per_n, pf_per_mm : what the sensing region makes of the tension (at rest) and of the displacement
-    sensing_creep : as in `BaseModel`
+    sensing : as in `BaseModel`
     """
 
     film: RelaxationModel
@@ -64,7 +68,7 @@ class Physical:
     amplifier: tuple[float, ...]
     pf_per_n: float
     pf_per_mm: float
-    sensing_creep: float = 1.0
+    sensing: str = STRAIN
 
     @property
     def k0(self) -> float:
@@ -84,7 +88,7 @@ class Several:
     amplifier: tuple[Float, ...]
     pf_per_n: Float
     pf_per_mm: Float
-    sensing_creep: Float
+    sensing: str
 
     @classmethod
     def of(cls, members: Sequence[Physical]) -> Several:
@@ -103,7 +107,7 @@ class Several:
             tuple(column(gains) for gains in zip(*(m.amplifier for m in members), strict=True)),
             column(m.pf_per_n for m in members),
             column(m.pf_per_mm for m in members),
-            column(m.sensing_creep for m in members),
+            members[0].sensing,
         )
 
     @cached_property
@@ -113,7 +117,7 @@ class Several:
         number = [place.setdefault(m.film, len(place)) for m in self.members]
         return tuple(place), np.array(number)
 
-    def some(self, places: Sequence[int], hidden: Mapping[str, float]) -> Several:
+    def some(self, places: Sequence[int], hidden: Mapping[str, Any]) -> Several:
         """Members at some places, with fields that take one value for all."""
         at = np.array(places)
 
@@ -121,15 +125,13 @@ class Several:
             mass, stiffness, damping, gain = np.array([whole.mass, whole.stiffness, whole.damping, whole.gain])[:, at]
             return Rig(mass, stiffness, damping, gain, whole.extra)
 
-        fields = {
-            name: getattr(self, name)[at] for name in ("k0", "actuation", "pf_per_n", "pf_per_mm", "sensing_creep")
-        }
-        given = {name: np.full_like(fields[name], value) for name, value in hidden.items()}
+        fields = {name: getattr(self, name)[at] for name in ("k0", "actuation", "pf_per_n", "pf_per_mm")}
+        given = {name: np.full_like(fields[name], value) if name in fields else value for name, value in hidden.items()}
         return Several(
             members=tuple(self.members[i] for i in places),
             rigs=tuple(rig(r) for r in self.rigs),
             amplifier=tuple(gain[at] for gain in self.amplifier),
-            **{**fields, **given},
+            **{**fields, "sensing": self.sensing, **given},
         )
 
 
@@ -138,7 +140,7 @@ class BaseModel:
     """The plain model of a session: a film with `arms` relaxation arms (and a pure dashpot), and the entries of θ.
 
     loaded : the rig that each rig is, itself or an earlier one, which has its entries, and the known mass on its clamp, N s²/mm
-    sensing_creep : how far the sensing region creeps under a tension: 1 as the film, 0 not at all, where stiff electrodes hold it
+    sensing : what the sensing region follows under a voltage: `STRAIN`, `TENSION` or `STRESS`
     """
 
     arms: int
@@ -146,7 +148,7 @@ class BaseModel:
     entries: tuple[Entry, ...]
     rigs: tuple[RigPrior | None, ...]
     loaded: tuple[tuple[int, float], ...]
-    sensing_creep: float = 1.0
+    sensing: str = STRAIN
 
     @property
     def size(self) -> int:
@@ -188,7 +190,7 @@ class BaseModel:
             amplifier=tuple(float(np.exp(named.get(f"log amplifier {i}", 0.0))) for i in range(len(self.rigs))),
             pf_per_n=float(named.get(PER_FORCE, 0.0)),
             pf_per_mm=float(named.get(PER_DISPLACEMENT, 0.0)),
-            sensing_creep=self.sensing_creep,
+            sensing=self.sensing,
         )
 
     def theta(self, film: RelaxationModel, **named: float) -> Float:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
 from pipeline.diagnose.simulation.describing import Loads
 from pipeline.diagnose.simulation.effects import Effect
 from pipeline.diagnose.simulation.parameters import Physical, Several
@@ -21,7 +23,8 @@ PredictSeveral = Callable[[Several, Effect], Float]
 
 _KEPT = 48
 """Predictions kept of a family: those at one point of a search and beside it in each direction."""
-_MATERIAL = "actuation", "pf_per_n", "pf_per_mm", "sensing_creep"
+_HIDDEN: dict[str, Any] = {"actuation": np.nan, "pf_per_n": np.nan, "pf_per_mm": np.nan, "sensing": ""}
+"""What a family sees in place of what it does not depend on."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Remembered:
         self._numbers, self._functions = tuple(inputs.physical), tuple(inputs.effect)
         self._seen = attrgetter(*self._functions)
         self._bends = bool(inputs.effect & {"tension", "reading"})
-        self._hidden = {name: float("nan") for name in _MATERIAL if name not in inputs.physical}
+        self._hidden = {name: value for name, value in _HIDDEN.items() if name not in inputs.physical}
         self._known: OrderedDict[tuple[object, ...], Float] = OrderedDict()
         self._last: tuple[object, Effect] = None, Effect()
 
