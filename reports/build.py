@@ -8,10 +8,10 @@ ledger on disk: memory does not grow with the number of recordings.
 from __future__ import annotations
 
 import functools
+import itertools
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, as_completed, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,6 +29,8 @@ from schemas.errors import LabError, describe_error
 
 _PAGES_AT_ONCE = 200
 """Pages that a worker makes for one task, at most."""
+_TASKS_EACH = 8
+"""Tasks that the pages make for every worker, so that all end at about the same time."""
 _FEWEST = 50
 """Pages below which workers are not worth their start."""
 
@@ -161,17 +163,22 @@ def _shared(
     workers: Callable[[], Executor],
     jobs: int,
 ) -> Iterator[Made]:
-    """Pages written by workers, neighbours by the same one; as many tasks wait as keep the workers busy."""
+    """Pages written by workers, neighbours by the same one; as many tasks wait as keep the workers busy.
+
+    Whatever is ready first makes room for the next: pages of campaigns and specimens come first and take much longer than others, and
+    no worker waits for another one's.
+    """
     state = (lab / DATABASE).stat()
     with workers() as executor:
-        tasks: deque[Future[list[Made]]] = deque()
-        for some in batches(waiting, min(_PAGES_AT_ONCE, -(-count // (2 * jobs)))):
-            if len(tasks) > 2 * jobs:
-                yield from tasks.popleft().result()
-            tasks.append(
+        tasks: set[Future[list[Made]]] = set()
+        for some in batches(waiting, min(_PAGES_AT_ONCE, -(-count // (_TASKS_EACH * jobs)))):
+            tasks.add(
                 executor.submit(write_pages, lab, memory, interactive, force, (state.st_ino, state.st_mtime_ns), some)
             )
-        for task in tasks:
+            if len(tasks) > 2 * jobs:
+                done, tasks = wait(tasks, return_when=FIRST_COMPLETED)
+                yield from itertools.chain.from_iterable(task.result() for task in done)
+        for task in as_completed(tasks):
             yield from task.result()
 
 

@@ -25,6 +25,7 @@ from schemas.numbers import (
     capital,
     compact,
     headline,
+    is_usable,
     never_negative,
     ordinal,
     p_equals,
@@ -167,7 +168,9 @@ def parameters(draft: Draft, fits: Sequence[Record], chosen: Record, stated: Map
     )
     heading: Piece = "Parameters"
     if chosen["modulus_mpa"]:
-        heading = flow("Parameters: modulus ", headline(chosen["modulus_mpa"], _modulus_sd(chosen), "MPa"))
+        sd = _modulus_sd(chosen)
+        known = headline(chosen["modulus_mpa"], sd, "MPa") if is_usable(sd) else "not resolved"
+        heading = flow("Parameters: modulus ", known)
     return Section("parameters", heading, "Parameters", (table,))
 
 
