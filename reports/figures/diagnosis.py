@@ -13,20 +13,24 @@ from reports.figures.scale import Scale
 from reports.names import short
 from schemas.arrays import Float
 
+_LETTER = 7.0
+"""Room for a letter of a recording's name, px: names differ in their widest letters and fonts in theirs."""
+
 
 @pictured("residual-map")
 def residual_map(rms: Float, rows: Sequence[str], columns: Sequence[str], title: str, *, alt: str) -> Drawing:
     """Recording × quantity: root mean square residual in SD, the number in every cell; a dot where nothing was measured."""
-    left, cell = 112.0, 22.0
+    names, cell = [short(row, 18) for row in rows], 22.0
+    left = max(112.0, 12 + _LETTER * max((len(name) for name in names), default=0))
     longest = max((len(c) for c in columns), default=0)
     turned = longest * 6.2 > (WIDE - left) / max(1, len(columns)) - 2
     foot = min(96.0, 14 + longest * 4.4) if turned else 22.0
     drawing = Drawing(WIDE, 26 + cell * len(rows) + foot)
     wide = (drawing.width - left - 6) / max(1, len(columns))
     drawing.write(0, 14, title)
-    for i, row in enumerate(rows):
+    for i, shown in enumerate(names):
         y = 26 + cell * i
-        drawing.write(left - 8, y + 15, short(row, 18), size=11, anchor="end")
+        drawing.write(left - 8, y + 15, shown, size=11, anchor="end")
         for j in range(len(columns)):
             x = left + wide * j
             value = float(rms[i, j])

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from reports.pages.specimen.comparing_models import foremost
+from reports.pages.specimen.comparing_models import blocks, foremost
 
 
 def values(kind: str, block: str, size: int, plain: float, extended: float | None) -> list[dict[str, Any]]:
@@ -22,15 +22,26 @@ def values(kind: str, block: str, size: int, plain: float, extended: float | Non
     ]  # fmt: skip
 
 
-def shown(*blocks: list[dict[str, Any]]) -> str:
+def shown(*some: list[dict[str, Any]]) -> str:
     """Caption of the figure that stands beside the finding."""
-    rows = [r for block in blocks for r in block]
+    rows = [r for block in some for r in block]
     site: Any = SimpleNamespace(
         results=SimpleNamespace(rows=lambda _query: rows), data_path=lambda *_: "data/curves.csv"
     )
     figure = foremost(site, "S-1")
     assert figure is not None
     return str(figure.caption)
+
+
+def test_a_kind_that_is_within_the_noise_but_for_one_value_has_no_figure_of_its_own() -> None:
+    rows = [*values("sphs.response", "lines", 40, 12.0, 1.0)]
+    for i in range(8):
+        rows += values("rest.hum", f"rest {i}", 1, 2.0 if i == 7 else 0.7, 2.0 if i == 7 else 0.7)
+    draft: Any = SimpleNamespace(
+        results=SimpleNamespace(rows=lambda _query: rows), item="S-1", data=lambda name, _: f"data/{name}.csv"
+    )
+    shown = blocks(draft, {"verdict": "named"})
+    assert [type(one).__name__ for one in shown] == ["Heading", "Figure"]
 
 
 LOUD = values("sphs.voltage", "lines", 60, 400.0, 400.0)

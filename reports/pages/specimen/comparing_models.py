@@ -89,7 +89,6 @@ class _Chosen:
     rows : values of one block, or of all small blocks together
     where : what they are of; `together` where there are several
     missed : χ² of all blocks beyond the noise under the plain model, with what the extension takes off it
-    worth : the largest of these of a block, per value
     """
 
     kind: str
@@ -97,29 +96,32 @@ class _Chosen:
     where: str
     together: bool
     missed: float
-    worth: float
 
     @property
     def gain(self) -> float:
         """What the cause takes off χ² of that which is drawn."""
         return _rank(self.rows)[0]
 
+    @property
+    def worth(self) -> float:
+        """`missed` per value, of that which is drawn."""
+        return _rank(self.rows)[1] / len(self.rows)
+
 
 def _choose(kind: str, blocks: Mapping[Key, list[Record]]) -> _Chosen:
     """Of a kind, the block in which the cause explains most; all of its small ones together."""
     ranks = {key: _rank(rows) for key, rows in blocks.items()}
     missed = sum(one for _, one in ranks.values())
-    worth = max(one / len(blocks[key]) for key, (_, one) in ranks.items())
     first = min(blocks, key=lambda key: (-ranks[key][0], -ranks[key][1], key))
     rows = blocks[first]
     if len(rows) >= _SMALL:
-        return _Chosen(kind, rows, f"{short(first[0], 40)}, {visible(first[1])}", False, missed, worth)
+        return _Chosen(kind, rows, f"{short(first[0], 40)}, {visible(first[1])}", False, missed)
     # Harmonics of different order stand in one block: those of one order share their place in it.
     half, is_complex = len(rows) // 2, bool(rows[0]["component"])
     every = [r for block in blocks.values() for r in block]
     place = max((r["position"] for r in every), key=lambda p: _rank([r for r in every if r["position"] == p]))
     rows = [r for r in every if r["position"] == place or (is_complex and r["position"] % half == place % half)]
-    return _Chosen(kind, rows, "All recordings", True, missed, worth)
+    return _Chosen(kind, rows, "All recordings", True, missed)
 
 
 def _rank(rows: Sequence[Record]) -> tuple[float, float]:
