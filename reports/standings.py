@@ -13,6 +13,7 @@ from reports.ledger import batches
 from reports.names import short
 from reports.results import Query, Results, Row, literal
 from reports.site import stated_rig
+from schemas.places import SIGN
 
 _JUDGED = (
     "status IN ('ok', 'damaged') AND kind IS DISTINCT FROM 'lifetimes'"
@@ -114,7 +115,7 @@ def find_negative(results: Results, where: Query) -> dict[str, str]:
     rows = results.rows(
         Query(
             "SELECT specimen_id, arg_max(statement, chi2) AS statement FROM discrepancies"
-            f" WHERE where_found = 'sign' AND {where.sql} GROUP BY specimen_id",
+            f" WHERE where_found = '{SIGN}' AND {where.sql} GROUP BY specimen_id",
             where.parameters,
         )
     )

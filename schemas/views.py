@@ -258,7 +258,8 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
     ("Which cause explains the error, and what does mending it gain?", "SELECT * FROM causes"),
     (
         "Where is the simulation most wrong?",
-        "SELECT specimen_id, recording_id, statement FROM discrepancies WHERE p_value < 0.01"
+        "SELECT specimen_id, recording_id, statement FROM discrepancies JOIN diagnoses USING (specimen_id)"
+        " WHERE verdict <> 'none' AND discrepancies.p_value < 0.0001"
         " ORDER BY chi2 / degrees_of_freedom DESC LIMIT 10",
     ),
     (

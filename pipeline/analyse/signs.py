@@ -24,6 +24,7 @@ from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.numbers import compact, significant
+from schemas.places import SIGN
 from schemas.protocols import ELECTRICAL, MECHANICAL
 from schemas.recording import Recording
 from schemas.tables import TABLES
@@ -31,8 +32,6 @@ from schemas.tables import TABLES
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SIGN = "sign"
-"""`discrepancies.where_found` of these findings."""
 _CLEAR = 5.0
 """Standard deviations below 0 from which a value is negative: by chance in one of 3 million recordings."""
 _BELOW_RESONANCE = 0.7

@@ -4,7 +4,7 @@ A session in which the search finds nothing has none to read (`diagnosis`), and 
 
 `none`: nothing beyond the noise. `named`: listed causes that are as good as certain. `ambiguous`: a few hypotheses, of which one is
 true as likely as can be asked for, or causes that are certain beside something that is in no list. `unknown`: something that is in no
-list is likelier than what is. No cause is named that leaves more than it may (`is_adequate`).
+list is likelier than what is. No cause is named that something speaks against (`adequacy`).
 
 Does not belong here: fits and tests (`search`, `single`).
 """
@@ -33,7 +33,11 @@ def judge_session(evidence: Evidence) -> str:
         return NONE
     if evidence.is_unnamed or best is None:
         return UNKNOWN if evidence.sure is None else AMBIGUOUS
-    return NAMED if posterior.probability[best.name] >= RULES.verdict.credible and best.is_adequate else AMBIGUOUS
+    return (
+        NAMED
+        if posterior.probability[best.name] >= RULES.verdict.credible and best.shortfall.is_adequate
+        else AMBIGUOUS
+    )
 
 
 def judge_predictions(comparison: Comparison) -> str:
@@ -47,11 +51,11 @@ def judge_predictions(comparison: Comparison) -> str:
     -------
     `none`, `named`, `ambiguous` or `unknown`
     """
-    if comparison.p_value >= RULES.single.level:
+    if comparison.p_value >= RULES.adequacy.level:
         return NONE
     possible = comparison.possible
     if not any(p.explained >= RULES.single.explained for p in possible):
         return UNKNOWN
-    if len({p.model.mechanism for p in possible}) > 1:
-        return AMBIGUOUS
-    return NAMED if any(p.is_adequate for p in possible) else UNKNOWN
+    if not any(p.shortfall.is_adequate for p in possible):
+        return UNKNOWN  # several causes that leave too much are no better than one
+    return AMBIGUOUS if len({p.model.mechanism for p in possible}) > 1 else NAMED

@@ -40,7 +40,7 @@ from pipeline.diagnose.simulation.simulation import Simulation
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.mechanisms import UNLISTED, quote_name
-from schemas.numbers import percent
+from schemas.numbers import capital, percent
 
 NORMAL_95 = 1.96
 """Half width of a 95 % interval of the normal distribution, in standard deviations."""
@@ -393,7 +393,12 @@ def _describe_doubt(evidence: Evidence) -> list[str]:
         return [
             f"Something in no list is there as well: {found[0]}. The gain is what its function removes of the error that these causes leave."
         ]
-    return [f"It may be a cause that is in no list: that {found[0]} would explain it as well."] if found else []
+    told = [f"It may be a cause that is in no list: that {found[0]} would explain it as well."] if found else []
+    best = evidence.best
+    if best is not None and not best.shortfall.is_adequate:
+        names = " with ".join(quote_name(id) for id in best.causes)
+        told.append(f"{capital(names)} {best.shortfall.describe()}.")
+    return told
 
 
 def _list_unaskable(session: Session) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ import pyarrow as pa
 from pipeline.diagnose.rules import RULES
 from schemas.explanations import cause
 from schemas.mechanisms import candidate, nested
+from schemas.places import SIGN, WITHIN, list_wrong
 
 TABLES = ("diagnoses", "discrepancies", "diagnosis_candidates", "diagnosis_terms")
 FAR = 1e-6
@@ -56,6 +57,7 @@ def find_contradictions(tables: Mapping[str, pa.Table], *, alone: bool) -> list[
     return [
         *_compare_verdict(d, alone=alone),
         *_compare_places(d, rows.get("discrepancies", [])),
+        *(_compare_predictions(d, rows.get("diagnosis_candidates", [])) if alone else ()),
         *_compare_shares(d, rows.get("diagnosis_candidates", [])),
         *_compare_sizes(d, rows.get("diagnosis_candidates", [])),
         *_compare_terms(rows.get("diagnosis_terms", [])),
@@ -64,7 +66,7 @@ def find_contradictions(tables: Mapping[str, pa.Table], *, alone: bool) -> list[
 
 def _compare_verdict(d: Mapping[str, Any], *, alone: bool) -> Iterator[str]:
     verdict, named = d["verdict"], d["mechanisms"] or []
-    level = RULES.single.level if alone else RULES.alarm.mechanism_level
+    level = RULES.adequacy.level if alone else RULES.alarm.mechanism_level
     found = verdict in ("named", "ambiguous")
     if found != (d["mechanism"] is not None) or (found and named[0] != d["mechanism"]):
         yield f"verdict {verdict} with mechanism {d['mechanism']} of {named}"
@@ -89,11 +91,39 @@ def _compare_verdict(d: Mapping[str, Any], *, alone: bool) -> Iterator[str]:
 
 
 def _compare_places(d: Mapping[str, Any], places: list[dict[str, Any]]) -> Iterator[str]:
+    asked = [place for place in places if place["where_found"] != SIGN]
+    wrong = list_wrong(places, d["verdict"])
+    for place in wrong:
+        if WITHIN in place["statement"]:
+            yield f"listed as wrong: {place['statement']}"
+    if d["verdict"] == "none" and wrong:
+        yield f"verdict none beside {wrong[0]['statement']}"
     if d["verdict"] != "none":
+        for place in asked:
+            if place not in wrong and place["p_value"] * len(asked) < FAR:
+                yield f"p = {place['p_value']:.1g} and not listed: {place['statement']}"
         return
     for place in places:
         if place["p_value"] is not None and place["p_value"] * len(places) < FAR:
             yield f"verdict none, and p = {place['p_value']:.1g} of {place['recording_id']}, {place['where_found']}"
+
+
+def _compare_predictions(d: Mapping[str, Any], candidates: list[dict[str, Any]]) -> Iterator[str]:
+    """What is told of a record that is asked alone has to gain for certain, and to leave little or noise."""
+    if d["verdict"] not in ("named", "ambiguous"):
+        return
+    for mechanism in [d["mechanism"], *(d["also_possible"] or [])]:
+        own = [c for c in candidates if c["mechanism"] == mechanism]
+        if not any((c["gain_lower"] or 0.0) > 0 for c in own):
+            yield f"{mechanism} is possible, and gains nothing for certain"
+    told = [c for c in candidates if c["mechanism"] == d["mechanism"] and (c["gain_lower"] or 0.0) > 0]
+    enough = 1 - RULES.adequacy.left
+    if d["gain_lower"] is not None and d["gain_lower"] <= 0:
+        yield f"{d['mechanism']} is told with a gain from {d['gain_lower']:.3g}"
+    if told and not any(c["explained"] is None or c["explained"] >= enough - 1e-9 for c in told):
+        size, left = d["feature_count"], d["chi2_extended"]
+        if left > size + RULES.gain.removable * math.sqrt(2 * size):
+            yield f"{d['mechanism']} is told and leaves {1 - max(c['explained'] for c in told):.2f} of the misfit"
 
 
 def _compare_shares(d: Mapping[str, Any], candidates: list[dict[str, Any]]) -> Iterator[str]:

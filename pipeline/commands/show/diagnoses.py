@@ -23,6 +23,7 @@ from schemas.mechanisms import (
     severity,
 )
 from schemas.numbers import ABSENT, NBSP, THIN, capital, digits, p_equals, percent, pm, removed, significant
+from schemas.places import list_negative, list_wrong
 from schemas.visible import make_safe
 
 _JSON_COLUMNS = ("severity", "smallest_detectable", "held_out_parts", "next_design")
@@ -34,8 +35,6 @@ _DETAILS = {
 }
 _SHOWN = 6
 """Discrepancies and causes that are printed, the strongest first."""
-_CLEAR = 0.01
-"""p below which a discrepancy is printed."""
 _MOVED = 2.0
 _SIGNS = {"named": "●", "ambiguous": "◐", "unknown": "◇", "none": "○"}
 
@@ -139,8 +138,14 @@ def _describe_gain(row: Row) -> Iterator[str]:
 
 
 def _list_discrepancies(row: Row) -> Iterator[str]:
-    clear = [d for d in row["discrepancies"] if d["p_value"] is not None and d["p_value"] < _CLEAR]
-    if row["verdict"] in (None, "none") or not clear:
+    negative = list_negative(row["discrepancies"])
+    if negative:
+        yield from _list_under(
+            "What came out negative, as of no film",
+            [f"{d['recording_id'] or 'all recordings'}: {d['statement']}" for d in negative],
+        )
+    clear = list_wrong(row["discrepancies"], row["verdict"])
+    if not clear:
         return
     clear.sort(key=lambda d: (d["p_value"], -(d["chi2"] or 0.0) / (d["degrees_of_freedom"] or 1.0)))
     more = f"; {len(clear) - _SHOWN} more in the table discrepancies" if len(clear) > _SHOWN else ""

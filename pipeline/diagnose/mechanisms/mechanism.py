@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from pipeline.diagnose.features import kinds
+from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.simulation.describing import Loads
 from pipeline.diagnose.simulation.effects import Effect, Scale
 
@@ -28,10 +29,6 @@ ELECTRICAL = STEP_SENSED | {kinds.SPHS_RESPONSE, kinds.SPHS_CAPACITANCE}
 """Kinds that follow H; with the lines that a linear film leaves empty: `BENT`."""
 BENT = ELECTRICAL | SPHS_FORCE
 AMPLIFIER = kinds.AMPLIFIER
-
-
-_NEARLY = 0.99
-"""Share of a limit from which a fit has ended there."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,8 @@ class Parameter:
 
     def is_at_limit(self, value: float) -> bool:
         """Whether a fit ended at the largest value, or, of one with both signs, the least that there can be."""
-        return value > _NEARLY * self.most or (self.signed and self.least < 0 and value < _NEARLY * self.least)
+        nearly = RULES.adequacy.at_limit
+        return value > nearly * self.most or (self.signed and self.least < 0 and value < nearly * self.least)
 
     @property
     def start(self) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.diagnose.adequacy import combine
 from pipeline.diagnose.features import kinds
 from pipeline.diagnose.results import Discrepancy
 from pipeline.diagnose.rules import RULES
@@ -14,6 +15,7 @@ from pipeline.diagnose.search.extended_model import ExtendedFit
 from pipeline.diagnose.search.patterns import compute_block_p
 from pipeline.diagnose.simulation.session import Place, Session
 from schemas.arrays import Float, Int
+from schemas.places import WITHIN, is_beyond_noise
 
 _WORDS = {
     kinds.CHIRP_RESPONSE: "the response F/x₀ of the sweep",
@@ -59,10 +61,8 @@ def compute_least_p(fit: ExtendedFit) -> float:
     ----------
     fit : the plain model at its optimum
     """
-    probabilities = [
-        place.probability for place in _measure_everywhere(fit.of.session, fit.of.compute_data_residual(fit.x))
-    ]
-    return min(1.0, len(probabilities) * min(probabilities, default=1.0))
+    everywhere = _measure_everywhere(fit.of.session, fit.of.compute_data_residual(fit.x))
+    return combine(place.probability for place in everywhere)
 
 
 def describe_what_stays(plain: ExtendedFit, extended: ExtendedFit) -> tuple[str, ...]:
@@ -112,6 +112,7 @@ def _test_everywhere(fit: ExtendedFit, weight: Float | None = None) -> list[Disc
     session = fit.of.session
     simulated, residual = fit.of.predict(fit.x), fit.of.compute_data_residual(fit.x)
     residual = residual if weight is None else weight * residual
+    everywhere = list(_measure_everywhere(session, residual))
     return [
         Discrepancy(
             session.recordings[m.place.recording].recording_id,
@@ -119,9 +120,9 @@ def _test_everywhere(fit: ExtendedFit, weight: Float | None = None) -> list[Disc
             m.chi2,
             m.rows.size,
             m.probability,
-            _write_statement(session, m.place, m.rows, simulated[m.place.first + m.rows], m.where, m.probability),
+            _write_statement(session, m, simulated, is_beyond_noise(m.probability, len(everywhere))),
         )
-        for m in _measure_everywhere(session, residual)
+        for m in everywhere
     ]
 
 
@@ -157,15 +158,16 @@ def _write_range(values: Float, unit: str) -> str:
     return f"{low:.3g} to {high:.3g} {unit}" if high > low * 1.0001 else f"{low:.3g} {unit}"
 
 
-def _write_statement(session: Session, p: Place, rows: Int, simulated: Float, where: str, probability: float) -> str:
-    """A sentence with size, sign where there is one, and how many times the noise."""
-    value = p.block.value[rows]
-    sd = session.sd[p.first + rows]
-    difference = simulated - value
+def _write_statement(session: Session, m: _Measured, simulated: Float, is_beyond: bool) -> str:
+    """A sentence with size, sign where there is one, and how many times the noise; from the simulated features (N,)."""
+    p = m.place
+    value = p.block.value[m.rows]
+    sd = session.sd[p.first + m.rows]
+    difference = simulated[p.first + m.rows] - value
     rms = float(np.sqrt(np.mean((difference / sd) ** 2)))
-    subject = f"{_WORDS[p.block.kind][0].upper()}{_WORDS[p.block.kind][1:]} ({where})"
-    if probability > RULES.detectable.within_noise:
-        return f"{subject} is simulated within the noise."
+    subject = f"{_WORDS[p.block.kind][0].upper()}{_WORDS[p.block.kind][1:]} ({m.where})"
+    if not is_beyond:
+        return f"{subject} is {WITHIN}."
     if p.block.kind == kinds.TAP_RING:
         return _write_ring(subject, difference, sd, value)
     if p.block.kind == kinds.REST_HUM:

@@ -90,7 +90,7 @@ class Evidence:
     def may_be_unlisted(self) -> bool:
         """Whether the credible hypotheses hold one without a name, or the best leaves too much to something else."""
         best = self.best
-        return any(not h.causes for h in self.credible) or (best is not None and not best.is_adequate)
+        return any(not h.causes for h in self.credible) or (best is not None and not best.shortfall.is_adequate)
 
 
 def find_best(posterior: Posterior) -> Hypothesis | None:

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
+from pipeline.diagnose.adequacy import Shortfall
 from pipeline.diagnose.features.kinds import AMPLIFIER
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.rules import RULES
@@ -117,16 +118,19 @@ class Hypothesis:
     bend: Bend | None = None
 
     @property
-    def is_adequate(self) -> bool:
-        """Whether it leaves no group of features that is more probably wrong by something else than not, with no severity at its limit.
+    def shortfall(self) -> Shortfall:
+        """What speaks against it.
 
         What the amplifier makes of its command is not asked: the simulation is driven by the voltage that was measured.
         """
         asked = ~Groups.of(self.model.of.session).are_of(AMPLIFIER)
-        return not np.any(self.odd[asked] > RULES.verdict.something_else) and not any(
-            p.is_at_limit(values[p.name])
-            for chosen, values in zip(self.model.of.chosen, self.model.values, strict=True)
-            for p in chosen.mechanism.severities
+        return Shortfall(
+            something_else=float(np.max(self.odd[asked], initial=0.0)),
+            at_limit=any(
+                p.is_at_limit(values[p.name])
+                for chosen, values in zip(self.model.of.chosen, self.model.values, strict=True)
+                for p in chosen.mechanism.severities
+            ),
         )
 
     @property

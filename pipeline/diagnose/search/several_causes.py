@@ -110,7 +110,7 @@ def _add_cause(base: Hypothesis, changes: Secants) -> list[Hypothesis]:
     """
     fits = [reweigh_fit(base, _ROUGHLY)]
     touched = measure_trace_of_causes(base.model, Groups.of(base.model.of.session)) > 1
-    if np.any(~touched & (base.odd > RULES.verdict.something_else)):
+    if np.any(~touched & (base.odd > RULES.adequacy.something_else)):
         fits.append(temper_fit(fits[0]))
     found = []
     for fit in fits:

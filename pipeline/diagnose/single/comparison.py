@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2 as chi2_law
 
+from pipeline.diagnose.adequacy import Shortfall, combine
 from pipeline.diagnose.results import Estimate
 from pipeline.diagnose.rules import RULES
 from schemas.arrays import Float, Int
@@ -27,6 +28,8 @@ class TriedModel:
     mechanism, variant, equation : of the mechanism; empty for the plain model
     severity : key → estimate, from the fit to everything
     nothing : the first of them where the mechanism does nothing
+    at_limit, unresolved : whether the fit to everything ended at the largest severity that is searched, or at one that is finer than the
+        samples tell
     whole : (N,) simulation of everything, fitted to everything
     unseen : (H,) prediction of the part left out, fitted to the rest
     drawn : (B or 1, H) the same with parameters drawn from what the fit to the rest leaves open
@@ -40,6 +43,8 @@ class TriedModel:
     unseen: Float
     drawn: Float
     nothing: float = 0.0
+    at_limit: bool = False
+    unresolved: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class RankedModel:
         model's error is within the noise: there is nothing to remove
     explained : share of the misfit to everything that it explains, fitted to everything; NaN where that is within the noise
     beaten : whether the best model predicts better by more than chance
-    is_adequate : whether what it leaves, fitted to everything, is within the noise or little of the misfit (`single.adequate`)
+    shortfall : what speaks against it, fitted to everything
     """
 
     model: TriedModel
@@ -65,7 +70,7 @@ class RankedModel:
     upper: float
     explained: float
     beaten: bool
-    is_adequate: bool
+    shortfall: Shortfall
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,13 @@ class Comparison:
     def possible(self) -> tuple[RankedModel, ...]:
         """Those that gain for certain and that the best does not beat."""
         return tuple(p for p in self.ranked if p.lower > 0 and not p.beaten)
+
+    @property
+    def told(self) -> RankedModel:
+        """The one that is told: the best of those that are possible and that nothing speaks against, else of the possible, else of all."""
+        possible = self.possible
+        adequate = (p for p in possible if p.shortfall.is_adequate)
+        return next(adequate, next(iter(possible), self.ranked[0]))
 
 
 def compare_predictions(
@@ -113,7 +125,7 @@ def compare_predictions(
     """
     chi2 = float(np.sum(((plain.whole - measured) / sd) ** 2))
     of_all = float(chi2_law.sf(chi2, measured.size))
-    p_value = min(1.0, 2 * min(of_all, len(places) * min(places))) if places else of_all
+    p_value = combine([of_all, *places])
     before = _measure_error(plain.unseen, left_out, sd)
     excess, misfit = _beyond_noise(before, left_out.size), _beyond_noise(chi2 / measured.size, measured.size)
     tried = [
@@ -121,7 +133,7 @@ def compare_predictions(
         for model in models
     ]
     tried.sort(key=lambda one: one[1])
-    ranked = []
+    ranked: list[RankedModel] = []
     for model, after, drawn in tried:
         gain = float(np.maximum(1 - max(after - 1, 0.0) / excess, -1.0))
         lower, upper = _take_interval(np.maximum(1 - np.maximum(drawn - 1, 0.0) / excess, -1.0))
@@ -137,9 +149,11 @@ def compare_predictions(
                 lower=min(lower, gain),
                 upper=max(upper, gain),
                 explained=float(np.maximum(1 - left / misfit, 0.0)),
-                beaten=worse > 0,
-                is_adequate=bool(
-                    np.isnan(_beyond_noise(square, measured.size)) or 1 - left / misfit >= RULES.single.adequate
+                beaten=worse > 0 and bool(ranked),
+                shortfall=Shortfall(
+                    left=_share_left(_beyond_noise(square, measured.size), misfit),
+                    at_limit=model.at_limit,
+                    unresolved=model.unresolved,
                 ),
             )
         )
@@ -150,6 +164,13 @@ def _beyond_noise(square: float, size: int) -> float:
     """Excess of a mean square over that of the noise; NaN where the noise may have made it."""
     excess = square - 1
     return excess if excess > RULES.gain.removable * np.sqrt(2 / size) else float("nan")
+
+
+def _share_left(left: float, misfit: float) -> float:
+    """Share of what is beyond the noise that a model leaves: 0 where it leaves noise (NaN), all where there was no more (NaN)."""
+    if np.isnan(left):
+        return 0.0
+    return 1.0 if np.isnan(misfit) else left / misfit
 
 
 def _measure_error(predicted: Float, measured: Float, sd: float) -> float:

@@ -22,6 +22,7 @@ from pipeline.diagnose.single.cycle_model import CycleMechanism, CycleModel, Fit
 from pipeline.diagnose.single.report import (
     Details,
     Films,
+    describe_closest,
     describe_what_stays,
     list_smallest,
     report_comparison,
@@ -30,6 +31,7 @@ from pipeline.diagnose.single.report import (
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Bool, Float, Int
 from schemas.mechanisms import plain_name
+from schemas.places import WITHIN, is_beyond_noise
 
 STRESS, PREDICTED = "cycle.stress", "cycle.unseen"
 """Kinds of residuals: everything fitted to everything; the unloading as the fit to the loading predicts it."""
@@ -91,6 +93,7 @@ class _Tried:
             whole=self.whole.stress(),
             unseen=learned.learned.stress()[unloading],
             drawn=drawn,
+            at_limit=self.whole.is_at_limit,
         )
 
 
@@ -193,7 +196,7 @@ def _collect_details(
     places: tuple[Discrepancy, ...],
     proposal: NextRecording | None,
 ) -> Details:
-    best = found.ranked[0]
+    best = found.told
     winner = next(t for t in others if _is_of(t, best.model))
     plain_sd, _ = _estimate_film_sd(plain)
     extended_sd, damper_sd = _estimate_film_sd(winner)
@@ -215,7 +218,10 @@ def _collect_details(
         smallest=list_smallest(p.model for p in found.ranked),
         invisible=tuple(m for m in list_invisible({CYCLE_FORCE}) if m in MECHANISMS),
         could_not_ask=_list_unaskable(sd),
-        unexplained=(describe_what_stays(words, left.whole.residual, sd, "kPa"),),
+        unexplained=(
+            describe_what_stays(words, left.whole.residual, sd, "kPa"),
+            *(() if named else describe_closest(found)),
+        ),
         next_recording=proposal,
     )
 
@@ -252,19 +258,24 @@ def _split_cycle(cycle: LargeCycle) -> list[tuple[str, Int]]:
 
 def _list_discrepancies(cycle: LargeCycle, left: Float, sd: float) -> list[Discrepancy]:
     found = []
-    for where, part in _split_cycle(cycle):
+    parts = _split_cycle(cycle)
+    for where, part in parts:
         own = left[part]
         chi2, mean = float(own @ own), float(own.mean()) * sd
-        side = "low" if mean > 0 else "high"
+        p_value, side = float(chi2_law.sf(chi2, part.size)), "low" if mean > 0 else "high"
+        # The whole counts as one of the places: where it is within the noise, so is each of them.
+        is_beyond = is_beyond_noise(p_value, len(parts) + 1)
         found.append(
             Discrepancy(
                 recording_id=cycle.fits.recording_id,
                 where_found=where,
                 chi2=chi2,
                 degrees_of_freedom=part.size,
-                p_value=float(chi2_law.sf(chi2, part.size)),
+                p_value=p_value,
                 statement=f"{where}: the simulated stress is {abs(mean):.3g} kPa too {side} on average, "
-                f"{np.sqrt(chi2 / part.size):.2g} times the noise",
+                f"{np.sqrt(chi2 / part.size):.2g} times the noise"
+                if is_beyond
+                else f"{where}: the stress is {WITHIN}",
             )
         )
     return found

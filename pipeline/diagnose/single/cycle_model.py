@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
+from pipeline.diagnose.adequacy import is_at_end
 from pipeline.diagnose.mechanisms.drift import BASELINE_DRIFT
 from pipeline.diagnose.mechanisms.film_amplitude import AMPLITUDE_SOFTENING, CYCLIC_SOFTENING, STRAIN_STIFFENING
 from pipeline.diagnose.mechanisms.film_time import MISSING_RELAXATION, POWER_LAW_RELAXATION
@@ -269,6 +270,16 @@ class Fitted:
     def severity(self) -> Mapping[str, float]:
         """Severity by key."""
         return self.model.severity(self.x)
+
+    @property
+    def is_at_limit(self) -> bool:
+        """Whether the mechanism's severity, the first of its values, has ended where it is searched no further."""
+        mechanism = self.model.mechanism
+        if mechanism is None or self.unseen:
+            return False
+        return is_at_end(
+            float(self.x[-len(mechanism.neutral)]), mechanism.neutral[0], mechanism.low[0], mechanism.high[0]
+        )
 
 
 class CycleModel:

@@ -25,7 +25,8 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, RankedModel, TriedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
-from schemas.numbers import with_unit
+from schemas.mechanisms import plain_name
+from schemas.numbers import capital, with_unit
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def report_comparison(
     sd : standard deviation of the noise of one value
     details : what is known beside
     """
-    best = comparison.ranked[0]
+    best = comparison.told
     chi2 = float(np.sum(((measured - plain) / sd) ** 2))
     found = verdict in (NAMED, AMBIGUOUS)
     possible = dict.fromkeys(p.model.mechanism for p in comparison.possible)
@@ -154,6 +155,21 @@ def describe_what_stays(words: str, residual: Float, sd: float, unit: str) -> st
         f"{words}, fitted to everything, leaves {left}, "
         f"{np.sqrt(np.mean((residual / sd) ** 2)):.2g} times the noise, of which neighbours have {correlation:.3f} in common"
     )
+
+
+def describe_closest(comparison: Comparison) -> tuple[str, ...]:
+    """Why the cause that predicts best has no name, in words; nothing where no cause is possible, or nothing speaks against it.
+
+    Parameters
+    ----------
+    comparison : of the models
+    """
+    told = comparison.told
+    against = told.shortfall.describe()
+    if told not in comparison.possible or not against:
+        return ()
+    form = f" ({told.model.variant})" if told.model.variant else ""
+    return (f"{capital(plain_name(told.model.mechanism))}{form} comes closest, but {against}",)
 
 
 def name_unit(unit: str) -> str:

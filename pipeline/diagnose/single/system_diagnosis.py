@@ -14,13 +14,13 @@ from scipy.stats import chi2
 
 from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS
-from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, UNKNOWN, Diagnosis, Discrepancy, Residuals
-from pipeline.diagnose.rules import RULES
+from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, Discrepancy, Residuals
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.report import (
     Details,
     Films,
+    describe_closest,
     describe_what_stays,
     list_smallest,
     name_unit,
@@ -31,6 +31,7 @@ from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
 from schemas.mechanisms import plain_name
 from schemas.numbers import with_unit
+from schemas.places import is_beyond_noise
 
 OUTPUT = "system.output"
 """Kind of residuals: the output as both models, fitted to everything, simulate it."""
@@ -64,8 +65,6 @@ def diagnose_system(
         verdict = judge_predictions(comparison)
         if verdict == NONE or not _is_further_better(question):
             break
-    if verdict == NAMED and _is_within_a_sample(comparison, records[0].interval_s):
-        verdict = UNKNOWN
     measured, left_out, sd = question.measured, question.left_out, question.sd
     details = _collect_details(specimen_id, tuple(dict.fromkeys(protocols)), question, comparison, verdict, unit)
     return report_comparison(comparison, verdict, measured, left_out, sd, question.plain.whole, details), comparison
@@ -84,15 +83,6 @@ def compare_models(question: SystemQuestion) -> Comparison:
     )
 
 
-def _is_within_a_sample(found: Comparison, interval_s: float) -> bool:
-    """Whether what was found is a delay below one interval: so much lies in how the input moves from sample to sample.
-
-    An input that is held from one sample to the next is half an interval later than one that goes straight.
-    """
-    delay = found.ranked[0].model.severity.get("delay_s")
-    return delay is not None and abs(delay.value) < interval_s
-
-
 def _is_further_better(q: SystemQuestion) -> bool:
     """Whether one resonance more predicts the part left out better than the plain model and every mechanism, beyond chance."""
     if q.further is None:
@@ -104,7 +94,7 @@ def _is_further_better(q: SystemQuestion) -> bool:
 def _collect_details(
     specimen_id: str, protocols: tuple[str, ...], question: SystemQuestion, found: Comparison, verdict: str, unit: str
 ) -> Details:
-    best = found.ranked[0].model
+    best = found.told.model
     parts = {
         part.name: (
             _compute_error(question.plain.unseen[part.values] - question.left_out[part.values], question.sd),
@@ -123,7 +113,7 @@ def _collect_details(
         protocols=protocols,
         left_out=parts,
         films=Films(_NO_FILM, _NO_FILM),
-        discrepancies=list_system_discrepancies(question),
+        discrepancies=() if verdict == NONE else list_system_discrepancies(question),
         residuals=tuple(_list_residuals(question, found, verdict)),
         smallest=list_smallest(p.model for p in found.ranked),
         invisible=tuple(m for m in MECHANISMS if m not in list_asked()),
@@ -132,7 +122,10 @@ def _collect_details(
             f"The noise of the output is taken to be {noise}: {question.noise}",
             *(f"{name}: its model has no finite simulation of these records" for name in question.without),
         ),
-        unexplained=(describe_what_stays(words, model.whole - question.measured, question.sd, unit),),
+        unexplained=(
+            describe_what_stays(words, model.whole - question.measured, question.sd, unit),
+            *(() if named else describe_closest(found)),
+        ),
     )
 
 
@@ -147,7 +140,7 @@ def _compute_error(difference: Float, sd: float) -> float:
 
 def _list_residuals(question: SystemQuestion, found: Comparison, verdict: str) -> list[Residuals]:
     """Of every record the stretch about its largest output."""
-    winner = found.ranked[0].model.variant if verdict in (NAMED, AMBIGUOUS) else ""
+    winner = found.told.model.variant if verdict in (NAMED, AMBIGUOUS) else ""
     forms = [question.plain.variant, *(e.variant for e in question.models)]
     plain, best = question.simulations[0], question.simulations[forms.index(winner)]
     shown = []
@@ -197,8 +190,8 @@ def list_system_discrepancies(question: SystemQuestion) -> tuple[Discrepancy, ..
     question : with the plain simulation of all records
     """
     places = _test_places(question)
-    level = RULES.single.level / max(len(places), 1)
-    return tuple(sorted((d for d in places if d.p_value < level), key=lambda d: -d.chi2 / d.degrees_of_freedom))
+    wrong = (d for d in places if is_beyond_noise(d.p_value, len(places)))
+    return tuple(sorted(wrong, key=lambda d: -d.chi2 / d.degrees_of_freedom))
 
 
 def _test_places(question: SystemQuestion) -> list[Discrepancy]:

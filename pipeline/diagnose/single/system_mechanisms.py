@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.diagnose.adequacy import is_at_end
 from pipeline.diagnose.mechanisms import Mechanism
 from pipeline.diagnose.mechanisms.contact import CLAMP_SLIP
 from pipeline.diagnose.mechanisms.film_amplitude import AMPLITUDE_SOFTENING, SLACK, STRAIN_STIFFENING
@@ -56,6 +57,8 @@ from pipeline.diagnose.single.oscillator import (
     memory_s,
 )
 from pipeline.diagnose.single.oscillator_fit import (
+    LOWER,
+    UPPER,
     Fit,
     Problem,
     clip_parameters,
@@ -520,11 +523,14 @@ def _try_model(
         drawn.append(predicted + changes @ slope.T)
     whole = fits[0]
     if term is None:
-        id, variant, equation, severity, nothing = "", "", "", dict[str, Estimate](), 0.0
+        id, variant, equation, severity, nothing, at_limit = "", "", "", dict[str, Estimate](), 0.0, False
     else:
         mechanism, report = term.choose_sign(float(whole.parameters[term.rows[0]]))
         id, variant, equation, nothing = mechanism.id, term.variant, term.equation, term.nothing
         severity = _estimate_severity(report, whole, oscillator, measured, memory, rng)
+        row = term.rows[0]
+        at_limit = is_at_end(float(whole.parameters[row]), 0.0, float(LOWER[row]), float(UPPER[row]))
+    delay = severity.get("delay_s")
     return TriedModel(
         mechanism=id,
         variant=variant,
@@ -534,6 +540,9 @@ def _try_model(
         unseen=np.concatenate(unseen),
         drawn=np.concatenate(drawn, axis=1),
         nothing=nothing,
+        at_limit=at_limit,
+        # So much lies in how the input moves from sample to sample: held, it is half an interval later than going straight.
+        unresolved=delay is not None and abs(delay.value) < oscillator.records[0].interval_s,
     )
 
 

@@ -41,10 +41,10 @@ from schemas.corrections import write_corrections
 from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
 from schemas.mechanisms import severity as severity_words
 from schemas.numbers import ABSENT, capital, compact, digits, never_negative, p_value, percent, significant, whole
+from schemas.places import list_negative, list_wrong
 
 _DECISIVE = 9.2
 """2Δ ln L by which a cause must lead to stand alone."""
-_CLEAR = 0.01
 _WORST, _ROWS = 6, 40
 _MAPPED = 32
 _PARTS = 13
@@ -143,7 +143,7 @@ def _wrong(draft: Draft, d: Record) -> list[Block | Fold]:
     maps = [*_maps(draft, d), *_frequency_maps(draft)]
     query = Query(_DISCREPANCY_SQL, {"specimen": draft.item})
     found = draft.results.rows(query)
-    worst = [r for r in found if r["p_value"] is not None and r["p_value"] < _CLEAR]
+    worst = [*list_negative(found), *list_wrong(found, d["verdict"])]
     if not maps and not worst:
         return []
     blocks: list[Block | Fold] = [Heading("What the simulation gets wrong"), *maps]
@@ -158,7 +158,7 @@ def _wrong(draft: Draft, d: Record) -> list[Block | Fold]:
             )
             for r in worst[:_ROWS]
         ]  # fmt: skip
-        note = f"{len(worst)} of {digits(len(found), 'place')} beyond the noise at p < 0.01, the worst first"
+        note = f"{len(worst)} of {digits(len(found), 'place')} beyond what the noise makes of one of them in a hundred, the worst first"
         blocks.append(Table("Where it is wrong", heads, tuple(rows[:_WORST]), query.shown(), note))
         if len(rows) > _WORST:
             more = Table("Where else", heads, tuple(rows[_WORST:]))
