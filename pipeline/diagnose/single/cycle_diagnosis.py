@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import chi2 as chi2_law
 
 from pipeline.diagnose.features.kinds import CYCLE_FORCE
+from pipeline.diagnose.features.records import find_converter_step
 from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS, list_invisible
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, Diagnosis, Discrepancy, Estimate, NextRecording, Residuals
@@ -28,6 +29,7 @@ from pipeline.diagnose.single.report import (
     report_comparison,
     thin_curves,
 )
+from pipeline.diagnose.single.still_outputs import bound_variance, dither, find_moving
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Bool, Float, Int
 from schemas.mechanisms import plain_name
@@ -136,14 +138,17 @@ def diagnose_cycle(cycle: LargeCycle) -> tuple[Diagnosis, Comparison]:
 def estimate_noise_sd(values: Float) -> float:
     """Standard deviation of the noise of single values.
 
-    From second differences, robust against corners and steps of time.
+    From second differences, robust against corners and steps of time; what a converter's rounding makes of the noise is part of it, and what
+    stands exactly still shows none.
 
     Parameters
     ----------
     values : (m,) of a smooth course with noise
     """
-    second = np.diff(values, 2)
-    return float(np.sqrt(np.median(second**2) / (0.4549 * 6)))
+    step, moves = find_converter_step(values), find_moving(values)
+    second = np.diff(dither(values, step), 2)[moves[:-2] & moves[1:-1] & moves[2:]]
+    scatter = float(np.median(second**2)) / (0.4549 * 6) if second.size else 0.0
+    return float(np.sqrt(bound_variance(values, step, scatter - step**2 / 12)))
 
 
 def _try_mechanism(cycle: LargeCycle, mechanism: CycleMechanism | None, rng: np.random.Generator) -> _Tried:

@@ -10,9 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
+from pipeline.diagnose.features.records import find_converter_step
 from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.oscillator import Oscillator, SystemRecord
 from pipeline.diagnose.single.oscillator_fit import join_compared
+from pipeline.diagnose.single.still_outputs import bound_variance, find_moving
 from schemas.arrays import Bool, Float
 
 _WINDOWS = 32
@@ -69,7 +71,7 @@ def estimate_noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
     """Standard deviation of the noise of one output value, and in words how it is told.
 
     From frequencies that are not excited, as if it were white: the upper end of its 95 % interval, so that noise alone
-    is no misfit; the largest of the records'.
+    is no misfit; the largest of the records'. What stands exactly still shows none, and a converter's rounding hides some.
     """
     levels, free = [], True
     for record in records:
@@ -83,7 +85,9 @@ def estimate_noise_sd(records: Sequence[SystemRecord]) -> tuple[float, str]:
         # The median of an exponential distribution is ln 2 of its mean, its relative error 1/(ln 2 √n), under this
         # window √1.5 of it.
         surely = 1 + 2 * np.sqrt(1.5 / above.size) / np.log(2)
-        levels.append(float(np.median(above) / np.log(2) / np.sum(window**2) * surely))
+        moving = np.where(find_moving(record.output), window, 0.0)
+        level = float(np.median(above) / np.log(2) / np.sum(moving**2) * surely)
+        levels.append(bound_variance(record.output, find_converter_step(record.output), level))
     told = (
         "if white as the output beyond the excited frequencies" if free else "at most that of the highest frequencies"
     )
