@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pipeline.commands.show.diagnoses import describe_verdict
 from reports import findings
 from reports.evidence import Standing
+from reports.pages.specimen import diagnosis
 from schemas.explanations import CREDIBLE, cause, list_explanations, tell_doubt
 from schemas.mechanisms import FAULTS, MECHANISMS, UNLISTED, finding
 
@@ -57,9 +58,9 @@ def doubtful(draw: st.DrawFn) -> dict[str, Any]:
     return row(sorted(named), [*sorted(causes), *unlisted], shares)
 
 
-def parse(text: str, diagnosis: Mapping[str, Any]) -> list[frozenset[str]]:
+def parse(text: str, found: Mapping[str, Any]) -> list[frozenset[str]]:
     """The explanations that a sentence tells, by its grammar alone: clauses are single words to it."""
-    severity = json.loads(diagnosis["severity"])
+    severity = json.loads(found["severity"])
     names = {m: f"<{m}>" for m in (*CAUSES, UNLISTED)}
     clauses = [(finding(m, severity.get(m, {})), m) for m in names] + [(finding(m, {}), m) for m in names]
     clauses.append((finding(UNLISTED, {}, beside=True), UNLISTED))
@@ -80,26 +81,38 @@ def parse(text: str, diagnosis: Mapping[str, Any]) -> list[frozenset[str]]:
     assert rest.startswith("either ") == (len(options) > 1), text
     for option in options:
         assert re.fullmatch(r"(only )?<\w*>((, <\w+>)* and <\w+>)?", option), text
-    found = [common | frozenset(re.findall(r"<(\w+)>", option)) for option in options]
-    return [common, *found] if perhaps else found
+    sets = [common | frozenset(re.findall(r"<(\w+)>", option)) for option in options]
+    return [common, *sets] if perhaps else sets
 
 
 @given(doubtful())
-def test_a_sentence_says_the_explanations_that_are_possible_and_no_other(diagnosis: dict[str, Any]) -> None:
-    expected = {frozenset(one) for one in list_explanations(diagnosis)}
-    told = parse(cause(diagnosis), diagnosis)
+def test_a_sentence_says_the_explanations_that_are_possible_and_no_other(found: dict[str, Any]) -> None:
+    expected = {frozenset(one) for one in list_explanations(found)}
+    told = parse(cause(found), found)
     assert len(told) == len(set(told))
     assert {*told} == expected
 
 
 @given(doubtful())
-def test_what_cannot_be_told_is_said_alike_by_terminal_and_pages(diagnosis: dict[str, Any]) -> None:
-    doubt = tell_doubt(diagnosis)
+def test_what_cannot_be_told_is_said_alike_by_terminal_and_pages(found: dict[str, Any]) -> None:
+    doubt = tell_doubt(found)
     assert doubt in ("cannot tell", "cannot tell which")
-    assert (doubt == "cannot tell which") == ("either" in cause(diagnosis).partition(", and ")[0])
-    assert describe_verdict(diagnosis).endswith(f"; these recordings {doubt} (ambiguous).")
-    heading = str(findings.headline(Standing("S-1", None, None, None, diagnosis)).striptags())
+    assert (doubt == "cannot tell which") == ("either" in cause(found).partition(", and ")[0])
+    assert describe_verdict(found).endswith(f"; these recordings {doubt} (ambiguous).")
+    heading = str(findings.headline(Standing("S-1", None, None, None, found)).striptags())
     assert heading.endswith(f". The recordings {doubt}.")
+
+
+@pytest.mark.parametrize(
+    ("shares", "expected"),
+    [
+        ({"drive_lag": 0.9, "drive_lag+sensor_saturation": 0.09}, "and perhaps the force sensor saturates"),
+        ({"drive_lag": 0.5, "sensor_saturation": 0.49}, "more than one explanation fits"),
+    ],
+)
+def test_a_cause_that_is_sure_is_in_the_heading_of_the_diagnosis(shares: dict[str, float], expected: str) -> None:
+    d = row(["drive_lag"], ["sensor_saturation"], shares)
+    assert diagnosis._heading(d, Standing("S-1", None, None, None, d)).endswith(expected)
 
 
 def test_every_cause_has_a_clause_of_its_own_with_one_verb_and_no_comma() -> None:

@@ -38,6 +38,7 @@ from reports.pages.specimen import comparing_models, explanations, unnamed
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.corrections import write_corrections
+from schemas.explanations import tell_doubt
 from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
 from schemas.mechanisms import severity as severity_words
 from schemas.numbers import ABSENT, capital, compact, digits, never_negative, p_value, percent, significant, whole
@@ -76,9 +77,10 @@ def section(draft: Draft, standing: Standing) -> Section | None:
 
 
 def _heading(d: Record, standing: Standing) -> str:
+    if d["verdict"] in ("named", "ambiguous") and tell_doubt(d) != "cannot tell which":
+        return f"Diagnosis: {what_is_wrong(standing)}"
     return {
-        "named": f"Diagnosis: {what_is_wrong(standing)}",
-        "ambiguous": "Diagnosis: more than one cause explains the misfit",
+        "ambiguous": "Diagnosis: more than one explanation fits",
         "unknown": "Diagnosis: the simulation is wrong, and no listed cause explains all of it",
     }.get(d["verdict"], "Diagnosis: the simulation is right within the noise")
 
