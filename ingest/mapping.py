@@ -446,6 +446,8 @@ def _check_used(content: Mapping[str, Any], kind: str, chosen: str | None, sourc
         unused += ["select"] if content.get("select") else []
     else:
         unused += [f"columns.{n}.field" for n, c in columns.items() if "field" in c]
+    if chosen == "uff":  # a set has a value for each of its places
+        unused += [f"columns.{n}.sparse" for n, c in columns.items() if "sparse" in c]
     if "zone" in time and not _reads_local_time(content, time, kind, chosen):
         unused.append("time.zone")
     unused += ["repeated"] if "repeated" in content and kind not in (FREQUENCY_RESPONSE, RELAXATION) else []

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,8 @@ class MdfFile:
         samples = channel.samples
         if channel.invalid.any() and samples.dtype.kind in "iufb":
             samples = np.where(channel.invalid, np.nan, samples.astype(np.float64))
-        return numbers_from_array(samples, column, index, self.where)
+        found = numbers_from_array(samples, column, index, self.where)
+        return replace(found, empty=found.empty | channel.invalid) if channel.invalid.any() else found
 
     def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
         channel = self._channel(column)

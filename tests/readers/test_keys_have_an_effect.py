@@ -28,6 +28,7 @@ from ingest.mapping import FileMapping
 from ingest.mapping_keys import (
     COLUMN,
     COVARIATE,
+    FORMATS,
     LIFETIMES,
     OPTIONS,
     SELECT,
@@ -172,6 +173,75 @@ def _write_mcap(path: Path, unit: str = "", slower: bool = False) -> None:
         writer.finish()
 
 
+def _write_uff(path: Path, unit: str = "N") -> None:
+    pyuff = pytest.importorskip("pyuff")
+    units = {"t": "s", "t2": "s", "x": "mm", "F": unit, "t (ms)": "s", "F (mN)": unit}
+    about: dict[str, Any] = {f"id{i}": "NONE" for i in range(2, 6)} | {
+        "type": 58, "binary": 0, "func_type": 1, "ver_num": 0, "load_case_id": 0, "rsp_ent_name": "NONE", "rsp_node": 1, "rsp_dir": 1,
+        "ref_ent_name": "NONE", "ref_node": 1, "ref_dir": 1, "ord_data_type": 4, "num_pts": _ROWS, "abscissa_spacing": 1,
+        "abscissa_min": 0.0, "abscissa_inc": 0.1, "z_axis_value": 0, "abscissa_spec_data_type": 17, "abscissa_axis_units_lab": "s",
+        "ordinate_spec_data_type": 0, "orddenom_spec_data_type": 0, "orddenom_axis_units_lab": "NONE", "z_axis_spec_data_type": 0, "x": _T,
+    }  # fmt: skip
+    sets = [
+        {**about, "id1": name, "ordinate_axis_units_lab": units.get(name, "NONE"), "data": np.asarray(values)}
+        for name, values in (_NUMBERS | _NAMED).items()
+    ]
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
+
+
+def _write_mdf(path: Path, unit: str = "", slower: bool = False, empty: bool = False) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    file = asammdf.MDF(version="4.10")
+    file.start_time = datetime.fromisoformat(_STARTED)
+    rows = slice(None, None, 2) if slower else slice(None)
+    signals = {name: np.asarray(values) for name, values in (_NUMBERS | _NAMED).items()}
+    file.append([asammdf.Signal(values, _T, name=name) for name, values in signals.items() if name != "F"])
+    invalid = np.arange(_ROWS) % 2 == 1 if empty else np.zeros(_ROWS, dtype=bool)
+    force = asammdf.Signal(signals["F"][rows], _T[rows], name="F", unit=unit, invalidation_bits=invalid[rows])
+    file.append([force])
+    file.save(path, overwrite=True)
+
+
+_HEAD_OF_LVM = (
+    "LabVIEW Measurement\t\nWriter_Version\t2\t\nSeparator\tTab\t\nDecimal_Separator\t.\t\nX_Columns\tNo\t\n"
+    "Date\t2026/03/01\t\nTime\t14:05:00.5\t\n***End_of_Header***\t\n\t\n"
+)
+
+
+def _write_lvm(path: Path, unit: str = "N", encoding: str = "utf-8", slower: bool = False) -> None:
+    units = ["s" if unit == "N" else "ms", "s", "mm", unit, "°C", unit]
+    names = [*_NUMBERS, "F (mN)"]
+    each: dict[str, Callable[[int], str]] = {
+        "Samples": lambda _: str(_ROWS), "Date": lambda _: "2026/03/01", "Time": lambda _: "14:05:00.5",
+        "Y_Unit_Label": lambda i: units[i], "X_Dimension": lambda _: "Time", "X0": lambda _: "0.0", "Delta_X": lambda _: "0.1",
+    }  # fmt: skip
+    head = "".join(f"{key}\t" + "\t".join(of(i) for i in range(len(names))) + "\t\n" for key, of in each.items())
+    columns = [*_NUMBERS.values(), _NUMBERS["F"]]
+    rows = "".join(
+        "\t" + "\t".join("" if slower and i % 2 and v is columns[3] else f"{v[i]:.5f}" for v in columns) + "\n"
+        for i in range(_ROWS)
+    )
+    named = "X_Value\t" + "\t".join(names) + "\tComment\n"
+    text = f"{_HEAD_OF_LVM}Channels\t{len(names)}\n{head}***End_of_Header***\n{named}{rows}"
+    path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
+
+
+def _write_trios(path: Path, unit: str = "N", encoding: str = "utf-8", clock: str = "", slower: bool = False) -> None:
+    names = [*_NUMBERS, "F (mN)", *(["day"] if clock else [])]
+    units = ["s" if unit == "N" else "ms", "s", "mm", unit, "°C", "mN", *([""] if clock else [])]
+    columns = [*_NUMBERS.values(), _NUMBERS["F"]]
+    lines = []
+    for i in range(_ROWS):
+        cells = ["" if slower and i % 2 and v is columns[3] else f"{v[i]:.5f}" for v in columns]
+        if clock:
+            cells = [clock.format(i / 10), *cells[1:], "2026-03-01"]
+        lines.append("\t".join(cells))
+    body = "\n".join(lines)
+    head = "Filename\tsweeps\nInstrument name\t5332\nOperator\tMira\n"
+    text = f"{head}[step]\nHold\n" + "\t".join(names) + "\n" + "\t".join(units) + f"\n{body}\n"
+    path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
+
+
 ZOO: Mapping[str, tuple[str, Sequence[Callable[[Path], None]]]] = {
     "csv": (".csv", [functools.partial(_write_text, **more) for more in TEXTS.values()]),
     "excel": (
@@ -186,6 +256,38 @@ ZOO: Mapping[str, tuple[str, Sequence[Callable[[Path], None]]]] = {
     "mcap": (
         ".mcap",
         [_write_mcap, functools.partial(_write_mcap, unit="mN"), functools.partial(_write_mcap, slower=True)],
+    ),
+    "uff": (".uff", [_write_uff, functools.partial(_write_uff, unit="mN")]),
+    "mdf": (
+        ".mf4",
+        [
+            _write_mdf,
+            functools.partial(_write_mdf, unit="mN"),
+            functools.partial(_write_mdf, slower=True),
+            functools.partial(_write_mdf, empty=True),
+        ],
+    ),
+    "lvm": (
+        ".lvm",
+        [
+            _write_lvm,
+            functools.partial(_write_lvm, unit="mN"),
+            functools.partial(_write_lvm, encoding="cp1252"),
+            functools.partial(_write_lvm, slower=True),
+        ],
+    ),
+    "trios": (
+        ".txt",
+        [
+            _write_trios,
+            functools.partial(_write_trios, unit="mN"),
+            functools.partial(_write_trios, encoding="cp1252"),
+            functools.partial(_write_trios, slower=True),
+            functools.partial(_write_trios, clock="14:05:{:06.3f}"),
+            functools.partial(_write_trios, clock="00:05:{:06.3f}"),
+            functools.partial(_write_trios, clock=_CLOCK),
+            functools.partial(_write_trios, clock=_CLOCK + "+00:00"),
+        ],
     ),
 }
 
@@ -272,6 +374,8 @@ _OTHERS: Mapping[Path_, Sequence[Any]] = {
     ("matlab", "transpose"): [True],
     ("numpy", "transpose"): [True],
     ("tdms", "group"): ["other"],
+    ("lvm", "encoding"): ["cp1252"],
+    ("trios", "encoding"): ["cp1252"],
     ("rig", "clamp_mass_kg"): [0.07],
     ("recording", "operator"): ["B"],
     ("format",): ["excel"],
@@ -393,7 +497,7 @@ def test_all_keys_are_tried() -> None:
     tried = {place[-1] for place in _OTHERS}
     assert tried >= {*TIME, *COLUMN}
     assert tried >= {key for name in ZOO for key in OPTIONS[name]}
-    assert {name for name, options in OPTIONS.items() if options} - set(ZOO) == {"lvm", "trios"}  # encoding alone
+    assert set(FORMATS) <= set(ZOO)
 
 
 @pytest.mark.parametrize("name", ZOO)
