@@ -56,6 +56,7 @@ _EXPLAINED = {
     "has_x000D_.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
     "has_x000D_inline.xlsx": "an escaped carriage return: openpyxl leaves it escaped",
     "shared_strings02.xlsx": "an escaped escape, `_x005F_`: openpyxl resolves it once too often",
+    "shared_strings03.xlsx": "U+FFFE, which is no character: ours leaves its escape",
     "testfile16.mat": "the lines of a table of letters: mat73 takes its columns for lines",
     "minimal_package.xlsx": "blanks in front of texts: ours are without",
     "whitespace_trim.xlsx": "blanks in front of texts: ours are without",
