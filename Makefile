@@ -1,5 +1,6 @@
 # make demo    sets up, simulates a measuring campaign, runs the nightly over it, says what to try next
-# make test    sets up and runs the tests, all of them: what continuous integration runs
+# make test    sets up and runs the tests: what continuous integration runs
+# make long    the tests that take longest: further sessions in which an effect is hidden, and nights on a cluster
 # make quick   sets up and runs the short tests: unit, readers, and the physics that takes moments
 # make bench   benchmarks against other libraries, side by side; writes tests/benchmarks/results.md
 # make study   the long statistical studies that the READMEs quote; writes tests/studies/results.md
@@ -32,7 +33,7 @@ SUPPORTED := 3.11 3.12 3.13 3.14
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 HASHED = $(if $(filter $(VERSION),$(SUPPORTED)),--require-hashes -r requirements/$(1)-$(VERSION).txt,-r $(2))
 
-.PHONY: demo test quick bench study fuzz faults docs lint audit pins clean
+.PHONY: demo test long quick bench study fuzz faults docs lint audit pins clean
 .DEFAULT_GOAL := demo
 
 demo: $(RUNTIME)
@@ -50,7 +51,10 @@ demo: $(RUNTIME)
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab \"SELECT source_path, problem FROM recordings WHERE status = 'quarantined'\""
 
 test: $(DEVELOPMENT)
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not long'
+
+long: $(DEVELOPMENT)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m long
 
 quick: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m quick tests/unit tests/readers tests/physics
