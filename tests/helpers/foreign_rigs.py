@@ -10,18 +10,20 @@ import importlib
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from ingest.canonical import canonical
 from ingest.read import read_raw
+from pipeline.analyse.diagnosis_tables import diagnosis_tables
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.kinds import RecordingFeatures
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.results import Diagnosis
 from schemas.errors import DealabError
+from tests.helpers.contradictions import find_contradictions
 
 FOLDER = Path(__file__).resolve().parent.parent / "foreign"
 CLEAN, SINGLE, UNLISTED, PAIR, FAULT = "clean", "single", "unlisted", "pair", "fault"
@@ -46,8 +48,9 @@ class Answer:
     """What is hidden in a session, and what was said of it.
 
     `faults`: id, recordings, and the corrections proposed (key, value now, value proposed, probability) of the first of them.
-    `failed`: why it could not be diagnosed; `refused`: recordings of which no features can be made, with the reason. `study`: seed of the
-    study in which it was asked, 0 for those before seeds were kept.
+    `failed`: why it could not be diagnosed; `refused`: recordings of which no features can be made, with the reason. `contradictions`:
+    what the tables of the diagnosis say against each other; None where that was not asked. `study`: seed of the study in which it was
+    asked, 0 for those before seeds were kept.
     """
 
     rig: str
@@ -68,6 +71,7 @@ class Answer:
     seconds: float = 0.0
     failed: str = ""
     refused: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] | None = None
     study: int = 0
 
     def as_line(self) -> dict[str, Any]:
@@ -126,7 +130,8 @@ def answer_session(asked: Asked, folder: Path = FOLDER) -> Answer:
         found = diagnose(features)
     except DealabError as error:
         return Answer(asked.rig, asked.seed, asked.kind, truth, failed=str(error), refused=tuple(refused))
-    return _tell(asked, truth, found, len(features), time.process_time() - begin, tuple(refused))
+    answer = _tell(asked, truth, found, len(features), time.process_time() - begin, tuple(refused))
+    return replace(answer, contradictions=tuple(find_contradictions(diagnosis_tables(found, features), alone=False)))
 
 
 def _tell(

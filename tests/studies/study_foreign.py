@@ -239,6 +239,7 @@ def make_rows(found: Sequence[Answer]) -> list[Row]:
     mended = [hit for a in faults if is_fault_named(a) and (hit := is_correction_right(a)) is not None]
     return [
         Row("could not be diagnosed", [bool(a.failed) for a in found], "0 %"),
+        Row("tables that contradict each other", [bool(a.contradictions) for a in asked if a.contradictions is not None], "0 %"),
         Row("nothing hidden: false alarms", [a.verdict != "none" for a in clean], "≤ 1 %"),
         Row("one cause: detected", [a.verdict != "none" for a in single], "≥ 95 %"),
         Row("… right cause first, outside the declared hard pairs", [is_right_first(a) for a in seen if not is_hard_pair(a)], "≥ 90 %"),
