@@ -133,6 +133,8 @@ def read_cell(text: str, decimal: str = ".", thousands: str = "") -> Written | N
         return None
     if match["point"] and (match["point"] != decimal or decimal in match["body"]):
         return None
+    if (match["exponent"] or "")[:1] in ("+", "-") and not match["point"] and decimal not in match["body"]:
+        return None  # two whole numbers, such as a range: Fortran leaves the letter out behind a fraction only
     exponent = int(match["exponent"].lstrip("eEdD")) if match["exponent"] else 0
     if match["exponent"] and match["exponent"][0] not in "eE":
         notation = notation or "an exponent of Fortran"

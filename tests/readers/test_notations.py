@@ -96,7 +96,9 @@ def test_bounds_are_told(text: str, bound: int) -> None:
     assert found.value == (3600 if bound > 0 else 5)
 
 
-@pytest.mark.parametrize("text", ["0,5123", "12 34", "1..2", "1-2", "$5", "2026-03-01", "12:30", "abc"])
+@pytest.mark.parametrize(
+    "text", ["0,5123", "12 34", "1..2", "1-2", "$5", "2026-03-01", "12:30", "abc", "120-180", "5+250"]
+)
 def test_what_is_not_understood_is_not_guessed(text: str) -> None:
     assert read_cell(text) is None
 

@@ -248,6 +248,16 @@ def test_limits_in_two_columns_without_flags(tmp_path: Path) -> None:
     assert [(r.lower_s / 3600, r.upper_s / 3600) for r in table.rows] == [(0, 7), (6, 10), (46, math.inf)]
 
 
+def test_a_range_of_lives_is_no_power_of_ten(tmp_path: Path) -> None:
+    content = {
+        "kind": "lifetimes",
+        "columns": {"lifetime": {"column": "life", "unit": "s"}},
+        "recording": {"recording_id": "r"},
+    }
+    with pytest.raises(RefusedError, match='row 2 of the data: the life is "120-180"'):
+        read(tmp_path, "life\n90\n120-180\n300\n", content)
+
+
 def test_failure_modes_in_any_words(tmp_path: Path) -> None:
     text = (
         "t,f,why\n1,1,Pinhole in film\n2,1,contact burnt\n3,1,Überschlag\n4,1,carbon gone\n5,1,weird\n6,0,weird\n7,1,\n"
