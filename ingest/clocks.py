@@ -23,7 +23,12 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BUCKET = 900 * SECOND
 """Offsets of zones from UTC change at whole quarters of an hour."""
 _DATES = re.compile(r"%[aAbBdDjmuUVwWxcyYGF]")
-_DURATION = re.compile(r"(?:(\d+):)?(\d+):([0-5]?\d(?:[.,]\d*)?)")
+_DURATION = re.compile(
+    r"(?:(?P<days>\d+)(?:\.(?=\d+:\d+:)|\s*d(?:ays?)?,?\s+))?"
+    r"(?:(?P<hours>\d+):)?(?P<minutes>\d+):(?P<seconds>[0-5]?\d(?:[.,]\d*)?)(?P<milliseconds>:\d{3})?"
+)
+"""`26:15:00.5`, and with days as .NET (`1.02:15:00`), Python (`1 day, 2:15:00`) and pandas (`1 days 02:15:00`) write them, or with
+milliseconds behind a colon (`00:00:01:500`)."""
 
 
 def nanoseconds(moment: datetime) -> int:
@@ -78,10 +83,14 @@ def duration_s(text: str, *, minutes: bool = False) -> float | None:
     match = _DURATION.fullmatch(text.strip())
     if match is None:
         return None
-    hours, middle, last = match.groups()
-    if hours is None and not minutes and not re.search("[.,]", last):
+    hours, last, thousandths = match["hours"], match["seconds"], match["milliseconds"]
+    has_fraction = re.search("[.,]", last) is not None
+    if hours is None and (match["days"] or thousandths or not (minutes or has_fraction)):
         return None
-    return 3600.0 * int(hours or 0) + 60.0 * int(middle) + float(last.replace(",", "."))
+    if thousandths and has_fraction:
+        return None
+    whole = 86_400.0 * int(match["days"] or 0) + 3600.0 * int(hours or 0) + 60.0 * int(match["minutes"])
+    return whole + float(last.replace(",", ".")) + int((thousandths or ":0")[1:]) / 1000
 
 
 def days_of_times(seconds: np.ndarray, started_at: datetime) -> Int:
@@ -136,6 +145,15 @@ def utc_of_local(naive: Int, zone: tzinfo, near: int | None = None) -> tuple[Int
         chosen[from_here:end] = late[from_here:end]
     utc[known] = chosen
     return utc, unsure
+
+
+def skipped(naive: Int, zone: tzinfo) -> Bool:
+    """(n,) local times that no clock of the zone shows: those of the hour that is left out when summer time begins."""
+    buckets, place = np.unique(naive // _BUCKET, return_inverse=True)
+    known = [int(b) * _BUCKET for b in buckets]
+    jumps = np.array([_offset(b, zone, 0) < _offset(b, zone, 1) for b in known], dtype=bool)
+    gone: Bool = jumps[place] & (naive != LOST)
+    return gone
 
 
 def _offset(naive: int, zone: tzinfo, fold: int) -> int:

@@ -27,6 +27,7 @@ from ingest.clocks import (
     moments,
     nanoseconds,
     seconds_of_day,
+    skipped,
     utc_of_local,
 )
 from ingest.columns import ColumnFile, OwnTime
@@ -286,6 +287,14 @@ class _Reading:
         near = None if started is None or started.tzinfo is None else nanoseconds(started)
         times, unsure = utc_of_local(naive, zone, near)
         found = replace(self.checked(times), zone_given=True)
+        gone = skipped(naive, zone)
+        if gone.any():
+            first = np.datetime64(int(naive[np.argmax(gone)]), "ns").astype("datetime64[s]")
+            problem = (
+                f"time column {self.label}: {int(gone.sum())} times such as {str(first).replace('T', ' ')} do not exist in"
+                f" {zone}, whose clocks skip that hour: the zone is another one, or the clock keeps to winter time"
+            )
+            found = replace(found, problems=(*found.problems, problem))
         if not unsure:
             return found
         note = "the times lie in the hour that occurs twice at the end of summer time: taken for the first"

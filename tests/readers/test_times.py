@@ -124,6 +124,29 @@ def test_hours_minutes_seconds_since_the_start(tmp_path: Path) -> None:
     assert times(path, ["01:10", "01:30"], {"format": "mm:ss"}) == [START_NS + 70 * 10**9, START_NS + 90 * 10**9]
 
 
+@pytest.mark.parametrize(
+    ("cells", "expected_s"),
+    [
+        (["1.02:00:00", "1.02:00:00.25"], [93_600, 93_600.25]),  # .NET
+        (["23:59:59.5", "1.00:00:00"], [86_399.5, 86_400]),
+        (['"1 day, 2:00:00"', '"2 days, 2:00:01"'], [93_600, 180_001]),  # Python
+        (["0 days 00:00:01.500000", "10 days 00:00:02"], [1.5, 864_002]),  # pandas
+        (["00:00:01:500", "26:00:01:007"], [1.5, 93_601.007]),  # milliseconds behind a colon
+    ],
+)
+def test_durations_with_days_and_milliseconds(tmp_path: Path, cells: list[str], expected_s: list[float]) -> None:
+    found = times(tmp_path / "run.csv", cells, {"format": "elapsed"})
+    assert (np.array(found) - START_NS).tolist() == [round(s * 1e9) for s in expected_s]
+
+
+@pytest.mark.parametrize(
+    "cell", ["00:00:01:25", "1:02:03:04", "1.5:00", "2 days", "00:00:01.5:500", "-1 day, 23:00:00"]
+)
+def test_durations_of_two_meanings_are_refused(tmp_path: Path, cell: str) -> None:
+    with pytest.raises(RefusedError, match="row 2 of the data"):
+        times(tmp_path / "run.csv", ["00:00:00", f'"{cell}"'], {"format": "elapsed"})
+
+
 def test_times_of_day_take_their_date_from_the_start_and_pass_midnight(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     started = "2026-03-04T23:59:58+01:00"
@@ -222,6 +245,25 @@ def test_the_hour_that_occurs_twice(tmp_path: Path) -> None:
     assert found("02:30:00", "02:31:00", started="2026-10-25T01:30:00+00:00") == [30, 31]
     assert found("02:30:00", "02:31:00", started="2026-10-25T00:30:00+00:00") == [-30, -29]
     assert found("01:59:59", "03:00:00") == pytest.approx([-60 - 1 / 60, 60])
+
+
+@pytest.mark.parametrize(
+    ("zone", "cells", "gone"),
+    [
+        ("Europe/Berlin", ["2026-03-29 01:59:00", "2026-03-29 02:00:00", "2026-03-29 02:59:00"], 2),
+        ("Europe/Berlin", ["2026-03-29 01:59:00", "2026-03-29 03:00:00"], 0),
+        ("America/New_York", ["2026-03-08 02:30:00", "2026-03-08 02:31:00"], 2),
+        ("Australia/Lord_Howe", ["2026-10-04 02:15:00", "2026-10-04 02:45:00"], 1),  # half an hour
+        ("Asia/Shanghai", ["2026-03-29 02:00:00", "2026-03-29 02:59:00"], 0),
+    ],
+)
+def test_times_in_the_hour_that_is_skipped_are_a_problem(
+    tmp_path: Path, zone: str, cells: list[str], gone: int
+) -> None:
+    raw = raw_of(tmp_path / "run.csv", cells, {"format": "iso", "zone": zone}, None)
+    told = [p for p in raw.problems if "do not exist" in p]
+    assert len(told) == (gone > 0)
+    assert all(f"{gone} times" in p and zone in p and "winter time" in p for p in told)
 
 
 def test_the_unit_row_of_the_time_is_compared_too(tmp_path: Path) -> None:
