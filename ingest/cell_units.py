@@ -22,6 +22,18 @@ _BRACKETS = ("[]", "()", "{}", "<>")
 _UNIT_IN_NAME = re.compile(
     r"^(?P<name>.*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*)\)|/\s*(?P<c>[^/\s]{1,8}))\s*$", re.DOTALL
 )
+SUFFIXES = frozenset(
+    (
+        *("s", "ms", "us", "µs", "min", "h", "V", "kV", "mV", "N", "mN", "kN", "gf", "lbf", "mm", "um", "µm", "m"),
+        *("cm", "in", "pF", "nF", "A", "mA", "uA", "µA", "nA", "Pa", "kPa", "MPa", "Hz", "degC", "degF", "K"),
+    )
+)
+"""Units as they stand behind a name: `force_V`, `HV_kV`."""
+_WRITTEN = re.compile(r"^(?P<name>.+?)(?:\s+(?:in|-)\s+|[_ ])(?P<unit>[A-Za-zµ]{1,4})$")
+_SI_BASE = {"n": "N", "v": "V", "kv": "kV", "hz": "Hz", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "pf": "pF"}
+"""Units that a program which writes all in small letters means."""
+_ALSO_WORDS = frozenset(("in", *(unit for unit in SUFFIXES if len(unit) == 1)))
+"""Units that may as well be a word or an index behind a name: `x_in`, `F_N` of a normal force, `x_m` of a measured one."""
 _TAKES_PREFIX = ("V", "N", "A", "F", "Pa", "Hz", "W", "J")
 """Units that a prefix alone behind a number belongs to (`6.000k` in V); one that has a prefix takes no second."""
 _MEASURED = (
@@ -52,6 +64,16 @@ def name_and_unit(name: str) -> tuple[str, str]:
     if match is None:
         return name, ""
     return match["name"], match["a"] or match["b"] or match["c"] or ""
+
+
+def unit_behind(name: str) -> tuple[str, str]:
+    """A column's name and the unit behind it without brackets: `HV_kV`, `Weg µm`, `Force in mN`; no unit where none is known there."""
+    match = _WRITTEN.match(name)
+    if match is None:
+        return name, ""
+    written = match["unit"]
+    known = _SI_BASE.get(written, written) if name == name.lower() else written
+    return (match["name"], known) if known in SUFFIXES else (name, "")
 
 
 def plain_unit(text: str | None) -> str | None:
@@ -107,8 +129,11 @@ def checked_unit(own: str | None, said: str, label: str, canonical: str, name: s
 
 
 def check_name(column: str | int | None, said: str, canonical: str, name: str, *, where: str) -> None:
-    """Refuses a unit of the same kind in the column's name that is another one than the mapping's (`F (mN)` and N)."""
-    unit = name_and_unit(column)[1] if isinstance(column, str) else ""
+    """Refuses a unit of the same kind in the column's name that is another one than the mapping's (`F (mN)` or `F_mN`, and N)."""
+    unit = ""
+    if isinstance(column, str):
+        behind = unit_behind(column)[1]
+        unit = name_and_unit(column)[1] or ("" if behind in _ALSO_WORDS else behind)
     if unit and canonical != ANY and same_unit(unit, said, canonical) is False:
         raise _contradiction("name says", unit, f'"{column}"', said, name, where)
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from ingest.cell_units import name_and_unit
+from ingest.cell_units import SUFFIXES, name_and_unit, unit_behind
 from schemas.errors import RefusedError
 from schemas.quantities import QUANTITIES
 from schemas.units import ANY, conversion
@@ -48,16 +48,6 @@ _ABSOLUTE = r"absol"
 """Names of a machine's own position, which stands beside the way from the start of the test."""
 _OF_COUNTS = re.compile(r"^(no\.?|nr\.?|scan|index|sample|#|sequence|point|interval data:?|cycle count)$")
 """Names of columns that count rows."""
-_SUFFIXES = frozenset(
-    (
-        *("s", "ms", "us", "µs", "min", "h", "V", "kV", "mV", "N", "mN", "kN", "gf", "lbf", "mm", "um", "µm", "m"),
-        *("cm", "in", "pF", "nF", "A", "mA", "uA", "µA", "nA", "Pa", "kPa", "MPa", "Hz", "degC", "degF", "K"),
-    )
-)
-"""Units as they stand behind a name: `force_V`, `HV_kV`."""
-_WRITTEN = re.compile(r"^(?P<name>.+?)[_ ](?P<unit>[A-Za-zµ]{1,4})$")
-_SI_BASE = {"n": "N", "v": "V", "kv": "kV", "hz": "Hz", "mpa": "MPa", "kpa": "kPa", "pa": "Pa", "pf": "pF"}
-"""Units that a program which writes all in small letters means."""
 
 
 @dataclass(frozen=True)
@@ -160,16 +150,9 @@ def split_name(name: str) -> tuple[str, str]:
     plain, unit = name_and_unit(name)
     if unit:
         return plain, unit
-    if name in _SUFFIXES and len(name) > 1:
+    if name in SUFFIXES and len(name) > 1:
         return "", name
-    match = _WRITTEN.match(name)
-    if match is not None:
-        written = match["unit"]
-        lower = name == name.lower()
-        known = _SI_BASE.get(written, written) if lower else written
-        if known in _SUFFIXES:
-            return match["name"], known
-    return name, ""
+    return unit_behind(name)
 
 
 def guess_meaning(name: str, unit: str) -> str | None:

@@ -279,12 +279,13 @@ def test_the_unit_row_of_the_time_is_compared_too(tmp_path: Path) -> None:
         read_raw(path, FileMapping.parse(content, stem="run", suffix=".csv"))
 
 
-def test_the_unit_in_the_name_of_the_time_is_compared_too(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["Time (ms)", "t_ms", "Zeit ms", "Time in ms"])
+def test_the_unit_in_the_name_of_the_time_is_compared_too(tmp_path: Path, name: str) -> None:
     path = tmp_path / "run.csv"
-    path.write_text("Time (ms),F\n0,1\n10,2\n")
+    path.write_text(f"{name},F\n0,1\n10,2\n")
     columns = {"force": {"column": "F", "unit": "N"}}
     about = {"columns": columns, "recording": {"started_at": START}}
-    time = {"column": "Time (ms)", "unit": "s"}
+    time = {"column": name, "unit": "s"}
     with pytest.raises(RefusedError, match='the name says "ms" for column'):
         read_raw(path, FileMapping.parse({"time": time, **about}, stem="run", suffix=".csv"))
     raw = read_raw(
