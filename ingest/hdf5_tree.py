@@ -247,7 +247,8 @@ def _typed(entry: Listed, dtype: Any, attributes: Mapping[str, Any], *, is_text:
         return replace(entry, refusal="an array of lists of different lengths", remedy="Save each list as an array")
     if dtype.kind not in "biufSU":
         return replace(entry, refusal=f"an array of {dtype}")
-    return replace(entry, packing=packing_of(attributes, whole_numbers=dtype.kind in "iu"))
+    signed_bits = 8 * dtype.itemsize if dtype.kind == "i" else 0
+    return replace(entry, packing=packing_of(attributes, whole_numbers=dtype.kind in "iu", signed_bits=signed_bits))
 
 
 def _is_complex(dtype: Any) -> bool:

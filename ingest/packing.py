@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 
 from ingest.columns import Numbers
-from schemas.arrays import Bool
+from schemas.arrays import Bool, Float
 from schemas.units import Conversion
 
 _FILLS = ("_FillValue", "missing_value")
+_UNSIGNED = "_Unsigned"
+"""Attribute of netCDF files whose classic types all have a sign: `true` says that the numbers have none."""
 _LIKE_A_SCALE = frozenset(
     [
         "scale", "scaling", "scalefactor", "gain", "slope", "intercept", "lsb", "factor", "multiplier", "calibration",
@@ -43,12 +45,16 @@ class Packing:
     largest: float = math.inf
     names: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
+    turn: float = 0.0
+    """What a negative raw number lacks, where whole numbers without a sign are kept in a type that has one; else 0."""
 
     def unpack(self, raw: Numbers) -> Numbers:
         """The numbers that are meant, with notes about what was done."""
-        values = raw.values
+        values = _turned(raw.values, self.turn)
         none: Bool = np.isin(values, self.missing) | (values < self.least) | (values > self.largest)
         notes = []
+        if self.turn:
+            notes.append(f"whole numbers without a sign: negative ones stand for {self.turn:g} more ({_UNSIGNED})")
         change = Conversion(self.scale, self.offset)
         if not change.is_identity:
             notes.append(f"packed: {self.scale:g} × raw {self.offset:+g} ({', '.join(self.names)})")
@@ -66,8 +72,15 @@ class Packing:
         )
 
 
-def packing_of(attributes: Mapping[str, Any], *, whole_numbers: bool) -> Packing | None:
-    """What the attributes of an array say about its numbers; None where they say nothing."""
+def _turned(values: Float, turn: float) -> Float:
+    return np.where(values < 0, values + turn, values) if turn else values
+
+
+def packing_of(attributes: Mapping[str, Any], *, whole_numbers: bool, signed_bits: int = 0) -> Packing | None:
+    """What the attributes of an array say about its numbers; None where they say nothing.
+
+    `signed_bits`: how many bits its whole numbers have, where their type has a sign; else 0.
+    """
     known = {name: number for name, value in attributes.items() if (number := _number(value)) is not None}
     scale, offset = known.get("scale_factor"), known.get("add_offset")
     used: list[str] = [name for name in ("scale_factor", "add_offset") if name in known]
@@ -75,14 +88,16 @@ def packing_of(attributes: Mapping[str, Any], *, whole_numbers: bool) -> Packing
         scale, offset = known["conversion"], known.get("offset")
         used = [name for name in ("conversion", "offset") if name in known]
     fills = [(name, fill) for name in _FILLS if name in attributes for fill in _numbers(attributes[name])]
-    bounds = _bounds(attributes, known)
+    turn = 2.0**signed_bits if signed_bits and _says_true(attributes.get(_UNSIGNED)) else 0.0
+    fills = [(name, float(_turned(np.array(fill), turn))) for name, fill in fills]
+    bounds = _bounds(attributes, known, turn)
     names = (*used, *dict.fromkeys(name for name, _ in fills), *(("valid range",) if bounds != _NO_BOUNDS else ()))
     doubtful = find_scales(attributes) if whole_numbers and not used else ()
-    if not names and not doubtful:
+    if not names and not doubtful and not turn:
         return None
     missing = tuple(dict.fromkeys(fill for _, fill in fills))
     return Packing(
-        1.0 if scale is None else scale, 0.0 if offset is None else offset, missing, *bounds, names, doubtful
+        1.0 if scale is None else scale, 0.0 if offset is None else offset, missing, *bounds, names, doubtful, turn
     )
 
 
@@ -95,12 +110,19 @@ def find_scales(attributes: Mapping[str, Any]) -> tuple[str, ...]:
 _NO_BOUNDS = (-math.inf, math.inf)
 
 
-def _bounds(attributes: Mapping[str, Any], known: Mapping[str, float]) -> tuple[float, float]:
-    """Lowest and highest raw value that counts."""
+def _bounds(attributes: Mapping[str, Any], known: Mapping[str, float], turn: float) -> tuple[float, float]:
+    """Lowest and highest raw value that counts, of numbers that are turned as `Packing.turn` says."""
     both = _numbers(attributes.get("valid_range"))
-    if len(both) == 2:
-        return both[0], both[1]
-    return known.get("valid_min", -math.inf), known.get("valid_max", math.inf)
+    least, largest = both if len(both) == 2 else (known.get("valid_min"), known.get("valid_max"))
+    return (
+        -math.inf if least is None else float(_turned(np.array(least), turn)),
+        math.inf if largest is None else float(_turned(np.array(largest), turn)),
+    )
+
+
+def _says_true(value: Any) -> bool:
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return text.strip().casefold() == "true"
 
 
 def _plain(name: str) -> str:

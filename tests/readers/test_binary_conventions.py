@@ -84,6 +84,26 @@ def test_hdf5_marks_and_scales_of_other_conventions(
     assert force(read_hdf5_force(path, unit="N")) == pytest.approx(expected, nan_ok=True)
 
 
+@pytest.mark.parametrize("flag", ["true", b"true"])
+def test_hdf5_numbers_without_a_sign_in_a_type_that_has_one(tmp_path: Path, flag: Any) -> None:
+    """Classic netCDF has no unsigned bytes: −56 stands for 200, and its mark of no value is turned as well."""
+    raw = np.array([100, 127, -128, -56, -1], dtype=np.int8)
+    packed = {"_Unsigned": flag, "scale_factor": 0.001, "_FillValue": np.int8(-1), "units": "N"}
+    found = read_hdf5_force(hdf5(tmp_path / "run.h5", attributes=packed, t=TIME, f=raw))
+    assert force(found) == pytest.approx([0.1, 0.127, 0.128, 0.2, np.nan], nan_ok=True)
+    assert any("_Unsigned" in note for note in found.notes)
+    signed = {**packed, "_Unsigned": "false"}
+    found = read_hdf5_force(hdf5(tmp_path / "run.h5", attributes=signed, t=TIME, f=raw))
+    assert force(found) == pytest.approx([0.1, 0.127, -0.128, -0.056, np.nan], nan_ok=True)
+
+
+def test_hdf5_the_valid_range_of_numbers_without_a_sign(tmp_path: Path) -> None:
+    raw = np.array([10, 100, -56, -1, 0], dtype=np.int16)
+    packed = {"_Unsigned": "true", "valid_range": np.array([5, -50], dtype=np.int16), "units": "mN"}
+    found = read_hdf5_force(hdf5(tmp_path / "run.h5", attributes=packed, t=TIME, f=raw))
+    assert force(found) == pytest.approx([10, 100, 65480, np.nan, np.nan], nan_ok=True)
+
+
 def test_hdf5_whole_numbers_beside_an_unknown_scale_are_refused(tmp_path: Path) -> None:
     path = hdf5(tmp_path / "run.h5", attributes={"gain": 0.01}, t=TIME, f=FORCE.astype(np.int16))
     with pytest.raises(RefusedError, match=r"gain = 0\.01"):
