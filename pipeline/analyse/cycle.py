@@ -59,7 +59,7 @@ def cycle_fits(recording: Recording) -> Cycle:
             equilibrium=law,
             recording_id=about.recording_id,
             specimen_id=about.specimen_id,
-            section_over_length_mm=section_over_length_mm(about),
+            section_over_length_mm=_taken_section_over_length_mm(recording),
         )
         for law in laws
     )
@@ -212,6 +212,20 @@ def section_over_length_mm(about: RecordingMetadata) -> float | None:
         return None
     _, length, section = _sizes(about)
     return section * _KPA_PER_MPA / length
+
+
+def _taken_section_over_length_mm(recording: Recording) -> float | None:
+    """Section over length that made stretch and stress of a recording; None where that was a cube of 1 mm.
+
+    Of force and displacement a size that is not known goes out again where moduli become the stiffness that was measured.
+    """
+    about = recording.metadata
+    ratio = section_over_length_mm(about)
+    if ratio is not None or {"stretch", "stress"} <= recording.channels.keys():
+        return ratio
+    _, length, section = _sizes(about)
+    ratio = section * _KPA_PER_MPA / length
+    return None if ratio == 1.0 else ratio
 
 
 def _sizes(about: RecordingMetadata) -> tuple[float, float, float]:

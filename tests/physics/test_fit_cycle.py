@@ -180,3 +180,32 @@ def test_a_film_of_known_size_has_its_own_stiffness() -> None:
         assert film[name] == pytest.approx(0.08 * cube[name], rel=1e-9)
     assert "1 mm cube" in cube["warnings"]
     assert "section over length is 0.08 mm" in film["warnings"]
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"film_length_mm": 50},
+        {"film_width_mm": 20, "film_thickness_mm": 0.2},
+        {"film_length_mm": 50, "film_width_mm": 20},
+    ],
+)
+def test_sizes_that_are_not_known_do_not_change_the_stiffness_that_was_measured(sizes: dict[str, float]) -> None:
+    """Force over displacement is that of the film in N/mm, whichever cross-section is assumed between them."""
+    given = {"crosslink_modulus": 8.0, "entanglement_modulus": 18.0, "largest_stretch": 4.8}
+    force = 1e-3 * 4 * NON_AFFINE.stress(STRETCH, given)  # of 50 × 20 × 0.2 mm
+    length = sizes.get("film_length_mm", 1.0)
+    ns = np.rint(TIME * 1e9).astype(np.int64)
+    channels = {
+        "displacement": Channel("displacement", ns, (STRETCH - 1) * length),
+        "force": Channel("force", ns, force),
+    }
+    about = {
+        "recording_id": "c", "protocol": "cycle", "loading": "mechanical", "specimen_id": "S", "stretch_1": 1,
+        "started_at": "1970-01-01T00:00:00Z",
+    }  # fmt: skip
+    recording = Recording(RecordingMetadata.parse({**about, **sizes}), RigConstants.parse({}), channels)
+    (fits,) = cycle_fits(recording).fits
+    slope = np.diff(NON_AFFINE.stress(np.array([1 - 1e-5, 1 + 1e-5]), given))[0] / 2e-5
+    selected = next(row for row in model_fits_table([], [fits]).to_pylist() if row["selected"])
+    assert selected["k0_n_per_mm"] == pytest.approx(1e-3 * 4 * slope / length, rel=0.02)
