@@ -32,6 +32,8 @@ _CLEARLY, _MOVED = 6.0, 0.02
 _STILL, _HELD_WITHIN, _LOOKED_AT = 0.02, 0.2, 1000
 """Share of the whole travel within which an input stands still, share of a rise for which it does so where that holds a step of
 its own, and samples of the rise that are looked at."""
+_OF_A_RAMP = 0.05
+"""Share of the whole travel from which a change of speed between two samples is a ramp, and no step of a converter."""
 _AT_REST = 2.0
 """Standard deviation over its noise beyond which a beginning is a slow movement and no rest."""
 _BEGINNING = 0.2
@@ -381,8 +383,9 @@ def _begin(x: Float) -> tuple[int, float]:
     differences = np.abs(np.diff(x, 2))
     noise = float(np.median(differences)) / (np.sqrt(6) * _NORMAL_MEDIAN) if differences.size else 0.0
     if noise == 0 and differences.any():
-        # A converter coarser than its noise: most neighbours are equal.
-        noise = float(differences[differences > 0].min()) / np.sqrt(12)
+        # A converter coarser than its noise: most neighbours are equal. Larger changes are the ramps of an input without noise.
+        flickers = differences[(differences > 0) & (differences < _OF_A_RAMP * np.ptp(x))]
+        noise = float(flickers.min()) / np.sqrt(12) if flickers.size else 0.0
     gone = np.abs(x[:longest] - np.median(x[:3])) > max(_CLEARLY * noise, _MOVED * float(np.ptp(x)))
     rest = int(gone.argmax()) if gone.any() else min(longest, x.size)
     if rest < _FEWEST_REST or (gone.any() and x[:rest].std() > _AT_REST * noise):

@@ -138,6 +138,22 @@ def test_a_machine_that_records_when_it_moves_gives_its_curve(ramp: float, rest_
     assert any("begins with the record" in w for w in warnings) == (rest_s < 8 / RATE)
 
 
+@pytest.mark.parametrize("second", [0.0, 2.0, 3.0])
+@pytest.mark.parametrize("ramp_samples", [1, 2, 3, 20])
+def test_an_input_without_noise_that_moves_at_once_holds_its_steps(ramp_samples: int, second: float) -> None:
+    """A machine that records its set point: the smallest change of its speed is the ramp, and no step of a converter."""
+    rng = np.random.default_rng(seed=4)
+    time = np.arange(0.0, 120.0, 0.02)
+    ramp = ramp_samples * 0.02
+    x = 2 * np.clip(time / ramp, 0, 1) + second * np.clip((time - 60.0) / ramp, 0, 1)
+    force = relaxed(time, 0.0, ramp, 2.0) + relaxed(time, 60.0, ramp, second) + rng.normal(0, 1e-3, time.size)
+    curve, _ = relaxation_curve(recording({"displacement": x, "force": force}, 50.0, protocol="step"))
+    assert curve.step == pytest.approx(2.0, rel=1e-3)
+    late = (curve.time_s > 1) & (curve.time_s < 59)
+    true = np.interp(curve.time_s[late], time, relaxed(time, 0.0, ramp, 2.0) / 2.0)
+    np.testing.assert_allclose(curve.stiffness[late], true, atol=5e-3 * true.max())
+
+
 @pytest.mark.parametrize("second_s", [30.0, 60.0, 90.0])
 def test_of_several_steps_all_are_taken(second_s: float) -> None:
     """However long each is held: a window is the film's own force, with what the first step left in it."""
