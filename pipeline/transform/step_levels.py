@@ -272,7 +272,9 @@ def baseline_misfit(
     -------
     In the unit of the channel, not negative: the larger of two. By how much the rest level after the step is another
     than before it, of which without a slow change one half falls into the step; and how far the level runs in the
-    second half of these rests, over the time from one level to the other. Of both only what goes beyond the noise.
+    second half of these rests, over the time from one level to the other. Without a slow change only the rest at the
+    beginning of the record counts for the second: what runs in later ones is the film's own recovery. Of both only what
+    goes beyond the noise.
     """
     steady = x if slow is None else x - slow.at(t)
     before, final = rest_level(t, steady, phase, memory), final_level(t, steady, phase, memory)
@@ -283,7 +285,9 @@ def baseline_misfit(
         change = _beyond_noise(after.value - before.value - explained, math.hypot(after.sd, before.sd))
         moved.append(change if slow is not None else change / 2)
         spans.append(((phase.off + phase.off_end) / 2, phase.off_end - 0.01))
-    for begin, end in spans if slow is not None else ():
+    if slow is None:
+        spans = spans[:1] if rest_from <= t[0] else []
+    for begin, end in spans:
         first = level(t, steady, begin, begin + LEVEL_S, LEVEL_S, memory)
         last = level(t, steady, end - LEVEL_S, end, LEVEL_S, memory)
         apart = last.time_s - first.time_s

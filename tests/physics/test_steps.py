@@ -303,6 +303,22 @@ def test_a_load_that_moves_itself_is_no_slow_change(kind: str, amount: float, co
     assert all(step.capacitance_step_pf is not None for step in steps), "the capacitance does not depend on it"
 
 
+@pytest.mark.parametrize("phase", [0.6, 2.0, 5.0])
+def test_a_load_that_comes_back_to_where_it_was_is_no_still_one(phase: float) -> None:
+    """One step in a load that swings once over it: the levels of the rests at its sides are alike, and the step was 0.3 N."""
+    recording = record([8.0])
+    force = recording.channels["force"]
+    t = (force.time_ns - recording.start_ns) * 1e-9
+    duration = float(t[-1])
+    values = force.values + 0.3 * np.sin(2 * np.pi * t / duration * 1.5 + phase)
+    moved = replace(recording, channels={**recording.channels, "force": replace(force, values=values)})
+    (step,) = measure_steps(moved).steps
+    assert np.isnan(step.force_step_n)
+    assert any("the load itself moves by up to" in warning for warning in step.warnings)
+    (still,) = measure_steps(recording).steps
+    assert still.force_step_n == pytest.approx(0.044, rel=0.05)
+
+
 def test_a_steady_ramp_of_the_load_is_taken_out() -> None:
     steps = measure_steps(loaded("ramp", 0.2, 10)).steps
     np.testing.assert_allclose([step.force_step_n for step in steps], 0.044, rtol=0.02)
