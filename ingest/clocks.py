@@ -31,6 +31,29 @@ _DURATION = re.compile(
 milliseconds behind a colon (`00:00:01:500`)."""
 
 
+_BELOW_A_MICROSECOND = re.compile(r"(?<=[.,]\d{6})\d{1,3}(?!\d)")
+"""What `datetime` does not hold of the seven digits of .NET and the nine of pandas."""
+_MONTHS = {
+    "January": "januar jänner janvier enero gennaio janeiro januari jan janv ene gen",
+    "February": "februar feber février febrero febbraio fevereiro februari feb févr fév fev",
+    "March": "märz mars marzo março maart mär mrz mar mrt",
+    "April": "april avril abril aprile apr avr abr",
+    "May": "mai mayo maggio maio mei may mag",
+    "June": "juni juin junio giugno junho jun giu",
+    "July": "juli juillet julio luglio julho jul juil lug",
+    "August": "august août agosto augustus aug ago",
+    "September": "september septembre septiembre settembre setembro sep sept set",
+    "October": "oktober octobre octubre ottobre outubro okt oct ott out",
+    "November": "november novembre noviembre novembro nov",
+    "December": "dezember décembre diciembre dicembre dezembro december dez déc dic dec",
+}
+"""Months as machines of German, French, Spanish, Italian, Portuguese and Dutch settings write them, in full and cut."""
+_MONTH_OF = {word: month for month, words in _MONTHS.items() for word in words.split()}
+_WORD = re.compile(r"(?P<word>[^\W\d_]+)\.?")
+_HALVES = (("AM", re.compile(r"上午|午前|오전|a\.\s?m\.", re.I)), ("PM", re.compile(r"下午|午後|오후|p\.\s?m\.", re.I)))
+"""The two halves of a day in Chinese, Japanese, Korean and Spanish."""
+
+
 def nanoseconds(moment: datetime) -> int:
     """Unix time of an aware datetime, exact to its microsecond; of a naive one as if it were UTC."""
     aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
@@ -48,11 +71,31 @@ def moment(cell: Any, pattern: str | None) -> datetime | None:
         return cell
     if isinstance(cell, date):
         return datetime(cell.year, cell.month, cell.day)
-    text = str(cell).strip()
+    text = _BELOW_A_MICROSECOND.sub("", str(cell).strip())
     try:
-        return datetime.fromisoformat(text) if pattern in (None, "iso") else datetime.strptime(text, str(pattern))
+        if pattern is None or pattern == "iso":
+            return datetime.fromisoformat(text)
+        try:
+            return datetime.strptime(text, pattern)
+        except ValueError:
+            return datetime.strptime(*_in_english(text, pattern))
     except ValueError:
         return None
+
+
+def _in_english(text: str, pattern: str) -> tuple[str, str]:
+    """A time with its words as `strptime` knows them, and the pattern for it: a month that is cut has no dot behind it."""
+    if "%p" in pattern:
+        for half, words in _HALVES:
+            text = words.sub(half, text)
+    if "%b" in pattern or "%B" in pattern:
+        text = _WORD.sub(_english_month, text)
+        pattern = re.sub(r"%[bB]\.?", "%B", pattern)
+    return text, pattern
+
+
+def _english_month(found: re.Match[str]) -> str:
+    return _MONTH_OF.get(found["word"].casefold(), found[0])
 
 
 def moments(cells: Sequence[Any], pattern: str | None) -> tuple[Int, Bool, int | None]:
@@ -62,7 +105,8 @@ def moments(cells: Sequence[Any], pattern: str | None) -> tuple[Int, Bool, int |
     for row, cell in enumerate(cells):
         found = moment(cell, pattern)
         if found is not None:
-            times[row] = nanoseconds(found)
+            finer = _BELOW_A_MICROSECOND.search(cell) if isinstance(cell, str) else None
+            times[row] = nanoseconds(found) + (int(finer[0].ljust(3, "0")) if finer else 0)
             zoned[row] = found.tzinfo is not None
         elif cell is not None and str(cell).strip():
             return times, zoned, row

@@ -66,6 +66,59 @@ def test_absolute_times_with_and_without_zone(tmp_path: Path) -> None:
         times(path, naive, {**pattern, "zone": "Europe/Nowhere"}, None)
 
 
+@pytest.mark.parametrize(
+    ("pattern", "cell"),
+    [
+        ("%d. %B %Y %H:%M:%S", "1. März 2026 14:00:00"),
+        ("%d. %b %Y %H:%M:%S", "01. Mrz 2026 14:00:00"),
+        ("%d-%b-%Y %H:%M:%S", "01-mars-2026 14:00:00"),
+        ("%d %b. %Y %H:%M:%S", "1 mars 2026 14:00:00"),
+        ("%d %B de %Y %H:%M:%S", "1 MARZO de 2026 14:00:00"),
+        ("%Y/%m/%d %p %I:%M:%S", "2026/3/1 下午 02:00:00"),
+        ("%d/%m/%Y %I:%M:%S %p", "01/03/2026 02:00:00 p. m."),
+        ("%d-%b-%Y %H:%M:%S", "01-Mar-2026 14:00:00"),
+    ],
+)
+def test_words_of_other_languages_in_times(tmp_path: Path, pattern: str, cell: str) -> None:
+    time = {"format": pattern, "zone": "UTC"}
+    assert times(tmp_path / "run.csv", [cell, cell.replace(":00:00", ":00:01")], time, None) == [
+        START_NS,
+        START_NS + 10**9,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("month", "cell"),
+    [
+        (1, "janv."),
+        (2, "févr."),
+        (4, "avr."),
+        (5, "mai"),
+        (7, "juil."),
+        (8, "août"),
+        (9, "sept."),
+        (10, "oct."),
+        (12, "déc."),
+    ],
+)
+def test_months_that_are_cut_with_and_without_a_dot(tmp_path: Path, month: int, cell: str) -> None:
+    time = {"format": "%d %b %Y %H:%M:%S", "zone": "UTC"}
+    (found, _) = times(tmp_path / "run.csv", [f"02 {cell} 2025 12:00:00", f"02 {cell} 2025 12:00:01"], time, None)
+    assert datetime.fromtimestamp(found / 1e9, UTC) == datetime(2025, month, 2, 12, tzinfo=UTC)
+
+
+def test_a_month_of_no_language_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RefusedError, match="row 1 of the data"):
+        times(tmp_path / "run.csv", ["1 Nivôse 2026 14:00:00"], {"format": "%d %B %Y %H:%M:%S", "zone": "UTC"}, None)
+
+
+@pytest.mark.parametrize("pattern", ["iso", "%Y-%m-%dT%H:%M:%S.%f%z"])
+def test_nanoseconds_in_text_are_kept(tmp_path: Path, pattern: str) -> None:
+    cells = ["2026-03-01T14:00:00.1234567+00:00", "2026-03-01T14:00:00.123456789+00:00"]
+    expected = [START_NS + 123_456_700, START_NS + 123_456_789]
+    assert times(tmp_path / "run.csv", cells, {"format": pattern}, None) == expected
+
+
 @pytest.mark.parametrize("started", ["2026-03-01T15:00:00", datetime(2026, 3, 1, 15)])
 def test_start_without_zone(tmp_path: Path, started: Any) -> None:
     path = tmp_path / "run.csv"
