@@ -21,6 +21,8 @@ from schemas.errors import RefusedError
 
 _REAL = "biuf"
 _TEXT = "OUS"
+TRUTHS = "true and false are read as 1 and 0"
+"""A note: a flag may be meant, a valve that is open, and may be the wrong column."""
 _KINDS = {"c": "complex numbers", "M": "dates", "m": "durations", "V": "structures"}
 """What arrays hold that are no real numbers, by numpy's kind."""
 
@@ -45,7 +47,8 @@ def numbers_from_array(array: Any, column: ColumnName, index: int | None, where:
             expected="real numbers",
             remedy="Save real and imaginary part as arrays of their own" if values.dtype.kind == "c" else "",
         )
-    return Numbers(np.array(values, dtype=np.float64), np.zeros(values.shape, dtype=bool))
+    notes = (TRUTHS,) if values.dtype.kind == "b" else ()
+    return Numbers(np.array(values, dtype=np.float64), np.zeros(values.shape, dtype=bool), notes=notes)
 
 
 def column_of(array: Any, column: ColumnName, index: int | None, where: str) -> NDArray[Any]:
@@ -102,6 +105,8 @@ def numbers_from_cells(cells: Sequence[Any], column: ColumnName, where: str) -> 
                 rows.append(row)
                 texts.append(text)
     found = read_column(values, empty, np.array(rows, dtype=np.int64), texts, column, where)
+    if any(isinstance(cell, bool | np.bool_) for cell in cells):
+        found = replace(found, notes=(*found.notes, TRUTHS))
     if example is not None and not np.isfinite(found.values).any():
         return replace(found, texts=max(found.texts, 1), example=found.example or example[:40])
     return found

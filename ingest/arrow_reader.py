@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ingest.apart import Apart
-from ingest.array_numbers import numbers_from_cells
+from ingest.array_numbers import TRUTHS, numbers_from_cells
 from ingest.columns import CELL_LIMIT, Numbers, OwnTime, named_column
 from ingest.mapping import ColumnName, FileMapping, column_label
 from schemas.arrays import Float
@@ -90,7 +90,10 @@ class ArrowFile:
                     expected="real numbers",
                 )
             return found
-        return Numbers(np.array(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)), empty)
+        notes = (TRUTHS,) if pa.types.is_boolean(values.type) else ()
+        return Numbers(
+            np.array(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)), empty, notes=notes
+        )
 
     def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
         values = self._column(column, index)

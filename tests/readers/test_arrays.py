@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
@@ -214,3 +216,20 @@ def test_missing_reader_names_its_package(
         read(path, mapping(suffix, {"force": {"column": "F", "unit": "N"}}, {"sample_rate_hz": 1.0}))
     assert f"`pip install {module}`" in missing.value.remedy
     assert missing.value.transient
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".h5", ".parquet"])
+def test_true_and_false_in_place_of_a_quantity_are_told(tmp_path: Path, suffix: str) -> None:
+    """A flag beside the force, mapped by mistake, made a force of 0 and 1 N without a word."""
+    path = tmp_path / f"run{suffix}"
+    arrays = {"t": TIME, "f": FORCE > 3}
+    if suffix == ".npz":
+        np.savez(path, **arrays)
+    elif suffix == ".h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            file.update(arrays)
+    else:
+        pq.write_table(pa.table(arrays), path)
+    raw = read(path, mapping(suffix, {"force": {"column": "f", "unit": "N"}}, {"column": "t", "unit": "s"}))
+    assert raw.channels[0].values.tolist() == [0, 0, 1, 1, 1]
+    assert sum("true and false are read as 1 and 0" in note for note in raw.notes) == 1
