@@ -260,7 +260,7 @@ EXAMPLES: tuple[tuple[str, str], ...] = (
         "Where is the simulation most wrong?",
         "SELECT specimen_id, recording_id, statement FROM discrepancies JOIN diagnoses USING (specimen_id)"
         " WHERE verdict <> 'none' AND discrepancies.p_value < 0.0001"
-        " ORDER BY chi2 / degrees_of_freedom DESC LIMIT 10",
+        " ORDER BY discrepancies.chi2 / degrees_of_freedom DESC LIMIT 10",
     ),
     (
         "How far does ignoring the cause move the film's parameters?",

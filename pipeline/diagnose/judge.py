@@ -56,6 +56,6 @@ def judge_predictions(comparison: Comparison) -> str:
     possible = comparison.possible
     if not any(p.explained >= RULES.single.explained for p in possible):
         return UNKNOWN
-    if not any(p.shortfall.is_adequate for p in possible):
-        return UNKNOWN  # several causes that leave too much are no better than one
-    return AMBIGUOUS if len({p.model.mechanism for p in possible}) > 1 else NAMED
+    if len({p.model.mechanism for p in possible}) > 1:
+        return AMBIGUOUS  # beside something in no list, where something speaks against all of them
+    return NAMED if any(p.shortfall.is_adequate for p in possible) else UNKNOWN

@@ -15,7 +15,7 @@ import queue
 import re
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -54,6 +54,17 @@ class Limits:
     memory_mb: int = 4096
 
 
+@contextlib.contextmanager
+def _hear_interrupts() -> Iterator[None]:
+    """Raises `KeyboardInterrupt` for what DuckDB makes of one that falls into a query here: an error of its own."""
+    try:
+        yield
+    except RuntimeError as error:
+        if str(error) == "Query interrupted":
+            raise KeyboardInterrupt from None
+        raise
+
+
 class Query:
     """A locked connection to a lab's published snapshot; a context manager."""
 
@@ -89,11 +100,15 @@ class Query:
 
         Raises `UsageError` for what is no SELECT, `DealabError` with DuckDB's own words and pointer for a wrong query.
         """
+        with _hear_interrupts():
+            return self._run(query)
+
+    def _run(self, query: str) -> pa.Table:
         import duckdb
 
         self._refuse_what_writes(query)
-        self._offer_samples(query)
         try:
+            self._offer_samples(query)
             self._connection.execute("SET enable_external_access = false")
             self._connection.execute("SET lock_configuration = true")
             return self._fetch_in_time(query)

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from pipeline.diagnose.rules import RULES
 from schemas.explanations import cause
-from schemas.mechanisms import candidate, nested
+from schemas.mechanisms import UNLISTED, candidate, nested
 from schemas.places import SIGN, WITHIN, list_wrong
 
 TABLES = ("diagnoses", "discrepancies", "diagnosis_candidates", "diagnosis_terms")
@@ -109,10 +109,14 @@ def _compare_places(d: Mapping[str, Any], places: list[dict[str, Any]]) -> Itera
 
 
 def _compare_predictions(d: Mapping[str, Any], candidates: list[dict[str, Any]]) -> Iterator[str]:
-    """What is told of a record that is asked alone has to gain for certain, and to leave little or noise."""
+    """What is told of a record that is asked alone has to gain for certain, and to leave little or noise, or else something in no list is
+    possible too."""
     if d["verdict"] not in ("named", "ambiguous"):
         return
-    for mechanism in [d["mechanism"], *(d["also_possible"] or [])]:
+    possible = [d["mechanism"], *(d["also_possible"] or [])]
+    for mechanism in possible:
+        if mechanism == UNLISTED:
+            continue
         own = [c for c in candidates if c["mechanism"] == mechanism]
         if not any((c["gain_lower"] or 0.0) > 0 for c in own):
             yield f"{mechanism} is possible, and gains nothing for certain"
@@ -120,7 +124,11 @@ def _compare_predictions(d: Mapping[str, Any], candidates: list[dict[str, Any]])
     enough = 1 - RULES.adequacy.left
     if d["gain_lower"] is not None and d["gain_lower"] <= 0:
         yield f"{d['mechanism']} is told with a gain from {d['gain_lower']:.3g}"
-    if told and not any(c["explained"] is None or c["explained"] >= enough - 1e-9 for c in told):
+    if (
+        told
+        and UNLISTED not in possible
+        and not any(c["explained"] is None or c["explained"] >= enough - 1e-9 for c in told)
+    ):
         size, left = d["feature_count"], d["chi2_extended"]
         if left > size + RULES.gain.removable * math.sqrt(2 * size):
             yield f"{d['mechanism']} is told and leaves {1 - max(c['explained'] for c in told):.2f} of the misfit"

@@ -30,10 +30,10 @@ def _leave(id: str, share: float, *, spread: float = 0.0, **known: Any) -> Tried
     return TriedModel(id, "a form", "", {"x": Estimate(1.0, 0.1, 0.8, 1.2)}, left, left[:200], drawn, **known)
 
 
-def test_two_causes_that_leave_too_much_are_no_better_than_one() -> None:
-    """Each would be `unknown` alone; together they were `ambiguous`, one of the two for certain."""
+def test_what_leaves_too_much_is_no_cause_and_several_are_told_beside_what_is_in_no_list() -> None:
     assert judge_predictions(_compare(_leave("slack", 0.26))) == "unknown"
-    assert judge_predictions(_compare(_leave("slack", 0.26), _leave("clamp_slip", 0.26))) == "unknown"
+    assert judge_predictions(_compare(_leave("slack", 0.26), _leave("clamp_slip", 0.26))) == "ambiguous"
+    assert judge_predictions(_compare(_leave("slack", 0.45), _leave("clamp_slip", 0.45))) == "unknown"
     assert judge_predictions(_compare(_leave("slack", 0.0), _leave("clamp_slip", 0.0))) == "ambiguous"
 
 

@@ -366,6 +366,17 @@ def test_an_interrupt_ends_a_query_at_once(lab: Lab) -> None:
         signal.signal(signal.SIGALRM, before)
 
 
+def test_an_interrupt_before_the_query_begins_is_one(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """DuckDB made an error of its own of it: a traceback where Ctrl-C fell into the look-up of the recordings."""
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("Query interrupted")
+
+    monkeypatch.setattr(Query, "_offer_samples", fail)
+    with pytest.raises(KeyboardInterrupt), Query(lab) as database:
+        database.run("SELECT 1")
+
+
 @pytest.mark.parametrize("form", ["table", "csv", "json"])
 def test_columns_of_one_name_are_all_there(lab: Lab, form: str) -> None:
     with Query(lab) as database:

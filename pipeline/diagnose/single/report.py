@@ -25,7 +25,7 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, RankedModel, TriedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
-from schemas.mechanisms import plain_name
+from schemas.mechanisms import UNLISTED, plain_name
 from schemas.numbers import capital, with_unit
 
 
@@ -89,6 +89,8 @@ def report_comparison(
     found = verdict in (NAMED, AMBIGUOUS)
     possible = dict.fromkeys(p.model.mechanism for p in comparison.possible)
     others = tuple(m for m in possible if m != best.model.mechanism)
+    if not best.shortfall.is_adequate:
+        others = (*others, UNLISTED)
     return Diagnosis(
         specimen_id=details.specimen_id,
         verdict=verdict,
