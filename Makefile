@@ -1,6 +1,6 @@
 # make demo    sets up, simulates a measuring campaign, runs the nightly over it, says what to try next
 # make test    sets up and runs the tests: what continuous integration runs
-# make long    the tests that take longest: further sessions in which an effect is hidden, and nights on a cluster
+# make long    the tests that take longest: further sessions in which an effect is hidden, and what is judged over many draws
 # make quick   sets up and runs the short tests: unit, readers, and the physics that takes moments
 # make bench   benchmarks against other libraries, side by side; writes tests/benchmarks/results.md
 # make study   the long statistical studies that the READMEs quote; writes tests/studies/results.md
@@ -51,10 +51,10 @@ demo: $(RUNTIME)
 	@echo "  $(BIN)/dealab sql --lab $(DEMO)/lab \"SELECT source_path, problem FROM recordings WHERE status = 'quarantined'\""
 
 test: $(DEVELOPMENT)
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not long'
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not long and not study'
 
 long: $(DEVELOPMENT)
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m long
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'long or study'
 
 quick: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m quick tests/unit tests/readers tests/physics

@@ -37,7 +37,7 @@ def _screen(hidden: Sequence[str]) -> tuple[ExtendedFit, Signatures]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beside", [(), ("amplitude_softening",)])
+@pytest.mark.parametrize("beside", [(), pytest.param(("amplitude_softening",), marks=pytest.mark.long)])
 def test_the_lag_of_an_amplifier_is_read_whatever_is_beside_it(beside: tuple[str, ...]) -> None:
     lag = find_amplifier_lag(*_screen(("drive_lag", *beside)))
     assert lag is not None
@@ -51,6 +51,7 @@ def test_what_is_no_lag_is_not_taken_for_one(id: str) -> None:
     assert find_amplifier_lag(*_screen((id,))) is None
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_lag_that_the_monitor_shows_in_part_is_one_cause() -> None:
     """The rest of it was told as a permittivity that falls with frequency, or, where small, as a force that is stamped late."""

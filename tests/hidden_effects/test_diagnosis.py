@@ -115,6 +115,7 @@ def test_mains_are_named_with_their_frequency(mains_hz: float) -> None:
     assert found.extension.severities["mains_hum"]["frequency_hz"].value == mains_hz
 
 
+@pytest.mark.long
 def test_a_weaker_effect_is_named_beside_a_strong_one() -> None:
     """Where one cause explains nearly everything its form is known, and what it leaves is another's."""
     softening = Effect("cyclic_softening", 2.753e-3, {"cycles": 1.994, "curvature": 1.052})
@@ -198,6 +199,7 @@ def test_what_was_once_taken_for_something_else_is_told(
     assert others >= told - {id}
 
 
+@pytest.mark.long
 def test_a_rig_file_that_errs_is_named_beside_a_drift() -> None:
     """It brings nothing to the features: the film and the clamp had already moved to where they belong, against what the file says."""
     errs = Effect("rig_constants", -0.3988)
@@ -236,6 +238,7 @@ def every_second_sample(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
+@pytest.mark.long
 def test_verdicts_do_not_depend_on_units_and_sampling(tmp_path: Path) -> None:
     session = compact_session(SEED, [("cyclic_softening", 0.1 * KINDS["cyclic_softening"].typical)])
     recordings = [r for r in session.recordings if r.metadata.loading == "mechanical"]
@@ -260,6 +263,7 @@ def test_held_out_is_what_the_rest_can_predict() -> None:
     assert not any(session.recordings[0].metadata.recording_id in name for name in found.held_out.parts)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_has_no_name_is_told_beside_a_cause_that_is_sure() -> None:
     """A film that softens with the humidity of the room: thermal softening of the other sign came nearest, and was named with the other."""
@@ -283,6 +287,7 @@ FAINT_AND_UNLISTED = [
 ]
 
 
+@pytest.mark.long
 def test_faint_causes_of_no_list_are_rarely_named_without_doubt() -> None:
     """Causes of the list follow each of them nearly to the noise; a clamp that is not straight stiffens a film as its law may."""
     found = [observe(compact_session(seed, (effect,))) for seed, effect in FAINT_AND_UNLISTED]
@@ -308,6 +313,7 @@ def test_a_session_without_any_response_is_refused_with_a_reason() -> None:
         diagnose([])
 
 
+@pytest.mark.long
 def test_a_warmer_room_tells_warming_from_cycles() -> None:
     """No recording at the same temperature would, once both have come to their end; none of the session has a temperature."""
     effect = Effect("thermal_softening", 1e-3, {"rise_k": 3.492, "fast_s": 96.07, "slow_s": 705.0})
@@ -320,6 +326,7 @@ def test_a_warmer_room_tells_warming_from_cycles() -> None:
     assert _tells_listed_apart(found, session, effect)
 
 
+@pytest.mark.long
 def test_what_a_cause_does_not_mend_is_told_beside_its_name() -> None:
     """The amplifier lags, and the clamp was 10 g heavier when it was tapped: the lag's name does not hide the other."""
     lag = Effect("drive_lag", 2e-3, {"fall_ratio": 1.8, "slew_kv_per_s": 2700.0})
@@ -337,6 +344,7 @@ def test_what_a_cause_does_not_mend_is_told_beside_its_name() -> None:
     assert f"frequency simulated {percent:.2g} % too high" in left
 
 
+@pytest.mark.long
 def test_a_gain_of_the_amplifier_that_no_file_states_is_no_finding() -> None:
     """Only the measured voltage over its command says it; the session is as good as with it."""
     unstated = [
@@ -384,6 +392,7 @@ def _tells_listed_apart(found: Diagnosis, session: Session, effect: Effect) -> b
     return again.mechanisms == (effect.id,) and {*again.also_possible} <= {UNLISTED}
 
 
+@pytest.mark.long
 def test_a_recording_is_proposed_that_decides_whichever_form_is_true() -> None:
     """A voltage that is offset and a permittivity that falls with the field look alike until the polarity is turned; an offset that is
     rectified, which the session cannot tell from one that is not, shows at a low voltage alone."""

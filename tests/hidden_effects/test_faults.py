@@ -142,7 +142,7 @@ SHARED = [
     "force of all sweeps 4.5 ms late",
     "strain_pp of all mechanical tests but the first doubled",
     "clamp mass ten times",
-    "clamp mass in g",
+    pytest.param("clamp mass in g", marks=pytest.mark.long),
     "force of all doubled",
     "displacement of all in m",
     "displacement of all in inches",

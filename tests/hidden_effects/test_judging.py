@@ -31,6 +31,7 @@ def test_a_gain_that_the_film_absorbs_needs_to_be_large() -> None:
     assert true is None or true > 0.005
 
 
+@pytest.mark.long
 def test_a_bias_is_what_the_effect_does_to_the_film() -> None:
     """Not what the noise does to it: leakage acts on the drive alone, and the clean session has the same noise."""
     assert judge(Case(CASE.seed, effects=(("leakage", 3.0),))).bias < 1.0

@@ -91,7 +91,12 @@ def test_nothing_is_found_in_a_clean_session_without_rest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cause", "severity"), [("rig_constants", 0.2), ("missing_relaxation", 0.2), ("amplitude_softening", 0.1)]
+    ("cause", "severity"),
+    [
+        ("rig_constants", 0.2),
+        ("missing_relaxation", 0.2),
+        pytest.param("amplitude_softening", 0.1, marks=pytest.mark.long),
+    ],
 )
 def test_causes_are_named_without_rest(cause: str, severity: float) -> None:
     found = diagnose_without_rest(Effect(cause, severity))

@@ -59,7 +59,7 @@ def test_nothing_is_found_where_nothing_is_hidden(alter: Callable[[Recording], R
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("alter", [still, round_force])
+@pytest.mark.parametrize("alter", [still, pytest.param(round_force, marks=pytest.mark.long)])
 def test_an_effect_is_found_all_the_same(alter: Callable[[Recording], Recording]) -> None:
     recordings = make_session(7, SESSION, [Effect("strain_stiffening", 0.3, {})]).recordings
     found = diagnose([reduce(alter(r)) for r in recordings])

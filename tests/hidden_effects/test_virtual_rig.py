@@ -28,6 +28,7 @@ def features(*names: str, plain: str = "") -> list[RecordingFeatures]:
     return [reduce(simulate_one(campaign, planned[name]).recording) for name in names]
 
 
+@pytest.mark.long
 def test_an_amplifier_faster_than_the_samples_is_measured_rightly() -> None:
     """0.3 ms at 2 kHz: edges lie between samples, by which a fit that took them for exact would be led astray."""
     found = diagnose(features("SI-1-sphs-5kV", "SI-1-sphs-7kV", "SI-1-steps"))
@@ -70,6 +71,7 @@ def test_slow_and_fast_cycles_of_a_plain_film_hold_nothing() -> None:
     assert diagnose(features(*CYCLES, "ST-2-relaxation", plain="ST-2")).verdict == "none"
 
 
+@pytest.mark.long
 def test_the_stack_of_the_demonstration_softens_with_its_strain() -> None:
     """Where it acts and on what it depends; its formula is not quite ours, at a noise of a millionth."""
     found = diagnose(features(*CYCLES, "ST-2-relaxation"))
