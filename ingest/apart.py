@@ -13,7 +13,9 @@ import math
 import os
 import pickle
 import signal
+import struct
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -33,8 +35,8 @@ _CRASHES = tuple(
     getattr(signal, name) for name in ("SIGSEGV", "SIGBUS", "SIGABRT", "SIGFPE", "SIGILL") if hasattr(signal, name)
 )
 """Signals that compiled code ends with."""
-_FREE_S = 0.02
-"""Processor time of a child that does nothing."""
+_TIME = struct.Struct("d")
+"""How a child tells the processor time that a call has taken, ahead of its answer."""
 
 
 def apart(path: Path, call: Callable[Given, Value], *args: Given.args, **options: Given.kwargs) -> Value:
@@ -67,8 +69,8 @@ class Apart:
             return call(*args, **options)
         if self._left_s <= 0:
             raise _refusal(self._path, -signal.SIGPROF)
-        good, value, used_s = _in_child(self._path, self._left_s + _FREE_S, lambda: call(*args, **options))
-        self._left_s -= max(0.0, used_s - _FREE_S)
+        good, value, used_s = _in_child(self._path, self._left_s, lambda: call(*args, **options))
+        self._left_s -= used_s
         if not good:
             raise value
         result: Value = value
@@ -94,11 +96,13 @@ def _in_child(path: Path, seconds: float, call: Callable[[], Any]) -> tuple[bool
             os.kill(child, signal.SIGKILL)
         raise
     finally:
-        _, status, usage = os.wait4(child, 0)
+        _, status = os.waitpid(child, 0)
     if status:
         raise _refusal(path, os.waitstatus_to_exitcode(status))
-    good, value = pickle.loads(answer)  # noqa: S301 - made by our own child a moment ago
-    return good, value, usage.ru_utime + usage.ru_stime
+    # What the call took, as the child has it: to begin and to end a child of a process with much memory takes time of its own.
+    (used_s,) = _TIME.unpack_from(answer)
+    good, value = pickle.loads(memoryview(answer)[_TIME.size :])  # noqa: S301 - made by our own child a moment ago
+    return good, value, used_s
 
 
 def end_with_parent() -> None:
@@ -124,12 +128,15 @@ def _answer(writing: int, parent: int, seconds: float, call: Callable[[], Any]) 
             signal.signal(number, signal.SIG_DFL)  # what the parent does about them is not for a child to do
         if seconds < math.inf:
             signal.setitimer(signal.ITIMER_PROF, seconds)
+        begin = time.process_time()
         try:
             answer = pickle.dumps((True, call()), protocol=5)
         except Exception as error:
             answer = _pickled(error)
+        used_s = time.process_time() - begin
         signal.setitimer(signal.ITIMER_PROF, 0)
         with open(writing, "wb") as pipe:
+            pipe.write(_TIME.pack(used_s))
             pipe.write(answer)
         code = 0
     finally:

@@ -131,6 +131,19 @@ def test_the_calls_for_one_file_share_its_time(path: Path) -> None:
     assert [many(work, 0.0) for _ in range(60)] == ["done"] * 60, "what is quick may come as often as it likes"
 
 
+def test_to_begin_a_child_is_no_work_of_the_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process with much memory takes tens of milliseconds to fork; sound files of many parts were refused for it."""
+
+    def begin_slowly() -> None:
+        end = time.process_time() + 0.1
+        while time.process_time() < end:
+            pass
+
+    monkeypatch.setattr("ingest.apart.end_with_parent", begin_slowly)
+    many = Apart(path)
+    assert [many(lambda: "done") for _ in range(12)] == ["done"] * 12
+
+
 def test_waiting_is_no_work(path: Path) -> None:
     """A loaded machine or a slow disk makes no file bad."""
     assert apart(path, lambda: time.sleep(1.0) or "read") == "read"
