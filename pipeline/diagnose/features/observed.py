@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from pipeline.diagnose.features.records import strain_length_mm
+from pipeline.diagnose.features.records import split_runs, strain_length_mm
 from pipeline.transform.channels import drive
 from pipeline.transform.quality import flat_tops
 from schemas.arrays import Float, Int
@@ -143,7 +143,7 @@ def find_stopped(given: Float, name: str, found: Float | None = None) -> dict[st
     if not sound.size:
         return {}
     travel, rest = float(np.ptp(sound)), float(np.median(sound[:_FEWEST_HELD]))
-    bounds = _split_runs(given)
+    bounds = split_runs(given)
     lengths, held = np.diff(bounds), given[bounds[:-1]]
     lost = np.abs(held - rest) > _STILL * travel
     lost &= np.abs(held - float(np.median(sound))) > _STILL * travel
@@ -186,14 +186,9 @@ def find_unmoved(values: Mapping[str, float], pair: str, given: Float, name: str
     return {HELD + name: 1.0} if np.mean(np.diff(sound) ** 2) > _NOISE * np.mean(left**2) else {}
 
 
-def _split_runs(values: Float) -> Int:
-    """First samples of the runs of one value, and the number of samples."""
-    return np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1, [values.size]])
-
-
 def _longest_run(values: Float) -> tuple[int, int]:
     """First sample and stop of the longest run of one value."""
-    bounds = _split_runs(values)
+    bounds = split_runs(values)
     longest = int(np.argmax(np.diff(bounds)))
     return int(bounds[longest]), int(bounds[longest + 1])
 
@@ -226,7 +221,7 @@ def _estimate_floor(values: Float) -> float:
 
 def _take_stop_out(values: Float) -> Float:
     """A channel (n,) without the one stretch in which it was lost and holds one value: that shows no noise."""
-    bounds = _split_runs(values)
+    bounds = split_runs(values)
     lengths = np.diff(bounds)
     if bounds.size <= 2 or not _has_one_stop(lengths):
         return values

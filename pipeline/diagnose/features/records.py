@@ -18,7 +18,7 @@ from pipeline.diagnose.simulation.mains import mains_of
 from pipeline.physics.rig import rig_prior
 from pipeline.transform.channels import stretched_length
 from pipeline.transform.sampling import Sampled, runs, sample
-from schemas.arrays import Bool, Complex, Float
+from schemas.arrays import Bool, Complex, Float, Int
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RigConstants
 from schemas.recording import Channel, Recording
@@ -331,6 +331,11 @@ def find_converter_step(values: Float) -> float:
         return 0.0
     steps = np.diff(known) / step
     return step if bool((np.abs(steps - np.rint(steps)) <= _WHOLE_STEPS).all()) else 0.0
+
+
+def split_runs(values: Float) -> Int:
+    """(runs + 1,) first samples of the runs of one value in (n,) samples, and n."""
+    return np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1, [values.size]])
 
 
 def bode_gain(frequency_hz: float, value: complex) -> Callable[[Float], Float]:

@@ -233,12 +233,15 @@ def choose_sensing(session: Session, simulation: Simulation, model: BaseModel, t
     if not own.any():
         return model
 
+    def whiten_own(values: Float) -> Float:
+        return np.asarray(session.whiten(np.where(own, values, 0.0))[own])
+
+    seen = whiten_own(session.value)
+
     def measure_left(of: BaseModel) -> float:
         """Sum of squares that the best scale leaves of the capacitances."""
-        seen, made = (
-            session.whiten(np.where(own, v, 0.0))[own] for v in (session.value, simulation.predict(of, theta))
-        )
-        return float(seen @ seen - (seen @ made) ** 2 / max(made @ made, np.finfo(float).tiny))
+        made = whiten_own(simulation.predict(of, theta))
+        return float(seen @ seen - (seen @ made) ** 2 / max(float(made @ made), np.finfo(float).tiny))
 
     return min((replace(model, sensing=each) for each in (STRAIN, TENSION, STRESS)), key=measure_left)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.diagnose.features.records import split_runs
 from schemas.arrays import Bool, Float
 
 _STILL = 8
@@ -28,9 +29,8 @@ def find_moving(values: Float) -> Bool:
     ----------
     values : (n,)
     """
-    edges = np.flatnonzero(np.diff(values) != 0) + 1
-    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [values.size]])
-    moves = np.repeat(stops - starts < _STILL, stops - starts)
+    lengths = np.diff(split_runs(values))
+    moves = np.repeat(lengths < _STILL, lengths)
     return moves if moves.mean() >= 1 - _MOST else np.ones(values.size, dtype=bool)
 
 
