@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 from ingest.columns import Numbers, OwnTime, named_column, plain_name
 from ingest.compressed import find_suffix, read_plain_content
 from ingest.csv_dialect import UNREADABLE, WHITESPACE, Dialect, as_utf8, wrong_encoding
+from ingest.csv_remarks import without_comments, without_remarks
 from ingest.csv_rows import checked_end, cut_reason, parsed_rows
 from ingest.mapping import ColumnName, FileMapping, column_label
 from ingest.notations import read_cell, read_column
@@ -124,7 +125,7 @@ def parse_csv(
 ) -> CsvFile:
     """The columns of a text file's content, all where `wanted` is None. `keep_blank`: a blank line is a sample."""
     text, unreadable = as_utf8(content, dialect, where)
-    body = _without_extras(text, dialect)
+    body, commented = _without_extras(text, dialect, rows_are_time=keep_blank)
     header: list[str] = []
     units: list[str] = []
     if dialect.header:
@@ -140,8 +141,9 @@ def parse_csv(
     names = _fitted(_without_constants(header, units, len(fields)), fields, dialect, where)
     _check_names(names, wanted, dialect, where)
     positions = range(len(names)) if wanted is None else sorted({named_column(names, w, where) for w in wanted})
+    body, remarks = without_remarks(body, positions, dialect) if keep_blank else (body, [])
     body, suspect, problems, notes = checked_end(body, len(names), positions, dialect)
-    notes += [*unreadable, *again]
+    notes += [*unreadable, *again, *commented, *remarks]
     table, wrong, odd = parsed_rows(body, names, positions, dialect, where, keep_blank=keep_blank)
     if suspect and table.num_rows:
         reason = cut_reason(table[str(len(names) - 1)].combine_chunks())
@@ -165,21 +167,18 @@ def _check_names(names: Sequence[str], wanted: Sequence[ColumnName] | None, dial
             raise wrong_encoding("the names of the columns are", dialect, where)
 
 
-def _without_extras(text: bytes, dialect: Dialect) -> bytes:
-    """The text from the header on: preamble lines and comment lines gone, runs of blanks one tab where they delimit."""
+def _without_extras(text: bytes, dialect: Dialect, *, rows_are_time: bool) -> tuple[bytes, list[str]]:
+    """The text from the header on: preamble and comment lines gone, runs of blanks one tab where they delimit; and notes."""
     start = 0
     for _ in range(dialect.skip_rows):
         start = _LINE.match(text, start).end()  # type: ignore[union-attr]  # the pattern matches everywhere
     text = text[start:]
-    if dialect.comment:
-        mark = re.escape(dialect.comment.encode())
-        text = re.sub(rb"(?m)^[ \t]*" + mark + rb"[^\r\n]*(?:\r\n|\n|\r|\Z)", b"", text)
     if dialect.delimiter == WHITESPACE:
         text = re.sub(
             rb"[ \t]+", b"\t", text
         )  # first: looking for the end of a line behind each blank takes its square
         text = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", text)
-    return text
+    return without_comments(text, dialect, rows_are_time=rows_are_time)
 
 
 def _row(body: bytes, dialect: Dialect, where: str) -> tuple[list[str], bytes]:

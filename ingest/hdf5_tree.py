@@ -16,6 +16,7 @@ import numpy as np
 
 from ingest.hdf5_cut import read_left, without_lost
 from ingest.packing import Packing, packing_of
+from ingest.since import with_calendar
 
 _DEPTH = 16
 """Deepest nesting of groups and structures that is looked into."""
@@ -26,6 +27,8 @@ _OBJECTS = ("function_handle", "table", "timetable", "datetime", "duration", "st
 _UNITS = ("unit", "units", "unit_string", "engineering_units")
 _LINKS = 16
 """Soft links in a row that HDF5 follows."""
+_CODES = 8
+"""Codes of an enumeration that are told."""
 _IN_OTHER_FILES = "an array whose values stand in other files"
 
 
@@ -74,6 +77,8 @@ def read_array(file: Any, listed: Listed, *, matlab: bool, there: int | None = N
     if values.dtype.names is not None:
         real, imaginary = values.dtype.names
         values = values[real] + 1j * values[imaginary]
+    if _text(dataset.attrs.get("MATLAB_class")) == "logical" and values.dtype.kind == "u":
+        values = values.astype(bool)
     values = values if lost is None else without_lost(values, lost)
     if matlab and not listed.fields:
         values = values.T
@@ -248,7 +253,13 @@ def _typed(entry: Listed, dtype: Any, attributes: Mapping[str, Any], *, is_text:
     if dtype.kind not in "biufSU":
         return replace(entry, refusal=f"an array of {dtype}")
     signed_bits = 8 * dtype.itemsize if dtype.kind == "i" else 0
-    return replace(entry, packing=packing_of(attributes, whole_numbers=dtype.kind in "iu", signed_bits=signed_bits))
+    packing = packing_of(attributes, whole_numbers=dtype.kind in "iu", signed_bits=signed_bits)
+    codes = {} if dtype.kind == "b" else h5py.check_enum_dtype(dtype)
+    if codes:
+        in_order = sorted(codes.items(), key=lambda code: code[1])
+        listed = ", ".join(f"{number} = {name}" for name, number in in_order[:_CODES])
+        packing = replace(packing or Packing(), codes=listed)
+    return replace(entry, packing=packing)
 
 
 def _is_complex(dtype: Any) -> bool:
@@ -263,11 +274,12 @@ def _elements(name: str, shape: tuple[int, ...], what: str) -> str:
 
 
 def unit_of(attributes: Mapping[str, Any]) -> str | None:
-    """The unit that attributes give, whatever the case of their names."""
+    """The unit that attributes give, whatever the case of their names; of times since a date with the calendar behind it."""
     lower = {str(key).casefold(): key for key in attributes}
+    calendar = _text(attributes[lower["calendar"]]) if "calendar" in lower else None
     for name in _UNITS:
         if name in lower and (text := _text(attributes[lower[name]])):
-            return text
+            return with_calendar(text, calendar)
     return None
 
 

@@ -72,7 +72,10 @@ OPTIONS: Mapping[str, Mapping[str, Key]] = {
         "header": Key((bool,), "false: there is none, columns are numbers from 0"),
         "unit_row": Key((bool,), "true: the line after the header holds units"),
         "quote": Key((str,), "quotation mark"),
-        "comment": Key((str,), "lines that begin so are left out"),
+        "comment": Key(
+            (str,),
+            "lines that begin so are left out; where rows count as time, one that is a whole sample keeps its time",
+        ),
         "missing": Key((list,), "texts that stand for no value"),
         "final_newline": Key((bool,), "false: this exporter ends its last line without a line end"),
     },

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from numbers import Number
 from pathlib import Path
 from typing import Any
@@ -82,11 +82,42 @@ def _found(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         content = loadmat(io.BytesIO(left.content), squeeze_me=True, struct_as_record=True)
+    found = _leaves_of(content)
+    found.update(_truths(left.content, [name for name, value in found.items() if _may_be_truths(value)]))
+    return found, left.problems
+
+
+def _leaves_of(content: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in content.items():
         if not name.startswith("__") or not isinstance(value, bytes | str | list):
             found.update(_leaves(name or "None", value, 0))
-    return found, left.problems
+    return found
+
+
+def _may_be_truths(value: Any) -> bool:
+    """Whether an array can be a logical one: those are stored in bytes of 0 and 1."""
+    array = np.asarray(value)
+    if array.dtype.kind == "O":
+        return any(type(cell) is int and cell in (0, 1) for cell in array.reshape(-1))
+    return array.dtype == np.uint8 and bool(array.size) and array.max() <= 1
+
+
+def _truths(content: bytes, names: Sequence[str]) -> dict[str, Any]:
+    """Of arrays that may be logical those that are, as true and false.
+
+    The file's types are read a second time and of their variables alone: all other numbers would take eight bytes each.
+    """
+    if not names:
+        return {}
+    wanted = sorted({name.partition(".")[0] for name in names})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        typed = loadmat(
+            io.BytesIO(content), squeeze_me=True, struct_as_record=True, mat_dtype=True, variable_names=wanted
+        )
+    leaves = _leaves_of(typed)
+    return {name: leaves[name] for name in names if np.asarray(leaves.get(name)).dtype.kind in "bO" and name in leaves}
 
 
 def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ingest.array_numbers import as_double, numbers_from_cells
+from ingest.array_numbers import TRUTHS, as_double, numbers_from_cells
 from ingest.columns import Numbers, OwnTime, missing_column
 from ingest.mapping import ColumnMapping, ColumnName, FileMapping, TimeMapping
 from ingest.mcap_blocks import BlockCollector, Samples, is_block_schema
@@ -50,6 +50,7 @@ class _Column:
     empty: bytearray = field(default_factory=bytearray)
     texts: dict[int, str] = field(default_factory=dict)
     cells: list[str] = field(default_factory=list)
+    has_truths: bool = False
 
     def take(self, message: Any) -> None:
         self._take(self.get(message))
@@ -61,6 +62,7 @@ class _Column:
     def _take(self, value: Any) -> None:
         if self.keep_cells:
             self.cells.append("" if value is None else str(value)[:64])
+        self.has_truths |= isinstance(value, bool)
         if value is None or isinstance(value, int | float):
             self.values.append(math.nan if value is None else as_double(value))
         else:
@@ -232,14 +234,16 @@ class MessageColumns:
                 remedy="Correct field in the mapping TOML",
             )
         values = self._in_order(collector, np.array(found.values))
+        notes = (TRUTHS,) if found.has_truths else ()
         if not found.texts:
-            return Numbers(values, empty)
+            return Numbers(values, empty, notes=notes)
         cells = values.astype(object)
         place = self._in_order(collector, np.arange(values.size))
         for row in np.flatnonzero(np.isin(place, list(found.texts))):
             cells[row] = found.texts[int(place[row])]
         cells[empty] = None
-        return numbers_from_cells(cells.tolist(), column, self._where)
+        mixed = numbers_from_cells(cells.tolist(), column, self._where)
+        return dataclasses.replace(mixed, notes=(*mixed.notes, *notes))
 
     def cells(self, column: ColumnName, index: int | None = None) -> Sequence[Any]:
         _, collector = self._collector(column)

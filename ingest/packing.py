@@ -47,12 +47,16 @@ class Packing:
     doubtful: tuple[str, ...] = ()
     turn: float = 0.0
     """What a negative raw number lacks, where whole numbers without a sign are kept in a type that has one; else 0."""
+    codes: str = ""
+    """What the numbers stand for, where they are those of an enumeration."""
 
     def unpack(self, raw: Numbers) -> Numbers:
         """The numbers that are meant, with notes about what was done."""
         values = _turned(raw.values, self.turn)
         none: Bool = np.isin(values, self.missing) | (values < self.least) | (values > self.largest)
         notes = []
+        if self.codes:
+            notes.append(f"the numbers are codes: {self.codes}")
         if self.turn:
             notes.append(f"whole numbers without a sign: negative ones stand for {self.turn:g} more ({_UNSIGNED})")
         change = Conversion(self.scale, self.offset)

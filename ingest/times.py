@@ -6,7 +6,6 @@ file's own time base. Absolute times without a zone are refused unless the mappi
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta, tzinfo
@@ -32,6 +31,7 @@ from ingest.clocks import (
 )
 from ingest.columns import ColumnFile, OwnTime
 from ingest.mapping import ELAPSED, MINUTES, ORIGINS, STARTED_AT, ColumnName, TimeMapping, column_label
+from ingest.since import is_since, plain_unit_of_time, read_since
 from schemas.arrays import Float, Int
 from schemas.errors import RefusedError
 from schemas.metadata import instant
@@ -44,8 +44,6 @@ _APART_S = 36 * 3600.0
 _EARLIEST_NS = 10 * 365 * DAY
 _HALF_HOUR_S = 1800.0
 _MINUTE_S = 60.0
-_COUNTED_SINCE = re.compile(r"\s*(?P<unit>[a-zA-Z]+)\s+since\s+(?P<since>\d.*?)\s*")
-"""Unit of time in netCDF files (CF conventions, section 4.4): `seconds since 2026-03-01 14:00:00`, in UTC."""
 TIME_OF_DAY = "time_of_day"
 
 
@@ -131,12 +129,15 @@ def time_column(
     if time.format is not None or time.date_column is not None:
         return reading.written()
     found = file.unit(column)
-    counted = _COUNTED_SINCE.fullmatch(found or "")
-    if counted is not None:
-        found = counted["unit"]
-        if time.unit is None and not time.is_elapsed and time.origin == STARTED_AT:
-            reading = replace(reading, time=replace(time, origin=_in_utc(counted["since"], column, where)))
-            time = reading.time
+    if time.unit is None and not time.is_elapsed and time.origin == STARTED_AT:
+        counted = read_since(found, column_label(column, index), where)
+        if counted is not None:
+            time = replace(time, origin=counted.origin)
+            reading = replace(reading, time=time)
+    elif is_since(found) and time.unit is not None and not time.is_elapsed and time.origin == STARTED_AT:
+        note = f"{column_label(column, index)} is in {found}: as the mapping gives its unit, it counts from started_at"
+        reading = replace(reading, notes=(note,))
+    found = plain_unit_of_time(found)
     unit = time.unit or found
     origin, is_utc = origin_of(time)
     if unit is None and origin is not None and not is_utc:
@@ -160,6 +161,7 @@ class _Reading:
     metadata: Mapping[str, Any]
     source: str
     where: str
+    notes: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -229,8 +231,9 @@ class _Reading:
             )
         origin, is_utc = origin_of(self.time)
         if origin is None:
-            return Instants(from_seconds(seconds, start_ns(self.metadata, self.where), self.where))
-        times = from_seconds(seconds, 0, self.where, epoch_s=origin)
+            times = from_seconds(seconds, start_ns(self.metadata, self.where), self.where)
+            return Instants(times, notes=self.notes)
+        times = from_seconds(seconds, _part_of_second(self.time.origin), self.where, epoch_s=origin)
         return self.checked(times) if is_utc else self.local(times)
 
     def absolute(self, cells: Sequence[Any], pattern: str | None) -> Instants:
@@ -343,19 +346,9 @@ def origin_of(time: TimeMapping) -> tuple[int | None, bool]:
     return nanoseconds(found) // SECOND, found.tzinfo is not None
 
 
-def _in_utc(since: str, column: ColumnName, where: str) -> str:
-    """A date that times count from, with its zone: UTC where it has none. Raises `RefusedError` where it is no date."""
-    text = re.sub(r"\s*(?:UTC|Z)$", "+00:00", since.strip())
-    try:
-        found = datetime.fromisoformat(text)
-    except ValueError:
-        raise RefusedError(
-            f'the times of {column_label(column)} count from "{since[:40]}"',
-            where=where,
-            expected="a date",
-            remedy='Give unit and origin in [time] of the mapping TOML, origin = "started_at" for the start of the test',
-        ) from None
-    return (found if found.tzinfo is not None else found.replace(tzinfo=UTC)).isoformat()
+def _part_of_second(origin: str) -> int:
+    """Nanoseconds by which a date that times count from is later than its whole second."""
+    return 0 if origin in ORIGINS else nanoseconds(datetime.fromisoformat(origin)) % SECOND
 
 
 def _joined(day: Any, hour: Any) -> Any:

@@ -233,3 +233,44 @@ def test_true_and_false_in_place_of_a_quantity_are_told(tmp_path: Path, suffix: 
     raw = read(path, mapping(suffix, {"force": {"column": "f", "unit": "N"}}, {"column": "t", "unit": "s"}))
     assert raw.channels[0].values.tolist() == [0, 0, 1, 1, 1]
     assert sum("true and false are read as 1 and 0" in note for note in raw.notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("version", "column"), [("5", "flag"), ("5", "run.flag"), ("5", "c"), ("7.3", "flag"), ("7.3", "run.flag")]
+)
+def test_logical_arrays_of_matlab_are_told(tmp_path: Path, version: str, column: str) -> None:
+    """They are stored as bytes of 0 and 1, and were a force of 0 and 1 N without a word; a byte of 0 and 1 is none."""
+    path = tmp_path / "run.mat"
+    flags = FORCE > 3
+    cells = np.array([False, False, True, True, True], dtype=object)
+    if version == "5":
+        byte = flags.astype(np.uint8)
+        scipy.io.savemat(
+            path, {"t": TIME, "flag": flags, "run": {"flag": flags, "byte": byte}, "c": cells, "byte": byte}
+        )
+    else:
+        with pytest.importorskip("h5py").File(path, "w", userblock_size=512) as file:
+            file["t"] = TIME[:, None]
+            for name, matlab_class in (
+                ("flag", "logical"),
+                ("run/flag", "logical"),
+                ("byte", "uint8"),
+                ("run/byte", "uint8"),
+            ):
+                file[name] = flags.astype(np.uint8)[:, None]
+                file[name].attrs["MATLAB_class"] = np.bytes_(matlab_class)
+    for name, told in ((column, 1), (column.replace("flag", "byte").replace("c", "byte"), 0)):
+        raw = read(path, mapping(".mat", {"force": {"column": name, "unit": "N"}}, {"column": "t", "unit": "s"}))
+        assert raw.channels[0].values.tolist() == [0, 0, 1, 1, 1]
+        assert sum("true and false are read as 1 and 0" in note for note in raw.notes) == told, name
+
+
+def test_codes_of_an_enumeration_are_told(tmp_path: Path) -> None:
+    """The states of a program, mapped by mistake, were a force of 0 to 2 N without a word."""
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        file["t"] = TIME
+        file["state"] = np.array([0, 1, 2, 2, 0]).astype(h5py.enum_dtype({"OFF": 0, "HOLD": 2, "RAMP": 1}, "i1"))
+    raw = read(path, mapping(".h5", {"force": {"column": "state", "unit": "N"}}, {"column": "t", "unit": "s"}))
+    assert raw.notes == ("force: the numbers are codes: 0 = OFF, 1 = RAMP, 2 = HOLD",)

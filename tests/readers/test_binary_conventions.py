@@ -515,8 +515,59 @@ def test_hdf5_times_since_a_date(tmp_path: Path) -> None:
         assert raw.channels[0].time_ns.tolist() == [begins + i * STEP_NS for i in range(5)]
         from_start = read(path, mapping(".h5", columns, {"column": "t", "unit": "ms"}))
         assert from_start.channels[0].time_ns[0] == START_NS
+        assert any("as the mapping gives its unit, it counts from started_at" in note for note in from_start.notes)
         with pytest.raises(RefusedError, match='the mapping says "s" for time'):
             read(path, mapping(".h5", columns, {"column": "t", "unit": "s"}))
+
+
+@pytest.mark.parametrize(
+    "units",
+    [
+        "seconds since 2026-3-1 14:0:0.0",
+        "seconds Since 2026-03-01 15:00:00 +1:00",
+        "Seconds after 2026-03-01T14:00",
+        "seconds @ 2026-03-01 09:00:00 -0500",
+        "seconds since 2026-03-01 14:00:00 UTC",
+    ],
+)
+@pytest.mark.parametrize("calendar", [None, "standard", "gregorian", "proleptic_gregorian", "Gregorian"])
+def test_times_since_a_date_as_programs_write_them(tmp_path: Path, units: str, calendar: str | None) -> None:
+    path = hdf5(tmp_path / "run.h5", t=TIME, f=FORCE)
+    with h5py.File(path, "r+") as file:
+        file["t"].attrs.update({"units": units} | ({"calendar": calendar} if calendar else {}))
+    raw = read(path, mapping(".h5", {"force": {"column": "f", "unit": "N"}}, {"column": "t"}))
+    assert raw.channels[0].time_ns.tolist() == [START_NS + i * STEP_NS for i in range(5)]
+    with h5py.File(path, "r+") as file:
+        file["t"].attrs["units"] = "s since 2026-03-01 14:00:00.25"
+    raw = read(path, mapping(".h5", {"force": {"column": "f", "unit": "N"}}, {"column": "t"}))
+    assert raw.channels[0].time_ns[0] == START_NS + 250_000_000
+
+
+@pytest.mark.parametrize(
+    ("units", "calendar", "why"),
+    [
+        ("days since 2020-01-01", "noleap", 'a date of the calendar "noleap"'),
+        ("days since 2020-01-01", "360_day", 'a date of the calendar "360_day"'),
+        ("seconds since 2026-03-01", "julian", 'a date of the calendar "julian"'),
+        ("days since 0001-01-01", "standard", "before the calendar was reformed"),
+        ("days since 0001-01-01", None, "before the calendar was reformed"),
+        ("months since 2026-01-01", None, "not all of one length"),
+        ("common_years since 2026-01-01", None, "not all of one length"),
+        ("seconds since 2026-13-01", None, 'count from "2026-13-01"'),
+    ],
+)
+def test_times_of_another_calendar_are_refused(tmp_path: Path, units: str, calendar: str | None, why: str) -> None:
+    """Two days in February 2020 and 2024 that `noleap` does not have were two days of error, without a word."""
+    path = hdf5(tmp_path / "run.h5", t=TIME, f=FORCE)
+    with h5py.File(path, "r+") as file:
+        file["t"].attrs.update({"units": units} | ({"calendar": calendar} if calendar else {}))
+    columns = {"force": {"column": "f", "unit": "N"}}
+    with pytest.raises(RefusedError, match=why):
+        read(path, mapping(".h5", columns, {"column": "t"}))
+    raw = read(
+        path, mapping(".h5", columns, {"column": "t", "unit": "s", "origin": "started_at", "overrule_unit": True})
+    )
+    assert raw.channels[0].time_ns[0] == START_NS
 
 
 def write_hdf5(path: Path, *, chunked: bool) -> np.ndarray:

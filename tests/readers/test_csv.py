@@ -301,3 +301,52 @@ def test_every_double_survives(values: list[float], marks: tuple[str, str], enco
     dialect = Dialect(delimiter=delimiter, decimal=decimal, encoding=encoding)
     file = parse_csv(text.encode(encoding), dialect, where="run.csv")
     assert file.numbers("F").values.tolist() == values
+
+
+RATE = {"sample_rate_hz": 10.0}
+REMARKED = {
+    "a word": ("# pump off", [0.0, 0.1, 0.2], [10, 20, 30], "1 line is a remark and no samples"),
+    "a word in a whole row": ("# pump off,", [0.0, 0.1, 0.2], [10, 20, 30], "1 line is a remark and no samples"),
+    "of MATLAB": ("% pump off 3", [0.0, 0.1, 0.2], [10, 20, 30], "1 line is a remark and no samples"),
+    "overload": ("5,****", [0.0, 0.1, 0.2, 0.3], [10, np.nan, 20, 30], ""),
+    "an error of a spreadsheet": ("#N/A,#N/A", [0.0, 0.1, 0.2, 0.3], [10, np.nan, 20, 30], ""),
+    "a name": ("#4,15", [0.0, 0.1, 0.2, 0.3], [10, 15, 20, 30], ""),
+}
+
+
+@pytest.mark.parametrize(("line", "times", "values", "note"), REMARKED.values(), ids=REMARKED.keys())
+def test_remarks_between_rows_that_are_time_are_no_samples(
+    tmp_path: Path, line: str, times: list[float], values: list[float], note: str
+) -> None:
+    """A remark in the middle made everything behind it late by a sample."""
+    text = f"x,F\n1,10\n{line}\n2,20\n3,30\n"
+    raw = read(tmp_path / "run.csv", text.encode(), mapped({}, RATE, force={"column": "F", "unit": "N"}))
+    (force,) = raw.channels
+    np.testing.assert_allclose((force.time_ns - force.time_ns[0]) / 1e9, times)
+    np.testing.assert_array_equal(force.values, values)
+    assert not note or any(note in told for told in raw.notes)
+
+
+@pytest.mark.parametrize(
+    ("line", "times", "values", "note"),
+    [
+        ("# pump off", [0.0, 0.1, 0.2], [10, 20, 30], ""),
+        ("# 7", [0.0, 0.1, 0.2], [10, 20, 30], ""),
+        ("#7,15", [0.0, 0.1, 0.2, 0.3], [10, np.nan, 20, 30], '1 sample stands behind "#" ("#7,15")'),
+    ],
+)
+@pytest.mark.parametrize("delimiter", [",", "whitespace"])
+def test_a_sample_that_is_a_comment_takes_its_time(
+    tmp_path: Path, line: str, times: list[float], values: list[float], note: str, delimiter: str
+) -> None:
+    """A sample behind the mark of remarks made everything after it early by a sample."""
+    text = f"# made by a logger\nx,F\n1,10\n{line}\n2,20\n3,30\n# 3\n"
+    if delimiter == "whitespace":
+        text, note = text.replace(",", "  "), note.replace(",", "\t")
+    found = mapped({"comment": "#", "delimiter": delimiter}, RATE, force={"column": "F", "unit": "N"})
+    raw = read(tmp_path / "run.csv", text.encode(), found)
+    (force,) = raw.channels
+    np.testing.assert_allclose((force.time_ns - force.time_ns[0]) / 1e9, times)
+    np.testing.assert_array_equal(force.values, values)
+    assert not note or any(note in told for told in raw.notes)
+    assert raw.problems == ()

@@ -265,3 +265,23 @@ def test_damage_in_a_mapped_file_is_told(tmp_path: Path) -> None:
     recording = read_mcap(path, mapping({"force": {"column": "/cell", "field": "v", "unit": "N"}}))
     assert recording.channels[0].values.size == 50
     assert len(recording.problems) == 1
+
+
+@pytest.mark.parametrize("encoding", ["json", "protobuf"])
+def test_true_and_false_in_messages_are_told(tmp_path: Path, encoding: str) -> None:
+    """A flag beside the force was a force of 0 and 1 N without a word."""
+    rows = [{"closed": i > 2} for i in range(5)]
+    if encoding == "json":
+        path = write(tmp_path / "run.mcap", as_json("/cell", rows))
+    else:
+        files = descriptor_pb2.FileDescriptorSet()
+        fields = descriptor_pb2.FieldDescriptorProto
+        valve = files.file.add(name="valve.proto", package="lab", syntax="proto3").message_type.add(name="Valve")
+        valve.field.add(name="closed", number=1, type=fields.TYPE_BOOL, label=1)
+        described = files.SerializeToString()
+        kind = message_type(described, "lab.Valve")
+        messages = [("/cell", START + i * MS, kind(**row).SerializeToString()) for i, row in enumerate(rows)]
+        path = write(tmp_path / "run.mcap", messages, encoding=encoding, schema=("lab.Valve", encoding, described))
+    raw = read_mcap(path, mapping({"force": {"column": "/cell", "field": "closed", "unit": "N"}}))
+    assert raw.channels[0].values.tolist() == [0, 0, 0, 1, 1]
+    assert raw.notes == ("force: true and false are read as 1 and 0",)
