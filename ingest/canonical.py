@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from ingest.timing import sampling_notes
 from schemas.arrays import Bool, Float
 from schemas.errors import RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants, near_miss
-from schemas.protocols import CALIBRATION, Protocol, missing_channels
+from schemas.protocols import CALIBRATION, Protocol, find_unused_keys, missing_channels
 from schemas.quantities import QUANTITIES, Quantity
 from schemas.recording import Channel, RawChannel, RawRecording, Recording, Source
 from schemas.units import ANY, conversion
@@ -64,6 +64,7 @@ def canonical(
     problems, notes = list(raw.problems), list(raw.notes)
     for name, about in (("recording", metadata), ("rig", rig)):
         _tell_unknown_keys(name, about, problems, notes)
+    _tell_unused_keys(metadata, notes)
     known = _known(raw.channels, notes, where)
     required = _required(definition, known, where)
     channels: dict[str, Channel] = {}
@@ -106,6 +107,14 @@ def _tell_unknown_keys(
     others = [key[:80] for key in meant if key not in lost]
     if others:
         notes.append(f"keys of {name} that the contract does not have, kept and not used: {', '.join(others[:40])}")
+
+
+def _tell_unused_keys(about: RecordingMetadata, notes: list[str]) -> None:
+    """Keys of the contract that say how another kind of test was run: they change nothing here."""
+    given = {field.name for field in fields(about) if getattr(about, field.name) is not None}
+    unused = find_unused_keys(given, about.protocol, about.loading)
+    if unused:
+        notes.append(f"keys of recording that a {about.loading} {about.protocol} does not use: {', '.join(unused)}")
 
 
 class _Unusable(Exception):

@@ -16,6 +16,7 @@ from ingest.assemble import scaled_numbers, unit_of
 from ingest.cell_units import plain_unit
 from ingest.columns import ColumnFile, Numbers
 from ingest.mapping import FileMapping
+from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RELAXATION
 from ingest.plausible import without_unbelievable
 from ingest.select import selected_rows
 from ingest.times import with_zone, zone_of
@@ -40,6 +41,15 @@ _RESPONSES: Mapping[str, tuple[str, bool, int]] = {
 }
 """Units of complex responses: what they become, whether by inversion, and by which power of jω."""
 
+_OF_LIVES = ("voltage_setpoint_kv", "test_duration_s", "failure_site", "failure_region")
+_OF_RESPONSES = ("strain_pp", "reference_temperature_c", "vertical_shift")
+_IDLE_KEYS: Mapping[str, tuple[str, ...]] = {
+    LIFETIMES: _OF_RESPONSES,
+    FREQUENCY_RESPONSE: _OF_LIVES,
+    RELAXATION: (*_OF_LIVES, "strain_pp"),
+}
+"""Keys of which nothing is made for a kind of table."""
+
 
 class TableRows:
     """The selected rows of a file of columns, read through the mapping."""
@@ -54,6 +64,10 @@ class TableRows:
         if self.metadata.extra:
             unused = ", ".join(key[:80] for key in list(self.metadata.extra)[:40])
             self.notes.append(f"keys of recording that no table uses, kept and not used: {unused}")
+        given = self.metadata.to_text()
+        idle = [key for key in _IDLE_KEYS.get(mapping.kind, ()) if key in given]
+        if idle:
+            self.notes.append(f"keys of recording that a table of kind {mapping.kind} does not use: {', '.join(idle)}")
         self.assumptions: list[Assumption] = []
         self.rows = self._selected()
 

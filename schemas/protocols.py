@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from schemas.alike import ask_meant
 from schemas.errors import RefusedError
@@ -92,6 +94,59 @@ _ALL = (
 )
 PROTOCOLS: dict[tuple[str, str], Protocol] = {(p.name, p.loading): p for p in _ALL}
 PROTOCOL_NAMES: tuple[str, ...] = tuple(dict.fromkeys(p.name for p in _ALL))
+
+_SWEPT = (("chirp", MECHANICAL), ("chirp", ELECTRICAL), ("chirp", OTHER))
+_SPHS = (("sphs", ELECTRICAL), ("sphs", OTHER))
+_NOISE = (("noise", MECHANICAL), ("noise", OTHER))
+_STEPPED = (("step", ELECTRICAL), ("isotonic", ELECTRICAL), ("force_map", ELECTRICAL), ("cycle", ELECTRICAL))
+_LIFE = (("lifetime", ELECTRICAL),)
+_LARGE_CYCLE = (("cycle", MECHANICAL),)
+_LOADED = (("creep", MECHANICAL), ("isotonic", ELECTRICAL))
+_IN_A_SESSION = (
+    ("chirp", MECHANICAL),
+    ("cyclic", MECHANICAL),
+    ("step", MECHANICAL),
+    *_LARGE_CYCLE,
+    ("sphs", ELECTRICAL),
+    ("step", ELECTRICAL),
+)
+KEYS_OF_TESTS: Mapping[str, tuple[tuple[str, str], ...]] = MappingProxyType(
+    {
+        "frequency_start_hz": (*_SWEPT, *_SPHS, *_NOISE),
+        "frequency_stop_hz": (*_SWEPT, *_SPHS, *_NOISE),
+        "sweep": _SWEPT,
+        "repeats": _SWEPT,
+        "period_s": (*_SWEPT, *_SPHS, ("noise", OTHER)),
+        "periods": _SPHS,
+        "lines": _SPHS,
+        "frequency_hz": (("cyclic", MECHANICAL), *_LIFE),
+        "cycles": (("cyclic", MECHANICAL),),
+        "drive_kv": (*_SPHS, ("chirp", ELECTRICAL), *_STEPPED),
+        "on_s": (*_STEPPED, ("chirp", ELECTRICAL), ("sphs", ELECTRICAL)),
+        "off_s": _STEPPED,
+        "controller": (("step", ELECTRICAL),),
+        "proportional_gain": (("step", ELECTRICAL),),
+        "integral_gain": (("step", ELECTRICAL),),
+        "masses_kg": (("weight", CALIBRATION),),
+        "extra_clamp_mass_kg": (*_IN_A_SESSION, ("chirp", ELECTRICAL), ("noise", MECHANICAL), ("tap", CALIBRATION)),
+        "load_n": _LOADED,
+        "voltage_setpoint_kv": _LIFE,
+        "test_duration_s": _LIFE,
+        "failure_site": _LIFE,
+        "failure_region": _LIFE,
+        "rest_before_s": _IN_A_SESSION,
+        "coats": (("coverage", ELECTRICAL),),
+        "crosslink_modulus_kpa": _LARGE_CYCLE,
+        "entanglement_modulus_kpa": _LARGE_CYCLE,
+        "largest_stretch": _LARGE_CYCLE,
+    }
+)
+"""Keys of a recording that say how one kind of test was run: the protocols and loadings of which something is made of them."""
+
+
+def find_unused_keys(given: Container[str], name: str, loading: str) -> tuple[str, ...]:
+    """The given keys of which nothing is made in a test of that protocol and loading."""
+    return tuple(key for key, tests in KEYS_OF_TESTS.items() if key in given and (name, loading) not in tests)
 
 
 def protocol(name: str, loading: str, *, where: str = "") -> Protocol:

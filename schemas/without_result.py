@@ -35,8 +35,7 @@ SELECT r.recording_id, r.source_path, r.status,
     ELSE coalesce(
         nullif(concat_ws('; ', r.problem, nullif(own.text, r.problem)), ''),
         nullif(concat_ws('; ', specimen.text, diagnosis.text), ''),
-        concat('no analysis takes a recording of protocol ', coalesce(r.protocol, 'unknown'), ' and loading ',
-            coalesce(r.loading, 'unknown'), ' with these channels')
+        concat('its analysis (', concat_ws(' ', r.loading, r.protocol), ') gave no number, and said no reason')
     ) END
 FROM recordings AS r
 LEFT JOIN why AS own ON own.item_id = concat('recording:', r.source_sha256)

@@ -55,8 +55,7 @@ class Analysis:
                 warnings.simplefilter("default", RuntimeWarning)
                 value = step(*args, **options)
         except DealabError as error:
-            self.missing.append(f"{what}: {error}")
-            self.notes.append(self.missing[-1])
+            self.lack([f"{what}: {error}"])
             if isinstance(error, PremiseError):
                 self.premises.append(error.shortcoming)
             return None
@@ -75,6 +74,11 @@ class Analysis:
 
     def carry(self, *results: Any) -> None:
         self.carried += results
+
+    def lack(self, texts: Sequence[str]) -> None:
+        """Takes why a step has no value."""
+        self.missing += texts
+        self.notes += texts
 
     def note(self, texts: Sequence[str]) -> None:
         self.notes += texts

@@ -13,7 +13,7 @@ from pipeline.analyse.session_features import SessionFeatures
 from pipeline.diagnose.diagnosis import diagnose
 from pipeline.diagnose.features.encode import unpack
 from pipeline.diagnose.features.kinds import RecordingFeatures
-from pipeline.diagnose.results import Diagnosis
+from pipeline.diagnose.results import NONE, Diagnosis
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.protocols import CALIBRATION
@@ -33,12 +33,26 @@ def analyse_diagnosis(specimen_id: str, recordings: Sequence[Measured], calibrat
         analysis.add(comparison_tables(*alone))
         return analysis
     found = analysis.attempt("diagnosis", _asked, session, refused)
-    if isinstance(found, Diagnosis):
+    unheard = _find_unheard(recordings)
+    if isinstance(found, Diagnosis) and found.verdict == NONE and unheard:
+        analysis.add(undiagnosed_tables(specimen_id, [*unheard, *found.could_not_ask, *refused]))
+    elif isinstance(found, Diagnosis):
         whole = replace(found, could_not_ask=(*found.could_not_ask, *refused))
         analysis.add(diagnosis_tables(whole, session))
     elif found is not None:
         analysis.add(undiagnosed_tables(specimen_id, lacking or found))
     return analysis
+
+
+def _find_unheard(recordings: Sequence[Measured]) -> list[str]:
+    """Why no response of the film stands above the noise, where that is so of all its recordings: then nothing else does either.
+
+    A simulation is right within any noise that is large enough, which says nothing of the film.
+    """
+    kept = [(one.recording_id, features) for one in recordings for features in one.of(SessionFeatures)]
+    if not kept or not all(features.unanswered for _, features in kept):
+        return []
+    return [f"{name}: its response is refused, so that nothing can be said of it: {f.unanswered}" for name, f in kept]
 
 
 def session_of(

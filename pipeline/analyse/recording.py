@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -39,7 +41,7 @@ from pipeline.transform.loop import measure_loop
 from pipeline.transform.relaxation import RelaxationCurve
 from pipeline.transform.respond import respond
 from pipeline.transform.response import STIFFNESS, FrequencyResponse
-from pipeline.transform.step import StepAnalysis, measure_steps
+from pipeline.transform.step import StepAnalysis, StepResponse, measure_steps
 from schemas.errors import NotIdentifiableError
 from schemas.life_covariates import as_json
 from schemas.lifetimes import LifetimeRow
@@ -51,8 +53,8 @@ from schemas.tables import TABLES
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_ANSWERED = ("chirp", "noise", "sphs")
-"""Protocols that give frequency responses of a system."""
+_ANSWERED = ("chirp", "noise", "sphs", "cyclic")
+"""Protocols that give frequency responses."""
 _RESPONSE = "response: "
 """Begins what is missing of a response."""
 
@@ -128,8 +130,8 @@ def analyse_recording(recording: Recording) -> Analysis:
 
 
 def _find_unanswered(analysis: Analysis, about: RecordingMetadata) -> str:
-    """Why a test of a system that gives a frequency response gave none with a line that can be used; empty where it did."""
-    if about.loading != OTHER or about.protocol not in _ANSWERED:
+    """Why a test that gives a frequency response gave none with a line that can be used; empty where it did."""
+    if about.protocol not in _ANSWERED:
         return ""
     responses = [one for one in analysis.carried if isinstance(one, FrequencyResponse)]
     if any(one.usable.any() for one in responses):
@@ -243,6 +245,8 @@ def _steps(analysis: Analysis, recording: Recording) -> None:
     if found is not None:
         analysis.carry(found)
         analysis.note(found.warnings)
+        if not any(math.isfinite(step.force_step_n) or step.capacitance_step_pf is not None for step in found.steps):
+            analysis.lack(_tell_refused(found.steps))
         _slow_changes(analysis, recording.metadata, found)
     if recording.metadata.controller == "closed":
         loop = analysis.attempt("closed loop", measure_loop, recording)
@@ -250,6 +254,12 @@ def _steps(analysis: Analysis, recording: Recording) -> None:
             analysis.carry(loop)
             analysis.note(loop.warnings)
             analysis.add({"loop_responses": TABLES["loop_responses"].from_objects([loop])})
+
+
+def _tell_refused(steps: Sequence[StepResponse]) -> list[str]:
+    """Why no step has a value, each reason once with how many it is of."""
+    reasons = Counter(step.warnings[-1] for step in steps if step.warnings)
+    return [f"steps: {count} of {len(steps)} have no value: {reason}" for reason, count in reasons.items()]
 
 
 def _slow_changes(analysis: Analysis, about: RecordingMetadata, found: StepAnalysis) -> None:

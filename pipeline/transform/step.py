@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.transform.step_drift import DriftingStep, fit_drifting_steps
 from pipeline.transform.step_edges import (
     EDGE_S,
     Edges,
@@ -114,7 +115,8 @@ def measure_steps(recording: Recording) -> StepAnalysis:
     end. y is the change over the step, from the level before it. Instant fraction: y 0.1 s after the voltage has reached 90 %. Rise
     time: first crossings of 0.1 and 0.9. Overshoot: 100 (max y − 1), 0 where noise explains it. Settling: last exit from
     ±5 %, or from what noise alone reaches in the phase where that is wider. Recovery: from the fall until 90 % of the
-    step is gone.
+    step is gone. With fewer rest levels in a force that drifts, levels and a drift that slows down are fitted together
+    (`step_drift`), and times and fractions are not read. One step that begins with the record is known by its release.
 
     Raises `NotIdentifiableError` without a voltage step, and without force.
     """
@@ -144,7 +146,10 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         clean, spikes_by_phase = without_spikes(*seconds_and_values(capacitance, start), phases)
         capacitance_memory = noise_memory(*clean, phases)
         capacitance_change = slow_change(*clean, phases, capacitance_memory)
+    if len(phases) == 1 and not phases[0].has_rest:
+        return _measure_release(volts, tension, clean, phases[0], (force_memory, capacitance_memory), tuple(warnings))
     steps: list[StepResponse] = []
+    together: list[DriftingStep] | None = None
     for number, phase in enumerate(phases, start=1):
         if not phase.has_rest:
             warnings.append(f"step {number} begins with the record: no rest level before it")
@@ -155,19 +160,26 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         last = -steps[-1].force_step_n if steps and math.isfinite(steps[-1].force_step_n) else 0.0
         left = 0.0 if force_change is None or pulled is None else force_change.unrecovered * (pulled.step - last)
         moved = baseline_misfit(*tension, phase, rest_from, force_change, force_memory, left)
-        step = _refuse_moved(step, moved)
+        if moved > 0 and force_change is None:
+            together = together or fit_drifting_steps(*tension, phases, force_memory)
+        step = _refuse_moved(step, moved) if together is None else _beside_drift(step, together[number - 1])
         if unsteady := describe_unsteady(*volts, phase):
             step = replace(step, warnings=(*step.warnings, unsteady))
         if clean is not None:
             found = course(*clean, phase, capacitance_change, capacitance_memory)
             step = _with_capacitance(step, phase, found, spikes_by_phase[number - 1])
         steps.append(step)
+    steps = _refuse_unchecked(steps, phases)
     if any(spikes_by_phase):
         warnings.append(
             f"{sum(spikes_by_phase)} samples of the capacitance within {EDGE_S * 1e3:.0f} ms of an edge left out as"
             " interference"
         )
-    if force_change is None:
+    if together is not None:
+        warnings.append(
+            "the force drifts: its levels before, while and after the voltage are fitted together with the drift"
+        )
+    elif force_change is None:
         warnings.append(
             f"fewer than {FEWEST_RESTS} rest levels: slow relaxation and drift cannot be told from the step"
         )
@@ -176,6 +188,66 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         warnings.append(f"the force of {refused} of {len(steps)} steps is refused: {_MOVES} beside them")
     whole = _recovered(steps, force_change, capacitance_change)
     return StepAnalysis(tuple(whole), force_change, capacitance_change, tuple(warnings))
+
+
+def _measure_release(
+    volts: tuple[Float, Float],
+    tension: tuple[Float, Float],
+    clean: tuple[Float, Float] | None,
+    phase: Edges,
+    memories: tuple[float, float],
+    warnings: tuple[str, ...],
+) -> StepAnalysis:
+    """The one step of a record that begins with the voltage on, known by its release: where the film comes back to is its rest.
+
+    Raises `NotIdentifiableError` where the voltage stays on, or the force around the release is no level.
+    """
+    if not phase.has_fall:
+        raise NotIdentifiableError(
+            "the voltage makes no step: it is on from the first sample to the last",
+            expected="at least one change from off to on, or from on to off",
+        )
+    pulled = fit_drifting_steps(*tension, [phase], memories[0])
+    if pulled is None:
+        raise NotIdentifiableError(
+            "the record begins with the voltage on, and the force is no step on a steady drift where it goes off",
+            expected="a level before the voltage goes off and one after it, or a rest before it comes on",
+        )
+    step = _force_step(1, phase, final_level(*volts, phase).value, None)
+    said = ("it begins with the record: its levels are those at its end and after it; no rise, no instant fraction",)
+    step = _beside_drift(replace(step, warnings=said), pulled[0])
+    sensed = None if clean is None else fit_drifting_steps(*clean, [phase], memories[1])
+    if sensed is not None:
+        step = replace(
+            step,
+            capacitance_rest_pf=sensed[0].rest,
+            capacitance_step_pf=sensed[0].step,
+            capacitance_step_sd_pf=sensed[0].step_sd,
+        )
+    elif clean is not None:
+        step = replace(
+            step, warnings=(*step.warnings, "the capacitance is no step on a steady drift where it goes off")
+        )
+    if unsteady := describe_unsteady(*volts, phase):
+        step = replace(step, warnings=(*step.warnings, unsteady))
+    return StepAnalysis(
+        (step,), None, None, (*warnings, "the record begins with the voltage on: one release is measured")
+    )
+
+
+def _beside_drift(step: StepResponse, found: DriftingStep) -> StepResponse:
+    """The step with what a fit together with the drift gives; courses of time that were read without the drift are none."""
+    return replace(
+        step,
+        force_rest_n=found.rest,
+        force_step_n=-found.step,
+        force_step_sd_n=found.step_sd,
+        force_instant_fraction=None,
+        rise_time_s=None,
+        overshoot_percent=None,
+        settling_time_s=None,
+        recovery_time_s=None,
+    )
 
 
 def _left(change: SlowChange | None) -> tuple[float, float]:
@@ -243,6 +315,31 @@ def _refuse_moved(step: StepResponse, moved: float) -> StepResponse:
         f"{_MOVES} by up to {moved:.2g} N over this step, and no slow change describes it: the force of the"
         f" step, {step.force_step_n:.2g} N if it did not, is refused"
     )
+    return _without_force(step, text)
+
+
+def _refuse_unchecked(steps: list[StepResponse], phases: Sequence[Edges]) -> list[StepResponse]:
+    """The steps, without the force of those that may stand in a load that moves though their own rests do not show it.
+
+    One that ends with the record has no rest after it; and a load that moves beside a third of the steps and more may come back to where
+    it was beside any other.
+    """
+    moving = sum(any(_MOVES in warning for warning in step.warnings) for step in steps)
+    if not moving:
+        return steps
+    everywhere = 3 * moving >= len(steps)
+    text = (
+        f"{_MOVES} beside {moving} of {len(steps)} steps, and the rests at this one cannot show that it does not here"
+    )
+    return [
+        _without_force(step, text)
+        if math.isfinite(step.force_step_n) and (everywhere or not phases[step.cycle - 1].has_fall)
+        else step
+        for step in steps
+    ]
+
+
+def _without_force(step: StepResponse, because: str) -> StepResponse:
     return replace(
         step,
         force_step_n=math.nan,
@@ -252,7 +349,7 @@ def _refuse_moved(step: StepResponse, moved: float) -> StepResponse:
         overshoot_percent=None,
         settling_time_s=None,
         recovery_time_s=None,
-        warnings=(*step.warnings, text),
+        warnings=(*step.warnings, because),
     )
 
 

@@ -98,3 +98,26 @@ def test_a_step_of_another_system_leads_to_its_response(tmp_path: Path) -> None:
     np.testing.assert_allclose(value, 2.0 - 0.5 * (1 - np.exp(-time / 3.0)), atol=0.01)
     page = (lab.reports / "recordings" / "other.html").read_text(encoding="utf-8")
     assert "the output over the input goes from" in page
+
+
+def test_what_was_refused_is_said_with_its_reason(tmp_path: Path) -> None:
+    """Steps without a force around them had "no analysis takes a recording of protocol step"; so had sinusoids below the noise a verdict."""
+    raw, lab = tmp_path / "raw", Lab(tmp_path / "lab")
+    raw.mkdir()
+    t = np.arange(4000) / 100.0
+    rng = np.random.default_rng(2)
+    voltage = np.where(t % 8 > 4, 3.0, 0.0) + rng.normal(0, 1e-3, t.size)
+    force = 0.5 - 0.05 * (t % 8 > 4) + rng.normal(0, 1e-4, t.size)
+    force[(t % 8 > 3.2) & (t % 8 < 4.2)] = np.nan
+    channels = {"voltage": ("kV", voltage), "force": ("N", force)}
+    write(raw / "lost.mcap", about("lost", "step", "electrical", "S-1", 0), 100.0, channels)
+    moved = {"displacement": ("mm", 0.2 * np.sin(2 * np.pi * t)), "force": ("N", 0.5 + rng.normal(0, 1, t.size))}
+    write(raw / "deaf.mcap", about("deaf", "cyclic", "mechanical", "S-2", 1, frequency_hz=1), 100.0, moved)
+    summary = nightly([raw], lab, jobs=0)
+    assert len(summary.without_result) == 2
+    told = {name: missing for name, _, missing in select(lab, ROWS)}
+    assert "5 of 5 have no value: too few force samples around the step" in told["lost"]
+    assert "noise: standard error above 30 % of the response" in told["deaf"]
+    assert select(lab, "SELECT verdict FROM diagnoses WHERE specimen_id = 'S-2'") == [(None,)]
+    ((reasons,),) = select(lab, "SELECT could_not_ask FROM diagnoses WHERE specimen_id = 'S-2'")
+    assert "its response is refused, so that nothing can be said of it" in reasons[0]

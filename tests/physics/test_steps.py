@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import pytest
@@ -323,3 +324,82 @@ def test_a_steady_ramp_of_the_load_is_taken_out() -> None:
     steps = measure_steps(loaded("ramp", 0.2, 10)).steps
     np.testing.assert_allclose([step.force_step_n for step in steps], 0.044, rtol=0.02)
     assert all(np.isnan(step.force_step_n) for step in measure_steps(loaded("ramp", 0.2, 2)).steps)
+
+
+def drifting(course: Any, count: int = 1, lead: float = 5.0, **more: Any) -> Recording:
+    """Steps of 0.044 N in a force that has a course of its own, as of s."""
+    recording = record([8.0] * count, lead=lead, **more)
+    force = recording.channels["force"]
+    t = (force.time_ns - recording.start_ns) * 1e-9
+    return replace(recording, channels={**recording.channels, "force": replace(force, values=force.values + course(t))})
+
+
+COURSES = {
+    "quick": lambda t: 0.2 * np.exp(-t / 5),
+    "slow": lambda t: 0.9 * np.exp(-t / 12),
+    "logarithm": lambda t: -0.1 * np.log10(1 + t),
+    "rising": lambda t: -0.2 * np.exp(-t / 10),
+}
+AT_THE_END = 0.044 * (1 - 0.1 * np.exp(-9.75 / 2))
+"""What has come of a step in the last half of its 10 s, of which 10 % come with 2 s."""
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("course", COURSES.values(), ids=COURSES.keys())
+def test_few_steps_in_a_force_that_drifts_are_fitted_with_it(course: Any, count: int) -> None:
+    """They were refused: the drift is several times the step, and there are too few rests to know it from them alone."""
+    scores = []
+    for seed in range(4):
+        analysis = measure_steps(drifting(course, count, seed=seed))
+        assert any("fitted together with the drift" in warning for warning in analysis.warnings)
+        for step in analysis.steps:
+            assert step.force_step_n == pytest.approx(AT_THE_END, rel=0.01)
+            assert step.rise_time_s is None
+            scores.append((step.force_step_n - AT_THE_END) / step.force_step_sd_n)
+    assert np.sqrt(np.mean(np.square(scores))) < 2.0
+
+
+@pytest.mark.parametrize("course", [lambda t: 0 * t, *COURSES.values()], ids=["none", *COURSES.keys()])
+def test_one_release_of_a_step_that_begins_with_the_record_is_measured(course: Any) -> None:
+    """It gave nothing, with no reason: the level that the film comes back to stands after the step."""
+    analysis = measure_steps(drifting(course, 1, 0.0))
+    (step,) = analysis.steps
+    assert step.force_step_n == pytest.approx(AT_THE_END, rel=0.02)
+    assert abs(step.force_step_n - AT_THE_END) < 4 * step.force_step_sd_n
+    assert step.voltage_kv == pytest.approx(8.0, rel=0.01)
+    assert step.capacitance_step_pf == pytest.approx(-28.6 * 0.044 / 5.0, rel=0.03)
+    assert any("begins with the voltage on: one release" in warning for warning in analysis.warnings)
+    assert any("no rise" in warning for warning in step.warnings)
+
+
+def test_a_voltage_that_never_goes_off_is_no_step() -> None:
+    recording = record([8.0], lead=0.0, off=0.0)
+    with pytest.raises(NotIdentifiableError, match="on from the first sample to the last"):
+        measure_steps(recording)
+
+
+@pytest.mark.parametrize("kind", ["stairs while on", "stairs while off", "triangle"])
+def test_a_release_in_a_load_that_moves_is_refused(kind: str) -> None:
+    recording = loaded(kind, 0.2, 1)
+    start = recording.start_ns + 5_000_000_000
+    late = {
+        n: replace(c, time_ns=c.time_ns[c.time_ns >= start], values=c.values[c.time_ns >= start])
+        for n, c in recording.channels.items()
+    }
+    with pytest.raises(NotIdentifiableError, match="no step on a steady drift"):
+        measure_steps(replace(recording, channels=late))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_step_whose_rests_cannot_show_it_is_refused_where_the_load_moves_beside_others(seed: int) -> None:
+    """Of five steps in a load that jumps four were refused, and the last was 6.6 N of 0.05 N, 28 standard deviations from 0."""
+    recording = record([8.0] * 5)
+    force = recording.channels["force"]
+    t = (force.time_ns - recording.start_ns) * 1e-9
+    load = np.random.default_rng(seed).normal(0, 0.5, 11)[np.maximum((t + 5) // 10, 0).astype(int)]
+    channels = {**recording.channels, "force": replace(force, values=force.values + load)}
+    cut = {n: replace(c, time_ns=c.time_ns[t < 94], values=c.values[t < 94]) for n, c in channels.items()}
+    steps = measure_steps(replace(recording, channels=cut)).steps
+    assert len(steps) == 5
+    assert all(np.isnan(step.force_step_n) for step in steps)
+    assert any("cannot show that it does not here" in warning for step in steps for warning in step.warnings)

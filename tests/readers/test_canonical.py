@@ -14,6 +14,8 @@ from ingest.canonical import canonical
 from ingest.timing import uneven
 from pipeline.transform.channels import drive
 from schemas.errors import RefusedError
+from schemas.metadata import RecordingMetadata, known_keys
+from schemas.protocols import KEYS_OF_TESTS, PROTOCOLS
 from schemas.recording import RawChannel, RawRecording, Recording
 
 START = 1_772_373_600_000_000_000
@@ -350,6 +352,20 @@ def test_a_misspelt_twin_of_a_key_that_is_given_is_named() -> None:
 
 def test_a_key_beside_the_one_it_is_like_is_no_question() -> None:
     assert check(*GOOD, film_width_mm=10, film_width_um=10_000).status == "ok"
+
+
+def test_keys_of_another_test_are_named() -> None:
+    """A frequency in a test of another kind, a set point outside of a life: kept, without effect, and never said."""
+    found = check(*GOOD, masses_kg="0.1,0.2", load_n=3, strain_pp=0.1, film_length_mm=50)
+    (note,) = [n for n in found.notes if "does not use" in n]
+    assert note == f"keys of recording that a mechanical {found.metadata.protocol} does not use: masses_kg, load_n"
+
+
+def test_every_key_is_one_of_film_laboratory_or_test() -> None:
+    known = set(known_keys(RecordingMetadata))
+    assert set(KEYS_OF_TESTS) <= known
+    for tests in KEYS_OF_TESTS.values():
+        assert set(tests) <= set(PROTOCOLS)
 
 
 def _swinging(noise: float = 0.01) -> np.ndarray:
