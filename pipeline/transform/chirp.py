@@ -8,6 +8,7 @@ the frequency, and the frequency itself where the voltage has a bias. Periodic m
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +33,9 @@ _ENOUGH_LINES = 40
 _FEWEST_LINES = 5
 _BIASED = 0.02
 """Bias over amplitude of a voltage from which its square also sweeps the frequency of the voltage itself."""
+_REST_BESIDE_A_GAP = 25.0
+"""So many times longer than elsewhere the input has to stand still beside a gap to be at rest: half a period of the lowest frequency,
+through which no sweep stands still."""
 _BEGINS_WITHIN, _ENDS_WITHIN = "the record begins within the sweep", "the record ends with the sweep"
 
 
@@ -65,23 +69,122 @@ def chirp_response(recording: Recording) -> tuple[FrequencyResponse, tuple[str, 
         sampled, found = without_short_gaps(sampled, high)
         warnings += found
         finite = sampled.finite
-    sampled, pieces, amplitude, found = _pieces(recording, sampled, finite, names, low)
+    pieces, amplitude, found = _pieces(recording, sampled, finite, names, low)
     warnings += found
+    if pieces is None:
+        response, amplitude, found = _broken(recording, sampled, source, bands)
+        warnings += found
+        return quality.judged(_named(response, recording, source, amplitude), sampled.band_hz), tuple(warnings)
     if len(pieces.first) == 1:
         piece = sampled.part(pieces.first[0], pieces.first[0] + pieces.length)
         response, found = _single(piece, pieces, source, low, high)
     else:
         response, found = _repeated(sampled, pieces, source, low, high)
     warnings += found
-    response = replace(
-        response,
-        recording_id=recording.metadata.recording_id,
-        specimen_id=recording.metadata.specimen_id,
-        amplitude=None if source.square else amplitude,
-    )
+    response = _named(response, recording, source, amplitude)
     for begin, end in bands:
         response = quality.mark_clipped_sweep(response, recording, source, sampled, pieces, begin, end)
     return quality.judged(response, sampled.band_hz), tuple(warnings)
+
+
+def _named(response: FrequencyResponse, recording: Recording, source: Drive, amplitude: float) -> FrequencyResponse:
+    about = recording.metadata
+    amplitude_of_input = None if source.square else amplitude
+    return replace(
+        response, recording_id=about.recording_id, specimen_id=about.specimen_id, amplitude=amplitude_of_input
+    )
+
+
+def _broken(
+    recording: Recording, sampled: Sampled, source: Drive, bands: Sequence[tuple[float, float]]
+) -> tuple[FrequencyResponse, float, list[str]]:
+    """The response of a sweep that gaps cut, from its unbroken parts: each gives the frequencies that it sweeps itself.
+
+    A gap so costs what it touches. Where several parts sweep a frequency the longest gives it. Also returns the amplitude of the input.
+    Raises `NotIdentifiableError` where no part gives a response.
+    """
+    low, high = bands[0][0], bands[-1][1]
+    finite = sampled.finite
+    x = sampled.values[source.input.quantity]
+    level = float(x[int(np.argmax(np.isfinite(x)))])
+    parts = sorted(runs(finite), key=lambda part: part[0] - part[1])
+    amplitude = sweeps.motion(np.where(np.isfinite(x), x, level)).amplitude
+    found: list[tuple[int, FrequencyResponse]] = []
+    warnings: list[str] = []
+    failed: NotIdentifiableError | None = None
+    used = 0
+    for first, stop in parts:
+        piece = sampled.part(first, stop)
+        pieces = _rest_of(x[first:stop], level, amplitude)
+        cut = first > 0, stop < finite.size
+        try:
+            response, said = _single(piece, pieces, source, low, high, cut=cut)
+        except NotIdentifiableError as error:
+            failed = failed or error
+            continue
+        swept = response.frequency_hz
+        for begin, end in bands:
+            inside = max(begin, float(swept[0])), min(end, float(swept[-1]))
+            if inside[0] < inside[1]:
+                response = quality.mark_clipped_sweep(response, recording, source, piece, pieces, *inside)
+        new = np.ones(swept.size, dtype=bool)
+        for _, other in found:
+            new &= (swept < other.frequency_hz[0]) | (swept > other.frequency_hz[-1])
+        if new.any():
+            found.append((first, _with_lines(response, new)))
+            warnings += [text for text in said if text not in warnings]
+            used += stop - first
+    if not found:
+        raise failed or NotIdentifiableError("no unbroken part of the sweep")
+    warnings.append(
+        f"{len(parts) - 1} gaps cut the sweep: {len(found)} unbroken parts are used, each for the frequencies that it sweeps;"
+        f" {100 * (1 - used / finite.size):.2g} % of the record is not"
+    )
+    return _joined([response for _, response in sorted(found, key=lambda one: one[0])]), amplitude, warnings
+
+
+def _rest_of(x: Float, level: float, amplitude: float) -> sweeps.Slices:
+    """An unbroken part as one sweep; rest counts as rest only at the level from which the film started."""
+    part = sweeps.motion(x)
+    before = part.first if abs(float(x[0]) - level) < 0.02 * amplitude else 0
+    return sweeps.Slices((0,), x.size, before, x.size - part.stop, float(x.size))
+
+
+_LISTED = ("half_width", "degree", "degrees_of_freedom")
+"""Details that have a value for each line."""
+
+
+def _with_lines(response: FrequencyResponse, chosen: Bool) -> FrequencyResponse:
+    """The chosen lines, with what the details say of them."""
+    listed = {name: np.array(response.details[name])[chosen].tolist() for name in _LISTED}
+    return replace(response.select(chosen), details={**response.details, **listed})
+
+
+def _joined(parts: Sequence[FrequencyResponse]) -> FrequencyResponse:
+    """Responses of parts of one sweep, in the order of time, as one in the order of frequency."""
+    order = np.argsort(np.concatenate([part.frequency_hz for part in parts]))
+
+    def join(values: Iterable[Any]) -> Any:
+        return np.concatenate([np.asarray(one) for one in values])[order]
+
+    first, last = parts[0].details, parts[-1].details
+    details = {
+        **first,
+        **{name: join(part.details[name] for part in parts).tolist() for name in _LISTED},
+        "transient": any(part.details["transient"] for part in parts),
+        "rest_after_s": last["rest_after_s"],
+        "drift_per_s": [drift for part in parts for drift in part.details["drift_per_s"]],
+    }
+    return replace(
+        parts[0],
+        frequency_hz=join(part.frequency_hz for part in parts),
+        value=join(part.value for part in parts),
+        variance=join(part.variance for part in parts),
+        usable=join(part.usable for part in parts),
+        unusable_because=tuple(str(one) for one in join(part.unusable_because for part in parts)),
+        effective_lines=float(order.size),
+        details=details,
+    )
 
 
 def _bands(recording: Recording, sampled: Sampled, source: Drive) -> list[tuple[float, float]]:
@@ -125,8 +228,8 @@ def _band(recording: Recording, sampled: Sampled, source: Drive) -> tuple[float,
 
 def _pieces(
     recording: Recording, sampled: Sampled, finite: Bool, names: tuple[str, str], low: float
-) -> tuple[Sampled, sweeps.Slices, float, list[str]]:
-    """The repeats of the record without those that have gaps; of a broken single sweep the longest unbroken part.
+) -> tuple[sweeps.Slices | None, float, list[str]]:
+    """The repeats of the record without those that have gaps; None where none is whole.
 
     Also returns the amplitude of the input (half peak to peak).
     """
@@ -147,20 +250,12 @@ def _pieces(
     if pieces.leftover:
         warnings.append("the record ends within a further sweep, which is left out")
     if whole:
-        return sampled, pieces, moving.amplitude, warnings
+        return pieces, moving.amplitude, warnings
     unbroken = tuple(first for first in pieces.first if finite[first : first + pieces.length].all())
     if unbroken:
         warnings.append(f"{len(pieces.first) - len(unbroken)} repeats with gaps left out")
-        return sampled, replace(pieces, first=unbroken), moving.amplitude, warnings
-    first, stop = max(runs(finite), key=lambda r: r[1] - r[0])
-    lost = 1 - (stop - first) / finite.size
-    warnings.append(f"a gap cuts the sweep: its longest unbroken part is used, {100 * lost:.0f} % of the record is not")
-    piece = shown[first:stop]
-    part = sweeps.motion(piece)
-    # Rest counts as rest only at the level from which the film started.
-    before = part.first if abs(float(piece[0]) - level) < 0.02 * moving.amplitude else 0
-    rest = sweeps.Slices((0,), piece.size, before, piece.size - part.stop, float(piece.size))
-    return sampled.part(first, stop), rest, part.amplitude, warnings
+        return replace(pieces, first=unbroken), moving.amplitude, warnings
+    return None, moving.amplitude, warnings
 
 
 def _lines(duration_s: float, low: float, high: float, interval_s: float) -> tuple[Int, Int]:
@@ -238,11 +333,19 @@ def _reach(lines: Int, widths: Int, length: int) -> int:
 
 
 def _single(
-    sampled: Sampled, pieces: sweeps.Slices, source: Drive, low: float, high: float
+    sampled: Sampled,
+    pieces: sweeps.Slices,
+    source: Drive,
+    low: float,
+    high: float,
+    *,
+    cut: tuple[bool, bool] = (False, False),
 ) -> tuple[FrequencyResponse, list[str]]:
+    """Of one sweep. `cut`: whether a gap stands before and behind it."""
     x, y = (sampled.values[q] for q in (source.input.quantity, source.output.quantity))
-    ends = _unsettled_ends(x, y, pieces, 0.02 / (low * sampled.interval_s))
-    low, high = _swept(x, sampled.interval_s, {why for why, _ in ends}, (low, high))
+    ends = _unsettled_ends(x, y, pieces, 0.02 / (low * sampled.interval_s), cut)
+    stated = low, high
+    low, high = _swept(x, sampled.interval_s, {why for why, _ in ends}, stated)
     lines, widths = _lines(pieces.length * sampled.interval_s, low, high, sampled.interval_s)
     bins = _reach(lines, widths, pieces.length)
     at_zero = replace(pieces, first=(0,))
@@ -254,8 +357,12 @@ def _single(
     warnings = [f"{why}: the transient is part of the estimate, which is less certain for it" for why, _ in ends]
     response = _response(source, spectra, lines, fitted, pieces, sampled.interval_s, transient=scale is not None)
     if ends:
-        cut = _cut_off(spectra.input[0], lines, fitted.half_width)
-        response = response.mark(cut, "the record begins or ends while the sweep passes here")
+        near = _cut_off(spectra.input[0], lines, fitted.half_width)
+        if any(cut):
+            duration = pieces.length * sampled.interval_s
+            own = low if low > stated[0] else 0.0, high if high < stated[1] else np.inf
+            near |= (lines - fitted.half_width < own[0] * duration) | (lines + fitted.half_width > own[1] * duration)
+        response = response.mark(near, "the record begins or ends while the sweep passes here")
     noise = input_noise(x, at_zero, (low, high), sampled.interval_s, y.size)
     response = mark_tones(response, spectra.input[0], lines, fitted.half_width)
     return mark_weak(response, spectra.input[0], lines, fitted.half_width, noise), warnings
@@ -283,16 +390,20 @@ def _cut_off(spectrum: Complex, lines: Int, half_width: Int) -> Bool:
     return np.asarray(np.minimum(passed, 1 - passed) < 0.5 / half_width)
 
 
-def _unsettled_ends(x: Float, y: Float, pieces: sweeps.Slices, least_rest: float) -> list[tuple[str, float]]:
+def _unsettled_ends(
+    x: Float, y: Float, pieces: sweeps.Slices, least_rest: float, cut: tuple[bool, bool]
+) -> list[tuple[str, float]]:
     """Ends of a record at which the film is not at rest, in words, with the mean square by which the output is off."""
     ends = []
     edge = max(8, y.size // 50)
     least = max(8.0, least_rest)
     level = float(y.mean())
     # A sweep begins at its middle, and the film at rest; a record that was cut out of a sweep begins anywhere.
-    if pieces.rest_before < least and abs(float(x[0] - x.mean())) > 0.02 * float(x.max() - x.min()):
+    before, after = (least * _REST_BESIDE_A_GAP if beside else least for beside in cut)
+    off = abs(float(x[0] - x.mean())) > 0.02 * float(x.max() - x.min())
+    if pieces.rest_before < before and (cut[0] or off):
         ends.append((_BEGINS_WITHIN, float(np.mean((y[:edge] - level) ** 2))))
-    if pieces.rest_after < least:
+    if pieces.rest_after < after:
         ends.append((_ENDS_WITHIN, float(np.mean((y[-edge:] - level) ** 2))))
     if pieces.rest_after < 5 * least:
         return ends

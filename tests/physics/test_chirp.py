@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from pipeline.transform.chirp import chirp_response
 from pipeline.transform.respond import respond
 from schemas.errors import NotIdentifiableError
+from schemas.metadata import RecordingMetadata, RigConstants
+from schemas.recording import Channel, Recording
 from tests.physics.rig_truth import SILICONE, START_NS, Sweep, Truth, filtered, recording
 
 RATE = 2000.0
@@ -414,3 +416,68 @@ def test_clipping_in_a_part_of_the_sweep_marks_its_lines(integrated) -> None:
     marked = np.array(["clipped" in why for why in response.unusable_because])
     assert 0 < marked.sum() < marked.size / 2
     assert not response.usable[marked].any()
+
+
+def broken_sweep(gaps: list[tuple[float, float]], *, kind: str, noise: float = 1e-3) -> Recording:
+    """A sweep from 1 to 100 Hz in 40 s, 2 s of rest around it, on a film of two arms; its force is lost in the gaps (begin, length; s)."""
+    low, high, duration, rest, rate = 1.0, 100.0, 40.0, 2.0, 1000.0
+    count = int((duration + 2 * rest) * rate)
+    t = np.arange(count) / rate - rest
+    since = np.clip(t, 0, duration)
+    growth = np.log(high / low) / duration
+    turns = (
+        low / growth * np.expm1(growth * since)
+        if kind == "log"
+        else low * since + (high - low) / (2 * duration) * since**2
+    )
+    x = 0.2 * np.sin(2 * np.pi * turns) * ((t >= 0) & (t <= duration))
+    f = np.fft.rfftfreq(4 * count, 1 / rate)
+    force = np.fft.irfft(np.fft.rfft(x, 4 * count) * two_arms(f), 4 * count)[:count]
+    rng = np.random.default_rng(3)
+    x, force = x + rng.normal(0, 0.2 * noise, count), 0.5 + force + rng.normal(0, 0.2 * noise, count)
+    for begin, length in gaps:
+        force[(t >= begin) & (t < begin + length)] = np.nan
+    ns = 1_772_370_300_000_000_000 + np.arange(count) * 1_000_000
+    about = {
+        "recording_id": "broken", "protocol": "chirp", "loading": "mechanical", "specimen_id": "s", "sweep": kind,
+        "started_at": "2026-03-01T14:05:00+01:00", "frequency_start_hz": low, "frequency_stop_hz": high,
+    }  # fmt: skip
+    channels = {"displacement": Channel("displacement", ns, x), "force": Channel("force", ns, force)}
+    return Recording(RecordingMetadata.parse(about), RigConstants(), channels)
+
+
+def two_arms(frequency_hz: np.ndarray) -> np.ndarray:
+    turn = 2j * np.pi * frequency_hz * 0.05
+    return np.asarray(1.0 + 0.5 * turn / (1 + turn))
+
+
+@pytest.mark.parametrize("kind", ["log", "linear"])
+@pytest.mark.parametrize(
+    ("gaps", "lost", "least"),
+    [
+        ([(24.0, 0.2)], 0.2, 70),
+        ([(10.0, 0.2), (30.0, 0.5)], 0.3, 60),
+        ([(41.0, 0.2)], 0.05, 60),
+        ([(-1.0, 0.2)], 0.05, 60),
+        ([(float(begin), 0.05) for begin in range(3, 40, 4)], 0.4, 10),
+    ],
+    ids=["one", "two", "in the rest after", "in the rest before", "ten"],
+)
+def test_a_gap_in_a_sweep_costs_what_it_touches(
+    gaps: list[tuple[float, float]], lost: float, least: int, kind: str
+) -> None:
+    """A gap of 0.2 s cost 40 % of the sweep, all that was not its longest unbroken part; and its lines must be right."""
+    response, warnings = chirp_response(broken_sweep(gaps, kind=kind))
+    assert any("unbroken parts are used" in warning for warning in warnings)
+    assert response.usable.sum() >= least
+    assert (~response.usable).sum() <= lost * response.usable.size
+    assert (np.diff(response.frequency_hz) > 0).all()
+    error = np.abs(response.value - two_arms(response.frequency_hz))[response.usable]
+    score = error / response.standard_error[response.usable]
+    assert np.sqrt(np.mean(score**2)) < 1.4
+    assert score.max() < 4.5
+    for name in ("half_width", "degree", "degrees_of_freedom"):
+        assert len(response.details[name]) == response.frequency_hz.size
+    if len(gaps) == 1 and 0 < gaps[0][0] < 40:
+        assert response.frequency_hz[response.usable].min() < 2.5
+        assert response.frequency_hz[response.usable].max() > 90
