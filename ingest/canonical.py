@@ -21,6 +21,7 @@ import numpy as np
 from ingest.plausible import find_impossible, find_losses_by_value, find_marks, find_spikes, is_strain
 from ingest.timing import sampling_notes
 from schemas.arrays import Bool, Float
+from schemas.assumptions import Assumption
 from schemas.errors import RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants, near_miss
 from schemas.protocols import CALIBRATION, Protocol, find_unused_keys, missing_channels
@@ -88,7 +89,12 @@ def canonical(
     if definition.name in _DYNAMIC and metadata.loading != CALIBRATION:
         driving, responding = required[0], required[-1]
         channels[responding] = _without_spikes(channels[responding], channels[driving], problems)
-    recording = Recording(metadata, rig, channels, source, assumptions=raw.assumptions)
+    assumptions = raw.assumptions
+    if definition.name == "lifetime" and not metadata.campaign:
+        metadata = replace(metadata, campaign=NO_CAMPAIGN)
+        touches = "which lives are compared and stand on one page"
+        assumptions += (Assumption("campaign", f'"{NO_CAMPAIGN}", with all other such lives', "no campaign", touches),)
+    recording = Recording(metadata, rig, channels, source, assumptions=assumptions)
     notes += sampling_notes(channels)
     _note_clock(recording, notes)
     _note_sizes(recording, notes)
@@ -115,6 +121,10 @@ def _tell_unused_keys(about: RecordingMetadata, notes: list[str]) -> None:
     unused = find_unused_keys(given, about.protocol, about.loading)
     if unused:
         notes.append(f"keys of recording that a {about.loading} {about.protocol} does not use: {', '.join(unused)}")
+
+
+NO_CAMPAIGN = "no campaign"
+"""Campaign of the recorded lives that name none: they stand on a page together, as nothing tells them apart."""
 
 
 class _Unusable(Exception):

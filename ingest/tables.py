@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -91,10 +91,21 @@ class RelaxationTable:
     unit: str = ""
 
 
+def _in_a_campaign(table: TableRows) -> TableMetadata:
+    """The table's metadata; a list that names no campaign is one of its own: no other list's lives are compared with its."""
+    metadata = table.metadata
+    if metadata.campaign:
+        return metadata
+    table.assumptions.append(
+        Assumption("campaign", metadata.recording_id, "no campaign", "which lives are compared and stand on one page")
+    )
+    return replace(metadata, campaign=metadata.recording_id)
+
+
 def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: str) -> LifetimeTable:
     """Lives from a table, one for each specimen. Raises `RefusedError`, see `ingest.lives`."""
     table = TableRows(file, mapping, where)
-    metadata = table.metadata
+    metadata = _in_a_campaign(table)
     lives = read_lives(table)
     count = lives.life_s.size
     voltage = table.numbers_or("voltage", "kV", metadata.voltage_setpoint_kv, count)

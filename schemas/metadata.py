@@ -53,6 +53,11 @@ def _name(value: Any) -> str:
     return text
 
 
+def _label(value: Any) -> str:
+    """A name that things are grouped by: blanks around it do not make it another."""
+    return _text(value).strip()
+
+
 def _number(value: Any) -> float:
     if isinstance(value, bool):
         raise ValueError("a number")
@@ -155,11 +160,11 @@ class RecordingMetadata:
     loading: str = _key(_choice(*LOADINGS), "what is loaded", required=True)
     specimen_id: str = _key(_name, "the specimen", required=True)
     started_at: datetime = _key(instant, "start of the test, ISO 8601 with time zone", required=True)
-    campaign: str | None = _key(_text, "the campaign it belongs to")
-    material: str | None = _key(_text, "the film's material")
-    configuration: str | None = _key(_text, "how the specimen is built: the group it is compared in")
-    rig_id: str | None = _key(_text, "the rig; names the file of its constants")
-    operator: str | None = _key(_text, "who measured")
+    campaign: str | None = _key(_label, "the campaign it belongs to")
+    material: str | None = _key(_label, "the film's material")
+    configuration: str | None = _key(_label, "how the specimen is built: the group it is compared in")
+    rig_id: str | None = _key(_label, "the rig; names the file of its constants")
+    operator: str | None = _key(_label, "who measured")
     notes: str | None = _key(_text, "anything worth knowing")
     film_length_mm: float | None = _key(_positive, "length of the undeformed film")
     film_width_mm: float | None = _key(_positive, "width of the undeformed film")
@@ -234,8 +239,8 @@ class RecordingMetadata:
         _temperature, "temperature of the test, or of a table's rows, °C, where no column says it"
     )
     humidity: float | None = _key(_share, "relative humidity of the test: 0 to 1, or percent above 1")
-    electrode: str | None = _key(_text, "material of the electrode")
-    batch: str | None = _key(_text, "batch of film, or of specimens")
+    electrode: str | None = _key(_label, "material of the electrode")
+    batch: str | None = _key(_label, "batch of film, or of specimens")
     reference_temperature_c: float | None = _key(
         _temperature, "where a master curve of several temperatures stands, °C; absent: at the one nearest to 23 °C"
     )
@@ -300,11 +305,11 @@ class TableMetadata:
     loading: str | None = _key(_choice(*LOADINGS))
     specimen_id: str | None = _key(_name)
     started_at: datetime | None = _key(instant)
-    campaign: str | None = _key(_text)
-    material: str | None = _key(_text)
-    configuration: str | None = _key(_text)
-    rig_id: str | None = _key(_text)
-    operator: str | None = _key(_text)
+    campaign: str | None = _key(_label)
+    material: str | None = _key(_label)
+    configuration: str | None = _key(_label)
+    rig_id: str | None = _key(_label)
+    operator: str | None = _key(_label)
     notes: str | None = _key(_text)
     film_length_mm: float | None = _key(_positive)
     film_width_mm: float | None = _key(_positive)
@@ -319,8 +324,8 @@ class TableMetadata:
     failure_region: str | None = _key(_choice("left", "centre", "right"))
     temperature_c: float | None = _key(_temperature)
     humidity: float | None = _key(_share)
-    electrode: str | None = _key(_text)
-    batch: str | None = _key(_text)
+    electrode: str | None = _key(_label)
+    batch: str | None = _key(_label)
     reference_temperature_c: float | None = _key(_temperature)
     vertical_shift: str | None = _key(_choice("none", "free"))
     extra: Mapping[str, str] = field(default_factory=dict)
@@ -344,7 +349,7 @@ class RigConstants:
     was never calibrated. `noise_sd` is the standard deviation of one raw sample by quantity, canonical units.
     """
 
-    rig_id: str | None = _key(_text, "the rig, as its file is named")
+    rig_id: str | None = _key(_label, "the rig, as its file is named")
     clamp_mass_kg: float | None = _key(_not_negative, "mass that moves with the clamp at the load cell")
     clamp_mass_kg_sd: float | None = _key(_not_negative)
     load_cell_stiffness_n_per_mm: float | None = _key(_positive, "stiffness of the load cell")

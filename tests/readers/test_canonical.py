@@ -408,3 +408,14 @@ def test_samples_that_are_lost_by_chance_or_by_overload_are_kept_as_damage() -> 
 def test_sizes_that_no_film_has_are_questioned(sizes: dict[str, float], said: str) -> None:
     notes = " ".join(check(*GOOD, **sizes).notes)
     assert (said in notes) if said else "film_" not in notes and "stretch" not in notes
+
+
+def test_a_recorded_life_without_a_campaign_is_one_of_those_that_name_none() -> None:
+    """It stood on no page."""
+    volts = np.concatenate([np.full(500, 7.0), np.zeros(500)]) + np.random.default_rng(1).normal(0, 1e-3, 1000)
+    found = check(channel("voltage", "kV", volts), protocol="lifetime", loading="electrical")
+    assert found.metadata.campaign == "no campaign"
+    assert [one for one in found.assumptions if one.what == "campaign"]
+    named = check(channel("voltage", "kV", volts), protocol="lifetime", loading="electrical", campaign="north")
+    assert named.metadata.campaign == "north"
+    assert not named.assumptions
