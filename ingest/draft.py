@@ -299,6 +299,9 @@ def _recording(opened: Opened) -> Draft:
         time_of = next((c for c in opened.columns if c.meaning == TIME), None)
         content["columns"], questions = _channels(opened, about_times)
         shape, unread = _shape(opened, content)
+    if any(c.is_asked for c in opened.columns):
+        seen = f"if the columns are what their numbers suggest: {shape.seen}"
+        shape = replace(shape, certainty=UNSURE, seen=seen)  # a test seen in columns that may be others is not known
     about |= {"protocol": shape.protocol, "loading": shape.loading}
     remarks["recording.protocol"] = f"{shape.certainty}: {shape.seen}"
     if shape.certainty != SURE:

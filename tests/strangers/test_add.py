@@ -477,3 +477,24 @@ def test_what_follows_a_hold_in_the_same_file_is_told_before_it_is_left_out(
     assert main(["add", str(path), "--yes", "specimen_id=A-1", "protocol=step"]) == 0
     said = capsys.readouterr().out
     assert "note       the film is moved again" in said
+
+
+@pytest.mark.parametrize("names", [("M00", "M01"), ("a", "b")])
+def test_a_test_seen_in_columns_that_no_name_tells_is_asked_and_not_called_sure(
+    tmp_path: Path, names: tuple[str, str]
+) -> None:
+    """A warming room beside a supply's monitor was surely a step and hold of a displacement."""
+    t = np.arange(0, 60, 0.1)
+    held = np.minimum(t * 5, 10.0)
+    answer = 0.03 * held * (1 + 0.5 * np.exp(-t / 10)) + np.random.default_rng(2).normal(0, 1e-3, t.size)
+    rows = [f"{a:.1f};{b:.4f};{c:.5f}" for a, b, c in zip(t, held, answer, strict=True)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([";".join(["Time [s]", *names]), *rows, ""]))
+    guessed = make_draft(path)
+    assert guessed.shape is not None
+    assert guessed.shape.certainty == "a guess"
+    assert "recording.protocol" in {q.key for q in guessed.questions}
+    told = make_draft(path, {names[0]: "displacement", names[1]: "force"})
+    assert told.shape is not None
+    assert told.shape.certainty == "sure"
+    assert "recording.protocol" not in {q.key for q in told.questions}
