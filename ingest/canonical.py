@@ -21,7 +21,7 @@ import numpy as np
 from ingest.plausible import find_impossible, find_losses_by_value, find_marks, find_spikes, is_strain
 from ingest.timing import sampling_notes
 from schemas.arrays import Bool, Float
-from schemas.assumptions import Assumption
+from schemas.assumptions import assume_campaign
 from schemas.errors import RefusedError
 from schemas.metadata import RecordingMetadata, RigConstants, near_miss
 from schemas.protocols import CALIBRATION, Protocol, find_unused_keys, missing_channels
@@ -37,6 +37,8 @@ _REPEATED_INSTANTS = 0.01
 _LEAST_STRETCH, _LARGEST_STRETCH = 0.3, 8.0
 """Pre-stretches beyond which a percentage or a length was given: what across goes with 8 along is 0.35."""
 _CLOCK_DIFFERENCE_S = 3600.0
+NO_CAMPAIGN = "no campaign"
+"""Campaign of the recorded lives that name none: they stand on a page together, as nothing tells them apart."""
 
 
 def canonical(
@@ -92,8 +94,7 @@ def canonical(
     assumptions = raw.assumptions
     if definition.name == "lifetime" and not metadata.campaign:
         metadata = replace(metadata, campaign=NO_CAMPAIGN)
-        touches = "which lives are compared and stand on one page"
-        assumptions += (Assumption("campaign", f'"{NO_CAMPAIGN}", with all other such lives', "no campaign", touches),)
+        assumptions += (assume_campaign(f'"{NO_CAMPAIGN}", with all other such lives'),)
     recording = Recording(metadata, rig, channels, source, assumptions=assumptions)
     notes += sampling_notes(channels)
     _note_clock(recording, notes)
@@ -121,10 +122,6 @@ def _tell_unused_keys(about: RecordingMetadata, notes: list[str]) -> None:
     unused = find_unused_keys(given, about.protocol, about.loading)
     if unused:
         notes.append(f"keys of recording that a {about.loading} {about.protocol} does not use: {', '.join(unused)}")
-
-
-NO_CAMPAIGN = "no campaign"
-"""Campaign of the recorded lives that name none: they stand on a page together, as nothing tells them apart."""
 
 
 class _Unusable(Exception):

@@ -117,7 +117,7 @@ def _truths(content: bytes, names: Sequence[str]) -> dict[str, Any]:
             io.BytesIO(content), squeeze_me=True, struct_as_record=True, mat_dtype=True, variable_names=wanted
         )
     leaves = _leaves_of(typed)
-    return {name: leaves[name] for name in names if np.asarray(leaves.get(name)).dtype.kind in "bO" and name in leaves}
+    return {name: leaves[name] for name in names if name in leaves and np.asarray(leaves[name]).dtype.kind in "bO"}
 
 
 def _leaves(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]:

@@ -30,7 +30,7 @@ from ingest.mapping_keys import TAN_DELTA
 from ingest.own_covariates import read_covariates
 from ingest.table_rows import TableRows, cell_text, join_repeats, ordered, standard_error, stiffness_scale
 from schemas.arrays import Complex, Float
-from schemas.assumptions import Assumption
+from schemas.assumptions import Assumption, assume_campaign
 from schemas.errors import RefusedError
 from schemas.lifetimes import LifetimeRow
 from schemas.metadata import TableMetadata
@@ -96,9 +96,7 @@ def _in_a_campaign(table: TableRows) -> TableMetadata:
     metadata = table.metadata
     if metadata.campaign:
         return metadata
-    table.assumptions.append(
-        Assumption("campaign", metadata.recording_id, "no campaign", "which lives are compared and stand on one page")
-    )
+    table.assumptions.append(assume_campaign(metadata.recording_id))
     return replace(metadata, campaign=metadata.recording_id)
 
 

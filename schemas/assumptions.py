@@ -21,3 +21,8 @@ class Assumption:
     value: str
     because: str
     touches: str
+
+
+def assume_campaign(value: str) -> Assumption:
+    """The campaign, in words, of lives that name none."""
+    return Assumption("campaign", value, "no campaign", "which lives are compared and stand on one page")

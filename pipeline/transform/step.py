@@ -7,6 +7,7 @@ change in `step_levels`; fits over the steps of a specimen are in `pipeline.fit.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -150,6 +151,11 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         return _measure_release(volts, tension, clean, phases[0], (force_memory, capacitance_memory), tuple(warnings))
     steps: list[StepResponse] = []
     together: list[DriftingStep] | None = None
+
+    @functools.cache
+    def fit_together() -> list[DriftingStep] | None:
+        return fit_drifting_steps(*tension, phases, force_memory)
+
     for number, phase in enumerate(phases, start=1):
         if not phase.has_rest:
             warnings.append(f"step {number} begins with the record: no rest level before it")
@@ -161,7 +167,7 @@ def measure_steps(recording: Recording) -> StepAnalysis:
         left = 0.0 if force_change is None or pulled is None else force_change.unrecovered * (pulled.step - last)
         moved = baseline_misfit(*tension, phase, rest_from, force_change, force_memory, left)
         if moved > 0 and force_change is None:
-            together = together or fit_drifting_steps(*tension, phases, force_memory)
+            together = fit_together()
         step = _refuse_moved(step, moved) if together is None else _beside_drift(step, together[number - 1])
         if unsteady := describe_unsteady(*volts, phase):
             step = replace(step, warnings=(*step.warnings, unsteady))
@@ -238,15 +244,10 @@ def _measure_release(
 def _beside_drift(step: StepResponse, found: DriftingStep) -> StepResponse:
     """The step with what a fit together with the drift gives; courses of time that were read without the drift are none."""
     return replace(
-        step,
+        _without_courses(step),
         force_rest_n=found.rest,
         force_step_n=-found.step,
         force_step_sd_n=found.step_sd,
-        force_instant_fraction=None,
-        rise_time_s=None,
-        overshoot_percent=None,
-        settling_time_s=None,
-        recovery_time_s=None,
     )
 
 
@@ -341,15 +342,19 @@ def _refuse_unchecked(steps: list[StepResponse], phases: Sequence[Edges]) -> lis
 
 def _without_force(step: StepResponse, because: str) -> StepResponse:
     return replace(
+        _without_courses(step), force_step_n=math.nan, force_step_sd_n=math.nan, warnings=(*step.warnings, because)
+    )
+
+
+def _without_courses(step: StepResponse) -> StepResponse:
+    """The step without what is read from the course of its force over time."""
+    return replace(
         step,
-        force_step_n=math.nan,
-        force_step_sd_n=math.nan,
         force_instant_fraction=None,
         rise_time_s=None,
         overshoot_percent=None,
         settling_time_s=None,
         recovery_time_s=None,
-        warnings=(*step.warnings, because),
     )
 
 
