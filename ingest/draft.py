@@ -41,13 +41,22 @@ from ingest.draft_files import (
     open_sheets,
     read_numbers,
 )
-from ingest.draft_parts import find_parts, join_shapes, name_parts
-from ingest.draft_tables import ask_outcomes, say_frequency, select_isotherms, select_sweeps
+from ingest.draft_parts import find_parts, find_runs, join_shapes, name_parts
+from ingest.draft_tables import (
+    CLOCKS_OF,
+    ask_outcomes,
+    find_clock,
+    is_written_once,
+    say_frequency,
+    select_isotherms,
+    select_sweeps,
+    tells_modes,
+)
 from ingest.draft_text import toml_text
-from ingest.draft_times import make_time_keys
+from ingest.draft_times import ask_order, find_date_format, find_other_order, make_time_keys, prefer_order
 from ingest.excel_reader import SHEET
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
-from ingest.mapping import FileMapping
+from ingest.mapping import FILLED_DOWN, FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, MEAN, RECORDING, RELAXATION, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn, is_sensor_unit
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys
@@ -209,6 +218,15 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         if name in ("failed", "censored"):
             entry |= find_meanings(column, opened, chosen.get("lifetime"))
             questions.append(ask_outcomes(f"columns.{name}.failed_values", entry))
+        elif name in ("started", "ended"):
+            cells = [cell for cell in opened.cells(column) if str(cell).strip()]
+            entry["format"] = str(find_date_format(cells))
+            if (other := find_other_order(cells, entry["format"])) is not None:
+                entry["format"] = prefer_order(entry["format"], other, opened)
+                questions.append(ask_order(f"columns.{name}.format", cells[0], entry["format"]))
+        elif name == "lifetime" and (keys := find_clock(column, opened)) is not None:
+            entry |= keys
+            remarks[f"columns.{name}.column"] = CLOCKS_OF[keys.get("format", "hh:mm:ss")]
         elif name == "lifetime" and (unit := is_counted(column)) is not None:
             entry["unit"] = unit
             if "frequency" not in chosen:
@@ -217,7 +235,12 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
             entry["unit"] = column.unit or usual[name]
             if not column.unit and name != TAN_DELTA:
                 questions.append(ask_unit(f"columns.{name}", column, usual[name]))
+        if name in FILLED_DOWN and is_written_once(column, opened, kind):
+            entry["fill_down"] = True
+            remarks[f"columns.{name}.fill_down"] = "written once for each block of rows"
         columns[name] = entry
+    if kind == LIFETIMES and "failure_mode" not in columns and tells_modes(columns.get("failed", {})):
+        columns["failure_mode"] = {"column": columns["failed"]["column"]}
     about: dict[str, Any] = {"recording_id": _own_name(opened.path)}
     each, repeated, remark = (
         select_isotherms(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else (None, False, "")
@@ -285,7 +308,13 @@ def _recording(opened: Opened) -> Draft:
     about_times = tuple(questions)
     content["columns"], questions = _channels(opened, about_times)
     sheets = name_sheets(opened)
-    tests = [] if counts or len(sheets) > 1 else find_parts(opened, time_of)
+    one_sheet = not counts and len(sheets) <= 1
+    tests = find_runs(opened, time_of) if one_sheet else []
+    if tests:
+        remarks["recording.started_at"] = (
+            "of the first run: where the file has no clock the others count from it as well"
+        )
+    tests = tests or (find_parts(opened, time_of) if one_sheet else [])
     tests += [(None, {"column": SHEET, "equals": name}) for name in sheets] if len(sheets) > 1 else []
     shapes = [_shape(opened, content | {"select": [entry]})[0] for _, entry in tests]
     if parts := name_parts(tests, shapes):

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from ingest.draft_files import Opened
+from ingest.draft_times import find_date_format
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import RECORDING, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn
@@ -31,18 +32,24 @@ _RELAXED = r"relax|^[eg]\s?\(t\)|modul"
 _COMPLIANCE = r"complian|nachgiebigkeit"
 _FAILED = (
     r"[cz]ens|fail|event|status|state|death|broke|^breakdown$|^bd$|runout|durchschlag|ausfall|ausgefallen|defekt|versag"
-    r"|surviv|alive|überleb|lebt|outcome|ergebnis|^end$|^ended|d[ée]faill|claqu|panne"
+    r"|surviv|alive|überleb|lebt|outcome|ergebnis|^results?$|r[ée]sultat|resultado|^end$|^ended|d[ée]faill|claqu|panne"
 )
 _LIFE = (
     r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit|laufzeit|ausfallzeit|haltbarkeit"
     r"|dur[ée]e de vie"
 )
+_STARTED = (
+    r"^(start|begin|begun|begonn|d[ée]but|inicio|inizio|eingeschaltet|eingebaut|switched on|von$|from$|on$|ein$|开始)"
+)
+_ENDED = r"^(end|stop|finish|fin\b|fine\b|ausgeschaltet|ausgebaut|switched off|broke|fail|ausfall|durchschlag|bis$|to$|until|off$|aus$|结束)"
 _COUNTED = r"zykl|cycles?\b|lastwechsel|lastspiele|schaltspiele|h[üu]be|actuations|bet[äa]tigungen"
 """Names of lives that count cycles; of a machine's record as well, so that outcomes have to stand beside them."""
 _MILLIONS = r"mio\b|million|10\^?6|1e6|10⁶|mcycles|1[., ]?000[., ]?000"
 _THOUSANDS = r"tausend|tsd|thousand|kcycles|\bk\b|[×x*/]\s*1[., ]?000\b|\bin 1[., ]?000\b|10\^?3|1e3|10³"
-_CONFIGURATION = r"config|group|electrode|elektrode|design|layout|bauart|gruppe|^type?$|^typ\b|variante|variant"
-_SPECIMEN = r"specimen|sample|probe|pr[üu]fling|muster|^id$|serial|aktor|actuator|device"
+_CONFIGURATION = r"config|group|grupo|electrode|[ée]lectrode|electrodo|elektrode|design|layout|bauart|gruppe|^type?$|^typ\b|variante|variant"
+_ALSO_CONFIGURATION = r"^film$|^folie$|^foil$|^membrane?$|mat[ée]ria[lu]|werkstoff|^kind$|^art$|^sorte$"
+"""Names of groups where the cells repeat, of specimens where they do not."""
+_SPECIMEN = r"specimen|sample|[ée]chantillon|[ée]prouvette|muestra|probeta|campione|probe|pr[üu]fling|muster|^id$|serial|aktor|actuator|device"
 _NUMBERED = r"^(lfd\.?\s*)?(nr|no|nummer|number|#)\.?$"
 """Names of specimens where no other column has their names."""
 _COUNT = r"^n$|^count$|^anzahl$"
@@ -134,13 +141,14 @@ def find_lifetime_columns(opened: Opened, roles: Mapping[str, str] = MappingProx
     It is one where a column is named a life, where outcomes stand beside times, or specimens beside times that do not
     run.
     """
-    columns = opened.columns
+    spans = _find_spans(opened)
+    columns = [c for c in opened.columns if c not in spans.values()]
     named = next((c for c in columns if c.unit != "kV" and re.search(_LIFE, label_column(c))), None)
     runs = {c.meaning for c in columns} & {"force", "displacement"}
     counted = None if runs else _first([c for c in columns if c is not named], _COUNTED)
     others = [c for c in columns if c is not named]
     outcome = _choose_outcome([c for c in others if re.search(_FAILED, label_column(c))], opened)
-    if outcome is None and (named is not None or counted is not None):
+    if outcome is None and (named is not None or counted is not None or spans):
         outcome = next((c for c in others if c.meaning is None and _holds_outcomes(c, opened)), None)
     if named is None and outcome is not None and counted is not outcome:
         named = counted
@@ -148,21 +156,46 @@ def find_lifetime_columns(opened: Opened, roles: Mapping[str, str] = MappingProx
     channels = {c.meaning for c in columns} & {"force", "displacement", "leakage_current"}
     if life is None and not channels and (_first(columns, _SPECIMEN) or _first(columns, _CONFIGURATION)):
         life = next((c for c in columns if c.meaning == TIME and not _runs(opened.cells(c), opened.options)), None)
+    if life is None and spans and outcome is not None:
+        return _with_conditions({"failed": outcome, **spans}, columns, opened)
     given = {role: c for c in columns for name, role in roles.items() if str(c.column) == name}
     if ("lifetime" not in given) and (life is None or (named is None and channels)):
         return {}
     found = {"lifetime": life} if life is not None else {}
     found |= {} if outcome is None or outcome in given.values() else {"failed": outcome}
-    found |= given
+    found |= spans | given
+    return _with_conditions(found, columns, opened)
+
+
+def _repeats(column: GuessedColumn, opened: Opened) -> bool:
+    """Whether a column has few different words for its rows."""
+    cells = opened.cells(column)
+    return 2 * len({_plain(cell) for cell in cells} - {""}) <= len(cells)
+
+
+def _find_spans(opened: Opened) -> dict[str, GuessedColumn]:
+    """The two columns of dates between which each test ran; empty where there are not both."""
+    dated = [c for c in opened.columns if find_date_format(opened.cells(c)) is not None]
+    started, ended = _first(dated, _STARTED), _first(dated, _ENDED)
+    return {} if started is None or ended is None or started is ended else {"started": started, "ended": ended}
+
+
+def _with_conditions(
+    found: dict[str, GuessedColumn], columns: Sequence[GuessedColumn], opened: Opened
+) -> dict[str, GuessedColumn]:
+    """The columns of lives with those of what each test was beside it."""
     for name, pattern in (
         ("voltage", None),
         ("configuration", _CONFIGURATION),
+        ("configuration", _ALSO_CONFIGURATION),
         ("specimen_id", _SPECIMEN),
         ("specimen_id", _NUMBERED),
         ("count", _COUNT),
         ("test_duration", _PLANNED),
     ):
         if name in found:
+            continue
+        if pattern == _ALSO_CONFIGURATION and not any(_repeats(c, opened) for c in columns if _first([c], pattern)):
             continue
         rest = [c for c in columns if c not in found.values()]
         column = next((c for c in rest if c.meaning == name), None) if pattern is None else _first(rest, pattern)
@@ -172,14 +205,15 @@ def find_lifetime_columns(opened: Opened, roles: Mapping[str, str] = MappingProx
 
 def _choose_outcome(named: Sequence[GuessedColumn], opened: Opened) -> GuessedColumn | None:
     """Of the columns named as outcomes the one that holds them; `Failure mode` and `Failed` may stand side by side."""
-    return next((c for c in named if _holds_outcomes(c, opened)), named[0] if named else None)
+    words = [c for c in named if find_date_format(opened.cells(c)) is None]
+    return next((c for c in words if _holds_outcomes(c, opened, is_named=True)), words[0] if words else None)
 
 
-def _holds_outcomes(column: GuessedColumn, opened: Opened) -> bool:
+def _holds_outcomes(column: GuessedColumn, opened: Opened, *, is_named: bool = False) -> bool:
     """Whether all cells that are filled say yes or no, failed or alive, at least one of them in a word."""
     texts = {_plain(cell) for cell in opened.cells(column)} - {""}
-    if 0 < len(texts) <= _MOST_NUMBERS and any(re.search(r"[^\W\d]", text) for text in texts):
-        told, unknown = deal_marks(sorted(texts), read_legend(opened.words, sorted(texts)))
+    if 0 < len(texts) <= _MOST_WORDS and any(re.search(r"[^\W\d]", text) for text in texts):
+        told, unknown = deal_marks(sorted(texts), read_legend(opened.words, sorted(texts)), is_named=is_named)
         if not unknown and FAILED in told.values():
             return True
     return 0 < len(texts) <= _MOST_NUMBERS and all(re.fullmatch(_OUTCOMES, t) for t in texts) and texts != {"1"}
@@ -206,6 +240,8 @@ _LONGEST_CODE = 3
 """Letters of a mark that is a code: it means nothing without its legend."""
 _MOST_NUMBERS = 8
 """Different numbers of a column of failures that are proposed; words are proposed all."""
+_MOST_WORDS = 40
+"""Different texts of a column that is taken for one of outcomes: remarks of a whole list may all begin with one of a few words."""
 
 
 def find_meanings(failed: GuessedColumn, opened: Opened, life: GuessedColumn | None = None) -> dict[str, list[Any]]:
@@ -236,7 +272,7 @@ def _meanings(failed: GuessedColumn, opened: Opened) -> dict[str, list[Any]]:
     turned = re.search(_ALIVE, str(failed.column).lower()) is not None
     marks = [str(v) for v in plain]
     legend = read_legend(opened.words, marks)
-    told, unknown = deal_marks(marks, legend)
+    told, unknown = deal_marks(marks, legend, is_named=True)
     codes = [mark for mark in unknown if len(mark) <= _LONGEST_CODE and not mark.isdigit()]
     told_enough = bool(legend) or len(set(told.values())) > 1
     if not turned and any(isinstance(v, str) for v in plain) and (told_enough or len(codes) > 1):

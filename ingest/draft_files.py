@@ -47,6 +47,8 @@ class Opened:
     facts: Mapping[str, Fact] = field(default_factory=dict)
     about: tuple[str, ...] = ()
     has_own_time: bool = False
+    begins: tuple[int, ...] = (0,)
+    """First rows of the runs that the file itself tells apart."""
     words: tuple[str, ...] = ()
     """All texts of a sheet, and of a text the lines above and below its table: what its marks mean may stand there."""
 
@@ -142,7 +144,8 @@ def _open_tabbed(path: Path, found: str, said: Mapping[str, str]) -> Opened:
     if found == "lvm":
         columns = tuple(c for c in columns if c.column not in (lvm_reader.X_VALUE, lvm_reader.COMMENT))
         facts = harvest_lines(lvm_reader.find_facts(path, encoding))
-        return Opened(path, found, options, columns, (), by_key(facts), (), has_own_time=True)
+        begins = file.begins if isinstance(file, lvm_reader.LvmFile) else (0,)
+        return Opened(path, found, options, columns, (), by_key(facts), (), has_own_time=True, begins=begins)
     facts = harvest_lines(trios_reader.find_facts(content.decode(encoding, "replace")))
     return Opened(path, found, options, columns, (), by_key(facts))
 

@@ -27,6 +27,14 @@ _MOVES = ("cycle", "cyclic", "pull", "noise", "chirp")
 """Protocols of movements that may stand beside a relaxation."""
 
 
+_FEWEST = 10
+"""Rows of a file in which runs are looked for."""
+_NEAR = 0.02
+"""How near to the first time of a file another run's begins, as a share of the longest run."""
+_SCRAP = 0.1
+"""Shortest run beside the longest one: less is a clock that was set, or a start that was broken off."""
+
+
 def find_parts(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool | None, dict[str, Any]]]:
     """For each test of a record: whether it is a step and hold, and which rows are its; empty where it is one test alone."""
     drive = next((c for name in _DRIVES for c in opened.columns if c.meaning == name), None)
@@ -48,6 +56,44 @@ def find_parts(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool
     return [(s.is_hold, _range(s, rows, times, time_of if runs else None)) for s in segments]
 
 
+def find_runs(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool | None, dict[str, Any]]]:
+    """The runs of a file to which one was written behind the other, as entries of rows; empty where it holds one.
+
+    The file tells them apart, or its times begin anew.
+    """
+    begins, count = list(opened.begins), None
+    if len(begins) == 1 and time_of is not None:
+        mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+        try:
+            times = read_numbers(open_columns(opened.path, opened.format, map_each_column(mapping, [time_of])), time_of)
+        except DealabError:
+            return []
+        if times is None:
+            return []
+        begins, count = _find_restarts(times), times.size
+    if len(begins) == 1:
+        return []
+    found: list[tuple[bool | None, dict[str, Any]]] = []
+    for first, after in zip(begins, [*begins[1:], count], strict=True):
+        entry = ({"first_row": first} if first else {}) | ({} if after in (None, count) else {"last_row": after - 1})
+        found.append((None, entry))
+    return found
+
+
+def _find_restarts(times: Any) -> list[int]:
+    """The first rows of runs whose times begin anew: each steps back to where the first began, and is no scrap."""
+    rows = np.flatnonzero(np.isfinite(times))
+    if rows.size < _FEWEST:
+        return [0]
+    known = times[rows]
+    back = np.flatnonzero(np.diff(known) < 0) + 1
+    spans = [float(np.ptp(run)) for run in np.split(known, back)]
+    near = np.abs(known[back] - known[0]) <= _NEAR * max(spans)
+    if not back.size or not near.all() or min(spans) < _SCRAP * max(spans):
+        return [0]
+    return [0, *(int(rows[at]) for at in back)]
+
+
 def _range(segment: Segment, rows: Any, times: Any, column: GuessedColumn | None) -> dict[str, Any]:
     """The rows of a segment by their times, or counted where the clock does not tell them apart."""
     first, last = int(rows[segment.first]), int(rows[segment.last])
@@ -64,7 +110,7 @@ def name_parts(tests: Sequence[tuple[bool | None, dict[str, Any]]], shapes: Sequ
     """The entries of `[[select]]` with a name for each part and what its metadata have of their own; empty where a part shows
     no test that may stand beside the others.
 
-    A part that is a sheet, where None stands in place of whether it is a hold, has the name of the sheet.
+    A part that is a sheet, or a run, where None stands in place of whether it is a hold, has the name of the sheet, or `run`.
     """
     pairs = list(zip(tests, shapes, strict=True))
     if any(
@@ -75,7 +121,7 @@ def name_parts(tests: Sequence[tuple[bool | None, dict[str, Any]]], shapes: Sequ
     entries: list[dict[str, Any]] = []
     names: list[str] = []
     for (is_hold, entry), shape in pairs:
-        name = str(entry["equals"]) if is_hold is None else _NAMES.get(shape.protocol, shape.protocol)
+        name = str(entry.get("equals", "run")) if is_hold is None else _NAMES.get(shape.protocol, shape.protocol)
         names.append(name)
         count = names.count(name)
         own: dict[str, Any] = {} if shape.protocol == shapes[0].protocol else {"protocol": shape.protocol}

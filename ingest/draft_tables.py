@@ -5,6 +5,7 @@ Does not belong here: which columns a table has (`ingest.draft_columns`), what m
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,12 +13,13 @@ from ingest.draft_columns import find_frequency
 from ingest.draft_files import Opened, map_each_column, read_numbers
 from ingest.isotherms import find_isotherms, has_repeats, has_returns
 from ingest.mapping import FileMapping
-from ingest.mapping_keys import RECORDING
+from ingest.mapping_keys import LIFETIMES, RECORDING
 from ingest.meanings import GuessedColumn
 from ingest.questions import Question
 from ingest.read import open_columns
 from ingest.trios_reader import STEP
 from schemas.errors import DealabError
+from schemas.lifetimes import OTHER, classify_failure_mode
 
 _FEWEST_FREQUENCIES = 3
 """Different frequencies of a step that goes over them."""
@@ -33,6 +35,48 @@ def ask_outcomes(key: str, entry: dict[str, Any]) -> Question:
     return Question(
         key, f"{text}; nothing tells what {unknown} mean: censored_values and no_test_values can be said as well"
     )
+
+
+CLOCKS_OF: Mapping[str, str] = {
+    "hh:mm:ss": "hours:minutes:seconds",
+    "hh:mm": "hours:minutes",
+    "mm:ss": "minutes:seconds",
+}
+"""Notations of durations, as a comment says them."""
+
+
+def find_clock(life: GuessedColumn, opened: Opened) -> dict[str, Any] | None:
+    """The keys of a column of lives that are written with colons; None where they are numbers, or two parts without a name for them.
+
+    `64:33:47` says itself what its parts are; of `64:33` the header does (`[hh:mm]`, `min:s`), or hours that no minutes reach.
+    """
+    texts = [str(cell).strip().lstrip("<>≤≥= ") for cell in opened.cells(life) if ":" in str(cell)]
+    filled = [cell for cell in opened.cells(life) if str(cell).strip()]
+    if not texts or 2 * len(texts) < len(filled):
+        return None
+    if all(text.count(":") == 2 for text in texts):
+        return {"unit": "s"}
+    header = f"{life.column} {life.written_unit}".lower()
+    if re.search(r"\bh{1,2}:m|\bh:min|std\.?:min|\bj:m", header):
+        return {"format": "hh:mm"}
+    return {"format": "mm:ss"} if re.search(r"\bm{1,2}:s|\bmin:s", header) else None
+
+
+def is_written_once(column: GuessedColumn, opened: Opened, kind: str) -> bool:
+    """Whether a column of a list of lives has a value in the first row of each block alone, as under cells that are merged."""
+    if kind != LIFETIMES:
+        return False
+    rows = [i for i, row in enumerate(opened.rows) if sum(bool(str(cell).strip()) for cell in row) > 1]
+    cells = opened.cells(column)
+    texts = [str(cells[i]).strip() for i in rows if i < len(cells)]
+    filled = [text for text in texts if text]
+    return bool(texts) and bool(texts[0]) and 2 * len(filled) <= len(texts)
+
+
+def tells_modes(failed: Mapping[str, Any]) -> bool:
+    """Whether the marks of failures say as well how specimens failed, in several ways."""
+    words = [str(value) for value in failed.get("failed_values", [])]
+    return len({classify_failure_mode(word) for word in words} - {OTHER}) > 1
 
 
 def say_frequency(opened: Opened, remarks: dict[str, str], questions: list[Question]) -> dict[str, Any]:

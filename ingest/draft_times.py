@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from datetime import date, datetime
 from typing import Any
 
 from ingest.clocks import duration_s, moment
@@ -19,6 +20,9 @@ def make_time_keys(time: GuessedColumn, opened: Opened, questions: list[Question
     if not isinstance(first, float | int):
         keys = _text_times(cells)
         if keys is not None:
+            if (other := find_other_order(cells, str(keys.get("format", "")))) is not None:
+                keys["format"] = prefer_order(keys["format"], other, opened)
+                questions.append(ask_order("time.format", cells[0], keys["format"]))
             if keys.get("format") not in ("elapsed", "mm:ss") and not _has_zone(first):
                 keys["zone"] = "UTC"
                 questions.append(Question("time.zone", "time zone of the clock", "UTC"))
@@ -49,6 +53,39 @@ def _text_times(cells: Sequence[Any]) -> dict[str, Any] | None:
     if texts and duration_s(texts[0], minutes=True) is not None and ":" in texts[0]:
         return {"format": "mm:ss"}
     return None
+
+
+def find_other_order(cells: Sequence[Any], pattern: str) -> str | None:
+    """The pattern with day and month in the other order where all cells fit it as well; None where they do not."""
+    if not pattern.startswith(("%m/%d", "%d/%m")):
+        return None
+    other = ("%d/%m" if pattern.startswith("%m") else "%m/%d") + pattern[5:]
+    filled = [str(c).strip() for c in cells if str(c).strip()]
+    fits = all(moment(text, other) is not None for text in filled)
+    return other if fits and any(moment(t, other) != moment(t, pattern) for t in filled) else None
+
+
+def prefer_order(pattern: str, other: str, opened: Opened) -> str:
+    """Of two orders of day and month the one that goes with the file's decimal mark: who writes a comma writes the day first."""
+    first = "%d" if opened.options.get("decimal") == "," else "%m"
+    return pattern if pattern.startswith(first) else other
+
+
+def ask_order(key: str, cell: Any, pattern: str) -> Question:
+    """The question in which order the day and the month of dates stand that nothing tells."""
+    return Question(key, f'whether day or month comes first in "{cell}" (%d the day, %m the month)', pattern)
+
+
+def find_date_format(cells: Sequence[Any]) -> str | None:
+    """The pattern of cells that are all dates, with their time of day or without; None where they are none, or there are none."""
+    filled = [c for c in cells if str(c).strip()]
+    if not filled or not all(isinstance(c, datetime | date) or re.search(r"\d[-./ ]", str(c)) for c in filled):
+        return None
+    if all(moment(c, None) is not None for c in filled):
+        return "iso"
+    found = _text_times(filled) or {}
+    pattern = str(found.get("format", ""))
+    return pattern if "%d" in pattern and "%Y" in pattern else None
 
 
 def _has_zone(cell: Any) -> bool:

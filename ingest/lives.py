@@ -16,8 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ingest.columns import Numbers
 from ingest.plausible import find_unbelievable
 from ingest.select import same_cell
+from ingest.spans import ENDED, STARTED, Spans, note_contradictions, read_spans
 from ingest.table_rows import TableRows, cell_text
 from schemas.arrays import Bool, Float
 from schemas.assumptions import Assumption
@@ -50,10 +52,12 @@ class Lives:
 
 def read_lives(table: TableRows) -> Lives:
     """Lives and failures of a table. Raises `RefusedError` with the row that cannot be read, or contradicts itself."""
-    table.require("lifetime")
+    is_spanned = "lifetime" not in table.mapping.columns and {STARTED, ENDED} <= set(table.mapping.columns)
+    if not is_spanned:
+        table.require("lifetime")
     _leave_out_no_specimens(table)
     period = _take_cycles(table)
-    numbers, unit = table.written("lifetime", "s")
+    numbers, unit = (_no_numbers(table), "s") if is_spanned else table.written("lifetime", "s")
     seconds = conversion(unit, "s", where=f"{table.where}: lifetime").apply(numbers.values)[table.rows]
     seconds = seconds * period["lifetime"]
     rows = table.row_numbers - 1
@@ -63,13 +67,17 @@ def read_lives(table: TableRows) -> Lives:
             row, f"the life, {numbers.values[row]:g} {unit}, is {why}", "how long the specimen lived"
         )
     bounds = np.array([numbers.bounds.get(int(row), 0) for row in rows], dtype=np.int8)
-    cells = [cell_text(cell) or "" for cell in table.cells("lifetime")]
+    cells = [""] * seconds.size if is_spanned else [cell_text(cell) or "" for cell in table.cells("lifetime")]
     flags, earlier = _flags(table, bounds)
     failed = bounds <= 0 if flags is None else flags
     alive = table.numbers_or("alive_at", "s", None, seconds.size) * period["alive_at"]
     entered = table.numbers_or("entered", "s", None, seconds.size) * period["entered"]
     planned = _planned(table, seconds.size) * period["test_duration"]
     lives = seconds.copy()
+    spans = read_spans(table)
+    if spans is not None:
+        note_contradictions(table, spans, lives)
+        _take_spans(table, spans, lives, cells)
     blank = []
     filled = 0
     for i, row in enumerate(rows.tolist()):
@@ -127,6 +135,25 @@ def read_lives(table: TableRows) -> Lives:
         because = "no column says which specimens failed"
         table.assumptions.append(Assumption("lives that are not written as survived", "failures", because, "survival"))
     return Lives(lives, failed, alive, entered)
+
+
+def _no_numbers(table: TableRows) -> Numbers:
+    """A column of no lives: what they are follows from dates."""
+    return Numbers(np.full(table.rows.size, math.nan), np.ones(table.rows.size, dtype=bool))
+
+
+def _take_spans(table: TableRows, spans: Spans, lives: Float, cells: list[str]) -> None:
+    """Fills lives that are not written with the time between start and end, which a note and an assumption say."""
+    taken = np.isnan(lives) & np.isfinite(spans.seconds) & np.array([not cell for cell in cells], dtype=bool)
+    lives[taken] = spans.seconds[taken]
+    if taken.any():
+        numbers = ", ".join(str(int(row)) for row in table.row_numbers[taken][:8])
+        said = f"{counted(int(taken.sum()), 'life', 'lives')}: the time between start and end, which are written to {spans.step_s:g} s"
+        table.notes.append(f"{said} (row {numbers})")
+        because = "the table has no life there"
+        table.assumptions.append(
+            Assumption(f"life of row {numbers}", "the time between start and end", because, "survival")
+        )
 
 
 def _take_cycles(table: TableRows) -> dict[str, Float]:
@@ -223,14 +250,17 @@ def _have_life_and_outcome(table: TableRows, outcome: str | None, *, says_blank:
     columns = table.mapping.columns
     found = np.zeros(table.rows.size, dtype=bool)
     if outcome is None:
-        life = columns["lifetime"]
-        if life.column is not None:
+        life = columns.get("lifetime")
+        if life is not None and life.column is not None:
             found[list(table.file.numbers(life.column, life.index).bounds)] = True
         return found
     lived = np.zeros(int(table.rows.sum()), dtype=bool)
     for name in ("lifetime", "alive_at", "test_duration"):
         if name in columns and columns[name].column is not None:
             lived |= np.array([cell_text(cell) is not None for cell in table.cells(name)], dtype=bool)
+    if STARTED in columns and ENDED in columns:
+        both = zip(table.cells(STARTED), table.cells(ENDED), strict=True)
+        lived |= np.array([None not in (cell_text(one), cell_text(other)) for one, other in both], dtype=bool)
     ended = np.array([cell_text(cell) is not None for cell in table.cells(outcome)], dtype=bool)
     is_planned = table.metadata.test_duration_s is not None
     found[table.rows] = (lived & (ended | says_blank)) | (ended & is_planned)

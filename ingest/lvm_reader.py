@@ -42,10 +42,16 @@ class _Segment:
 
 @dataclass(frozen=True)
 class LvmFile(CsvFile):
-    """The channels of a file; a `ColumnFile`. `times` (n,) in s by the position of a column."""
+    """The channels of a file; a `ColumnFile`. `times` (n,) in s by the position of a column.
+
+    `since` (n,) is what is added to columns of times: the seconds from the start of the first segment to that of a row's own
+    one, where each begins anew. `begins` are the first rows of segments with a head of their own.
+    """
 
     times: Mapping[int, Float] = field(default_factory=dict)
     axis: str = "Time"
+    since: Float | None = None
+    begins: tuple[int, ...] = (0,)
 
     def own_time(self, column: ColumnName) -> OwnTime | None:
         at = named_column(self.header, column, self.where)
@@ -59,7 +65,12 @@ class LvmFile(CsvFile):
         if at in self.times:
             return OwnTime(self.times[at], None)
         by = max((i for i, name in enumerate(self.header[:at]) if name.startswith(X_VALUE)), default=None)
-        return None if by is None else OwnTime(self.numbers(by).values, None)
+        if by is None:
+            return None
+        written = self.numbers(by).values
+        if self.since is None or not _begins_anew(written, self.begins):
+            return OwnTime(written, None)
+        return OwnTime(written + self.since[: written.size], None)
 
 
 def read_lvm(path: Path, mapping: FileMapping) -> LvmFile:
@@ -104,6 +115,8 @@ def read_lvm(path: Path, mapping: FileMapping) -> LvmFile:
         (*notes, *file.notes, *_joins(segments, about)),
         _times(segments, kind, file.table.num_rows, where) if kind == _NO_X else {},
         _first(first.head, "X_Dimension") or "Time",
+        _since(segments, file.table.num_rows, where),
+        _begins(segments, file.table.num_rows),
     )
 
 
@@ -236,6 +249,33 @@ def _times(segments: Sequence[_Segment], kind: str, rows: int, where: str) -> di
     return {at: np.concatenate(parts)[:rows] for at, parts in times.items()}
 
 
+def _begins(segments: Sequence[_Segment], rows: int) -> tuple[int, ...]:
+    """The first rows of segments with a head of their own."""
+    firsts = np.concatenate(([0], np.cumsum([len(segment.rows) for segment in segments])[:-1])).astype(int)
+    return tuple(int(at) for at, s in zip(firsts, segments, strict=True) if (s.head or not at) and at < rows)
+
+
+def _since(segments: Sequence[_Segment], rows: int, where: str) -> Float | None:
+    """(rows,) seconds from the start of the first segment to that of the row's own; None where a head tells no time."""
+    if len(segments) == 1:
+        return None
+    parts, since = [], 0.0
+    begin = _clock(segments[0], where)
+    for segment in segments:
+        start = _clock(segment, where)
+        if segment.head and (start is None or begin is None):
+            return None
+        if start is not None and begin is not None:
+            since = (start - begin).total_seconds()
+        parts.append(np.full(len(segment.rows), since))
+    return np.concatenate(parts)[:rows]
+
+
+def _begins_anew(written: Float, begins: Sequence[int]) -> bool:
+    """Whether the times of each segment count from its own start: they step back where one begins."""
+    return all(written[at] <= written[at - 1] for at in begins if at) and len(begins) > 1
+
+
 def _number(text: str, where: str, key: str) -> float:
     try:
         return float(text.replace(",", "."))
@@ -260,11 +300,15 @@ def _clock(segment: _Segment, where: str) -> datetime | None:
 
 def _check_counts(segments: Sequence[_Segment]) -> list[str]:
     """Segments with fewer rows than their heads say."""
-    last = segments[-1]
-    said = [int(text) for text in _by_channel(last, "Samples") if text.isdecimal()]
-    if len(segments) > 1 or not said or len(last.rows) >= max(said):
-        return []
-    return [f"there are {len(last.rows)} of {max(said)} samples: the file is cut"]
+    short = []
+    if not all(segment.head for segment in segments):
+        return []  # those without a head go on with the samples of the one before
+    for number, segment in enumerate(segments):
+        said = [int(text) for text in _by_channel(segment, "Samples") if text.isdecimal()]
+        if said and len(segment.rows) < max(said):
+            of = f" of segment {number}" if len(segments) > 1 else ""
+            short.append(f"there are {len(segment.rows)} of {max(said)} samples{of}: the file is cut")
+    return short
 
 
 def _joins(segments: Sequence[_Segment], about: Mapping[str, tuple[str, ...]]) -> list[str]:

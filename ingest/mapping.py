@@ -95,6 +95,8 @@ class ColumnMapping:
     sparse: bool = False
     overrule_unit: bool = False
     value: Any = None
+    format: str | None = None
+    fill_down: bool = False
     meanings: Mapping[str, tuple[Any, ...]] = dataclass_field(default_factory=dict)
     law: str | None = None
     metadata: Mapping[str, str] = dataclass_field(default_factory=dict)
@@ -415,6 +417,8 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         sparse=entry.get("sparse", False),
         overrule_unit=entry.get("overrule_unit", False),
         value=entry.get("value"),
+        format=entry.get("format"),
+        fill_down=entry.get("fill_down", False),
         meanings=meanings,
         law=entry.get("law"),
         metadata={k: str(entry[k]) for k in CHANNEL_METADATA if k in entry},
@@ -533,6 +537,13 @@ _WORDS = (
 """Columns of tables that hold words, and so have no unit."""
 
 
+FILLED_DOWN = ("configuration", "electrode", "batch", "voltage")
+"""Columns of tables that people write once for a block of rows."""
+_DATES = ("started", "ended")
+_AGES = ("lifetime", "alive_at", "entered", "test_duration")
+"""Columns of tables that hold times since the start of the test."""
+
+
 def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
     """The keys of a table's column that have no effect."""
     unused: list[str] = []
@@ -543,7 +554,15 @@ def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
     if name != "failure_mode":
         unused += _VALUES_OF_MODES
     if "value" in column:
-        unused += ["index", "overrule_unit"]
+        unused += ["index", "overrule_unit", "fill_down", "format"]
+    if name not in FILLED_DOWN:
+        unused.append("fill_down")
+    if name in _DATES:
+        unused += ["unit", "scale", "offset", "overrule_unit"]
+    elif name not in _AGES:
+        unused.append("format")
+    elif "format" in column:
+        unused += ["unit", "scale", "offset", "overrule_unit"]
     return unused
 
 

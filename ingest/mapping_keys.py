@@ -154,6 +154,15 @@ COLUMN: Mapping[str, Key] = {
 TABLE_COLUMN: Mapping[str, Key] = {
     **_ANY_COLUMN,
     "value": Key((str, int, float, bool), "in place of a column: the same in every row"),
+    "format": Key(
+        (str,),
+        "of `started` and `ended`: how their dates are written, a strptime pattern (absent: ISO 8601, or dates of a workbook);"
+        ' of lives and other ages: "hh:mm" or "mm:ss" (hh:mm:ss is understood as it stands)',
+    ),
+    "fill_down": Key(
+        (bool,),
+        "true: an empty cell has the value of the last filled one above it, as under a name that is written once for a block",
+    ),
     "failed_values": Key((list,), "column `failed`: cells that mean failed"),
     "censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be longer"),
     "left_censored_values": Key((list,), "column `failed`: cells that mean a life that is only known to be shorter"),
@@ -212,7 +221,7 @@ EACH = "{each}"
 """Stands for the value that a part of a file has, in the texts of `[recording]`."""
 TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
     LIFETIMES: {
-        "lifetime": "required; a unit of time, or cycles (kcycles, Mcycles) with a frequency. So are all other ages of the row",
+        "lifetime": "required, or `started` and `ended`; a unit of time, or cycles (kcycles, Mcycles) with a frequency. So are all other ages of the row",
         "failed": "`failed_values` and `censored_values` say which cells mean what: numbers are compared as numbers,"
         " other cells as text, and a value in none of the lists refuses the table; `left_censored_values` are lives that are"
         " only known to be shorter. Where no column says it, a life written as survived (`> 3600`, `3600+`) is censored"
@@ -223,6 +232,8 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
         " then, and not seen again",
         "entered": "age at which the specimen came under watch, where specimens that failed earlier are not in the table;"
         " an empty cell: from its start",
+        "started": "date and time of the start, with `ended`: the life of a row that has none of its own is the time between them",
+        "ended": "see started",
         "test_duration": "planned duration: the life of a survivor that has none of its own; absent: `test_duration_s`"
         " of `[recording]`",
         "count": "number of specimens that the row stands for; absent: one",

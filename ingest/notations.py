@@ -75,7 +75,7 @@ _MARKS = frozenset(
 """Words of instruments and spreadsheets that stand for no value, whatever their sign."""
 _ONLY_SIGNS = re.compile(r"[-+*#?=~._/]+")
 _BOUND = re.compile(r"(?P<low>>=|=>|>|≥|⩾)|(?P<high><=|=<|<|≤|⩽)")
-_DURATION = re.compile(r"(?P<h>\d+):(?P<m>[0-5]\d):(?P<s>[0-5]\d(?:[.,]\d*)?)")
+_DURATION = re.compile(r"(?P<h>\d+):(?P<m>[0-5]?\d):(?P<s>[0-5]?\d(?:[.,]\d*)?)")
 _NUMBER = re.compile(
     rf"(?P<sign>[+-]?)(?P<body>\d[\d.,'’{_BLANKS}]*\d|\d|[.,]\d+)(?P<point>[.,]?)"
     rf"(?P<exponent>[eEdD][+-]?\d{{1,3}}|[+-]\d{{3}})?(?P<unit>[{_BLANKS}]*[^\d{_BLANKS}.,'’+-][^\d]{{0,11}}\d?)?"
@@ -119,7 +119,7 @@ def read_cell(text: str, decimal: str = ".", thousands: str = "") -> Written | N
     word = plain.casefold().lstrip("+- ")
     if not plain or word in _MARKS or _ONLY_SIGNS.fullmatch(plain):
         return Written(math.nan, notation="no value")
-    bound, plain = _bound(plain)
+    bound, plain = split_bound(plain)
     duration = _DURATION.fullmatch(plain)
     if duration is not None:
         seconds = 3600.0 * int(duration["h"]) + 60.0 * int(duration["m"]) + float(duration["s"].replace(",", "."))
@@ -151,7 +151,7 @@ def read_cell(text: str, decimal: str = ".", thousands: str = "") -> Written | N
     return Written(value, unit, bound, "a bound" if bound else notation)
 
 
-def _bound(text: str) -> tuple[int, str]:
+def split_bound(text: str) -> tuple[int, str]:
     """1, −1 or 0, and the text without the sign that says so (`> 5`, `5+`)."""
     match = _BOUND.match(text)
     if match is not None:

@@ -13,21 +13,35 @@ FAILED, ALIVE, NO_TEST = "failed", "alive", "no test"
 
 _NO_TEST = (
     r"ung[üu]ltig|invalid|z[äa]hlt nicht|nicht (gewertet|gez[äa]hlt|gepr[üu]ft|getestet|verwendet)|not (counted|tested|valid|used)"
-    r"|does not count|do not count|excluded|ausgeschlossen|ausschluss|void|discard|verworfen|fehlversuch|non test"
+    r"|does not count|do not count|excluded|ausgeschlossen|ausschluss|void|discard|verworfen|fehlversuch|non test|no test\b|kein (versuch|test)\b"
 )
 _NOT_FAILED = (
     r"(ohne|kein\w*|no|not|nicht|without|non|pas de|sans)\s+(\w+\s+)?(ausfall|ausgefallen|defekt|durchschlag|fail\w*|break\w*|broken|defect"
     r"|d[ée]faill\w*|claqu\w*|panne|bd)"
 )
+_FROM_OUTSIDE = (
+    r"strom(ausfall|unterbrechung)|netz(ausfall|teil ?ausfall)|power (cut|fail\w*|out\w*|loss|went)|mains fail\w*|black ?out|brown ?out|coupure"
+    r"|panne de (courant|secteur)|corte de (luz|corriente)|apag[óo]n|interlock|door contact|t[üu]rkontakt|not-?aus|emergency (stop|off)"
+    r"|un(besch[äa]digt|versehrt|damaged|broken|harmed)|(not|nicht) (broken|damaged|besch[äa]digt|kaputt|defekt)|still (fine|good|ok|works|working)"
+    r"|non endommag|sin da[ñn]o|(supply|netzger[äa]t|rechner|computer|pc|logger|generator|amplifier|verst[äa]rker)\W*(fail\w*|ausfall|ausgefallen|broke|defekt"
+    r"|died|crash\w*|abgest[üu]rzt)"
+)
+"""What ended a test without the film: such words come before those of failures, which they may hold (`Stromausfall`)."""
 _ALIVE = (
     r"[cz]ens|run[- ]?out|surv|alive|überleb|lebt|lebend|intakt|intact|l[äa]uft|running|durchl[äa]ufer|suspen|abgebroch|abbruch|aborted"
-    r"|ausgebaut|entnommen|abgebaut|removed|withdrawn|taken (out|off)|stopped|gestoppt|angehalten|beendet|ended|test end|versuchsende|interrupt"
+    r"|ausgebaut|entnommen|abgebaut|abgeschaltet|ausgeschaltet|switched off|turned off|[ée]teint|arr[êe]t[ée]|retir[ée]|apagado|removed|withdrawn|taken (out|off)|stopped|gestoppt|angehalten|beendet|ended|test end|versuchsende|interrupt"
     r"|in ordnung|vivant|en vie|still on|ongoing|noch (am|dran)|ohne befund"
 )
 _FAILED = (
     r"ausgef|ausfall|fail|broke|break|burst|rupture|dead|death|tot\b|defekt|defect|kaputt|durchschl|durchgeschl|gerissen|riss\b|tear|torn|versag"
     r"|kurzschl|short|puncture|pinhole|d[ée]faill|claqu|panne"
 )
+_PLACES = (
+    r"edge|border|rim|corner|centre|center|middle|area|lead|tab|wire|contact|terminal|hole|rand|kante|ecke|mitte|fl[äa]che|zuleitung|anschluss"
+    r"|kontakt|loch|bord|coin|centre|surface|connexion|borde|[áa]rea|contacto"
+)
+"""Where a film failed, in a column that says how: a place alone means that there was a failure."""
+_NOWHERE = r"none|nowhere|nirgends|kein(e[rsnm]?)?|aucune?|ninguno|nichts|nothing"
 _ALIVE_MARKS = r"dl|ab|io|i\.\s?o\.|ok|s|c|z|n|no|nein|non|false|falsch|0|l|ro|-|–|—|→|>"
 _FAILED_MARKS = r"bd|f|j|ja|y|yes|oui|s[ií]|true|wahr|1|✓|✔"
 _MARK = r"[^\s,;|=:\"'„“”]{1,12}"
@@ -37,19 +51,30 @@ _LEGEND = re.compile(
 """A mark and what is said of it, wherever one begins: `Legende: D: Durchschlag; X: ungültig`."""
 
 
-def tell_outcome(mark: str, legend: Mapping[str, str]) -> str | None:
-    """What a mark means, by its legend first; None where neither says it."""
+def tell_outcome(mark: str, legend: Mapping[str, str], *, is_named: bool = False) -> str | None:
+    """What a mark means, by its legend first; None where neither says it.
+
+    `is_named`: its column is named as one of outcomes, so that a place alone says that there was a failure.
+    """
     plain = mark.strip().lower()
     said = legend.get(plain)
     for text in (said, plain):
         if text is None:
             continue
-        for pattern, outcome in ((_NO_TEST, NO_TEST), (_NOT_FAILED, ALIVE), (_ALIVE, ALIVE), (_FAILED, FAILED)):
+        for pattern, outcome in (
+            (_NO_TEST, NO_TEST),
+            (_FROM_OUTSIDE, ALIVE),
+            (_NOT_FAILED, ALIVE),
+            (_ALIVE, ALIVE),
+            (_FAILED, FAILED),
+        ):
             if re.search(pattern, text):
                 return outcome
     for pattern, outcome in ((_ALIVE_MARKS, ALIVE), (_FAILED_MARKS, FAILED)):
         if re.fullmatch(pattern, plain):
             return outcome
+    if is_named:
+        return ALIVE if re.fullmatch(_NOWHERE, plain) else FAILED if re.search(rf"\b\w*({_PLACES})\b", plain) else None
     return None
 
 
@@ -65,13 +90,15 @@ def read_legend(words: Iterable[str], marks: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def deal_marks(marks: Sequence[str], legend: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
+def deal_marks(
+    marks: Sequence[str], legend: Mapping[str, str], *, is_named: bool = False
+) -> tuple[dict[str, str], list[str]]:
     """The outcome of each mark, and those that nothing tells.
 
     Where all others mean one of failed and alive, and a single mark is left, it has the other meaning: a table that marks survivors in words
     has a mark for failures as well.
     """
-    told = {mark: tell_outcome(mark, legend) for mark in marks}
+    told = {mark: tell_outcome(mark, legend, is_named=is_named) for mark in marks}
     unknown = [mark for mark, outcome in told.items() if outcome is None]
     known = {outcome for outcome in told.values() if outcome in (FAILED, ALIVE)}
     if len(unknown) == 1 and len(known) == 1:

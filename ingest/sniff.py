@@ -30,6 +30,8 @@ _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
 }
+_CLOCK = re.compile(r"[<>≥≤=\s]*\d+:\d\d|\d{1,4}[-./]\d{1,2}[-./]\d{2,4}(?:[T ].*)?")
+"""Durations such as `64:33`, and dates: what a list of lives may have in place of every number."""
 _DELIMITERS = ("\t", ";", ",", "|", WHITESPACE)
 
 
@@ -120,7 +122,7 @@ def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, in
             widths = Counter(len(row) for _, row in rows)
             fields, _ = max(widths.items(), key=lambda item: (item[1] * min(item[0], 8), item[0]))
             alike = [(i, row) for i, row in rows if len(row) == fields]
-            numbers = [sum(is_number(f.strip(), decimal) for f in row) for _, row in alike]
+            numbers = [sum(_is_measured(f.strip(), decimal) for f in row) for _, row in alike]
             start = next((i for (i, _), n in zip(alike, numbers, strict=True) if n), None)
             share = sum(n > 0 for n in numbers) / len(filled)
             if start is not None and fields > 1 and len(alike) >= _FEWEST and share > _MOST:
@@ -205,6 +207,11 @@ def is_number(text: str, decimal: str) -> bool:
     if found is None or not math.isfinite(found.value):
         return False
     return not found.unit or found.unit in PREFIXES or is_any_unit(found.unit)
+
+
+def _is_measured(text: str, decimal: str) -> bool:
+    """Whether a cell is a number, a date, or a duration of two parts."""
+    return is_number(text, decimal) or _CLOCK.fullmatch(text) is not None
 
 
 def are_units(cells: Sequence[str]) -> bool:

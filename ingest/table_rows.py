@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from ingest.assemble import scaled_numbers, unit_of
 from ingest.cell_units import plain_unit
+from ingest.clocks import duration_s
 from ingest.columns import ColumnFile, Numbers
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, RELAXATION
+from ingest.notations import split_bound
 from ingest.plausible import without_unbelievable
 from ingest.select import selected_rows
 from ingest.times import with_zone, zone_of
@@ -27,6 +29,8 @@ from schemas.metadata import RecordingMetadata, TableMetadata, check_keys
 from schemas.units import conversion
 
 MODULUS, STIFFNESS = "modulus", "stiffness"
+CLOCKS = ("hh:mm", "mm:ss")
+"""How durations of two parts are written."""
 _ALIKE = 0.1
 """Difference of repeats from their mean that a stable film shows: a rheometer's noise is 1 to 2 %, a kelvin off its set point 5 to 10 %."""
 _RESPONSES: Mapping[str, tuple[str, bool, int]] = {
@@ -124,18 +128,51 @@ class TableRows:
             raise self.refused_row(row, f'{name} is "{found.odd.get(row, "")}"', "a value, not a bound")
         if found.texts:
             self.problems.append(f'{name}: {found.texts} cells hold no number, such as "{found.example}"')
-        raw = found.values[self.rows]
+        whole = found.values
+        if column.fill_down:
+            above = self._filled_above(name)
+            whole = np.where(above < 0, math.nan, whole[above])
+        raw = whole[self.rows]
         values = conversion(unit, canonical, where=f"{self.where}: {name}").apply(raw)
         return without_unbelievable(raw, values, name, canonical, self.problems, where=self.where)
 
     def written(self, name: str, canonical: str) -> tuple[Numbers, str]:
         """A column of the whole file as its cells say, bounds included, and the unit of its values."""
         column = self.mapping.columns[name]
+        if column.format is not None:
+            return self._of_clock(name), canonical
         unit = self._unit(name, canonical)
         found = scaled_numbers(self.file, column, name, unit, where=self.where, few_are_damage=False)
         self.notes += found.notes
         self._check_length(name, found.numbers.values.size)
         return found.numbers, unit
+
+    def _of_clock(self, name: str) -> Numbers:
+        """A column of durations of two parts, `64:33`, of the whole file in s."""
+        column = self.mapping.columns[name]
+        assert column.column is not None  # one with a value has no format
+        if column.format not in CLOCKS:
+            raise RefusedError(
+                f'columns.{name}.format is "{str(column.format)[:40]}"',
+                where=self.mapping.source or self.where,
+                expected=" or ".join(CLOCKS),
+                remedy="Correct the mapping TOML",
+            )
+        texts = [cell_text(cell) or "" for cell in self.file.cells(column.column, column.index)]
+        self._check_length(name, len(texts))
+        bounds: dict[int, int] = {}
+        values = np.full(len(texts), math.nan)
+        for row, text in enumerate(texts):
+            bound, plain = split_bound(text)
+            seconds = duration_s(plain, minutes=True)
+            if seconds is None:
+                continue
+            values[row] = seconds * (60.0 if column.format == CLOCKS[0] and plain.count(":") == 1 else 1.0)
+            bounds |= {row: bound} if bound else {}
+        empty = np.array([not text for text in texts], dtype=bool)
+        odd = [text for text, value in zip(texts, values, strict=True) if text and math.isnan(value)]
+        written = {row: texts[row] for row in bounds}
+        return Numbers(values, empty, len(odd), odd[0] if odd else "", bounds=bounds, odd=written)
 
     def _unit(self, name: str, canonical: str) -> str:
         """The unit of a column; the canonical one where every number carries its own."""
@@ -173,7 +210,17 @@ class TableRows:
             return [column.value] * int(self.rows.sum())
         cells = self.file.cells(column.column, column.index)
         self._check_length(name, len(cells))
+        if column.fill_down:
+            cells = [cells[i] if i >= 0 else None for i in self._filled_above(name)]
         return [cell for cell, keep in zip(cells, self.rows, strict=True) if keep]
+
+    def _filled_above(self, name: str) -> NDArray[np.intp]:
+        """(N,) of each row of the file the row of the last filled cell of a column, its own included; −1 where there is none."""
+        column = self.mapping.columns[name]
+        assert column.column is not None  # one with a value is not filled down
+        cells = self.file.cells(column.column, column.index)
+        rows = [i if cell_text(cell) is not None else -1 for i, cell in enumerate(cells)]
+        return np.maximum.accumulate(np.array(rows, dtype=np.intp))
 
     def texts_or(self, name: str, default: str | None, count: int) -> list[str | None]:
         """A column as text, the default where a cell is empty or the column is not mapped."""

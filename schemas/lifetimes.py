@@ -30,10 +30,70 @@ FAILURE_MODES = (FILM, LEAD, EDGE, ELECTRODE, OTHER)
 """What failures are told apart by when modes compete, whatever a laboratory calls them."""
 _MODE_OF_SITE: Mapping[str, str] = {"rod": FILM, "active": FILM, "lead": LEAD, "edge": EDGE}
 _WORDS_OF_MODES: Mapping[str, tuple[str, ...]] = {
-    LEAD: ("lead", "leads", "contact", "wire", "cable", "connector", "feed", "tab", "terminal", "solder"),
-    EDGE: ("edge", "border", "rim", "margin", "flashover", "frame", "clamp"),
-    ELECTRODE: ("electrode", "electrodes", "carbon", "coating", "delamination", "delaminated", "conductivity"),
-    FILM: ("film", "membrane", "dielectric", "breakdown", "pinhole", "puncture", "punctured", "tear", "rod", "active"),
+    LEAD: (
+        "lead",
+        "leads",
+        "contact",
+        "wire",
+        "cable",
+        "connector",
+        "feed",
+        "tab",
+        "terminal",
+        "solder",
+        "zuleitung",
+        "anschluss",
+        "kontakt",
+        "kabel",
+        "connexion",
+        "fil",
+    ),
+    EDGE: (
+        "edge",
+        "border",
+        "rim",
+        "margin",
+        "flashover",
+        "frame",
+        "clamp",
+        "rand",
+        "elektrodenrand",
+        "kante",
+        "klemme",
+        "bord",
+        "cadre",
+    ),
+    ELECTRODE: (
+        "electrode",
+        "electrodes",
+        "carbon",
+        "coating",
+        "delamination",
+        "delaminated",
+        "conductivity",
+        "elektrode",
+        "ablösung",
+        "électrode",
+    ),
+    FILM: (
+        "film",
+        "membrane",
+        "dielectric",
+        "breakdown",
+        "pinhole",
+        "puncture",
+        "punctured",
+        "tear",
+        "rod",
+        "active",
+        "folie",
+        "fläche",
+        "durchschlag",
+        "riss",
+        "loch",
+        "mitte",
+        "claquage",
+    ),
 }
 """The first mode with a word in the text counts: "breakdown at the lead" is one of the lead."""
 
@@ -45,7 +105,7 @@ def classify_failure_mode(written: str) -> str:
     ----------
     written : as it stands in the table
     """
-    words = set(re.findall(r"[a-z]+", written.lower()))
+    words = set(re.findall(r"[^\W\d_]+", written.lower()))
     return next((mode for mode, known in _WORDS_OF_MODES.items() if words & set(known)), OTHER)
 
 

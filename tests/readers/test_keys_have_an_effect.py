@@ -592,6 +592,10 @@ _CELLS: Mapping[str, Callable[[int], Any]] = {
     "number": lambda i: i + 1,
     "share": lambda i: 0.1 + 0.01 * i,
     "word": lambda i: "abcd"[i % 4],
+    "once": lambda i: "uv"[i // 8] if i % 8 == 0 else "",
+    "rarely": lambda i: "" if i % 4 else i + 1,
+    "begun": lambda i: f"2026-03-01T{i:02d}:00",
+    "over": lambda i: f"2026-03-02T{i:02d}:00",
     "site": lambda i: ("rod", "lead")[i % 2],
     "region": lambda i: ("left", "centre")[i % 2],
     "name": lambda i: f"S-{i}",
@@ -616,8 +620,10 @@ _PLACES: Mapping[str, Content] = {
     "entered": {"column": "early", "unit": "h"},
     "test_duration": {"column": "early", "unit": "h"},
     "count": {"column": "number"},
-    "voltage": {"column": "number", "unit": "kV"},
-    "configuration": {"column": "word"},
+    "voltage": {"column": "rarely", "unit": "kV"},
+    "configuration": {"column": "once"},
+    "started": {"column": "begun"},
+    "ended": {"column": "over"},
     "specimen_id": {"column": "name"},
     "breakdown_voltage": {"column": "number", "unit": "kV"},
     "failure_site": {"column": "site"},
@@ -625,8 +631,8 @@ _PLACES: Mapping[str, Content] = {
     "failure_mode": {"column": "word"},
     "temperature": {"column": "beside", "unit": "degC"},
     "humidity": {"column": "share", "unit": "1"},
-    "electrode": {"column": "word"},
-    "batch": {"column": "word"},
+    "electrode": {"column": "once"},
+    "batch": {"column": "once"},
     "censored": {"column": "ended", "failed_values": [0], "censored_values": [1]},
     "magnitude": {"column": "number", "unit": "N/mm"},
     "phase": {"column": "share", "unit": "rad"},
@@ -648,6 +654,8 @@ _OF_COLUMNS: Mapping[str, Sequence[Any]] = {
     **{f"{name}_values": [[0], [1]] for name in ("failed", "censored", "left_censored", "no_test")},
     **{f"{name}_values": [["a", "b"]] for name in ("film", "lead", "edge", "electrode", "other")},
     "law": ["category", "inverse power"],
+    "format": ["hh:mm", "%d.%m.%Y %H:%M"],
+    "fill_down": [True],
 }
 
 
@@ -659,6 +667,8 @@ _BESIDE: Mapping[str, Sequence[str]] = {
     "displacement": ("frequency", "storage", "loss", "transducer_displacement"),
     "transducer_displacement": ("frequency", "storage", "loss", "displacement"),
     "censored": ("lifetime",),
+    "started": ("failed", "ended"),
+    "ended": ("failed", "started"),
     "test_duration": ("lifetime", "failed"),
 }
 """Columns that one column needs, where the others of its kind stand in place of it."""
