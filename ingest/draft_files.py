@@ -81,8 +81,12 @@ def open_file(path: Path, said: Mapping[str, str]) -> Opened:
             "header": d.header,
             "unit_row": d.unit_row,
         }
+        about: tuple[str, ...] = ()
+        if d.comment:
+            options["comment"] = d.comment
+            about = (f"lines that hold {d.comment.split()[0]} alone are marks of the machine: left out",)
         columns = _with_time_first(guess.columns)
-        return Opened(path, found, options, columns, guess.rows, by_key(guess.facts), words=guess.words)
+        return Opened(path, found, options, columns, guess.rows, by_key(guess.facts), about, words=guess.words)
     if found == "excel":
         return open_sheets(path, said)[0]
     if found in _TABBED:

@@ -64,6 +64,8 @@ class GuessedColumn:
     is_raw: bool = False
     index: int | None = None
     is_asked: bool = False
+    name: str = ""
+    """What the file calls a column that a mapping knows by its number, or by another name."""
     written_unit: str = ""
     """What stands as its unit, whether that is one or not: `×1000`."""
 

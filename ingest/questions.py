@@ -36,7 +36,7 @@ _STRAIN = r"strain|dehnung|déformation|deformacion|应变"
 
 def label_column(column: GuessedColumn) -> str:
     """A column's name in small letters without what stands in brackets."""
-    return re.sub(r"\s*[\[(/].*$", "", str(column.column)).strip().lower()
+    return re.sub(r"\s*[\[(/].*$", "", column.name or str(column.column)).strip().lower()
 
 
 def make_place(column: GuessedColumn) -> dict[str, Any]:

@@ -32,6 +32,15 @@ _NUMBER = {
 }
 _CLOCK = re.compile(r"[<>≥≤=\s]*\d+:\d\d|\d{1,4}[-./]\d{1,2}[-./]\d{2,4}(?:[T ].*)?")
 """Durations such as `64:33`, and dates: what a list of lives may have in place of every number."""
+_LISTED = re.compile(
+    r"^[#%;\s\"']*(?:sig(?:nal)?|ch(?:annel)?|col(?:umn)?|var(?:iable)?|field|kanal|spalte|feld|gr[öo][ßs]+e|voie|colonne|canal|columna)?"
+    r"[ _.-]*(?P<number>\d{1,2})\"?\s*[:=.\t;,|) ]\s*(?P<name>[^\W\d_].*)$",
+    re.IGNORECASE,
+)
+"""A line that names one column of the table below by its number."""
+_MARK = re.compile(r"-\d{1,4}(?:[.,]0*)?")
+_FEWEST_ALIKE = 3
+"""Columns of which the same negative whole number in all is a mark: of two it may be measured."""
 _DELIMITERS = ("\t", ";", ",", "|", WHITESPACE)
 
 
@@ -75,16 +84,25 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     header, units = _heads(lines, above, dialect, fields)
     fields = max(fields, len(header) if len(header) == len(_split(lines[start], dialect)) else 0)
     first = above[-(len(header) > 0) - (len(units) > 0)] if header else start
-    dialect = replace(dialect, skip_rows=first, header=bool(header), unit_row=bool(units))
-    rows = tuple(tuple(_split(line, dialect)) for line in lines[start : start + _ROWS] if line.strip())
+    marks = find_marks(lines[start:], dialect, fields)
+    dialect = replace(dialect, skip_rows=first, header=bool(header), unit_row=bool(units), comment=marks)
+    rows = tuple(
+        tuple(_split(line, dialect)) for line in lines[start : start + _ROWS] if line.strip() and line.strip() != marks
+    )
     facts = harvest_lines(lines[i] for i in above if i < first)
     interval = own_interval(header, units)
     labels, scope_units = _of_scope([lines[i] for i in above if i < first], dialect, header)
+    listed = [] if header else list_columns([lines[i] for i in above], fields)
     known = list(units or scope_units)
     columns = guess_columns(header, known, fields, said)
+    if listed:
+        named = {name: str(said[str(i)]) for i, name in enumerate(listed) if str(i) in said}
+        columns = tuple(
+            replace(c, column=i, name=str(c.column)) for i, c in enumerate(guess_columns(listed, [], fields, named))
+        )
     if labels and not said and len(columns) == len(labels):
         guessed = guess_columns(labels, known, fields)
-        columns = tuple(replace(g, column=c.column) for g, c in zip(guessed, columns, strict=True))
+        columns = tuple(replace(g, column=c.column, name=str(g.column)) for g, c in zip(guessed, columns, strict=True))
     if interval is not None:  # the first column counts samples: the interval beside its name makes times of them
         columns = tuple(replace(c, meaning=None) if c.column in ("X", "x") else c for c in columns)
     words = tuple(
@@ -182,6 +200,40 @@ def _without_end(cells: Sequence[str], fields: int = 0) -> tuple[str, ...]:
     while count > fields and not cells[count - 1]:
         count -= 1
     return tuple(cells[:count])
+
+
+def list_columns(lines: Sequence[str], fields: int) -> list[str]:
+    """The names of columns that have no header, where the lines above list them by number, from 0 or 1: `Sig1 Time (min)`.
+
+    Empty where they do not list each of them once.
+    """
+    found: dict[int, str] = {}
+    for line in lines:
+        match = _LISTED.match(line)
+        if match is not None:
+            if int(match["number"]) in found:
+                return []
+            found[int(match["number"])] = " ".join(match["name"].strip('" ;,\t').split())
+    first = min(found, default=0)
+    return (
+        [found[first + i] for i in range(fields)]
+        if first < 2 and set(found) == set(range(first, first + fields))
+        else []
+    )
+
+
+def find_marks(rows: Sequence[str], dialect: Dialect, fields: int) -> str:
+    """How lines begin that are marks of the machine between blocks: one negative whole number in all columns; empty where there are none."""
+    if fields < _FEWEST_ALIKE:
+        return ""
+    marks = {
+        line.strip()
+        for line in rows
+        if len(cells := [cell.strip() for cell in _split(line, dialect)]) >= fields
+        and len(set(cells)) == 1
+        and _MARK.fullmatch(cells[0])
+    }
+    return marks.pop() if len(marks) == 1 else ""
 
 
 def _of_scope(lines: Sequence[str], dialect: Dialect, header: Sequence[str]) -> tuple[list[str], list[str]]:
