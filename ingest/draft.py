@@ -350,7 +350,8 @@ def _recording(opened: Opened) -> Draft:
     _ask_start(opened, content, about, remarks, questions, has_dates)
     content["recording"] = about
     mapped = [c for c in opened.columns if c.meaning is not None and not (counts and c is time_of)]
-    unmapped = tuple(c for c in opened.columns if c not in mapped)
+    clocks = {content.get("time", {}).get(key) for key in ("column", "date_column")} - {None}
+    unmapped = tuple(c for c in opened.columns if c not in mapped and c.column not in clocks)
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about, shape, unread)
 
 

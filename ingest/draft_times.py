@@ -9,8 +9,15 @@ from typing import Any
 
 from ingest.clocks import duration_s, moment
 from ingest.draft_files import Opened
-from ingest.meanings import GuessedColumn
+from ingest.meanings import TIME, GuessedColumn
 from ingest.questions import Question, ask_unit
+
+_DAYS = (
+    *("%d.%m.%Y", "%Y/%m/%d", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%Y-%m-%d", "%Y.%m.%d", "%d-%m-%Y"),
+    *("%d.%m.%y", "%m/%d/%y", "%d/%m/%y", "%y/%m/%d", "%d-%b-%y"),
+)
+_HOURS = ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M:%S:%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,:]\d+)?)?( [AaPp]\.?[Mm]\.?)?")
 
 
 def make_time_keys(time: GuessedColumn, opened: Opened, questions: list[Question]) -> dict[str, Any]:
@@ -18,7 +25,7 @@ def make_time_keys(time: GuessedColumn, opened: Opened, questions: list[Question
     cells = [c for c in opened.cells(time) if str(c).strip()]
     first = cells[0] if cells else ""
     if not isinstance(first, float | int):
-        keys = _text_times(cells)
+        keys = _with_date_column(time, opened) or _text_times(cells)
         if keys is not None:
             if (other := find_other_order(cells, str(keys.get("format", "")))) is not None:
                 keys["format"] = prefer_order(keys["format"], other, opened)
@@ -39,13 +46,34 @@ def make_time_keys(time: GuessedColumn, opened: Opened, questions: list[Question
     return {"unit": unit or "s"}
 
 
+def _with_date_column(time: GuessedColumn, opened: Opened) -> dict[str, Any] | None:
+    """The keys of a date in one column and a time of day in another, whichever of the two was taken for the time."""
+    for other in opened.columns:
+        if other is time or other.meaning not in (None, TIME):
+            continue
+        for day, clock in ((other, time), (time, other)):
+            pairs = list(zip(_filled(day, opened), _filled(clock, opened), strict=False))
+            if not pairs or not all(_CLOCK.fullmatch(c) for _, c in pairs):
+                continue
+            for pattern in _DAYS:
+                for hours in _HOURS:
+                    if all(moment(f"{d} {c}", f"{pattern} {hours}") is not None for d, c in pairs):
+                        place = {"column": clock.column, "date_column": day.column}
+                        return place | {"format": f"{pattern} {hours}"}
+    return None
+
+
+def _filled(column: GuessedColumn, opened: Opened) -> list[str]:
+    return [str(cell).strip() for cell in opened.cells(column) if str(cell).strip()]
+
+
 def _text_times(cells: Sequence[Any]) -> dict[str, Any] | None:
     """The format of times as text; None where they are none."""
     texts = [str(c).strip() for c in cells]
     if moment(cells[0], None) is not None if cells else False:
         return {"format": "iso"}
-    for day in ("%d.%m.%Y", "%Y/%m/%d", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y"):
-        for clock in ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M:%S:%f", "%H:%M:%S,%f", "%H:%M"):
+    for day in _DAYS:
+        for clock in _HOURS:
             if texts and all(moment(text, f"{day} {clock}") is not None for text in texts):
                 return {"format": f"{day} {clock}"}
     if texts and re.fullmatch(r"\d{1,2}:\d\d:\d\d([.,]\d+)?", texts[0]):
@@ -85,7 +113,7 @@ def find_date_format(cells: Sequence[Any]) -> str | None:
         return "iso"
     found = _text_times(filled) or {}
     pattern = str(found.get("format", ""))
-    return pattern if "%d" in pattern and "%Y" in pattern else None
+    return pattern if "%d" in pattern and "%y" in pattern.lower() else None
 
 
 def _has_zone(cell: Any) -> bool:

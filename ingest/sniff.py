@@ -41,6 +41,12 @@ _LISTED = re.compile(
 _MARK = re.compile(r"-\d{1,4}(?:[.,]0*)?")
 _FEWEST_ALIKE = 3
 """Columns of which the same negative whole number in all is a mark: of two it may be measured."""
+_ROWS_ABOVE: Mapping[str, str] = {
+    "names": r"kommentare?|comments?|bezeichnung(en)?|beschreibung|descriptions?|(channel |signal|kanal|sensor)?\s?names?|labels?|messstellen?|d[ée]signations?"
+    r"|commentaires?|nombres?|descripci[óo]n",
+    "units": r"einheit(en)?|units?|unit[ée]s?|unidad(es)?|dimension|单位",
+}
+"""What stands in the first cell of a row that says something of each column."""
 _DELIMITERS = ("\t", ";", ",", "|", WHITESPACE)
 
 
@@ -92,6 +98,8 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     facts = harvest_lines(lines[i] for i in above if i < first)
     interval = own_interval(header, units)
     labels, scope_units = _of_scope([lines[i] for i in above if i < first], dialect, header)
+    told, told_units = _of_rows([lines[i] for i in above if i < first], dialect, header)
+    labels, scope_units = labels or told, scope_units or told_units
     listed = [] if header else list_columns([lines[i] for i in above], fields)
     known = list(units or scope_units)
     columns = guess_columns(header, known, fields, said)
@@ -251,6 +259,23 @@ def _of_scope(lines: Sequence[str], dialect: Dialect, header: Sequence[str]) -> 
     across = said.get("horizontal units", [])
     names = [header[0], *labels] if channels > 0 and len(labels) == channels and all(labels) else []
     return names, [across[0], *units] if channels > 0 and len(units) == channels and len(across) == 1 else []
+
+
+def _of_rows(lines: Sequence[str], dialect: Dialect, header: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names and units of a logger's columns (`M00`, `CH3`), as rows above its table say them below each other: `Kommentar:`, `Einheit:`.
+
+    Such a row has a key in its first cell and what it says in the place of each column; columns without a word keep the header's.
+    Empty where no such rows are.
+    """
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        cells = [cell.strip() for cell in _split(line, dialect)]
+        key = cells[0].lower().strip(" :#")
+        kind = next((kind for kind, words in _ROWS_ABOVE.items() if re.fullmatch(words, key)), None)
+        if kind is not None and len(header) - 1 <= len(cells) <= len(header) + 1 and any(cells[1:]):
+            found.setdefault(kind, ["", *cells[1:], *[""] * len(header)][: len(header)])
+    names = [said or own for said, own in zip(found["names"], header, strict=True)] if "names" in found else []
+    return names, found.get("units", [])
 
 
 def is_number(text: str, decimal: str) -> bool:
