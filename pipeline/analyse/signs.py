@@ -147,7 +147,9 @@ def _of_cycle(recording: Recording) -> Iterator[Negative]:
     if r < _CORRELATED:
         slope = r * float(stress[good].std() / stretch[good].std())
         sd = abs(slope / r) * math.sqrt((1 - r**2) / (good.sum() - 2))
-        yield from _judge("the stiffness is negative", slope, max(sd, 1e-9), "kPa per stretch", _TURNED)
+        yield from _judge(
+            "the stiffness is negative", slope, max(sd, float(np.finfo(float).tiny)), "kPa per stretch", _TURNED
+        )
 
 
 def _of_slow_voltage(recording: Recording) -> Iterator[Negative]:

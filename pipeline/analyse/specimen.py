@@ -386,7 +386,9 @@ def _best_cycle(analysis: Analysis, recordings: Sequence[Measured]) -> list[Cycl
     """The cycle whose model errs least on the part left out: `model_fits` has room for one per specimen."""
     found = sorted(
         (fits for one in recordings for fits in one.of(CycleFits)),
-        key=lambda fits: fits.selected.held_out_rmse / max(abs(fits.slope_at_rest(fits.selected)), 1e-12),
+        key=lambda fits: (
+            fits.selected.held_out_rmse / max(abs(fits.slope_at_rest(fits.selected)), float(np.finfo(float).tiny))
+        ),
     )
     for other in found[1:]:
         analysis.note(

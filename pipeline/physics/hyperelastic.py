@@ -121,6 +121,10 @@ class Law:
         shape = parameters[self.shape] if self.shape else 1.0
         return np.asarray(self.columns(stretch, shape) @ np.array([parameters[m] for m in self.moduli]))
 
+    def in_units(self, parameters: Mapping[str, float], factor: float) -> dict[str, float]:
+        """The parameters with moduli `factor` times as large: of a stress that is so in all."""
+        return {name: value * factor if name in self.moduli else value for name, value in parameters.items()}
+
 
 def _non_affine(stretch: Float, limit: float) -> Float:
     """Davidson and Goulbourne (2013): crosslinks with limited extension, and entanglements."""

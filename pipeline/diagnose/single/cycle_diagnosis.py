@@ -239,7 +239,7 @@ def _is_of(tried: _Tried, model: TriedModel) -> bool:
 def _make_film(model: CycleModel, x: Float) -> RelaxationModel:
     """The branch and the slope of the equilibrium stress at rest, as stiffnesses of the film."""
     of_kpa = model.cycle.fits.n_per_mm_of_kpa
-    return RelaxationModel(model.split(x)[0].k0 * of_kpa, (float(np.exp(x[0])) * of_kpa,), (float(np.exp(x[1])),))
+    return RelaxationModel(model.split(x)[0].k0 * of_kpa, (model.gamma(x) * of_kpa,), (float(np.exp(x[1])),))
 
 
 def _estimate_film_sd(tried: _Tried) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -22,7 +22,7 @@ from pipeline.diagnose.mechanisms.film_amplitude import AMPLITUDE_SOFTENING, CYC
 from pipeline.diagnose.mechanisms.film_time import MISSING_RELAXATION, POWER_LAW_RELAXATION
 from pipeline.diagnose.mechanisms.sensor import GAIN_ERROR
 from pipeline.diagnose.rules import RULES
-from pipeline.fit.relaxation.time_domain import CycleFits, fit_cycle
+from pipeline.fit.relaxation.time_domain import GONE, CycleFits, fit_cycle
 from pipeline.physics.film import integrate_arms
 from pipeline.physics.hyperelastic import LAWS
 from schemas.arrays import Bool, Float
@@ -245,7 +245,7 @@ class Fitted:
     ----------
     model : the model
     seen : (m,) the part
-    x : (P,) log γ, log τ, those of the law where it is not given, and the mechanism's values
+    x : (P,) log γ, log τ, those of the law where it is not given, and the mechanism's values; γ and moduli in units of the stress's scatter
     residual, jacobian : (n,) kPa and (n, P) on the part
     unseen : whether the part does not show the mechanism
     """
@@ -290,13 +290,16 @@ class CycleModel:
         self._law = LAWS[cycle.fits.law]
         first = next(fit for fit in cycle.fits.fits if fit.order == 1)
         self._given = first.equilibrium if cycle.fits.fixed else None
-        start = [*np.log(first.gamma[:1]), *np.log(first.tau[:1])] or [0.0, 0.0]
+        # What is far and what is small must not depend on the unit of the stress.
+        self.unit = float(np.std(cycle.stress)) or 1.0
+        start = [*np.log(np.array(first.gamma[:1]) / self.unit), *np.log(first.tau[:1])] or [0.0, 0.0]
         span, interval = float(np.ptp(cycle.time_s)), float(np.median(np.diff(cycle.time_s)))
         low, high = [-_FAR, np.log(interval)], [_FAR, np.log(_PER_SPAN * span)]
         if self._given is None:
             shape = [self._law.shape] if self._law.shape else []
             names = [*self._law.moduli, *shape]
-            own = [float(np.log(max(first.equilibrium[name], 1e-6))) for name in names]
+            law = self._law.in_units(first.equilibrium, 1 / self.unit)
+            own = [float(np.log(max(law[name], GONE))) for name in names]
             start += own
             lowest, highest = np.log(self._law.range(float(cycle.stretch.max())))
             low += [-_FAR] * len(self._law.moduli) + [lowest] * len(shape)
@@ -317,7 +320,7 @@ class CycleModel:
         if law is None:
             values = np.exp(x[2 : self._own])
             names = [*self._law.moduli, *([self._law.shape] if self._law.shape else [])]
-            law = dict(zip(names, values.tolist(), strict=True))
+            law = self._law.in_units(dict(zip(names, values.tolist(), strict=True)), self.unit)
         around = self._law.stress(np.array([1 - 1e-5, 1 + 1e-5]), law)
         strain = np.clip((c.stretch - 1) / (c.stretch.max() - 1), 1e-9, None)
         parts = Parts(
@@ -326,11 +329,15 @@ class CycleModel:
             strain,
             np.maximum.accumulate(c.stretch),
             self._law.stress(c.stretch, law),
-            np.exp(x[0]) * integrate_arms(c.time_s, c.stretch, np.exp(x[1:2]))[:, 0],
+            self.gamma(x) * integrate_arms(c.time_s, c.stretch, np.exp(x[1:2]))[:, 0],
             float(np.diff(around)[0] / 2e-5),
             self._ladder,
         )
         return parts, x[self._own :]
+
+    def gamma(self, x: Float) -> float:
+        """Modulus of the branch at x (P,), kPa."""
+        return self.unit * float(np.exp(x[0]))
 
     def severity(self, x: Float) -> Mapping[str, float]:
         """Severity by key, at x (P,)."""
@@ -365,7 +372,7 @@ class CycleModel:
         measured = self.cycle.stress[seen]
 
         def residual(x: Float) -> Float:
-            return np.asarray(self.stress(x)[seen] - measured)
+            return np.asarray(self.stress(x)[seen] - measured) / self.unit
 
         ends: list[OptimizeResult] = []
         for own in extra:
@@ -381,7 +388,7 @@ class CycleModel:
         x = best.x.copy()
         if unseen and mechanism is not None:
             x[self._own :] = mechanism.neutral
-        return Fitted(self, seen, x, residual(x), best.jac, unseen)
+        return Fitted(self, seen, x, residual(x) * self.unit, best.jac * self.unit, unseen)
 
 
 def make_cycle(

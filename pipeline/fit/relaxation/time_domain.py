@@ -11,7 +11,7 @@ was left out, never by the sum of squares.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -67,6 +67,23 @@ class CycleFit:
     def eta(self) -> tuple[float, ...]:
         """Viscosities γ τ."""
         return tuple(g * t for g, t in zip(self.gamma, self.tau, strict=True))
+
+    def in_units(self, law: Law, unit: float, given: Mapping[str, float] | None) -> CycleFit:
+        """The fit of a stress that was divided by `unit` as one of that stress; `given` parameters of the law as they were given."""
+
+        def times(values: tuple[float | None, ...]) -> tuple[float | None, ...]:
+            return tuple(None if value is None else value * unit for value in values)
+
+        return replace(
+            self,
+            gamma=tuple(value * unit for value in self.gamma),
+            gamma_sd=times(self.gamma_sd),
+            eta_sd=times(self.eta_sd),
+            equilibrium=law.in_units(self.equilibrium, unit) if given is None else dict(given),
+            sse=self.sse * unit**2,
+            rmse=self.rmse * unit,
+            held_out_rmse=self.held_out_rmse * unit,
+        )
 
 
 @dataclass(frozen=True)
@@ -127,6 +144,9 @@ def fit_cycle(
     t, lam, p = time_s[good], stretch[good], stress[good]
     _check(t, lam, recording_id)
     warnings = []
+    # Searched in units of its own scatter: what a search takes for small must not depend on the unit of the stress.
+    unit = float(np.std(p)) or 1.0
+    own, given = p / unit, None if equilibrium is None else law.in_units(equilibrium, 1 / unit)
     if abs(p[0]) > 0.005 * np.ptp(p):
         warnings.append(f"stress starts at {p[0]:.3g}, not at 0: an offset of the load cell stays in the fit")
     gaps = np.diff(t)
@@ -138,12 +158,12 @@ def fit_cycle(
     lower: Candidate | None = None
     early: Candidate | None = None
     for n in sorted(orders):
-        problem = _Cycle(t, lam, p, law, equilibrium, float(lam.max()))
+        problem = _Cycle(t, lam, own, law, given, float(lam.max()))
         lower, solution = problem.fit(n, lower)
-        train = _Cycle(t[part], lam[part], p[part], law, equilibrium, float(lam.max()))
+        train = _Cycle(t[part], lam[part], own[part], law, given, float(lam.max()))
         early, learned = train.fit(n, early)
-        rest = problem.stress(learned)[~part] - p[~part]
-        fits.append(problem.report(n, solution, float(np.sqrt(np.mean(rest**2)))))
+        rest = problem.stress(learned)[~part] - own[~part]
+        fits.append(problem.report(n, solution, float(np.sqrt(np.mean(rest**2)))).in_units(law, unit, equilibrium))
     selected = fits[0]
     for fit in fits[1:]:
         if fit.held_out_rmse < (1 - WORTH) * selected.held_out_rmse:
@@ -182,7 +202,7 @@ class _Solution:
 
 
 class _Cycle:
-    """The linear problem that `varpro` searches: columns of branches, with the equilibrium law projected out.
+    """The linear problem that `varpro` searches: columns of branches, with the equilibrium law projected out; stresses in units of their scatter.
 
     `largest` is the largest stretch that the law has to reach, which may lie in a part left out.
     """
@@ -193,7 +213,6 @@ class _Cycle:
         self.t, self.lam, self.p, self.law, self.fixed = t, lam, p, law, fixed
         self.low = float(np.log(np.median(np.diff(t))))
         self.high = float(np.log(30 * (t[-1] - t[0])))
-        self.scale = float(np.std(p)) or 1.0
         self.largest = largest
         self._place(1.0 if fixed is None else fixed.get(law.shape or "", 1.0))
 
@@ -202,16 +221,16 @@ class _Cycle:
         base = self.law.columns(self.lam, shape)
         if self.fixed is not None:
             self.basis = np.zeros((self.t.size, 0))
-            self.target = (self.p - self.law.stress(self.lam, self.fixed)) / self.scale
+            self.target = self.p - self.law.stress(self.lam, self.fixed)
         else:
             self.basis, _ = np.linalg.qr(base)
-            self.target = self._left(self.p / self.scale)
+            self.target = self._left(self.p)
 
     def _left(self, rows: Float) -> Float:
         return np.asarray(rows - self.basis @ (self.basis.T @ rows))
 
     def columns(self, tau: Float) -> Float:
-        return self._left(integrate_arms(self.t, self.lam, tau) / self.scale)
+        return self._left(integrate_arms(self.t, self.lam, tau))
 
     def ends(self) -> Float:
         """No spring beside the equilibrium law and no dashpot: the stretch rate of a triangle is a constant."""
@@ -242,7 +261,7 @@ class _Cycle:
         n = int(used.sum())
         gamma, tau = candidate.k[used], np.exp(candidate.log_tau[used])
         start = [*np.log(gamma), *np.log(tau)]
-        span = np.log(self.scale * np.array([GONE**2, 1 / GONE]))
+        span = np.log([GONE**2, 1 / GONE])
         limits = [(float(span[0]), float(span[1]))] * n + [(self.low, self.high)] * n
         names = tuple(f"log gamma{i + 1}" for i in range(n)) + tuple(f"log tau{i + 1}" for i in range(n))
         if self.fixed is None:
@@ -258,7 +277,7 @@ class _Cycle:
                 names += (f"log {self.law.shape}",)
 
         def residual(x: Float) -> Float:
-            return np.asarray((self._stress(x, n) - self.p) / self.scale)
+            return np.asarray(self._stress(x, n) - self.p)
 
         low_limits, high_limits = np.array(limits).T
         start = np.clip(start, low_limits + 1e-9, high_limits - 1e-9)
@@ -280,8 +299,8 @@ class _Cycle:
             np.exp(x[:n]),
             np.exp(x[n : 2 * n]),
             equilibrium,
-            found.fun * self.scale,
-            found.jac[:, index] * self.scale,
+            found.fun,
+            found.jac[:, index],
             names,
         )
 
@@ -323,7 +342,7 @@ class _Cycle:
                 warnings.append(
                     f"branch {i + 1}: stiffness or relaxation time not resolved by a cycle of {np.ptp(self.t):.3g} s"
                 )
-        gone = [m for m in self.law.moduli if self.fixed is None and solution.equilibrium[m] < GONE * self.scale]
+        gone = [m for m in self.law.moduli if self.fixed is None and solution.equilibrium[m] < GONE]
         if gone:
             warnings.append(f"{' and '.join(gone).replace('_', ' ')} at its bound 0")
         if held_out > np.abs(self.p).max():

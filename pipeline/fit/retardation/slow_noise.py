@@ -18,6 +18,10 @@ from schemas.arrays import Bool, Float
 
 _FLOOR = 1e-6
 """Least share of the displacement's range that a sample's noise is taken for: a curve without noise has no likelihood."""
+_LEAST_WALK = 1e-12
+"""Least share of a sample's variance that the walk is taken for over the whole record."""
+_SIDES = 0.4, 1.0
+"""First steps of the search in the logarithms of the noise and of the walk."""
 _STARTS = (1e-6, 1e-3, 1.0)
 """Shares of the samples' variance that the walk has over the whole record, from which the likelihood is climbed."""
 
@@ -49,27 +53,34 @@ def estimate_noise(record: HeldRecord, basis: Float, near: SlowNoise | None = No
     guess = max(float(np.median(told)) if told.size else 1e-3 * span, _FLOOR * span)
     length = record.end_s - record.history_s[0]
 
-    def score(x: Float) -> float:
-        noise = SlowNoise(math.exp(x[0]), math.exp(x[1]))
-        return _score(noise.covariance(record)[np.ix_(rows, rows)], columns, target, restricted=True)
-
     starts = (
         [(guess, share * guess**2 / length) for share in _STARTS] if near is None else [(near.sample_sd, near.walk)]
     )
-    lowest = (math.log(_FLOOR * span), math.log(1e-12 * guess**2 / length))
-    highest = (math.log(span), math.log(span**2 / length))
-    found = [
-        minimize(
-            score,
-            np.log(start),
-            method="Nelder-Mead",
-            bounds=list(zip(lowest, highest, strict=True)),
-            options={"xatol": 0.02, "fatol": 0.01, "maxiter": 120},
-        )
-        for start in starts
-    ]
-    best = min(found, key=lambda one: one.fun)
-    return SlowNoise(math.exp(best.x[0]), math.exp(best.x[1]))
+    # Logarithms over those of the guess: steps must not depend on the unit of the displacement.
+    unit = np.log([guess, guess**2 / length])
+
+    def noise_at(x: Float) -> SlowNoise:
+        return SlowNoise(*np.exp(x + unit).tolist())
+
+    def score(x: Float) -> float:
+        return _score(noise_at(x).covariance(record)[np.ix_(rows, rows)], columns, target, restricted=True)
+
+    lowest = np.array([math.log(_FLOOR * span / guess), math.log(_LEAST_WALK)])
+    highest = np.array([math.log(span / guess), 2 * math.log(span / guess)])
+    found = []
+    for start in starts:
+        first = np.clip(np.log(start) - unit, lowest, highest)
+        # Away from a limit that it starts at.
+        sides = np.where(first + _SIDES > highest, -1.0, 1.0) * _SIDES
+        options = {
+            "xatol": 0.02,
+            "fatol": 0.01,
+            "maxiter": 120,
+            "initial_simplex": first + np.vstack([[0, 0], np.diag(sides)]),
+        }
+        bounds = list(zip(lowest, highest, strict=True))
+        found.append(minimize(score, first, method="Nelder-Mead", bounds=bounds, options=options))
+    return noise_at(min(found, key=lambda one: one.fun).x)
 
 
 def best_score(record: HeldRecord, basis: Float, near: SlowNoise) -> float:
