@@ -28,6 +28,7 @@ from ingest.draft_columns import (
     find_own_response,
     find_relaxation_columns,
     find_response_columns,
+    find_specimens,
     is_counted,
 )
 from ingest.draft_files import (
@@ -58,7 +59,7 @@ from ingest.excel_reader import SHEET
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
 from ingest.mapping import FILLED_DOWN, FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, MEAN, RECORDING, RELAXATION, TAN_DELTA
-from ingest.meanings import TIME, GuessedColumn, is_sensor_unit
+from ingest.meanings import TIME, GuessedColumn, counts_rows, is_sensor_unit
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
@@ -308,26 +309,37 @@ def _recording(opened: Opened) -> Draft:
     about_times = tuple(questions)
     content["columns"], questions = _channels(opened, about_times)
     sheets = name_sheets(opened)
-    one_sheet = not counts and len(sheets) <= 1
-    tests = find_runs(opened, time_of) if one_sheet else []
-    if tests:
-        remarks["recording.started_at"] = (
-            "of the first run: where the file has no clock the others count from it as well"
-        )
-    tests = tests or (find_parts(opened, time_of) if one_sheet else [])
+    specimens = find_specimens(opened) if len(sheets) <= 1 else None
+    one_sheet = not counts and len(sheets) <= 1 and specimens is None
+    runs = find_runs(opened, time_of) if one_sheet else []
+    tests = runs or (find_parts(opened, time_of) if one_sheet else [])
     tests += [(None, {"column": SHEET, "equals": name}) for name in sheets] if len(sheets) > 1 else []
     shapes = [_shape(opened, content | {"select": [entry]})[0] for _, entry in tests]
     if parts := name_parts(tests, shapes):
         content["select"] = parts
         about["recording_id"] += "-{each}"
         shape, unread = join_shapes(shapes), ""
+        if runs and not opened.has_own_time:
+            remarks["recording.recording_id"] = (
+                "the file does not say when the later runs began: all have the same start"
+            )
     else:
         shape, unread = _shape(opened, content)
+    if specimens is not None and "select" not in content:
+        content["select"] = [{"column": specimens.column, "each": True}]
+        shape, unread = _shape(opened, content | {"select": [_first_of(specimens, opened)]})
+        seen = f"{shape.seen}, of each of several specimens in one file"
+        shape = replace(shape, seen=seen)
+        about |= {"recording_id": about["recording_id"] + "-{each}", "specimen_id": "{each}"}
+        remarks["recording.specimen_id"] = f"the file: each name in {specimens.column}"
     if (shape.protocol, shape.loading) == ("sphs", "other") and any(c.is_asked for c in opened.columns):
         opened = _as_electrical(opened)
         time_of = next((c for c in opened.columns if c.meaning == TIME), None)
         content["columns"], questions = _channels(opened, about_times)
         shape, unread = _shape(opened, content)
+    if content.get("time", {}).get(SAMPLE_RATE, 0) is None:
+        seen = f"the file has no times; if its rows are samples in even steps: {shape.seen}"
+        shape = replace(shape, certainty=UNSURE, seen=seen)
     if any(c.is_asked for c in opened.columns):
         seen = f"if the columns are what their numbers suggest: {shape.seen}"
         shape = replace(shape, certainty=UNSURE, seen=seen)  # a test seen in columns that may be others is not known
@@ -343,7 +355,7 @@ def _recording(opened: Opened) -> Draft:
         about[key] = value
         remarks[f"recording.{key}"] = "measured from the trace"
     facts = ("specimen_id", "operator", "material", "film_length_mm", "film_width_mm", "film_thickness_mm")
-    _take(opened.facts, about, remarks, facts)
+    _take(opened.facts, about, remarks, facts if specimens is None else facts[1:])
     if "specimen_id" not in about:
         about["specimen_id"] = "{stem}"
         questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
@@ -351,7 +363,7 @@ def _recording(opened: Opened) -> Draft:
     content["recording"] = about
     mapped = [c for c in opened.columns if c.meaning is not None and not (counts and c is time_of)]
     clocks = {content.get("time", {}).get(key) for key in ("column", "date_column")} - {None}
-    unmapped = tuple(c for c in opened.columns if c not in mapped and c.column not in clocks)
+    unmapped = tuple(c for c in opened.columns if c not in mapped and c.column not in clocks and c is not specimens)
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about, shape, unread)
 
 
@@ -364,6 +376,11 @@ def _channels(opened: Opened, asked: Sequence[Question]) -> tuple[dict[str, Any]
         if c.meaning not in (None, TIME)
     }
     return columns, questions
+
+
+def _first_of(column: GuessedColumn, opened: Opened) -> dict[str, Any]:
+    """The selection of the first specimen that a column names."""
+    return {"column": column.column, "equals": next(str(c).strip() for c in opened.cells(column) if str(c).strip())}
 
 
 def _as_electrical(opened: Opened) -> Opened:
@@ -470,7 +487,8 @@ def _by_content(opened: Opened) -> Opened:
         return opened
     usable = {i: v[np.isfinite(v)] for i, v in numbers.items() if v is not None and np.isfinite(v).sum() > 3}
     if not timed:
-        even = [i for i, v in usable.items() if _is_even(v)]
+        rows = [i for i, c in enumerate(columns) if c.meaning in (None, TIME) and not counts_rows(c)]
+        even = [i for i, v in usable.items() if i in rows and _is_even(v)]
         if even:
             columns = [replace(c, meaning=None) if c.meaning == TIME else c for c in columns]
             columns[even[0]] = replace(columns[even[0]], meaning=TIME)

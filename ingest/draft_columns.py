@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from ingest.draft_files import Opened
+from ingest.draft_files import Opened, map_each_column
 from ingest.draft_times import find_date_format
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import RECORDING, TAN_DELTA
@@ -49,7 +49,11 @@ _THOUSANDS = r"tausend|tsd|thousand|kcycles|\bk\b|[×x*/]\s*1[., ]?000\b|\bin 1[
 _CONFIGURATION = r"config|group|grupo|electrode|[ée]lectrode|electrodo|elektrode|design|layout|bauart|gruppe|^type?$|^typ\b|variante|variant"
 _ALSO_CONFIGURATION = r"^film$|^folie$|^foil$|^membrane?$|mat[ée]ria[lu]|werkstoff|^kind$|^art$|^sorte$"
 """Names of groups where the cells repeat, of specimens where they do not."""
-_SPECIMEN = r"specimen|sample|[ée]chantillon|[ée]prouvette|muestra|probeta|campione|probe|pr[üu]fling|muster|^id$|serial|aktor|actuator|device"
+_SPECIMEN = r"specimen|sample|[ée]chantillon|[ée]prouvette|muestra|probeta|campione|样品|试样|样本|試料|サンプル|probe|pr[üu]fling|muster|^id$|serial|aktor|actuator|device"
+_MOST_SPECIMENS = 100
+"""Specimens of one file of samples."""
+_FEWEST_SAMPLES = 5
+"""Rows of a specimen that are samples of a test: fewer are a list."""
 _NUMBERED = r"^(lfd\.?\s*)?(nr|no|nummer|number|#)\.?$"
 """Names of specimens where no other column has their names."""
 _COUNT = r"^n$|^count$|^anzahl$"
@@ -171,6 +175,35 @@ def _repeats(column: GuessedColumn, opened: Opened) -> bool:
     """Whether a column has few different words for its rows."""
     cells = opened.cells(column)
     return 2 * len({_plain(cell) for cell in cells} - {""}) <= len(cells)
+
+
+def find_specimens(opened: Opened) -> GuessedColumn | None:
+    """The column of a file of samples that says of which specimen each is, where there are several, block by block; None else."""
+    for column in opened.columns:
+        if column.meaning is not None or re.search(_SPECIMEN, label_column(column)) is None:
+            continue
+        cells = [str(cell).strip() for cell in _all_cells(column, opened)]
+        names = {cell for cell in cells if cell}
+        runs = 1 + sum(a != b for a, b in itertools.pairwise(cells))
+        words = any(re.search(r"[^\W\d]", name) for name in names)
+        if (
+            words
+            and 1 < len(names) <= _MOST_SPECIMENS
+            and runs == len(names)
+            and len(cells) >= _FEWEST_SAMPLES * len(names)
+        ):
+            return column
+    return None
+
+
+def _all_cells(column: GuessedColumn, opened: Opened) -> Sequence[Any]:
+    """All cells of a column that hold something; none where the file cannot be read so."""
+    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+    try:
+        file = open_columns(opened.path, opened.format, map_each_column(mapping, [column]))
+        return [cell for cell in file.cells(column.column, column.index) if cell is not None and str(cell).strip()]
+    except DealabError:
+        return []
 
 
 def _find_spans(opened: Opened) -> dict[str, GuessedColumn]:

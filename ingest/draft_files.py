@@ -18,9 +18,10 @@ from ingest.compressed import TEXTS, find_held_suffix, is_compressed, read_plain
 from ingest.encodings import guess_encoding
 from ingest.formats import list_formats
 from ingest.harvest import Fact, by_key, harvest_hdf5, harvest_lines, harvest_rows
+from ingest.heads import join_heads
 from ingest.mapping import FileMapping, format_of, format_of_suffix
 from ingest.mapping_keys import RECORDING
-from ingest.meanings import TIME, GuessedColumn, guess_columns, is_any_unit
+from ingest.meanings import TIME, GuessedColumn, guess_columns, guess_joined, is_any_unit
 from ingest.read import open_columns
 from ingest.sniff import are_units, guess_text, is_number
 from schemas.errors import DealabError, RefusedError
@@ -234,7 +235,10 @@ def _open_sheet(path: Path, sheet: str, rows: Sequence[Sequence[Any]], said: Map
     units: list[str] = []
     if len(above) > 1 and (are_units(header) or _is_below(header, rows[above[-2]], above[-1] - above[-2])):
         header, units = [str(c).strip() for c in rows[above[-2]]], header
-    guessed = guess_columns(header, units, len(rows[start]) if rows else 0, said)
+    fields = len(rows[start]) if rows else 0
+    adjacent = len(above) > 1 and not units and above[-1] - above[-2] == 1
+    full = join_heads([str(c) for c in rows[above[-2]]], header) if adjacent else []
+    guessed = guess_joined(full, fields, said) if full else guess_columns(header, units, fields, said)
     skip = start - (len(header) > 0) - (len(units) > 0)
     options = {"sheet": sheet, "skip_rows": skip, "header": bool(header), "unit_row": bool(units)}
     options |= {} if decimal == "." else {"decimal": decimal}

@@ -46,7 +46,9 @@ _ELAPSED = ("s", "ms", "min", "h", "sec")
 """Units in which a time has elapsed."""
 _ABSOLUTE = r"absol"
 """Names of a machine's own position, which stands beside the way from the start of the test."""
-_OF_COUNTS = re.compile(r"^(no\.?|nr\.?|scan|index|sample|#|sequence|point|interval data:?|cycle count)$")
+_OF_COUNTS = re.compile(
+    r"^(no\.?|nr\.?|lfd\.?( ?nr\.?)?|scan|index|sample|#|sequence|point|interval data:?|cycle count|n[°º]|num[ée]ro|reading|messung|序号|编号|番号)$"
+)
 """Names of columns that count rows."""
 
 
@@ -120,6 +122,17 @@ def guess_columns(
     return _with_elapsed(tuple(found[i] for i in sorted(found)))
 
 
+def guess_joined(names: Sequence[str], fields: int, said: Mapping[str, str]) -> tuple[GuessedColumn, ...]:
+    """What columns seem to be by names that no single row of the file has: a mapping knows them by their numbers."""
+    named = {name: said[str(i)] for i, name in enumerate(names) if str(i) in said}
+    places = {name: i for i, name in enumerate(names)}
+    guessed = guess_columns(names, [], fields, named)
+    return tuple(
+        replace(c, column=places.get(str(c.column), c.column), name=str(c.column)) if isinstance(c.column, str) else c
+        for c in guessed
+    )
+
+
 def _with_elapsed(columns: tuple[GuessedColumn, ...]) -> tuple[GuessedColumn, ...]:
     """Of a date, an hour and a time that has elapsed the last is the time: it alone is named with a unit."""
     chosen = next((i for i, c in enumerate(columns) if c.meaning == TIME), None)
@@ -129,6 +142,11 @@ def _with_elapsed(columns: tuple[GuessedColumn, ...]) -> tuple[GuessedColumn, ..
         if column.meaning is None and column.unit in _ELAPSED and named_as(str(column.column)) == TIME:
             return tuple(replace(c, meaning={chosen: None, i: TIME}.get(j, c.meaning)) for j, c in enumerate(columns))
     return columns
+
+
+def counts_rows(column: GuessedColumn) -> bool:
+    """Whether a column counts rows, by its name: its even steps are no time."""
+    return _OF_COUNTS.match((column.name or str(column.column)).strip().lower()) is not None
 
 
 def is_scope(name: str) -> bool:

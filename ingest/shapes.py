@@ -97,7 +97,11 @@ def find_shape(traces: Mapping[str, Trace]) -> Shape:
         return _electrical(usable)
     for drive, answer in (("displacement", "force"), ("stretch", "stress")):
         if drive in usable:
-            return _mechanical(drive, answer, usable)
+            shape = _mechanical(drive, answer, usable)
+            if answer in usable or "stress" in usable:
+                return shape
+            seen = f"{shape.seen}, without the {answer} that such a test needs"
+            return replace(shape, certainty=UNSURE, seen=seen)
     if "input" in usable:
         return _of_another_kind(usable)
     if "capacitance" in usable:

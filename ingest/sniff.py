@@ -16,7 +16,8 @@ from types import MappingProxyType
 from ingest.csv_dialect import WHITESPACE, Dialect
 from ingest.encodings import guess_encoding
 from ingest.harvest import Fact, harvest_lines, own_interval
-from ingest.meanings import GuessedColumn, guess_columns, is_any_unit
+from ingest.heads import join_heads
+from ingest.meanings import GuessedColumn, guess_columns, guess_joined, is_any_unit
 from ingest.notations import PREFIXES, read_cell
 from schemas.errors import RefusedError
 
@@ -103,11 +104,10 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     listed = [] if header else list_columns([lines[i] for i in above], fields)
     known = list(units or scope_units)
     columns = guess_columns(header, known, fields, said)
+    adjacent = len(above) > 1 and header and not units and above[-1] - above[-2] == 1
+    listed = listed or (join_heads(_split(lines[above[-2]], dialect), header) if adjacent else [])
     if listed:
-        named = {name: str(said[str(i)]) for i, name in enumerate(listed) if str(i) in said}
-        columns = tuple(
-            replace(c, column=i, name=str(c.column)) for i, c in enumerate(guess_columns(listed, [], fields, named))
-        )
+        columns = guess_joined(listed, fields, said)
     if labels and not said and len(columns) == len(labels):
         guessed = guess_columns(labels, known, fields)
         columns = tuple(replace(g, column=c.column, name=str(g.column)) for g, c in zip(guessed, columns, strict=True))
