@@ -151,6 +151,16 @@ def test_the_solid_of_an_uneven_record_is_found_within_its_errors() -> None:
     assert found.length_mm == 20.0
 
 
+def test_orders_are_tried_on_until_the_test_stops() -> None:
+    """Four retardations far apart and next to no noise: the usual three are rejected, and so a fourth is tried."""
+    solid = RelaxationModel(2.0, (2.0, 2.0, 2.0, 2.0), (0.05, 0.8, 12.0, 150.0))
+    found = measure_creep(recorded(extension=extension_of(TIMES, solid), noise=2e-5)).retardation
+    assert found.selected_order >= 4
+    assert found.fits[-1].p_value > 0.01 or "would fit better still" in found.fits[-1].warnings[-1]
+    # A model that is wrong by hundreds of its noise is rejected, whatever the noise of the next one.
+    assert all(fit.p_value < 1e-3 for fit in found.fits[:3])
+
+
 def test_a_load_cell_in_series_is_taken_off() -> None:
     behind = EXTENSION + load_of(TIMES) / 4.0
     found = measure_creep(recorded(extension=behind, rig=RigConstants(load_cell_stiffness_n_per_mm=4.0)))

@@ -75,6 +75,21 @@ def test_two_branches_and_the_law_are_recovered() -> None:
     assert row["k0_n_per_mm"] == pytest.approx(0.036, rel=0.02)  # slope 3 μ at stretch 1
 
 
+@pytest.mark.slow
+def test_orders_are_tried_on_until_none_predicts_better() -> None:
+    """Four branches, a decade apart: a third order would be the highest of the usual ones, and not enough."""
+    time = np.unique(np.concatenate([np.geomspace(1e-3, 60, 500), 60 + np.geomspace(1e-3, 55, 500)]))
+    stretch = 1 + 0.05 * (60 - np.abs(60 - time))
+    branches = integrate_arms(time, stretch, np.array([0.1, 1.0, 8.0, 60.0])) @ np.array([400.0, 120.0, 50.0, 30.0])
+    stress = 12.0 * (stretch - stretch**-2) + branches
+    fits = fit_cycle(time, stretch, stress, law=NEO_HOOKEAN, equilibrium={"shear_modulus": 12.0})
+    assert fits.selected_order >= 4
+    best = min(fit.held_out_rmse for fit in fits.fits)
+    assert fits.selected.held_out_rmse < 1.2 * best
+    (few,) = (fit_cycle(time, stretch, stress, law=NEO_HOOKEAN, equilibrium={"shear_modulus": 12.0}, orders=(1, 2)),)
+    assert any("none above it was tried" in warning for warning in few.warnings)
+
+
 def test_given_law_is_not_fitted() -> None:
     given = {"crosslink_modulus": 8.0, "entanglement_modulus": 18.0, "largest_stretch": 4.8}
     stress = NON_AFFINE.stress(STRETCH, given) + 30 * overstress(5.0)

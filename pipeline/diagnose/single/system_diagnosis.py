@@ -120,12 +120,21 @@ def _collect_details(
         could_not_ask=(
             f"This is no film in a rig: it is simulated with {count_resonances(question.resonances)}, and asked for what bends it",
             f"The noise of the output is taken to be {noise}: {question.noise}",
+            *_tell_untried(question),
             *(f"{name}: its model has no finite simulation of these records" for name in question.without),
         ),
         unexplained=(
             describe_what_stays(words, model.whole - question.measured, question.sd, unit),
             *(() if named else describe_closest(found)),
         ),
+    )
+
+
+def _tell_untried(question: SystemQuestion) -> tuple[str, ...]:
+    if question.resonances < MOST_RESONANCES:
+        return ()
+    return (
+        f"More than {count_resonances(question.resonances)} were not tried: that there are more is neither shown nor excluded",
     )
 
 

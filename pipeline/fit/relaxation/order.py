@@ -24,6 +24,7 @@ from pipeline.fit.relaxation.linear import Expansion, Linearisation
 from pipeline.fit.relaxation.observations import Lines, Observations
 from pipeline.physics.film import stiffness_and_slopes
 from schemas.arrays import Float, Int
+from schemas.numbers import p_equals
 
 LEVEL = 0.01
 """Level of the test."""
@@ -147,6 +148,12 @@ def _labels(observations: Observations, *, by_group: bool) -> Int:
         start += m
     _, numbered = np.unique(np.concatenate(labels), return_inverse=True)
     return np.asarray(numbered, dtype=np.int64)
+
+
+def describe_end(order: int, p_value: float | None = None) -> str:
+    """Says that an order was chosen because none above it was tried, not because it is enough."""
+    better = "" if p_value is None else f" ({p_equals(p_value)})"
+    return f"order {order + 1} would fit better still{better}; none above {order} was tried"
 
 
 def choose(

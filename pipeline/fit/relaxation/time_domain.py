@@ -28,6 +28,8 @@ HELD_OUT = 0.3
 """Share of the cycle, at its end, that is left out to judge a branch."""
 WORTH = 0.1
 """Share by which a further branch must lower the error on the part left out."""
+ORDERS, MOST = (1, 2, 3), 5
+"""Orders that are fitted unless others are asked for, and the highest that is tried on as long as each predicts better."""
 FEWEST = 20
 MOST_STEPS = 100
 """Steps of the last refinement: one that takes more runs along a valley in which nothing is determined."""
@@ -129,7 +131,7 @@ def fit_cycle(
     *,
     law: Law = NON_AFFINE,
     equilibrium: Mapping[str, float] | None = None,
-    orders: Sequence[int] = (1, 2, 3),
+    orders: Sequence[int] | None = None,
     recording_id: str = "",
     specimen_id: str = "",
     section_over_length_mm: float | None = None,
@@ -157,17 +159,23 @@ def fit_cycle(
     fits: list[CycleFit] = []
     lower: Candidate | None = None
     early: Candidate | None = None
-    for n in sorted(orders):
+    remaining = sorted(ORDERS if orders is None else orders)
+    selected: CycleFit | None = None
+    while remaining:
+        n = remaining.pop(0)
         problem = _Cycle(t, lam, own, law, given, float(lam.max()))
         lower, solution = problem.fit(n, lower)
         train = _Cycle(t[part], lam[part], own[part], law, given, float(lam.max()))
         early, learned = train.fit(n, early)
         rest = problem.stress(learned)[~part] - own[~part]
         fits.append(problem.report(n, solution, float(np.sqrt(np.mean(rest**2)))).in_units(law, unit, equilibrium))
-    selected = fits[0]
-    for fit in fits[1:]:
-        if fit.held_out_rmse < (1 - WORTH) * selected.held_out_rmse:
-            selected = fit
+        if selected is None or fits[-1].held_out_rmse < (1 - WORTH) * selected.held_out_rmse:
+            selected = fits[-1]
+        if not remaining and orders is None and selected is fits[-1] and n < MOST:
+            remaining.append(n + 1)
+    assert selected is not None
+    if selected is fits[-1] and len(fits) > 1:
+        warnings.append(f"order {selected.order} predicts best, and none above it was tried")
     return CycleFits(
         recording_id,
         specimen_id,

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear, nnls
 
-from pipeline.fit.relaxation.order import LEVEL, arc_of, tail_probability
+from pipeline.fit.relaxation.order import LEVEL, arc_of, describe_end, tail_probability
 from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import Candidate, LinearProblem
 from pipeline.fit.retardation.slow_noise import SlowNoise, best_score, estimate_noise
@@ -27,6 +27,8 @@ from pipeline.transform.holds import HeldRecord
 from schemas.arrays import Float
 
 ORDERS = (1, 2, 3)
+MOST = 5
+"""Highest order that is tried on where the test does not stop before."""
 RESOLVED = 0.3
 """Largest standard deviation of a logarithm that is reported as a number."""
 _FASTER, _SLOWER = 2.0, 3.0
@@ -43,7 +45,7 @@ class RetardationFit:
     """One order. `parameters` (p,) are offset and drift (where fitted), J0, the Jᵢ, φ (where there is one) and the log λᵢ.
 
     `compliance` of the film; `covariance` (p, p) of the parameters; `chi2` against the noise that was estimated; `p_value` of the
-    hypothesis that no further retardation is needed, None for the highest order.
+    hypothesis that no further retardation is needed.
     """
 
     order: int
@@ -54,7 +56,7 @@ class RetardationFit:
     drifts: bool
     chi2: float
     freedom: int
-    p_value: float | None
+    p_value: float
     warnings: tuple[str, ...] = ()
 
     def with_parameters(self, parameters: Float) -> RetardationFit:
@@ -101,7 +103,7 @@ class Retardation:
 
 
 def fit_retardation(record: HeldRecord, *, drifts: bool, orders: Sequence[int] = ORDERS) -> Retardation:
-    """Fits all orders. `drifts`: a constant drift of the displacement can be told from creep, because a load was taken off."""
+    """Fits all orders, and on as long as the test asks for more, up to `MOST`. `drifts`: a constant drift of the displacement can be told from creep, because a load was taken off."""
     sign = _sign_of(record)
     noise = estimate_noise(record, _Problem(record, _first_noise(record), sign, drifts).spectrum()[1])
     for _ in range(_ROUNDS):
@@ -109,22 +111,28 @@ def fit_retardation(record: HeldRecord, *, drifts: bool, orders: Sequence[int] =
     problem = _Problem(record, noise, sign, drifts)
     spectrum, _ = problem.spectrum()
     linear = LinearProblem(problem, problem.low, problem.high, per_decade=_PER_DECADE)
-    found: list[tuple[int, Candidate]] = []
-    lower: Candidate | None = None
-    for order in sorted(orders):
-        best = candidates(linear, order, lower, spectrum)[0]
-        if lower is not None and best.cost > lower.cost:
-            best = lower
-        found.append((order, best))
-        lower = best
-    fits = []
-    for i, (order, candidate) in enumerate(found):
-        p_value = None
-        if i + 1 < len(found):
-            p_value = problem.test(candidate, found[i + 1][1], noise)
-        fits.append(problem.report(order, candidate, p_value))
-    selected = next(f.order for f in fits if f.p_value is None or f.p_value > LEVEL)
+    fits: list[RetardationFit] = []
+    here = _best(linear, min(orders), None, spectrum)
+    while True:
+        # The order above the highest is fitted for the test of it, and kept where that does not stop.
+        order = fits[-1].order + 1 if fits else min(orders)
+        following = _best(linear, order + 1, here, spectrum)
+        p_value = problem.test(here, following, noise)
+        fits.append(problem.report(order, here, p_value))
+        stops = any(fit.p_value > LEVEL for fit in fits)
+        if order >= (max(orders) if stops else max(MOST, *orders)):
+            break
+        here = following
+    selected = next((f.order for f in fits if f.p_value > LEVEL), fits[-1].order)
+    if fits[-1].p_value <= LEVEL and selected == fits[-1].order:
+        fits[-1] = replace(fits[-1], warnings=(*fits[-1].warnings, describe_end(selected, fits[-1].p_value)))
     return Retardation(record, noise, tuple(fits), selected, sign, problem.low)
+
+
+def _best(linear: LinearProblem, order: int, lower: Candidate | None, spectrum: tuple[Float, Float]) -> Candidate:
+    """The best candidate of an order: no worse than that of the order below."""
+    best = candidates(linear, order, lower, spectrum)[0]
+    return best if lower is None or best.cost <= lower.cost else lower
 
 
 def _sign_of(record: HeldRecord) -> float:
@@ -247,7 +255,7 @@ class _Problem:
     def _slopes(self, times: Float) -> Float:
         return self._left(self._white(slopes_by_log_time(self.record, times)))
 
-    def report(self, order: int, candidate: Candidate, p_value: float | None) -> RetardationFit:
+    def report(self, order: int, candidate: Candidate, p_value: float) -> RetardationFit:
         used = candidate.k > 0
         times = np.exp(candidate.log_tau[used])
         white = self._white(self._design(candidate))

@@ -91,9 +91,12 @@ def best_score(record: HeldRecord, basis: Float, near: SlowNoise) -> float:
         noise = SlowNoise(near.sample_sd * math.exp(x[0]), near.walk * math.exp(x[1]))
         return _score(noise.covariance(record)[np.ix_(rows, rows)], columns, target, restricted=False)
 
-    simplex = np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
+    # Beside a model that is wrong both are larger by orders of magnitude: from there a search from `near` does not arrive.
+    square = _mean_square(near.covariance(record)[np.ix_(rows, rows)], columns, target)
+    start = np.array([0.5, 1.0]) * math.log(max(square, 1.0))
+    simplex = start + np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
     options = {"xatol": 0.02, "fatol": 0.005, "maxiter": 80, "initial_simplex": simplex}
-    return float(minimize(score, np.zeros(2), method="Nelder-Mead", options=options).fun)
+    return float(minimize(score, start, method="Nelder-Mead", options=options).fun)
 
 
 def _prepare(record: HeldRecord, basis: Float) -> tuple[Float, Float, Bool]:
@@ -104,6 +107,17 @@ def _prepare(record: HeldRecord, basis: Float) -> tuple[Float, Float, Bool]:
     columns = columns[:, size > 0] / size[size > 0]
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
     return record.displacement[rows], u[:, s > 1e-9 * s[0]], rows
+
+
+def _mean_square(covariance: Float, columns: Float, target: Float) -> float:
+    """Mean square of what is left of the target in units of a covariance; 1 where that is none."""
+    try:
+        root = cholesky(covariance, lower=True)
+    except np.linalg.LinAlgError:
+        return 1.0
+    white = solve_triangular(root, np.column_stack([columns, target]), lower=True)
+    left = white[:, -1] - white[:, :-1] @ np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0]
+    return float(np.mean(left**2))
 
 
 def _score(covariance: Float, columns: Float, target: Float, *, restricted: bool) -> float:
