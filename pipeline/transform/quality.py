@@ -10,6 +10,7 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from pipeline.transform import local_polynomial
 from pipeline.transform.channels import Drive
@@ -168,6 +169,16 @@ _WEAK_INPUT = 0.1
 _TONE, _TONE_BINS = 20.0, 2
 """A bin of the input with so many times the power of every bin of its window that is further away than this is a tone; what leaks
 from it there is at most a fiftieth, and the ripple of a sweep's spectrum is a factor of four."""
+STEADY_TONE = "no excitation: a steady tone stands above what was driven"
+"""Why a line is not used in which a tone, as of the mains, stands above what the input excites."""
+_NOISE_TONE, _NOISE_TONE_BINS, _NOISE_AROUND = 5.0, 2, 12
+"""The same of the mean over many pieces of noise, whose bins scatter by less: so many times the largest of as many bins on each side, but for
+those that a window of Hann spreads a tone to."""
+_MAINS_HZ, _MAINS_HARMONICS, _MAINS_WITHIN = (50.0, 60.0), 10, 0.004
+"""Mains, harmonics of them, and share by which their frequency wanders at most (EN 50160: 1 % for 99.5 % of a year, 0.2 Hz as a rule)."""
+_MAINS_BESIDE, _MAINS_OFF, _MAINS_OVER = 4, 6.0, 3.0
+"""Lines on each side of a mains line that tell its value; standard deviations beyond which it is off, and how many times more than the largest
+that is missed so around it, as near a resonance."""
 _NOISY_INPUT = 0.1
 """Share of noise in the power of the input (−10 dB) from which on it is no excitation."""
 _FEWEST_AT_REST = 64
@@ -212,7 +223,65 @@ def mark_tones(response: FrequencyResponse, spectrum: Complex, lines: Int, half_
     peak = power.argmax(axis=1)
     beside = np.abs(np.arange(power.shape[1]) - peak[:, None]) > _TONE_BINS
     others = np.where(beside, power, 0.0).max(axis=1)
-    return response.mark(power.max(axis=1) > _TONE * others, "no excitation: a steady tone stands above the sweep")
+    return response.mark(power.max(axis=1) > _TONE * others, STEADY_TONE)
+
+
+def find_tones(power: Float) -> Bool:
+    """Bins of the mean power spectrum of a noise in which a steady tone stands, with those that its window spreads it to.
+
+    Parameters
+    ----------
+    power : (bins,) of the input, mean over pieces under a window of Hann
+
+    Returns
+    -------
+    (bins,)
+    """
+    padded = np.pad(power, _NOISE_AROUND)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NOISE_AROUND + 1)
+    beside = np.abs(np.arange(-_NOISE_AROUND, _NOISE_AROUND + 1)) > _NOISE_TONE_BINS
+    is_tone = power > _NOISE_TONE * around[:, beside].max(axis=1)
+    # What is slow beside a piece leaks into the first bins, which have no neighbours below.
+    is_tone[: _NOISE_TONE_BINS + 1] = False
+    return np.asarray(maximum_filter1d(is_tone.astype(np.uint8), 2 * _NOISE_TONE_BINS + 1) > 0)
+
+
+def mark_mains(response: FrequencyResponse) -> FrequencyResponse:
+    """Marks lines of a multisine at mains frequencies whose value stands off the course of the lines beside it.
+
+    Mains that fall on a line are the same in every period, so that no scatter shows them. A film's response is smooth from line to line: what a
+    parabola through the neighbours misses at a mains line is held against what such parabolas miss around it.
+
+    Parameters
+    ----------
+    response : at ascending lines of a multisine
+    """
+    f, g = response.frequency_hz, response.value
+    if f.size < 2 * _MAINS_BESIDE + 3:
+        return response
+    spacing = np.gradient(f)
+    near = np.zeros(f.size, dtype=bool)
+    for mains in _MAINS_HZ:
+        turns = np.maximum(np.rint(f / mains), 1.0)
+        near |= (np.abs(f - mains * turns) < np.maximum(0.5 * spacing, _MAINS_WITHIN * f)) & (turns <= _MAINS_HARMONICS)
+    missed, expected = np.full(f.size, np.nan), np.full(f.size, np.nan)
+    for i in range(f.size):
+        beside = np.arange(max(i - _MAINS_BESIDE, 0), min(i + _MAINS_BESIDE + 1, f.size))
+        # Of other mains lines nothing is learned.
+        beside = beside[(beside != i) & ~near[beside]]
+        if beside.size < 4:
+            continue
+        x = (f[beside] - f[i]) / np.ptp(f[beside])
+        at_zero = np.linalg.pinv(np.vander(x, 3))[2]
+        missed[i] = abs(g[i] - at_zero @ g[beside])
+        expected[i] = np.sqrt(response.variance[i] + at_zero**2 @ response.variance[beside])
+    off = np.zeros(f.size, dtype=bool)
+    for i in np.flatnonzero(near & np.isfinite(missed)).tolist():
+        around = np.arange(max(i - 2 * _MAINS_BESIDE, 0), min(i + 2 * _MAINS_BESIDE + 1, f.size))
+        others = missed[around[~near[around]]]
+        usual = float(np.nanmax(others)) if np.isfinite(others).any() else 0.0
+        off[i] = missed[i] > max(_MAINS_OFF * expected[i], _MAINS_OVER * usual)
+    return response.mark(off, "mains: the line stands off the lines beside it, which the mains do not touch")
 
 
 def mark_weak(

@@ -105,6 +105,9 @@ def noise_response(recording: Recording) -> tuple[FrequencyResponse, tuple[str, 
     response = response.mark(
         suu < _SPILLED * spilled, "no excitation: the input shows no more than its windows spread from stronger lines"
     )
+    tones = quality.find_tones((np.abs(u) ** 2).mean(axis=0))
+    held = np.add.reduceat(tones.astype(float), edges)[:-1] > 0
+    response = response.mark(held, quality.STEADY_TONE)
     return quality.judged(response, sampled.band_hz), tuple(warnings)
 
 

@@ -112,6 +112,7 @@ def sphs_response(recording: Recording) -> tuple[FrequencyResponse, tuple[Distor
             **_amplifier(recording, periods, sampled, lines),
         },
     )
+    response = quality.mark_mains(response)
     return quality.judged(response, sampled.band_hz), distortions, tuple(warnings)
 
 
