@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
+from schemas.lifetimes import OTHER, classify_failure_mode
+
 FAILED, ALIVE, NO_TEST = "failed", "alive", "no test"
 
 _NO_TEST = (
@@ -19,6 +21,7 @@ _NOT_FAILED = (
     r"(ohne|kein\w*|no|not|nicht|without|non|pas de|sans)\s+(\w+\s+)?(ausfall|ausgefallen|defekt|durchschlag|fail\w*|break\w*|broken|defect"
     r"|d[ée]faill\w*|claqu\w*|panne|bd)"
 )
+_NOT_ALIVE = r"\b(not|no|nicht|non|pas|n)\b\.?\s*(ok|okay|good|fine|in ordnung|i\.?\s?o\b|intakt|intact|alive)"
 _FROM_OUTSIDE = (
     r"strom(ausfall|unterbrechung)|netz(ausfall|teil ?ausfall)|power (cut|fail\w*|out\w*|loss|went)|mains fail\w*|black ?out|brown ?out|coupure"
     r"|panne de (courant|secteur)|corte de (luz|corriente)|apag[óo]n|interlock|door contact|t[üu]rkontakt|not-?aus|emergency (stop|off)"
@@ -30,7 +33,7 @@ _FROM_OUTSIDE = (
 _ALIVE = (
     r"[cz]ens|run[- ]?out|surv|alive|überleb|lebt|lebend|intakt|intact|l[äa]uft|running|durchl[äa]ufer|suspen|abgebroch|abbruch|aborted"
     r"|ausgebaut|entnommen|abgebaut|abgeschaltet|ausgeschaltet|switched off|turned off|[ée]teint|arr[êe]t[ée]|retir[ée]|apagado|removed|withdrawn|taken (out|off)|stopped|gestoppt|angehalten|beendet|ended|test end|versuchsende|interrupt"
-    r"|in ordnung|vivant|en vie|still on|ongoing|noch (am|dran)|ohne befund"
+    r"|in ordnung|\bok\b|\bokay\b|\bfine\b|\bgood\b|vivant|en vie|still on|ongoing|noch (am|dran)|ohne befund"
 )
 _FAILED = (
     r"ausgef|ausfall|fail|broke|break|burst|rupture|dead|death|tot\b|defekt|defect|kaputt|durchschl|durchgeschl|gerissen|riss\b|tear|torn|versag"
@@ -65,6 +68,7 @@ def tell_outcome(mark: str, legend: Mapping[str, str], *, is_named: bool = False
             (_NO_TEST, NO_TEST),
             (_FROM_OUTSIDE, ALIVE),
             (_NOT_FAILED, ALIVE),
+            (_NOT_ALIVE, FAILED),
             (_ALIVE, ALIVE),
             (_FAILED, FAILED),
         ):
@@ -74,7 +78,8 @@ def tell_outcome(mark: str, legend: Mapping[str, str], *, is_named: bool = False
         if re.fullmatch(pattern, plain):
             return outcome
     if is_named:
-        return ALIVE if re.fullmatch(_NOWHERE, plain) else FAILED if re.search(rf"\b\w*({_PLACES})\b", plain) else None
+        is_place = re.search(rf"\b\w*({_PLACES})\b", plain) is not None or classify_failure_mode(plain) != OTHER
+        return ALIVE if re.fullmatch(_NOWHERE, plain) else FAILED if is_place else None
     return None
 
 

@@ -127,6 +127,11 @@ def test_two_parts_without_a_name_are_asked(tmp_path: Path) -> None:
         ("breakdown at the edge", FAILED),
         ("failed after power-up", FAILED),
         ("no test", NO_TEST),
+        ("film ok", ALIVE),
+        ("not ok", FAILED),
+        ("nicht in Ordnung", FAILED),
+        ("n. i. O.", FAILED),
+        ("film still fine", ALIVE),
     ],
 )
 def test_what_ends_a_test_from_outside_is_no_failure(mark: str, outcome: str) -> None:

@@ -219,10 +219,20 @@ def test_help_imports_nothing_heavy() -> None:
         "importlib.metadata",
         "pipeline.commands.nightly",
         "shtab",
+        "ingest",
+        "reports",
+        "schemas.units",
+        "logging",
+        "inspect",
+        "subprocess",
+        "tempfile",
+        "asyncio",
+        "urllib.request",
+        "email",
     )
     program = (
-        "import sys, contextlib, io\nfrom pipeline.cli import main\n"
-        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n    main(['--help'])\n"
+        "import sys, contextlib, io\nsys.argv = ['dealab', '--help']\nfrom dealab import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n    main()\n"
         f"print([name for name in {heavy!r} if name in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
