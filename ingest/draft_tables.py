@@ -55,7 +55,7 @@ def find_clock(life: GuessedColumn, opened: Opened) -> dict[str, Any] | None:
     if not texts or 2 * len(texts) < len(filled):
         return None
     if all(text.count(":") == 2 for text in texts):
-        return {"unit": "s"}
+        return {"unit": life.unit or "s"}  # each cell has seconds of its own, whatever the header counts in
     header = f"{life.column} {life.written_unit}".lower()
     if re.search(r"\bh{1,2}:m|\bh:min|std\.?:min|\bj:m", header):
         return {"format": "hh:mm"}

@@ -94,14 +94,25 @@ def write_list(path: Path, header: str, lives: list[str]) -> Path:
         ("Lifetime [hh:mm]", ["64:33", "1:05", "168:00", "2:00"], [232380.0, 3900.0, 604800.0, 7200.0]),
         ("Lifetime (mm:ss)", ["64:33", "1:05", "168:00", "2:00"], [3873.0, 65.0, 10080.0, 120.0]),
         ("Lifetime [hh:mm:ss]", ["64:33:47", "1:5:09", "168:00:00", "2:00:00"], [232427.0, 3909.0, 604800.0, 7200.0]),
+        ("Lifetime [h]", ["64:33:47", "1:05:09", "168:00:00", "2:00:00"], [232427.0, 3909.0, 604800.0, 7200.0]),
         ("Lifetime", ["00:10:00", "11:00:30", "> 24:00:00", "02:00:00"], [600.0, 39630.0, 86400.0, 7200.0]),
         ("Lifetime [h]", ["64.5", "1.25", "168", "2"], [232200.0, 4500.0, 604800.0, 7200.0]),
     ],
 )
 def test_durations_with_colons(tmp_path: Path, header: str, lives: list[str], seconds: list[float]) -> None:
     table = read_drafted(write_list(tmp_path / "l.csv", header, lives))
-    assert [row.lifetime_s for row in table.rows] == seconds
+    assert [row.lifetime_s for row in table.rows] == pytest.approx(seconds, rel=1e-12)
     assert [row.failed for row in table.rows] == [True, True, False, True]
+
+
+@pytest.mark.parametrize("header", ["Standzeit", "Lebensdauer [h]", "Lebensdauer (hh:mm:ss)"])
+def test_durations_of_a_workbook(tmp_path: Path, header: str) -> None:
+    lives = [timedelta(hours=20 * i + 1, minutes=3, seconds=5) for i in range(6)]
+    ends = ["läuft noch", "ausgefallen", "ausgefallen"]
+    rows: list[list[Any]] = [["Probe", header, "Status"]]
+    rows += [[f"S{i}", life, ends[i % 3]] for i, life in enumerate(lives)]
+    table = read_drafted(write_xlsx(tmp_path / "x.xlsx", {"Liste": rows}))
+    assert [row.lifetime_s for row in table.rows] == pytest.approx([life.total_seconds() for life in lives], rel=1e-12)
 
 
 def test_two_parts_without_a_name_are_asked(tmp_path: Path) -> None:
