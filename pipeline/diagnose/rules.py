@@ -335,6 +335,10 @@ class SingleRules:
     excited: float = _rule(1e-4, "share of the input's largest power from which a frequency is excited")
     memory: float = _rule(5.0, "decay times over which a residual remembers", unit="decay times")
     shortest: int = _rule(128, "fewest samples of a system's records that can be dealt into parts", unit="samples")
+    other_hold: float = _rule(
+        0.98,
+        "misfit of an input that is held or goes straight between samples, over a band-limited one, below which it counts",
+    )
     run_in: float = _rule(1.0, "memory of a system over the length of its records, above which they do not tell it")
     most_steps: int = _rule(100_000, "steps that one simulation of a system may take", COST, "steps")
 

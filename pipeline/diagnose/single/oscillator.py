@@ -9,7 +9,7 @@ In units of a reference amplitude of the output A and a reference angular freque
 with δ, κ, γ the linear system of one mode, and z_j further modes that stay linear: they are read off their responses. β₃ > 0 is the hardening spring of Duffing (Nayfeh and Mook, Nonlinear
 Oscillations, chapter 4), β₂ one that is stiffer on one side, c quadratic damping; q with s = 0 is a Maxwell arm of rate
 r, with r = 0 a slider in series with a spring in the smooth form of Dahl (1968), which yields at a/s. Between samples
-the input is band-limited; a step between two of them is taken as midway.
+the input is band-limited (a step between two of them is taken as midway), goes straight, or is held: see `HOLDS`.
 
 What a damped oscillator did long ago it has forgotten: a record is cut into stretches that run side by side, each with
 a run-in that is not used. Does not belong here: which terms are free, and how they are fitted.
@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import resample
 
-from schemas.arrays import Bool, Float
+from schemas.arrays import Bool, Complex, Float
 
 STIFFNESS, DAMPING, GAIN, QUADRATIC, CUBIC, DRAG, ARM, RATE, SLIP, CEILING, DELAY = range(11)
 """Rows of the parameters: κ, δ, γ, β₂, β₃, c, a, ln r, ln s, l, Δ. A rate or slip of −∞ is none."""
@@ -31,6 +31,12 @@ FURTHER = ((11, 12, 13), (14, 15, 16))
 """Rows of κ, δ, γ of each further mode; without a gain γ it is none."""
 PARAMETERS = 17
 """Number of parameters."""
+BAND_LIMITED, STRAIGHT, HELD = "is band-limited", "goes straight", "is held"
+HOLDS = (BAND_LIMITED, STRAIGHT, HELD)
+"""What an input may do from sample to sample: one that was measured behind a filter is band-limited, one that a converter puts out is held,
+and one that was computed may go straight. A held one is half an interval later than the others."""
+_IMAGES = 4
+"""Images of the sampled spectrum on each side that a held or a straight input passes on."""
 
 _FORGOTTEN = 1e-4
 """Share of a start that a run-in may leave."""
@@ -95,11 +101,35 @@ def count_steps(records: Sequence[SystemRecord], angular_frequency: float, dampi
     return (run_in + length) * max(1.0, angular_frequency * interval / _TURN)
 
 
+def pass_hold(w: Float, interval: float, hold: str) -> list[tuple[Float, Complex]]:
+    """Frequencies at which an input acts that is known at samples, and what of its spectrum does there.
+
+    Parameters
+    ----------
+    w : (n,) below half the sampling rate, radians per unit of time
+    interval : of the samples, in that unit
+    hold : what the input does between samples
+
+    Returns
+    -------
+    (n,) each image of the frequencies, and (n,) the response of the hold there
+    """
+    if hold == BAND_LIMITED:
+        return [(w, np.ones(w.size, dtype=complex))]
+    found = []
+    for image in range(-_IMAGES, _IMAGES + 1):
+        v = w + 2 * np.pi * image / interval
+        half = v * interval / 2
+        size = np.sinc(half / np.pi)
+        found.append((v, size * np.exp(-1j * half) if hold == HELD else size.astype(complex) ** 2))
+    return found
+
+
 class Oscillator:
     """Simulation of records of one system.
 
     amplitude : A, unit of the output; angular_frequency : w, rad/s; damping : least δ that is expected, for the run-in;
-    memory : s, of further modes where they remember longer; finer : steps for one that would do
+    memory : s, of further modes where they remember longer; finer : steps for one that would do; hold : what the input does between samples
     """
 
     def __init__(
@@ -111,8 +141,10 @@ class Oscillator:
         *,
         memory: float = 0.0,
         finer: int = 1,
+        hold: str = BAND_LIMITED,
     ) -> None:
         interval = records[0].interval_s
+        self.hold = hold
         self.records = tuple(records)
         self.amplitude, self.angular_frequency = amplitude, angular_frequency
         self._given = damping, memory, finer
@@ -128,13 +160,26 @@ class Oscillator:
     def refine(self) -> Oscillator:
         """The same in steps half as long."""
         damping, memory, finer = self._given
-        return Oscillator(self.records, self.amplitude, self.angular_frequency, damping, memory=memory, finer=2 * finer)
+        return Oscillator(
+            self.records,
+            self.amplitude,
+            self.angular_frequency,
+            damping,
+            memory=memory,
+            finer=2 * finer,
+            hold=self.hold,
+        )
 
     def _stretches(self, record: SystemRecord) -> Float:
         """(T, K) input over A of the K stretches of a record, at the T ends and middles of all steps."""
         n, fine = record.input.size, 2 * self._steps
         u = self._drive(record)
-        if record.periodic:
+        if self.hold == HELD:
+            between = np.repeat(u, fine)
+        elif self.hold == STRAIGHT:
+            around = np.append(u, u[0] if record.periodic else u[-1])
+            between = np.interp(np.arange(n * fine) / fine, np.arange(n + 1), around)
+        elif record.periodic:
             between = resample(u, n * fine)
         else:
             between = resample(np.concatenate([u, u[::-1]]), 2 * n * fine)[: n * fine]
@@ -168,7 +213,10 @@ class Oscillator:
             size = n if record.periodic else 2 * n
             w = 2 * np.pi * np.fft.rfftfreq(size, record.interval_s) / self.angular_frequency
             spectrum = np.fft.rfft(self._drive(record), size)
-            response = gain[:, None] / (stiffness[:, None] - w**2 + 1j * damping[:, None] * w)
+            response: Complex = np.zeros((gain.size, w.size), dtype=complex)
+            interval = float(self.angular_frequency * record.interval_s)
+            for v, passed in pass_hold(np.asarray(w), interval, self.hold):
+                response += gain[:, None] * passed / (stiffness[:, None] - v**2 + 1j * damping[:, None] * v)
             values = np.fft.irfft(response * spectrum, size)[:, :n]
             count = -(-n // self._length)
             padded = np.zeros((gain.size, count * self._length))
@@ -225,7 +273,7 @@ class Oscillator:
         pull: Float | float = 0.0
         out = np.empty((self._length, stretches, sets))
         u = self._input[:, :, None]
-        last, fine = len(u) - 1, 2 * self._steps
+        last, fine, held = len(u) - 1, 2 * self._steps, self.hold == HELD
         for sample in range(self.run_in + self._length):
             if sample >= self.run_in:
                 out[sample - self.run_in] = y
@@ -235,7 +283,8 @@ class Oscillator:
                     left = np.exp(-passed)
                     q = q * left + h * v * ((1 - left) / passed)
                     pull = a * q
-                middle, end = u[i + 1], u[min(i + 2, last)]
+                # A held input changes after the end of the step.
+                middle, end = u[i + 1], u[i + 1 if held else min(i + 2, last)]
                 f1 = force(u[i], y, v) - pull
                 v2 = v + half * f1
                 f2 = force(middle, y + half * v, v2) - pull

@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 
 from pipeline.diagnose.single.oscillator import (
     ARM,
+    BAND_LIMITED,
     CEILING,
     CUBIC,
     DAMPING,
@@ -29,6 +30,7 @@ from pipeline.diagnose.single.oscillator import (
     Mode,
     Oscillator,
     SystemRecord,
+    pass_hold,
 )
 from pipeline.physics.least_squares import Options, minimise_each
 from schemas.arrays import Bool, Complex, Float, Int
@@ -163,7 +165,7 @@ def _simulate(oscillator: Oscillator, problems: Sequence[Problem], entries: Floa
     return found
 
 
-def find_linear_start(records: Sequence[SystemRecord], modes: int = 1) -> tuple[Mode, ...]:
+def find_linear_start(records: Sequence[SystemRecord], modes: int = 1, hold: str = BAND_LIMITED) -> tuple[Mode, ...]:
     """Resonances y″ + 2ζω y′ + ω² y = g u side by side, from spectra under a window of Hann, the one of most output first.
 
     The response error |Y − Σ g U/D|², with the best g: one resonance after the other on a grid of ω and ζ beside those
@@ -171,7 +173,7 @@ def find_linear_start(records: Sequence[SystemRecord], modes: int = 1) -> tuple[
     ω does the same to them: a spike, which excites all frequencies alike, or a system without a resonance would send it to
     nothing or without end.
     """
-    w, u, y = (np.concatenate(part) for part in zip(*(_compute_spectra(r) for r in records), strict=True))
+    w, u, y = (np.concatenate(part) for part in zip(*(_compute_spectra(r, hold) for r in records), strict=True))
     strongest = np.argsort(np.abs(y))[-_LINES:]
     w, u, y = w[strongest], u[strongest], y[strongest]
     target = np.concatenate([y.real, y.imag])
@@ -226,9 +228,11 @@ def _shortlist(grid: Float, found: Float, respond: Callable[[Float], Float], tar
     return np.asarray(grid[np.argsort(taken)[-_TRIED:]])
 
 
-def _compute_spectra(record: SystemRecord) -> tuple[Float, Complex, Complex]:
-    """Angular frequencies in rad/s and spectra of input and output, without the mean."""
+def _compute_spectra(record: SystemRecord, hold: str) -> tuple[Float, Complex, Complex]:
+    """Angular frequencies in rad/s and spectra of input and output, without the mean, the input as its hold passes it on."""
     n = record.input.size
     window = np.ones(n) if record.periodic else np.hanning(n)
     u, y = (np.fft.rfft((x - x.mean()) * window)[1:] / np.sqrt(n) for x in (record.input, record.output))
-    return np.asarray(2 * np.pi * np.fft.rfftfreq(n, record.interval_s)[1:]), u, y
+    w = np.asarray(2 * np.pi * np.fft.rfftfreq(n, record.interval_s)[1:])
+    own = next(passed for v, passed in pass_hold(w, record.interval_s, hold) if v[0] == w[0])
+    return w, u * own, y

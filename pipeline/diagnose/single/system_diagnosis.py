@@ -120,6 +120,7 @@ def _collect_details(
         could_not_ask=(
             f"This is no film in a rig: it is simulated with {count_resonances(question.resonances)}, and asked for what bends it",
             f"The noise of the output is taken to be {noise}: {question.noise}",
+            f"Between samples the input {question.hold}: with that a resonance simulates the records best",
             *_tell_untried(question),
             *(f"{name}: its model has no finite simulation of these records" for name in question.without),
         ),

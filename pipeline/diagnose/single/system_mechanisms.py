@@ -38,6 +38,7 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import TriedModel, draw_parameters
 from pipeline.diagnose.single.oscillator import (
     ARM,
+    BAND_LIMITED,
     CEILING,
     CUBIC,
     DAMPING,
@@ -45,6 +46,7 @@ from pipeline.diagnose.single.oscillator import (
     DRAG,
     FURTHER,
     GAIN,
+    HOLDS,
     QUADRATIC,
     RATE,
     SLIP,
@@ -140,6 +142,7 @@ class SystemQuestion:
     measured_outputs : (n,) per record as compared
     simulations : the plain model's first
     without : mechanisms, in words, whose models have no finite simulation and are left out
+    hold : what the input does between samples
     """
 
     measured: Float
@@ -159,6 +162,7 @@ class SystemQuestion:
     measured_outputs: tuple[Float, ...]
     simulations: tuple[Simulated, ...]
     without: tuple[str, ...] = ()
+    hold: str = BAND_LIMITED
 
 
 Report = Callable[[Float, float, float], Mapping[str, Float]]
@@ -292,7 +296,9 @@ def list_asked() -> frozenset[str]:
     return frozenset(mechanism.id for ones in both for mechanism in ones)
 
 
-def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: float | None = None) -> SystemQuestion:
+def ask_system(
+    records: Sequence[SystemRecord], resonances: int = 1, *, sd: float | None = None, hold: str | None = None
+) -> SystemQuestion:
     """Models of one system's records, fitted to everything and to each of two parts.
 
     Parameters
@@ -300,6 +306,7 @@ def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: floa
     records : all with one sampling interval
     resonances : of the plain model
     sd : standard deviation of the noise of one output, where the caller knows it, for instance from periods that repeat
+    hold : what the input does between samples; None: what fits the records best
 
     Raises
     ------
@@ -319,8 +326,9 @@ def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: floa
             f"a value as large as {largest:.3g}",
             expected=f"values below {_LARGEST:g}, whose squares can still be added up",
         )
-    more = find_linear_start(records, resonances + 1) if resonances < MOST_RESONANCES else ()
-    oscillator, start = _start_plain(records, resonances, more)
+    hold = _find_hold(records, resonances) if hold is None else hold
+    more = find_linear_start(records, resonances + 1, hold) if resonances < MOST_RESONANCES else ()
+    oscillator, start = _start_plain(records, resonances, more, hold)
     known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
     steps = _measure_steps(oscillator, start)
     if steps > known:
@@ -391,6 +399,7 @@ def ask_system(records: Sequence[SystemRecord], resonances: int = 1, *, sd: floa
             for number in tried
         ),
         without=tuple(term.variant for number, term in enumerate(MECHANISMS, 1) if not finite[number]),
+        hold=hold,
     )
 
 
@@ -418,7 +427,25 @@ def _express(modes: Sequence[Mode], omega: float) -> Float:
     return clip_parameters(start)
 
 
-def _start_plain(records: Sequence[SystemRecord], resonances: int, more: Sequence[Mode]) -> tuple[Oscillator, Float]:
+def _find_hold(records: Sequence[SystemRecord], resonances: int) -> str:
+    """What the input does between samples: that with which so many linear resonances simulate the records best; band-limited where nothing tells."""
+    misfit: dict[str, float] = {}
+    for hold in HOLDS:
+        try:
+            oscillator, theta = _start_plain(records, resonances, (), hold)
+        except NotIdentifiableError:
+            continue
+        measured = join_compared(oscillator, [_centre_output(oscillator, r) for r in records])
+        simulated = join_compared(oscillator, [values[0] for values in oscillator(theta[:, None])])
+        misfit[hold] = float(np.mean((simulated - measured) ** 2))
+    best = min(misfit, key=lambda hold: misfit[hold], default=BAND_LIMITED)
+    worth = RULES.single.other_hold * misfit.get(BAND_LIMITED, np.inf)
+    return best if misfit.get(best, np.inf) < worth or (BAND_LIMITED not in misfit and misfit) else BAND_LIMITED
+
+
+def _start_plain(
+    records: Sequence[SystemRecord], resonances: int, more: Sequence[Mode], hold: str
+) -> tuple[Oscillator, Float]:
     """The oscillator in units of the linear fit to everything, and its parameters (PARAMETERS,).
 
     Its run-in is long enough for the resonances of a further model, too, where the records are.
@@ -426,7 +453,7 @@ def _start_plain(records: Sequence[SystemRecord], resonances: int, more: Sequenc
     Raises `NotIdentifiableError` where the records do not tell a resonance.
     """
     amplitude = max(float(np.abs(r.output - (0 if r.from_rest else r.output.mean())).max()) for r in records)
-    modes = list(find_linear_start(records, resonances))
+    modes = list(find_linear_start(records, resonances, hold))
     last = sum(r.input.size for r in records) * records[0].interval_s
     beside = max((_recall(mode) for mode in more), default=0.0)
     beside = beside if beside < RULES.single.run_in * last else 0.0
@@ -436,7 +463,7 @@ def _start_plain(records: Sequence[SystemRecord], resonances: int, more: Sequenc
         main = modes[0]
         memory = max(beside, *(_recall(mode) for mode in modes))
         omega = main.angular_frequency
-        oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * main.ratio, memory=memory)
+        oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * main.ratio, memory=memory, hold=hold)
         start = _express(modes, omega)
         measured = join_compared(oscillator, [_centre_output(oscillator, r) for r in records])
         problem = Problem(start, _list_linear_rows(resonances), np.ones(measured.size, dtype=bool))
@@ -455,8 +482,9 @@ def _read_mode(entries: Float, omega: float) -> Mode:
 
 
 def _recall(mode: Mode) -> float:
-    """Seconds for which a resonance remembers its start, damped as little as it may be."""
-    return memory_s(mode.angular_frequency, _SAFETY * 2 * mode.ratio)
+    """Seconds for which a resonance remembers its start: damped as little as it may be, or as much, where that slows the slower of two poles."""
+    damping = 2 * mode.ratio
+    return max(memory_s(mode.angular_frequency, one) for one in (_SAFETY * damping, damping / _SAFETY))
 
 
 def _check_memory(records: Sequence[SystemRecord], mode: Mode) -> None:
