@@ -14,20 +14,24 @@ solves
     (JᵀJ + μ D) δ = −g
 
 over the entries that are free. D is the scale of Marquardt [2] and Moré [3]: the step does not depend on the entries'
-units. A step with an entry longer than `Options.longest` is shortened as a whole, for entries are logarithms or are
-scaled to their range, and no quadratic form describes anything that far away.
+units. No entry goes further than `Options.longest`, for entries are logarithms or are scaled to their range, and no
+quadratic form describes anything that far away; nor beyond its bound. The entry that would go furthest beyond is put
+onto its limit and the others are solved for again beside it, until none is beyond: an entry that hardly matters, whose
+step is long because nothing is known of it, does not shorten the steps of the others. A step that these limits turn
+uphill is damped until it is none: in the end each entry goes down its own slope.
 
-*Damping.* After Marquardt [2] with unequal factors: a step that lowers χ² is taken and divides μ by `ease`; one that
-does not is forgotten and multiplies μ by `stiffen`, so that the next success does not lead straight back to a step
-that failed [4].
+*Damping.* A step that lowers χ² is taken and multiplies μ by 1 − (2ρ − 1)³, between 1/`ease` and 2, ρ the fall over
+what the quadratic model had expected (Nielsen [4]); one that does not is forgotten and multiplies μ by `stiffen`, so
+that the next success does not lead straight back to a step that failed [5]. A search that goes on keeps its μ.
 
-*Bounds.* An entry that lies at a bound which the gradient pushes it against is held; the others step without it, and
-what a step carries beyond a bound is put onto it. For a small enough step, which damping ends in, that is a descent
-(Bertsekas' projection [5], for least squares [6]); no residual is ever asked for outside.
+*Bounds.* An entry that lies at a bound which the gradient pushes it against is held; the others step without it. For a
+small enough step, which damping ends in, that is a descent (Bertsekas' projection [6], for least squares [7]); no
+residual is ever asked for outside.
 
 *Jacobian.* Either the problem gives it with each residual, or it is taken by forward differences of all entries in
 one evaluation (backward at an upper bound). A search that begins with a Jacobian from nearby lets Broyden's secants
-[7] bring it up to date, and takes differences anew where a step falls by less or more than that Jacobian promised.
+[8] bring it up to date, and takes differences anew where a step falls by less or more than that Jacobian had expected,
+or where a second, shorter step fails as well.
 
 *Stop.* A fall of χ² below `fall`, or below `share` of χ², ends a search (`converged`); so does a step that fails
 while it promises no more, or that is `still`. Where the problem gives the Jacobian, such a step is not even tried
@@ -50,13 +54,15 @@ References
    (1944) 164.
 2. D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11 (1963) 431.
 3. J. J. Moré, "The Levenberg–Marquardt algorithm: implementation and theory", Lecture Notes in Math. 630 (1978) 105.
-4. M. K. Transtrum, J. P. Sethna, "Improvements to the Levenberg–Marquardt algorithm for nonlinear least-squares
+4. H. B. Nielsen, "Damping parameter in Marquardt's method", report IMM-REP-1999-05, Technical University of Denmark
+   (1999).
+5. M. K. Transtrum, J. P. Sethna, "Improvements to the Levenberg–Marquardt algorithm for nonlinear least-squares
    minimization", arXiv:1201.5885 (2012).
-5. D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints", SIAM J. Control
+6. D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints", SIAM J. Control
    Optim. 20 (1982) 221.
-6. C. Kanzow, N. Yamashita, M. Fukushima, "Levenberg–Marquardt methods with strong local convergence properties for
+7. C. Kanzow, N. Yamashita, M. Fukushima, "Levenberg–Marquardt methods with strong local convergence properties for
    solving nonlinear equations with convex constraints", J. Comput. Appl. Math. 172 (2004) 375.
-7. C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math. Comp. 19 (1965) 577.
+8. C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math. Comp. 19 (1965) 577.
 """
 
 from __future__ import annotations
@@ -78,6 +84,8 @@ differences."""
 DAMPING, LEAST_DAMPING = 1e-3, 1e-9
 _RIDGE = 1e-10
 """Relative to the diagonal of JᵀJ: what a direction without information counts for in a covariance."""
+_TINY = 1e-300
+"""What a fall that is expected counts for at least, so that it divides."""
 _FORWARD, _CENTRAL = 1e-4, 3e-4
 
 
@@ -92,13 +100,13 @@ class Options:
     most : trial steps
     still : longest entry of a failing step at which a search ends
     damping : μ to begin with, relative to what the data say of each entry alone
-    ease, stiffen : what μ is divided by after a step that is taken, and multiplied by after one that is not
+    ease, stiffen : what μ is divided by at most after a step that is taken, and multiplied by after one that is not
     least, hopeless : μ below which it does not fall, and above which a search ends
     longest : most that a step changes an entry by
     curvature : least diagonal of JᵀJ that damping is relative to: an entry without any influence stays
     difference : step of the forward differences
     race : pairs of rounds and how many searches, those of least χ², go on after that
-    kept, straight : fall over promised fall within which columns are good enough, and within which a secant says well
+    kept, straight : fall over expected fall within which columns are good enough, and within which a secant says well
         enough what has changed of the columns that are renewed as a search goes
     thorough : whether the end is confirmed with a Jacobian of its own where secants were used
     """
@@ -127,6 +135,8 @@ class Solution:
 
     x : (P,) entries; residual (M,); jacobian (M, P) of the residual there, or where the last step began
     chi2 : sum of squares; converged: whether the last fall was below the tolerance
+    fresh : whether the Jacobian is that at x, by differences and with no secant in it
+    damping : μ with which a search goes on
     """
 
     x: Float
@@ -134,6 +144,8 @@ class Solution:
     jacobian: Float
     chi2: float
     converged: bool
+    fresh: bool = False
+    damping: float = DAMPING
 
     @property
     def covariance(self) -> Float:
@@ -154,7 +166,7 @@ def minimise(
     jacobian: Float | None = None,
     moving: int = 0,
     thorough: bool = True,
-    damping: float = DAMPING,
+    damping: float | None = None,
 ) -> Solution:
     """The least sum of squares of one problem, with Jacobians by differences and secants.
 
@@ -163,7 +175,7 @@ def minimise(
     residuals : (B, M) of several x (B, P)
     start : entries (P,), or where an earlier search of the same residuals ended, to go on from
     low, high : bounds (P,); entries with equal bounds stay
-    most, thorough, damping : as in `Options`
+    most, thorough, damping : as in `Options`; without a damping it is the usual one, or that of a search that goes on before its end
     jacobian : (M, P) one from nearby to begin with; its columns from `moving` on are renewed as the search goes, all of
         them where a step fails. Without, all are renewed at every step
 
@@ -171,6 +183,8 @@ def minimise(
     -------
     Where the search ended. It never fails: one that does not converge says so.
     """
+    if damping is None:
+        damping = start.damping if isinstance(start, Solution) and not start.converged else DAMPING
     options = Options(most=most, thorough=thorough, damping=damping)
     search = _Search(start, low, high, options, jacobian, moving)
     _go_together([search], lambda points, _: (residuals(points), None), ())
@@ -233,7 +247,7 @@ def central(residuals: Residuals, x: Float, low: Float, high: Float) -> Float:
     seen = residuals(np.concatenate([up, down]))
     width = np.sum(up - down, axis=1)
     columns = np.zeros((seen.shape[1], x.size))
-    columns[:, low < high] = ((seen[: len(up)] - seen[len(up) :]) / np.maximum(width, 1e-300)[:, None]).T
+    columns[:, low < high] = ((seen[: len(up)] - seen[len(up) :]) / np.maximum(width, _TINY)[:, None]).T
     return columns
 
 
@@ -290,17 +304,19 @@ class _Search:
             self.x, self.residual, self.chi2 = np.clip(start, low, high), np.zeros(0), np.inf
             self.jacobian = np.zeros((0, self.x.size)) if lent is None else lent.copy()
         self.lent = self.begun or lent is not None
-        self.fresh = not self.lent
+        self.fresh = start.fresh if isinstance(start, Solution) else not self.lent
         """Whether no secant and no lent column is in the Jacobian."""
         self.exact = False
         """Whether the problem itself gives the Jacobian."""
         self.behind = False
         """Whether the columns that are renewed as the search goes are not those of where it is."""
+        self.refused = False
+        """Whether the last step was refused, with these columns."""
 
     @property
     def solution(self) -> Solution:
         """Where the search is."""
-        return Solution(self.x, self.residual, self.jacobian, self.chi2, self.converged)
+        return Solution(self.x, self.residual, self.jacobian, self.chi2, self.converged, self.fresh, self.damping)
 
     @property
     def enough(self) -> float:
@@ -320,6 +336,10 @@ class _Search:
                 self.converged = True
                 break
             move = self._step(gradient, free)
+            while self._expect(gradient, move) < -np.finfo(np.float64).eps * self.chi2:
+                # Several limits at once may turn a step uphill; with more damping it goes down each entry's own slope.
+                self.damping *= self.options.stiffen
+                move = self._step(gradient, free)
             promised = -float(move @ gradient)
             if self.exact and promised < self.enough and self.damping <= self.options.damping:
                 self.converged = True
@@ -328,7 +348,8 @@ class _Search:
             residual, jacobian = yield trial[None]
             chi2 = float(residual[0] @ residual[0])
             if np.isfinite(chi2) and chi2 < self.chi2:
-                yield from self._take(trial, residual[0], chi2, promised, None if jacobian is None else jacobian[0])
+                expected = self._expect(gradient, move)
+                yield from self._take(trial, residual[0], chi2, expected, None if jacobian is None else jacobian[0])
             else:
                 yield from self._refuse(move, promised)
             if self.converged or self.damping > self.options.hopeless:
@@ -355,16 +376,34 @@ class _Search:
         return self.everything[~held[self.everything]]
 
     def _step(self, gradient: Float, free: Int) -> Float:
-        """(P,) the damped step."""
-        part = self.jacobian[:, free]
-        normal = part.T @ part
-        diagonal = np.maximum(np.diag(normal), self.options.curvature)
-        move = np.zeros(gradient.size)
-        move[free] = -np.linalg.solve(normal + self.damping * np.diag(diagonal), gradient[free])
-        longest = float(np.abs(move).max())
-        return move * (self.options.longest / longest) if longest > self.options.longest else move
+        """(P,) the damped step within the bounds, no entry of which is longer than the longest.
 
-    def _take(self, trial: Float, residual: Float, chi2: float, promised: float, jacobian: Float | None) -> _Asking:
+        What an entry would do beyond its limit, those that are left make up for: one of next to no influence, whose step is long
+        because nothing is known of it, does not shorten the steps of all others.
+        """
+        normal = self.jacobian.T @ self.jacobian
+        damped = normal + self.damping * np.diag(np.maximum(np.diag(normal), self.options.curvature))
+        low = np.maximum(self.low - self.x, -self.options.longest)
+        high = np.minimum(self.high - self.x, self.options.longest)
+        move = np.zeros(gradient.size)
+        while free.size:
+            move[free] = 0.0
+            pull = gradient[free] + normal[free] @ move
+            move[free] = -np.linalg.solve(damped[np.ix_(free, free)], pull)
+            beyond = np.maximum(move[free] - high[free], low[free] - move[free])
+            worst = int(np.argmax(beyond))
+            if beyond[worst] <= 0:
+                break
+            move[free[worst]] = np.clip(move[free[worst]], low[free[worst]], high[free[worst]])
+            free = np.delete(free, worst)
+        return move
+
+    def _expect(self, gradient: Float, move: Float) -> float:
+        """Fall of χ² for a step (P,), in the quadratic model −2 g·δ − |J δ|²."""
+        along = self.jacobian @ move
+        return float(-2 * (move @ gradient) - along @ along)
+
+    def _take(self, trial: Float, residual: Float, chi2: float, expected: float, jacobian: Float | None) -> _Asking:
         """On to a point of lower χ², and the Jacobian there."""
         fall, enough = self.chi2 - chi2, self.enough
         if jacobian is not None:
@@ -372,26 +411,33 @@ class _Search:
         elif self.lent and self.moving.size:
             self.jacobian += _secant(self.jacobian, trial - self.x, residual - self.residual)
         self.x, self.residual, self.chi2 = trial, residual, chi2
-        self.damping = max(self.damping / self.options.ease, self.options.least)
-        self.behind = self.lent
+        self.damping = max(self.damping * self._ease(fall / max(expected, _TINY)), self.options.least)
+        self.behind, self.refused = self.lent, False
         if fall < enough and (self.fresh or not self.options.thorough):
-            self.converged = True
+            self.converged, self.fresh = True, False
         elif jacobian is None:
-            self.fresh = not self.lent or fall < enough or not _within(fall, promised, self.options.kept)
-            if self.fresh or not _within(fall, promised, self.options.straight):
+            self.fresh = not self.lent or fall < enough or not _within(fall, expected, self.options.kept)
+            if self.fresh or not _within(fall, expected, self.options.straight):
                 yield from self._renew(self.everything if self.fresh else self.moving)
 
     def _refuse(self, move: Float, promised: float) -> _Asking:
         """A step that did not lower χ²: the end, or old columns are to blame, or it was too long."""
         little = promised < self.enough
-        if not self.fresh and not (little and not self.options.thorough):
-            self.fresh = True
+        stale = not self.fresh and not (little and not self.options.thorough)
+        if stale and (little or self.refused):
+            # A shorter step failed as well: it is the columns.
+            self.fresh, self.refused = True, False
             yield from self._renew(self.everything)
         elif little or float(np.abs(move).max()) < self.options.still:
             # What is promised that little and does not come is the end as well.
             self.converged = True
         else:
             self.damping *= self.options.stiffen
+            self.refused = True
+
+    def _ease(self, ratio: float) -> float:
+        """What damping is multiplied by after a step that fell by `ratio` times what the quadratic model has expected (Nielsen 1999)."""
+        return float(np.clip(1 - (2 * ratio - 1) ** 3, 1 / self.options.ease, 2.0))
 
     def _renew(self, places: Int) -> _Asking:
         """Columns of the Jacobian taken anew by differences, backward at an upper bound."""

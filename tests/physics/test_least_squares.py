@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -217,3 +218,75 @@ def test_a_start_without_a_finite_residual_ends_at_an_infinite_sum() -> None:
     found = minimise(residuals, np.zeros(1), -far, far)
     assert found.chi2 == np.inf
     assert not found.converged
+
+
+@settings(deadline=None, max_examples=50)
+@given(SEEDS)
+def test_a_linear_problem_keeps_the_columns_that_it_is_lent(seed: int) -> None:
+    """A step that is damped or shortened falls by what the quadratic model promises: no column is taken anew for it."""
+    rng = np.random.default_rng(seed)
+    design, target = rng.normal(size=(9, 3)), rng.normal(size=9)
+    far, asked = rng.uniform(-30, 30, 3), []
+
+    def residuals(several: Float) -> Float:
+        asked.append(len(several))
+        return several @ design.T - target
+
+    found = minimise(residuals, far, -FAR, FAR, most=100, jacobian=design, moving=3, thorough=False)
+    assert found.chi2 <= np.linalg.lstsq(design, target, rcond=None)[1][0] + 0.02
+    assert set(asked) == {1}
+
+
+def test_a_search_that_goes_on_does_not_take_the_same_columns_twice() -> None:
+    """Where a round ended right after its columns were taken, a step that fails in the next one asks for no others."""
+    asked: list[int] = []
+
+    def residuals(several: Float) -> Float:
+        asked.append(len(several))
+        return np.stack([10 * (several[:, 1] - several[:, 0] ** 2), 1 - several[:, 0]], axis=1)
+
+    begun = minimise(residuals, np.array([-1.2, 1.0]), -FAR[:2], FAR[:2], most=2)
+    assert begun.fresh
+    asked.clear()
+    refused = minimise(residuals, begun, -FAR[:2], FAR[:2], most=1, thorough=False)
+    assert refused.chi2 == begun.chi2
+    assert asked == [1]
+
+
+def test_an_entry_that_hardly_matters_does_not_hold_up_the_others() -> None:
+    """Nothing is known of the last entry, so its step is as long as it may be at every step; the others go on as without it."""
+    asked: dict[float, int] = {}
+
+    def count(influence: float) -> Callable[[Float], Float]:
+        def residuals(several: Float) -> Float:
+            asked[influence] = asked.get(influence, 0) + 1
+            x, y, z = several.T
+            return 1e3 * np.stack([10 * (y - x**2), 1 - x, 0.1 + influence * np.exp(z)], axis=1)
+
+        return residuals
+
+    for influence in (0.0, 1e-3):
+        found = minimise(count(influence), np.array([-1.2, 1.0, 0.0]), -FAR[:3], FAR[:3], most=100)
+        assert found.x[:2] == pytest.approx([1.0, 1.0], abs=1e-3)
+    assert asked[1e-3] <= asked[0.0] + 2
+
+
+@settings(deadline=None, max_examples=100)
+@given(SEEDS, st.floats(1e-9, 1e3))
+def test_a_step_stays_within_its_limits_and_leads_downhill(seed: int, damping: float) -> None:
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(2, 8))
+    design = rng.normal(size=(size + 3, size)) * 10.0 ** rng.uniform(-4, 4, size)
+    low, high = -rng.uniform(0, 3, size), rng.uniform(0, 3, size)
+    target, asked = 10.0 ** rng.uniform(-2, 4) * rng.normal(size=size + 3), []
+
+    def residuals(several: Float) -> Float:
+        asked.append(several.copy())
+        return several @ design.T - target
+
+    start = np.zeros(size)
+    found = minimise(residuals, start, low, high, most=1, jacobian=design, damping=damping)
+    trial = next(x[0] for x in asked[1:] if len(x) == 1)
+    assert np.all((low <= trial) & (trial <= high) & (np.abs(trial) <= 1.5))
+    assert found.chi2 <= float(target @ target) * (1 + 1e-9)
+    assert np.sum((design @ trial - target) ** 2) <= float(target @ target) * (1 + 1e-9)

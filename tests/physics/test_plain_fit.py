@@ -10,7 +10,8 @@ from pipeline.diagnose.faults.fitted import fit_session
 from pipeline.diagnose.features.kinds import STEP_CAPACITANCE
 from pipeline.diagnose.features.reduce import reduce
 from pipeline.diagnose.report import estimate_film_sd
-from pipeline.diagnose.search.extended_model import Extended
+from pipeline.diagnose.search.extended_model import Chosen, Extended
+from pipeline.diagnose.search.fit_mechanisms import hand_over_relaxation
 from pipeline.diagnose.search.plain_fit import choose_sensing, fit_plain
 from pipeline.diagnose.simulation.parameters import STRAIN, STRESS, TENSION
 from pipeline.diagnose.simulation.session import make_session
@@ -28,6 +29,8 @@ SLOW_FILM = 1
 """Seed of a film whose only arm is slower than the sweeps."""
 FAR_CLAMP, FAR_CLAMP_TOO = 895_730_046, 895_730_069
 """Seeds of sessions whose clamps are put far from their files."""
+THREE_ARMS = 1
+"""Seed of a session that shows three arms of its film."""
 ARM_OF_OTHERS = 971_896_752
 """Seed of three recordings whose steps of voltage show an arm that their sinusoid does not."""
 
@@ -166,3 +169,23 @@ def test_a_sensing_region_may_make_any_number_of_pf_of_a_newton(times: float) ->
         assert any(p.block.kind == STEP_CAPACITANCE for p in session.places)
         chi2.append(plain.chi2)
     assert chi2[1] == pytest.approx(chi2[0], rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_relaxation_takes_the_place_of_an_arm_that_does_nothing() -> None:
+    """A search may have lost an arm to where nothing is measured; the one next to the relaxation is needed where it is."""
+    truth = true_session(THREE_ARMS, compact_designs()[:4], ())
+    session = make_session([reduce(r) for r in truth.recordings])
+    simulation = Simulation(session)
+    found = fit_plain(session, simulation)
+    film = found.model.physical(found.theta).film
+    slow, k_slow = film.tau[0], film.k[0]
+    idle = 1e-4, 1e-9
+    theta = found.model.theta(replace(film, tau=(*film.tau[1:], idle[0]), k=(*film.k[1:], idle[1])))
+    theta[found.model.film.stop :] = found.theta[found.model.film.stop :]
+    of = Extended(session, simulation, found.model, (Chosen("missing_relaxation", ""),), np.ones(session.size))
+    values = {"stiffness_ratio": k_slow / film.k0, "time_constant_s": slow, "spread": 1.0}
+    fit = of.fit(of.make_entries(theta, (values,)), most=0)
+    again = hand_over_relaxation(fit, 0)
+    assert again is not None
+    assert again == pytest.approx(found.theta, rel=1e-6)

@@ -260,7 +260,7 @@ class Extended:
     def refine(self, fit: ExtendedFit) -> ExtendedFit:
         """The same optimum with a Jacobian by central differences."""
         jacobian = central(self.residuals, fit.x, *self.limits)
-        return ExtendedFit(self, replace(fit.solution, jacobian=jacobian))
+        return ExtendedFit(self, replace(fit.solution, jacobian=jacobian, fresh=True))
 
     def continue_fit(self, fit: ExtendedFit, *, most: int) -> ExtendedFit:
         """On from a fit with the Jacobian that it has, and next to no damping.

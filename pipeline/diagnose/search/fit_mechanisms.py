@@ -130,7 +130,7 @@ def _may_be_taken_for(fit: ExtendedFit, other: ExtendedFit) -> bool:
 
 def _refit_about_film_of(other: ExtendedFit, fit: ExtendedFit, base: ExtendedFit) -> ExtendedFit:
     """The fit, or a better one of its mechanism from the film and the rig of another."""
-    again = fit.of.fit(fit.of.make_entries(other.theta, fit.values), most=_ROUGHLY, thorough=False)
+    again = fit.of.fit(fit.of.make_entries(other.theta, fit.values), most=_ROUGHLY, near=fit, thorough=False)
     both = [fit, follow_to_end(base, again, np.inf)]
     if min(f.chi2 for f in both) < other.chi2 + RULES.fit.close_call:
         # Rough ends do not say which of two valleys is the deeper one, nor which is the wider.
@@ -356,13 +356,13 @@ def _revive_arms(base: ExtendedFit, fit: ExtendedFit, reach: float) -> ExtendedF
     x = fit.x.copy()
     for places in (vanished, vanished + arms):
         x[places] = base.theta[places]
-    again = follow_to_end(base, fit.of.fit(x, most=_ROUGHLY, thorough=False), reach)
+    again = follow_to_end(base, fit.of.fit(x, most=_ROUGHLY, near=base, thorough=False), reach)
     return min(fit, again, key=lambda f: f.chi2)
 
 
 def finish_fit(fit: ExtendedFit) -> ExtendedFit:
     """The same fit brought to its optimum, and confirmed with central differences."""
-    found = fit.of.refine(fit.of.fit(fit.x, most=_THOROUGHLY, near=fit))
+    found = fit.of.refine(fit.of.fit(fit, most=_THOROUGHLY))
     for _ in range(_CONFIRMATIONS):
         again = fit.of.continue_fit(found, most=_TRIALS)
         fall = found.chi2 - again.chi2
@@ -395,16 +395,21 @@ def settle_outliers(fit: ExtendedFit) -> ExtendedFit:
 
 def drop_mechanism(fit: ExtendedFit, number: int, theta: Float | None = None) -> ExtendedFit:
     """The model without mechanism `number` of a fit, with all else where it is, or film and rig at other entries theta (P,)."""
-    chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
-    values = tuple(v for i, v in enumerate(fit.values) if i != number)
-    of = replace(fit.of, chosen=chosen)
+    of, values = _leave_out(fit, number)
     return of.fit(of.make_entries(fit.theta if theta is None else theta, values), most=0)
 
 
-def hand_over_relaxation(fit: ExtendedFit, number: int) -> Float | None:
-    """Entries (P,) of film and rig with a relaxation that a fit names taken up by the arm nearest to it; None where it names none.
+def _leave_out(fit: ExtendedFit, number: int) -> tuple[Extended, tuple[Start, ...]]:
+    """The model without mechanism `number`, and what the values of the others are."""
+    chosen = tuple(c for i, c in enumerate(fit.of.chosen) if i != number)
+    return replace(fit.of, chosen=chosen), tuple(v for i, v in enumerate(fit.values) if i != number)
 
-    Without it the film would have to find that stiffness again, along a valley in which little falls.
+
+def hand_over_relaxation(fit: ExtendedFit, number: int) -> Float | None:
+    """Entries (P,) of film and rig with a relaxation that a fit names taken up by an arm; None where it names none.
+
+    Without it the film would have to find that stiffness again, along a valley in which little falls. The arm next to it takes it on, or
+    any one that does less gives its place to it: which of these leaves least decides.
     """
     as_arm = fit.of.chosen[number].mechanism.as_arm
     model, film = fit.of.model, fit.of.model.physical(fit.theta).film
@@ -412,14 +417,20 @@ def hand_over_relaxation(fit: ExtendedFit, number: int) -> Float | None:
         return None
     values = fit.values[number]
     more, time_s = values["stiffness_ratio"] * film.k0, values["time_constant_s"]
-    place = int(np.argmin([abs(np.log(tau / time_s)) for tau in film.tau]))
-    arms = list(zip(film.tau, film.k, strict=True))
-    tau, k = arms[place]
-    arms[place] = float(np.exp((k * np.log(tau) + more * np.log(time_s)) / (k + more))), k + more
-    arms.sort(reverse=True)
-    theta = model.theta(replace(film, k=tuple(k for _, k in arms), tau=tuple(t for t, _ in arms)))
-    theta[model.film.stop :] = fit.theta[model.film.stop :]
-    return theta
+    nearest = int(np.argmin([abs(np.log(tau / time_s)) for tau in film.tau]))
+    k, tau = film.k[nearest], film.tau[nearest]
+    together = float(np.exp((k * np.log(tau) + more * np.log(time_s)) / (k + more))), k + more
+    without, others = _leave_out(fit, number)
+    starts = []
+    for place, arm in [(nearest, together), *((i, (time_s, more)) for i in range(model.arms))]:
+        arms = list(zip(film.tau, film.k, strict=True))
+        arms[place] = arm
+        arms.sort(reverse=True)
+        theta = model.theta(replace(film, k=tuple(k for _, k in arms), tau=tuple(t for t, _ in arms)))
+        theta[model.film.stop :] = fit.theta[model.film.stop :]
+        starts.append(theta)
+    left = without.residuals(np.array([without.make_entries(theta, others) for theta in starts]))
+    return starts[int(np.argmin(np.sum(np.nan_to_num(left, nan=np.inf) ** 2, axis=1)))]
 
 
 def order_causes(fit: ExtendedFit) -> ExtendedFit:

@@ -26,7 +26,7 @@ from pipeline.diagnose.search.likelihood import (
     score_groups,
 )
 from pipeline.diagnose.search.posterior import Bend, Hypothesis, RegionFit
-from pipeline.physics.least_squares import central, minimise
+from pipeline.physics.least_squares import Solution, central, minimise
 from schemas.arrays import Bool, Float
 
 _STEPS, _FEWER = 25, 10
@@ -75,14 +75,15 @@ def settle_region(hypothesis: Hypothesis, tempered: ExtendedFit) -> Hypothesis:
     if start is None:
         raise TypeError(f"{hypothesis.name} is no region")
     search = _RegionSearch.of(start, hypothesis.bend)
-    here = search.minimise(np.concatenate([tempered.x, np.zeros(search.free.sum())]), tempered.of.weight, _STEPS)
-    best = search.compute_value(here)
+    found, weight = search.begin(tempered), tempered.of.weight
+    here, best = found.x, search.compute_value(found.x)
     for _ in range(_ROUNDS):
-        again = search.minimise(here, search.find_weight(here), _FEWER)
-        value = search.compute_value(again)
+        before, weight = weight, search.find_weight(here)
+        found = search.go_on(found, here, before, weight)
+        value = search.compute_value(found.x)
         gain = value - best
         if gain > 0:
-            here, best = again, value
+            here, best = found.x, value
         if gain < _GAIN:
             break
     x, weights = search.split(here)
@@ -157,14 +158,25 @@ class _RegionSearch:
         x, own = np.split(u, [self.start.plain.x.size])
         return np.concatenate([self._of.compute_deviations(x), own])
 
-    def minimise(self, u: Float, weight: Float, most: int) -> Float:
-        """The optimum under weights (N,) of the residuals."""
+    def begin(self, tempered: ExtendedFit) -> Solution:
+        """The optimum under the weights of a fit without the region, from there and with its Jacobian."""
+        known, own = tempered.solution.jacobian, int(self.free.sum())
+        lent = np.zeros((known.shape[0] + own, known.shape[1] + own))
+        lent[: known.shape[0], : known.shape[1]] = known
+        return self._minimise(np.concatenate([tempered.x, np.zeros(own)]), tempered.of.weight, _STEPS, lent)
 
+    def go_on(self, found: Solution, u: Float, before: Float, weight: Float) -> Solution:
+        """The optimum under other weights (N,) than those `before`, from u and with the Jacobian of where a search has ended."""
+        lent = found.jacobian.copy()
+        lent[: weight.size] *= (weight / before)[:, None]
+        return self._minimise(u, weight, _FEWER, lent)
+
+    def _minimise(self, u: Float, weight: Float, most: int, lent: Float) -> Solution:
         def residuals(several: Float) -> Float:
             data = [np.concatenate([weight * self.compute_left(x), self.compute_beside(x)]) for x in several]
             return np.array(data)
 
-        return minimise(residuals, u, *self._limits, most=most).x
+        return minimise(residuals, u, *self._limits, most=most, jacobian=lent, moving=self.start.plain.x.size)
 
     def trace(self, u: Float) -> Float:
         """(G,) mean square of what causes and function change."""
