@@ -33,14 +33,14 @@ RELAXATION: tuple[dict[str, Any], ...] = ({"protocol": "step", "loading": "mecha
 
 
 def explained(truth: Session, id: str, variant: str, start: dict[str, float]) -> tuple[float, ExtendedFit]:
-    """Share of the misfit of the plain truth that the mechanism removes, and its fit from `start`."""
+    """Share of what the plain model misses at its optimum that the mechanism removes, and its fit from `start`."""
     session = make_session([reduce(r) for r in truth.recordings])
     film = truth.truth.specimen.film
     model = session.base_model(len(film.k))
     theta = model.theta(RelaxationModel(film.k0, tuple(film.k), tuple(film.tau), 0.0))
     simulation, weight = Simulation(session), np.ones(session.size)
     plain = Extended(session, simulation, model, (), weight)
-    unaware = plain.fit(theta, most=8).theta
+    unaware = plain.fit(theta, most=60).theta
     of = Extended(session, simulation, model, (Chosen(id, variant),), weight)
     best: ExtendedFit | None = None
     for factor in (0.5, 1.0):
@@ -57,7 +57,8 @@ CASES = [
     ("slack", "", 0.5, {}, SWEEPS, {"overload": 0.3, "residual": 0.05, "softness": 0.1}, 0.9),
     ("slack", "", 1.5, {}, SWEEPS, {"overload": 1.0, "residual": 0.05, "softness": 0.1}, 0.8),
     ("load_cell_damping", "drag", 0.015, {}, SWEEPS, {"damping_ratio": 0.01, "growth": 0.3}, 0.85),
-    ("clamp_slip", "", 0.6, {}, CYCLES, {"overload": 0.6, "hardening": 0.5, "creep_s": 0.2}, 0.9),
+    # Film and rig alone come down to a hundredth of what they miss at the true film; from twelve starts no fit leaves less than 0.73 million.
+    ("clamp_slip", "", 0.6, {}, CYCLES, {"overload": 0.6, "hardening": 0.5, "creep_s": 0.2}, 0.7),
     (
         "wrinkling",
         "lasting",

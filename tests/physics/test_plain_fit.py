@@ -31,7 +31,7 @@ FAR_CLAMP, FAR_CLAMP_TOO = 895_730_046, 895_730_069
 """Seeds of sessions whose clamps are put far from their files."""
 THREE_ARMS = 1
 """Seed of a session that shows three arms of its film."""
-ARM_OF_OTHERS = 971_896_752
+ARM_OF_OTHERS = 971_896_718
 """Seed of three recordings whose steps of voltage show an arm that their sinusoid does not."""
 
 

@@ -71,3 +71,11 @@ def test_a_sweep_heats_a_film_along_its_course_and_the_next_goes_on_from_there(f
     elapsed = np.stack([passed, passed + 120.0])
     rise = heated("sweep", frequency, np.full((1, 400), 0.1), elapsed, loss=0.5)
     assert rise == pytest.approx(0.5 * elapsed)
+
+
+def test_a_film_that_has_lost_its_main_spring_warms_by_a_finite_amount() -> None:
+    """Chirps alone do not tell the main spring: the plain model may have lost it, and heat is reckoned over it."""
+    cycles = np.array([[0.5], [9.5]])
+    rise = heated("cyclic", np.array([[1.0]]), np.array([[0.1]]), cycles, loss=1e12)
+    assert np.isfinite(rise).all()
+    assert rise[1] >= rise[0]

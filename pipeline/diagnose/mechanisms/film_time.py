@@ -21,6 +21,8 @@ from schemas.arrays import Complex, Float
 
 _LOWEST_HZ = 1e-6
 """Frequency below which a power law is constant, Hz."""
+_MOST_SOFTENING = 50.0
+"""Logarithm by which warming changes the stiffness at most: a film whose main spring has vanished turns any amount into heat over that."""
 
 
 def _arm(values: Values, variant: str) -> Effect:
@@ -50,7 +52,8 @@ def _warm(values: Values, variant: str) -> Effect:
         supposed, until = (rise * -np.expm1(-t / tau) for t in (view.session_s, view.first_temperature_s))
         # A temperature that is recorded from the middle on counts from what was supposed until then.
         warming = np.where(np.isfinite(view.temperature_k), view.temperature_k + until, supposed)
-        return Film(film.k * np.exp(-per_kelvin * (warming + heating * _dissipated(film, view))), film.share)
+        softening = per_kelvin * (warming + heating * _dissipated(film, view))
+        return Film(film.k * np.exp(np.clip(-softening, -_MOST_SOFTENING, _MOST_SOFTENING)), film.share)
 
     return Effect(film=(softer,)) if per_kelvin else Effect()
 
