@@ -336,7 +336,7 @@ class _Search:
                 self.converged = True
                 break
             move = self._step(gradient, free)
-            while self._expect(gradient, move) < -np.finfo(np.float64).eps * self.chi2:
+            while (expected := self._expect(gradient, move)) < -np.finfo(np.float64).eps * self.chi2:
                 # Several limits at once may turn a step uphill; with more damping it goes down each entry's own slope.
                 self.damping *= self.options.stiffen
                 move = self._step(gradient, free)
@@ -348,7 +348,6 @@ class _Search:
             residual, jacobian = yield trial[None]
             chi2 = float(residual[0] @ residual[0])
             if np.isfinite(chi2) and chi2 < self.chi2:
-                expected = self._expect(gradient, move)
                 yield from self._take(trial, residual[0], chi2, expected, None if jacobian is None else jacobian[0])
             else:
                 yield from self._refuse(move, promised)

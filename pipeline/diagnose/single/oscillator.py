@@ -114,15 +114,18 @@ def pass_hold(w: Float, interval: float, hold: str) -> list[tuple[Float, Complex
     -------
     (n,) each image of the frequencies, and (n,) the response of the hold there
     """
+    images = [0] if hold == BAND_LIMITED else range(-_IMAGES, _IMAGES + 1)
+    frequencies = [w + 2 * np.pi * image / interval for image in images]
+    return [(v, respond_of_hold(v, interval, hold)) for v in frequencies]
+
+
+def respond_of_hold(w: Float, interval: float, hold: str) -> Complex:
+    """(n,) response of a hold at frequencies (n,), radians per unit of time: one if band-limited, sinc e^(−jwT/2) if held, sinc² if straight."""
     if hold == BAND_LIMITED:
-        return [(w, np.ones(w.size, dtype=complex))]
-    found = []
-    for image in range(-_IMAGES, _IMAGES + 1):
-        v = w + 2 * np.pi * image / interval
-        half = v * interval / 2
-        size = np.sinc(half / np.pi)
-        found.append((v, size * np.exp(-1j * half) if hold == HELD else size.astype(complex) ** 2))
-    return found
+        return np.ones(w.size, dtype=complex)
+    half = w * interval / 2
+    size = np.sinc(half / np.pi)
+    return np.asarray(size * np.exp(-1j * half) if hold == HELD else size.astype(complex) ** 2)
 
 
 class Oscillator:

@@ -30,7 +30,7 @@ from pipeline.diagnose.single.oscillator import (
     Mode,
     Oscillator,
     SystemRecord,
-    pass_hold,
+    respond_of_hold,
 )
 from pipeline.physics.least_squares import Options, minimise_each
 from schemas.arrays import Bool, Complex, Float, Int
@@ -234,5 +234,4 @@ def _compute_spectra(record: SystemRecord, hold: str) -> tuple[Float, Complex, C
     window = np.ones(n) if record.periodic else np.hanning(n)
     u, y = (np.fft.rfft((x - x.mean()) * window)[1:] / np.sqrt(n) for x in (record.input, record.output))
     w = np.asarray(2 * np.pi * np.fft.rfftfreq(n, record.interval_s)[1:])
-    own = next(passed for v, passed in pass_hold(w, record.interval_s, hold) if v[0] == w[0])
-    return w, u * own, y
+    return w, u * respond_of_hold(w, record.interval_s, hold), y

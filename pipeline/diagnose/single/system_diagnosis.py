@@ -16,7 +16,7 @@ from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, Discrepancy, Residuals
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
-from pipeline.diagnose.single.oscillator import SystemRecord
+from pipeline.diagnose.single.oscillator import BAND_LIMITED, SystemRecord
 from pipeline.diagnose.single.report import (
     Details,
     Films,
@@ -120,7 +120,7 @@ def _collect_details(
         could_not_ask=(
             f"This is no film in a rig: it is simulated with {count_resonances(question.resonances)}, and asked for what bends it",
             f"The noise of the output is taken to be {noise}: {question.noise}",
-            f"Between samples the input {question.hold}: with that a resonance simulates the records best",
+            _tell_hold(question),
             *_tell_untried(question),
             *(f"{name}: its model has no finite simulation of these records" for name in question.without),
         ),
@@ -129,6 +129,12 @@ def _collect_details(
             *(() if named else describe_closest(found)),
         ),
     )
+
+
+def _tell_hold(question: SystemQuestion) -> str:
+    if question.hold == BAND_LIMITED:
+        return f"Between samples the input is taken to be one that {BAND_LIMITED}: as a straight or a held one it simulates the records no better"
+    return f"Between samples the input {question.hold}: with that the records are simulated best"
 
 
 def _tell_untried(question: SystemQuestion) -> tuple[str, ...]:

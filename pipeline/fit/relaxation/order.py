@@ -150,10 +150,9 @@ def _labels(observations: Observations, *, by_group: bool) -> Int:
     return np.asarray(numbered, dtype=np.int64)
 
 
-def describe_end(order: int, p_value: float | None = None) -> str:
+def describe_end(order: int, p_value: float) -> str:
     """Says that an order was chosen because none above it was tried, not because it is enough."""
-    better = "" if p_value is None else f" ({p_equals(p_value)})"
-    return f"order {order + 1} would fit better still{better}; none above {order} was tried"
+    return f"order {order + 1} would fit better still ({p_equals(p_value)}); none above {order} was tried"
 
 
 def choose(
