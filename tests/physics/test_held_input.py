@@ -1,4 +1,4 @@
-"""A delay below one sampling interval is no cause: it lies in how the input moves from sample to sample."""
+"""An input that is held from sample to sample is simulated so, and makes no delayed sensor of half an interval."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pipeline.diagnose.results import NAMED
+from pipeline.diagnose.results import NONE
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.system_diagnosis import diagnose_system
 
@@ -30,6 +30,9 @@ def test_an_input_that_is_held_makes_no_delayed_sensor() -> None:
     held = np.repeat(random.standard_normal(200), 4)
     output = respond(held, 3.0, 0.2) + 0.01 * random.standard_normal(held.size)
     found, comparison = diagnose_system("a", [SystemRecord("a1", held, output, INTERVAL_S)], ["noise"], "1")
-    assert comparison.ranked[0].model.severity["delay_s"].value == pytest.approx(INTERVAL_S / 2, rel=0.1)
-    assert found.verdict != NAMED
-    assert found.mechanism is None
+    delay = next(tried for tried in comparison.ranked if tried.model.mechanism == "sensor_delay").model.severity[
+        "delay_s"
+    ]
+    assert delay.lower <= 0 <= delay.upper
+    assert any("the input is held" in line for line in found.could_not_ask)
+    assert found.verdict == NONE
