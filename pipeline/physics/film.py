@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dtbtrs
 
 from schemas.arrays import Complex, Float
 
@@ -274,13 +274,15 @@ def integrate_arms(time_s: Float, extension: Float, tau: Float) -> Float:
 
     Notes
     -----
-    `arm_step` from sample to sample: f[i + 1] − decay f[i] = gain Δe is a system with two diagonals, solved in one
-    call.
+    `arm_step` from sample to sample: f[i + 1] − decay f[i] = gain Δe is a system with two diagonals; those of all arms,
+    one after the other, are one system, solved in one call.
     """
-    decay, gain = arm_step(np.diff(time_s)[:, None] / tau)
-    gain = gain * np.diff(extension)[:, None]
+    decay, gain = arm_step(np.diff(time_s) / tau[:, None])
+    gain = gain * np.diff(extension)
+    diagonals = np.ones((gain.size, 2))
+    below = diagonals[:, 1].reshape(gain.shape)
+    below[:, :-1], below[:, -1] = -decay[:, 1:], 0.0
+    forces = dtbtrs(diagonals.T, gain.ravel(), uplo="L", diag="U")[0] if gain.size else gain
     found = np.zeros((time_s.size, tau.size))
-    for j in range(tau.size):
-        diagonals = np.vstack([np.ones(len(decay)), np.append(-decay[1:, j], 0.0)])
-        found[1:, j] = solve_banded((1, 0), diagonals, gain[:, j], check_finite=False)
+    found[1:] = forces.reshape(gain.shape).T
     return found

@@ -40,7 +40,7 @@ def energy(l1: ArrayLike, l2: ArrayLike, young: float = 1.0, exponent: float = C
 
 
 def principal_stress(
-    l1: ArrayLike, l2: ArrayLike, young: float = 1.0, exponent: float = CARPI_GEI
+    l1: ArrayLike, l2: ArrayLike, young: float = 1.0, exponent: float | Float = CARPI_GEI
 ) -> tuple[Float, Float]:
     """Nominal stresses P1 and P2; parameters as in `energy` (thesis, eq 3.14)."""
     a, b = np.asarray(l1, dtype=float), np.asarray(l2, dtype=float)
@@ -105,42 +105,51 @@ class Law:
     ----------
     name : of the law
     moduli : names of the p moduli, which have the unit of the stress
-    columns : (stretch (m,), shape parameter) → (m, p)
+    columns : (stretch (m,), shape parameter, or several at once as (…, 1)) → (…, m, p)
     shape : name of the shape parameter, None without
     range : least and largest shape parameter for a largest stretch λ
     """
 
     name: str
     moduli: tuple[str, ...]
-    columns: Callable[[Float, float], Float]
+    columns: Callable[[Float, float | Float], Float]
     shape: str | None = None
     range: Callable[[float], tuple[float, float]] = lambda largest: (1.0, 1.0)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all parameters, the shape last."""
+        return (*self.moduli, *([self.shape] if self.shape else []))
+
     def stress(self, stretch: Float, parameters: Mapping[str, float]) -> Float:
         """Nominal stress (m,) in the unit of the moduli."""
-        shape = parameters[self.shape] if self.shape else 1.0
-        return np.asarray(self.columns(stretch, shape) @ np.array([parameters[m] for m in self.moduli]))
+        return self.stress_of(stretch, np.array([parameters[name] for name in self.names]))
+
+    def stress_of(self, stretch: Float, entries: Float) -> Float:
+        """The same of parameters (…, P), ordered as their names: (…, m)."""
+        shape: float | Float = entries[..., -1:] if self.shape else 1.0
+        return np.asarray((self.columns(stretch, shape) @ entries[..., : len(self.moduli), None])[..., 0])
 
     def in_units(self, parameters: Mapping[str, float], factor: float) -> dict[str, float]:
         """The parameters with moduli `factor` times as large: of a stress that is so in all."""
         return {name: value * factor if name in self.moduli else value for name, value in parameters.items()}
 
 
-def _non_affine(stretch: Float, limit: float) -> Float:
+def _non_affine(stretch: Float, limit: float | Float) -> Float:
     """Davidson and Goulbourne (2013): crosslinks with limited extension, and entanglements."""
     first = stretch**2 + 2 / stretch
     room = np.maximum(3 * limit**2 - first, 1e-9)
     crosslinks = (stretch - stretch**-2) / 3 * (9 * limit**2 - first) / room
     entanglements = 1 - stretch**-1.5 - stretch**-2 + stretch**-0.5
-    return np.stack([crosslinks, entanglements], 1)
+    return np.stack(np.broadcast_arrays(crosslinks, entanglements), -1)
 
 
-def _neo_hookean(stretch: Float, _: float) -> Float:
+def _neo_hookean(stretch: Float, _: float | Float) -> Float:
     return (stretch - stretch**-2)[:, None]
 
 
-def _ogden(stretch: Float, exponent: float) -> Float:
-    return principal_stress(stretch, stretch**-0.5, 3.0, exponent)[0][:, None]
+def _ogden(stretch: Float, exponent: float | Float) -> Float:
+    return principal_stress(stretch, stretch**-0.5, 3.0, exponent)[0][..., None]
 
 
 NON_AFFINE = Law(

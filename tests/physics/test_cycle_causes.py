@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from pipeline.diagnose.results import Diagnosis
 from pipeline.diagnose.single.comparison import Comparison
 from pipeline.diagnose.single.cycle_diagnosis import diagnose_cycle, estimate_noise_sd
-from pipeline.diagnose.single.cycle_model import make_cycle
+from pipeline.diagnose.single.cycle_model import CycleModel, list_mechanisms, make_cycle
 from schemas.errors import NotIdentifiableError
 
 Float = NDArray[np.float64]
@@ -111,6 +111,19 @@ def test_damage_that_does_not_show_while_loading_gains_nothing_there() -> None:
     damage = next(p for p in comparison.ranked if p.model.mechanism == "cyclic_softening")
     assert damage.gain == pytest.approx(0.0, abs=1e-12)
     assert damage.lower == damage.upper == damage.gain
+
+
+@pytest.mark.parametrize("law", [LAW, None], ids=["given", "fitted"])
+def test_models_side_by_side_are_what_each_is_alone(law: dict[str, float] | None) -> None:
+    data = make_cycle(*cycle(((30.0, 4.0),)), law, "cycle", "film")
+    for mechanism in (None, *list_mechanisms(2 * UP_S, data.time_s[1])):
+        model = CycleModel(data, mechanism)
+        low, high = model.limits
+        several = low + np.array([[0.3], [0.5], [0.6]]) * (high - low)
+        for together, x in zip(model.stress(several), several, strict=True):
+            alone = model.stress(x)
+            assert alone.shape == data.stress.shape
+            assert together == pytest.approx(alone, rel=1e-12)
 
 
 def test_noise_of_neighbouring_samples() -> None:

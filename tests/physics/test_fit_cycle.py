@@ -13,7 +13,7 @@ from pipeline.analyse.cycle import Cycle, cycle_fits, cycle_tables
 from pipeline.analyse.model_fits import model_fits_table
 from pipeline.fit.relaxation.time_domain import fit_cycle
 from pipeline.physics.film import integrate_arms
-from pipeline.physics.hyperelastic import LAWS, NEO_HOOKEAN, NON_AFFINE, OGDEN
+from pipeline.physics.hyperelastic import LAWS, NEO_HOOKEAN, NON_AFFINE, OGDEN, Law
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
@@ -38,12 +38,26 @@ def test_recursion_is_exact_on_uneven_samples(tau: float) -> None:
     assert np.allclose(integrate_arms(TIME, STRETCH, np.array([tau]))[:, 0], overstress(tau), atol=1e-7)
 
 
+def test_arms_side_by_side_know_nothing_of_each_other() -> None:
+    times = np.array([20.0, 0.05, 1.0])
+    alone = [integrate_arms(TIME, STRETCH, tau[None])[:, 0] for tau in times]
+    assert np.array_equal(integrate_arms(TIME, STRETCH, times), np.transpose(alone))
+
+
 @pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
 def test_laws_are_at_rest_at_stretch_one_and_stiffen_with_their_moduli(law: object) -> None:
     parameters = dict.fromkeys(law.moduli, 10.0) | ({law.shape: 5.0} if law.shape else {})  # type: ignore[attr-defined]
     stress = law.stress(np.array([1.0, 1.01, 2.0]), parameters)  # type: ignore[attr-defined]
     assert stress[0] == pytest.approx(0.0, abs=1e-12)
     assert np.all(np.diff(stress) > 0)
+
+
+@pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
+def test_a_law_of_several_parameters_at_once_is_that_of_each(law: Law) -> None:
+    stretch = np.linspace(0.9, 3.0, 7)
+    entries = np.array([[10.0, 20.0, 4.0], [7.0, 30.0, 2.5]])[:, -len(law.names) :]
+    alone = [law.stress(stretch, dict(zip(law.names, one, strict=True))) for one in entries.tolist()]
+    assert np.allclose(law.stress_of(stretch, entries), alone, rtol=1e-14)
 
 
 def test_ogden_with_exponent_two_is_neo_hookean() -> None:

@@ -72,12 +72,11 @@ class _Tried:
     @property
     def severity(self) -> dict[str, Estimate]:
         """Estimates from the fit to everything."""
-        value = self.whole.severity
-        drawn = [self.whole.model.severity(x) for x in self.drawn_whole]
+        model = self.whole.model
+        drawn = model.severity(self.drawn_whole)
         found = {}
-        for key, here in value.items():
-            of = np.array([d[key] for d in drawn])
-            low, high = (float(q) for q in np.quantile(of, [0.05, 0.95]))
+        for key, value in model.severity(self.whole.x).items():
+            here, (low, high) = float(value), np.quantile(drawn[key], [0.05, 0.95]).tolist()
             # The best value may lie at the edge of a bent valley, away from most of it.
             found[key] = Estimate(here, (high - low) / (2 * _NORMAL_90), min(low, here), max(high, here))
         return found
@@ -86,7 +85,7 @@ class _Tried:
         """What it predicts of the unloading: as the plain model where the loading does not show its mechanism."""
         mechanism = self.whole.model.mechanism
         learned, drawn_x = (plain, plain.learned.x[None]) if self.learned.unseen else (self, self.drawn_learned)
-        drawn = np.array([learned.learned.stress(x)[unloading] for x in drawn_x])
+        drawn = learned.learned.stress(drawn_x)[:, unloading]
         return TriedModel(
             mechanism="" if mechanism is None else mechanism.id,
             variant="" if mechanism is None else mechanism.variant,
@@ -174,8 +173,7 @@ def _draw_open_parameters(fit: Fitted, rng: np.random.Generator) -> Float:
     upper = np.linalg.qr(root.T, mode="r")
     z = rng.standard_normal((_TRIALS, size))
     x = np.clip(fit.x + _WIDER * z @ (np.sign(np.diag(upper))[:, None] * upper), *fit.model.limits)
-    fits = np.array([fit.misfit(one) for one in x])
-    log_weight = -0.5 * (fits / variance + np.sum((x - fit.x) ** 2, axis=1) / _OPEN**2 - np.sum(z**2, axis=1))
+    log_weight = -0.5 * (fit.misfit(x) / variance + np.sum((x - fit.x) ** 2, axis=1) / _OPEN**2 - np.sum(z**2, axis=1))
     weight = np.exp(log_weight - np.nanmax(log_weight))
     weight[~np.isfinite(weight)] = 0.0
     return np.asarray(x[rng.choice(_TRIALS, _DRAWS, p=weight / weight.sum())])
@@ -239,14 +237,17 @@ def _is_of(tried: _Tried, model: TriedModel) -> bool:
 def _make_film(model: CycleModel, x: Float) -> RelaxationModel:
     """The branch and the slope of the equilibrium stress at rest, as stiffnesses of the film."""
     of_kpa = model.cycle.fits.n_per_mm_of_kpa
-    return RelaxationModel(model.split(x)[0].k0 * of_kpa, (model.gamma(x) * of_kpa,), (float(np.exp(x[1])),))
+    return RelaxationModel(
+        float(model.slope_at_rest(x)) * of_kpa, (float(model.gamma(x)) * of_kpa,), (float(np.exp(x[1])),)
+    )
 
 
 def _estimate_film_sd(tried: _Tried) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Standard deviations of k0, k1, τ1, and of the damper."""
-    drawn = [_make_film(tried.whole.model, x) for x in tried.drawn_whole]
-    values = np.array([[f.k0, f.k[0], f.tau[0], f.k[0] * f.tau[0]] for f in drawn])
-    low, high = np.quantile(values, [0.05, 0.95], axis=0)
+    model, x = tried.whole.model, tried.drawn_whole
+    of_kpa, tau = model.cycle.fits.n_per_mm_of_kpa, np.exp(x[:, 1])
+    k0, k1 = model.slope_at_rest(x) * of_kpa, model.gamma(x) * of_kpa
+    low, high = np.quantile([k0, k1, tau, k1 * tau], [0.05, 0.95], axis=1)
     spread = ((high - low) / (2 * _NORMAL_90)).tolist()
     return tuple(spread[:3]), (spread[3],)
 
@@ -349,7 +350,7 @@ def _name_mechanism(tried: _Tried) -> str:
 def _predict_elsewhere(tried: _Tried, time: Float, stretch: Float) -> Float:
     """(1 + B, m) what a model predicts of another test, at its optimum and drawn, kPa."""
     model = tried.whole.model.elsewhere(time, stretch)
-    return np.array([model.stress(x) for x in (tried.whole.x, *tried.drawn_whole[:_FEW])])
+    return model.stress(np.vstack([tried.whole.x, tried.drawn_whole[:_FEW]]))
 
 
 def _compute_separation(true: Float, rival: Float, sd: float) -> float:

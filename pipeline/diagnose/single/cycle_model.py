@@ -9,9 +9,10 @@ them is in `cycle_diagnosis`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
@@ -38,6 +39,10 @@ _LADDER_SPAN = 1e-3, 1e3
 """Ends of the ladder over the length of the cycle."""
 _FAR = 12.0
 """Largest change of a logarithm that is searched."""
+_AT_ONCE = 50_000
+"""Values of stress that are simulated in one pass, so that they stay in the processor's cache."""
+_AROUND = 1e-5
+"""Stretch to both sides of rest from which the slope there is taken."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,16 @@ class LargeCycle:
         """(m,) whether a sample lies on the way up."""
         return np.arange(self.time_s.size) <= self.top
 
+    @cached_property
+    def strain(self) -> Float:
+        """(m,) over the largest."""
+        return np.asarray(np.clip((self.stretch - 1) / (self.stretch.max() - 1), 1e-9, None))
+
+    @cached_property
+    def highest(self) -> Float:
+        """(m,) largest stretch so far."""
+        return np.asarray(np.maximum.accumulate(self.stretch))
+
 
 @dataclass(frozen=True)
 class Ladder:
@@ -88,31 +103,32 @@ class Ladder:
 
 @dataclass(frozen=True)
 class Parts:
-    """What a model is made of.
+    """What B models of a cycle are made of.
 
     Parameters
     ----------
-    time_s, stretch : (m,) s, and stretch λ
-    strain : (m,) over the largest
-    highest : (m,) largest λ so far
-    equilibrium, viscous : (m,) equilibrium stress, and that of the branch, kPa
-    k0 : slope of the equilibrium stress at rest, kPa
+    cycle : the cycle, of m samples
+    equilibrium, viscous : (B, m) equilibrium stress, and that of the branch, kPa
+    k0 : (B,) slope of the equilibrium stress at rest, kPa
     ladder : branches that stand for a power law
     """
 
-    time_s: Float
-    stretch: Float
-    strain: Float
-    highest: Float
+    cycle: LargeCycle
     equilibrium: Float
     viscous: Float
-    k0: float
+    k0: Float
     ladder: Ladder
 
     @property
     def total(self) -> Float:
-        """(m,) stress of the plain model, kPa."""
+        """(B, m) stress of the plain model, kPa."""
         return np.asarray(self.equilibrium + self.viscous)
+
+    def add_arms(self, gamma: Float, tau: Float) -> Float:
+        """(B, m) stress of branches of (B, n) moduli over k0, and times in s, beside the plain model's."""
+        cycle = self.cycle
+        arms = integrate_arms(cycle.time_s, cycle.stretch, tau.ravel()).reshape(-1, *tau.shape)
+        return np.asarray(self.total + np.einsum("mbn,bn->bm", arms, self.k0[:, None] * gamma))
 
 
 @dataclass(frozen=True)
@@ -125,8 +141,8 @@ class CycleMechanism:
     starts : values from which it is searched
     low, high : limits of its values
     neutral : values at which it does nothing
-    stress : parts, values → (m,) kPa
-    severity : parts, values → severity by key
+    stress : parts of B models, values (B, V) → (B, m) kPa
+    severity : values (…, V), largest strain of the cycle → severity by key, (…) each
     """
 
     id: str
@@ -137,48 +153,55 @@ class CycleMechanism:
     high: tuple[float, ...]
     neutral: tuple[float, ...]
     stress: Callable[[Parts, Float], Float]
-    severity: Callable[[Parts, Float], Mapping[str, float]]
+    severity: Callable[[Float, float], Mapping[str, Float]]
 
 
 def _add_branches(parts: Parts, values: Float) -> Float:
-    gamma, tau = np.exp(values[::2]), np.exp(values[1::2])
-    return np.asarray(parts.total + integrate_arms(parts.time_s, parts.stretch, tau) @ (parts.k0 * gamma))
+    return parts.add_arms(np.exp(values[:, ::2]), np.exp(values[:, 1::2]))
 
 
 def _add_power_law(parts: Parts, values: Float) -> Float:
     """K (s · 1 s)^α as branches: G(t) = K t^−α/Γ(1−α) = (K sin πα/π) ∫ τ^−α e^(−t/τ) d ln τ."""
-    ratio, exponent = np.exp(values[0]), values[1]
+    ratio, exponent = np.exp(values[:, :1]), values[:, 1:]
     tau = parts.ladder.tau
     weight = tau**-exponent * np.log(tau[1] / tau[0]) * np.sin(np.pi * exponent) / np.pi
-    return np.asarray(parts.total + parts.ladder.stress @ (parts.k0 * ratio * weight))
+    return np.asarray(parts.total + (parts.k0[:, None] * ratio * weight) @ parts.ladder.stress.T)
 
 
 def _stiffen(parts: Parts, values: Float) -> Float:
-    return np.asarray(parts.total + values[0] * parts.equilibrium * parts.strain ** np.exp(values[1]))
+    strain = parts.cycle.strain ** np.exp(values[:, 1:])
+    return np.asarray(parts.total + values[:, :1] * parts.equilibrium * strain)
 
 
 def _soften(parts: Parts, values: Float) -> Float:
-    less = np.exp(values[0]) * parts.strain ** np.exp(values[1])
+    less = np.exp(values[:, :1]) * parts.cycle.strain ** np.exp(values[:, 1:])
     return np.asarray(parts.total / (1 + less))
 
 
 def _apply_damage(parts: Parts, values: Float) -> Float:
-    below = (parts.highest - parts.stretch) / np.exp(values[1])
-    return np.asarray(parts.total * (1 + values[0] * np.expm1(-below)))
+    below = (parts.cycle.highest - parts.cycle.stretch) / np.exp(values[:, 1:])
+    return np.asarray(parts.total * (1 + values[:, :1] * np.expm1(-below)))
 
 
 def _apply_gain(parts: Parts, values: Float) -> Float:
-    return np.asarray(parts.total * (1 + values[0]))
+    return np.asarray(parts.total * (1 + values))
 
 
 def _add_drift(parts: Parts, values: Float) -> Float:
-    since = parts.time_s - parts.time_s[0]
-    mean = float(np.mean(parts.total))
-    return np.asarray(parts.total + values[0] * mean * np.log10(1 + since / np.exp(values[1])))
+    since, total = parts.cycle.time_s - parts.cycle.time_s[0], parts.total
+    mean = total.mean(axis=1, keepdims=True)
+    return np.asarray(total + values[:, :1] * mean * np.log10(1 + since / np.exp(values[:, 1:])))
 
 
-def _report_relaxation(parts: Parts, values: Float) -> Mapping[str, float]:
-    return {"stiffness_ratio": float(np.exp(values[0])), "time_constant_s": float(np.exp(values[1]))}
+def _report_relaxation(values: Float, strain: float) -> Mapping[str, Float]:
+    return {"stiffness_ratio": np.exp(values[..., 0]), "time_constant_s": np.exp(values[..., 1])}
+
+
+def _report_softening(values: Float, strain: float) -> Mapping[str, Float]:
+    return {
+        "drop": 1 - 1 / (1 + np.exp(values[..., 0])),
+        "strain_scale": strain * np.exp(-values[..., 0] / np.exp(values[..., 1])),
+    }
 
 
 def list_mechanisms(span_s: float, interval_s: float) -> tuple[CycleMechanism, ...]:
@@ -205,34 +228,30 @@ def list_mechanisms(span_s: float, interval_s: float) -> tuple[CycleMechanism, .
         CycleMechanism(
             POWER_LAW_RELAXATION.id, "", "+ ∫ K (t − s)^−α/Γ(1 − α) dλ",
             ((0.0, 0.2), (0.0, 0.6)), (weak, 0.02), (_FAR, 0.95), (weak, 0.2), _add_power_law,
-            lambda parts, values: {"stiffness_ratio": float(np.exp(values[0])), "exponent": float(values[1])},
+            lambda values, strain: {"stiffness_ratio": np.exp(values[..., 0]), "exponent": values[..., 1]},
         ),
         CycleMechanism(
             STRAIN_STIFFENING.id, "beyond the law", "P_eq (1 + s (ε/ε_max)^m)",
             ((0.1, 0.0), (0.1, 1.0)), (0.0, bent[0]), (20.0, bent[1]), (0.0, 0.0), _stiffen,
-            lambda parts, values: {"stiffening": float(values[0])},
+            lambda values, strain: {"stiffening": values[..., 0]},
         ),
         CycleMechanism(
             AMPLITUDE_SOFTENING.id, "with the strain, reversible", "P/(1 + (ε/ε_c)^m)",
-            ((-2.0, 0.0), (-2.0, 1.0)), (weak, bent[0]), (3.0, bent[1]), (weak, 0.0), _soften,
-            lambda parts, values: {
-                "drop": float(1 - 1 / (1 + np.exp(values[0]))),
-                "strain_scale": float((parts.stretch.max() - 1) * np.exp(-values[0] / np.exp(values[1]))),
-            },
+            ((-2.0, 0.0), (-2.0, 1.0)), (weak, bent[0]), (3.0, bent[1]), (weak, 0.0), _soften, _report_softening,
         ),
         CycleMechanism(
             CYCLIC_SOFTENING.id, "damage below the largest stretch so far", "P (1 − d (1 − e^(−(λ_max − λ)/a)))",
             ((0.1, 0.0),), (0.0, -3.0), (0.95, 3.0), (0.0, 0.0), _apply_damage,
-            lambda parts, values: {"loss": float(values[0]), "strain_scale": float(np.exp(values[1]))},
+            lambda values, strain: {"loss": values[..., 0], "strain_scale": np.exp(values[..., 1])},
         ),
         CycleMechanism(
             GAIN_ERROR.id, "", "P (1 + g)", ((0.1,), (1.0,)), (-0.9,), (20.0,), (0.0,), _apply_gain,
-            lambda parts, values: {"gain": float(values[0])},
+            lambda values, strain: {"gain": values[..., 0]},
         ),
         CycleMechanism(
             BASELINE_DRIFT.id, "", "P + b log₁₀(1 + t/t₀)",
             ((0.05, fast), (0.05, middle)), (-5.0, shortest), (5.0, longest), (0.0, middle), _add_drift,
-            lambda parts, values: {"per_decade": float(values[0]), "onset_s": float(np.exp(values[1]))},
+            lambda values, strain: {"per_decade": values[..., 0], "onset_s": np.exp(values[..., 1])},
         ),
     )  # fmt: skip
 
@@ -258,18 +277,13 @@ class Fitted:
     unseen: bool
 
     def stress(self, x: Float | None = None) -> Float:
-        """(m,) kPa over the whole cycle."""
+        """(…, m) kPa over the whole cycle, of x (…, P) instead of the fitted one where it is given."""
         return self.model.stress(self.x if x is None else x)
 
-    def misfit(self, x: Float) -> float:
-        """Sum of squares over the fitted part, kPa², above that of the optimum."""
-        left = self.stress(x)[self.seen] - self.model.cycle.stress[self.seen]
-        return float(left @ left - self.residual @ self.residual)
-
-    @property
-    def severity(self) -> Mapping[str, float]:
-        """Severity by key."""
-        return self.model.severity(self.x)
+    def misfit(self, x: Float) -> Float:
+        """(…) sum of squares over the fitted part, kPa², above that of the optimum; x (…, P)."""
+        left = self.stress(x)[..., self.seen] - self.model.cycle.stress[self.seen]
+        return np.asarray(np.sum(left**2, axis=-1) - self.residual @ self.residual)
 
     @property
     def is_at_limit(self) -> bool:
@@ -286,24 +300,22 @@ class CycleModel:
     """One branch on an equilibrium stress, with a mechanism or none, over a cycle."""
 
     def __init__(self, cycle: LargeCycle, mechanism: CycleMechanism | None) -> None:
-        self.cycle, self.mechanism, self._ladder = cycle, mechanism, Ladder.of(cycle)
-        self._law = LAWS[cycle.fits.law]
+        self.mechanism, self._law = mechanism, LAWS[cycle.fits.law]
         first = next(fit for fit in cycle.fits.fits if fit.order == 1)
         self._given = first.equilibrium if cycle.fits.fixed else None
+        self._put_on(cycle)
         # What is far and what is small must not depend on the unit of the stress.
         self.unit = float(np.std(cycle.stress)) or 1.0
         start = [*np.log(np.array(first.gamma[:1]) / self.unit), *np.log(first.tau[:1])] or [0.0, 0.0]
         span, interval = float(np.ptp(cycle.time_s)), float(np.median(np.diff(cycle.time_s)))
         low, high = [-_FAR, np.log(interval)], [_FAR, np.log(_PER_SPAN * span)]
         if self._given is None:
-            shape = [self._law.shape] if self._law.shape else []
-            names = [*self._law.moduli, *shape]
+            names, moduli = self._law.names, self._law.moduli
             law = self._law.in_units(first.equilibrium, 1 / self.unit)
-            own = [float(np.log(max(law[name], GONE))) for name in names]
-            start += own
+            start += [float(np.log(max(law[name], GONE))) for name in names]
             lowest, highest = np.log(self._law.range(float(cycle.stretch.max())))
-            low += [-_FAR] * len(self._law.moduli) + [lowest] * len(shape)
-            high += [_FAR] * len(self._law.moduli) + [highest] * len(shape)
+            low += [-_FAR if name in moduli else lowest for name in names]
+            high += [_FAR if name in moduli else highest for name in names]
         self._own = len(start)
         self._start, self._low, self._high = np.array(start), np.array(low), np.array(high)
 
@@ -314,46 +326,52 @@ class CycleModel:
         low, high = ((), ()) if mechanism is None else (mechanism.low, mechanism.high)
         return np.concatenate([self._low, low]), np.concatenate([self._high, high])
 
-    def split(self, x: Float) -> tuple[Parts, Float]:
-        """The parts of the model at x (P,), and the mechanism's values."""
-        c, law = self.cycle, self._given
-        if law is None:
-            values = np.exp(x[2 : self._own])
-            names = [*self._law.moduli, *([self._law.shape] if self._law.shape else [])]
-            law = self._law.in_units(dict(zip(names, values.tolist(), strict=True)), self.unit)
-        around = self._law.stress(np.array([1 - 1e-5, 1 + 1e-5]), law)
-        strain = np.clip((c.stretch - 1) / (c.stretch.max() - 1), 1e-9, None)
-        parts = Parts(
-            c.time_s,
-            c.stretch,
-            strain,
-            np.maximum.accumulate(c.stretch),
-            self._law.stress(c.stretch, law),
-            self.gamma(x) * integrate_arms(c.time_s, c.stretch, np.exp(x[1:2]))[:, 0],
-            float(np.diff(around)[0] / 2e-5),
-            self._ladder,
-        )
-        return parts, x[self._own :]
+    def _put_on(self, cycle: LargeCycle) -> None:
+        self.cycle, self._ladder = cycle, Ladder.of(cycle)
+        # Its stretches, and those around rest, by which the slope there is told.
+        self._stretches = np.append(cycle.stretch, [1 - _AROUND, 1 + _AROUND])
+        self._known = None if self._given is None else self._law.stress(self._stretches, self._given)
 
-    def gamma(self, x: Float) -> float:
-        """Modulus of the branch at x (P,), kPa."""
-        return self.unit * float(np.exp(x[0]))
+    def _simulate(self, x: Float) -> Float:
+        """(B, m) kPa, of x (B, P)."""
+        cycle, law = self.cycle, self._stretch_law(x)
+        viscous = self.gamma(x)[:, None] * integrate_arms(cycle.time_s, cycle.stretch, np.exp(x[:, 1])).T
+        parts = Parts(cycle, law[:, :-2], viscous, _take_slope(law), self._ladder)
+        return parts.total if self.mechanism is None else self.mechanism.stress(parts, x[:, self._own :])
 
-    def severity(self, x: Float) -> Mapping[str, float]:
-        """Severity by key, at x (P,)."""
-        return {} if self.mechanism is None else self.mechanism.severity(*self.split(x))
+    def _stretch_law(self, x: Float) -> Float:
+        """(…, m + 2) equilibrium stress of the cycle and around rest, kPa, of x (…, P)."""
+        if self._known is not None:
+            return np.broadcast_to(self._known, (*x.shape[:-1], self._known.size))
+        units = [self.unit if name in self._law.moduli else 1.0 for name in self._law.names]
+        return self._law.stress_of(self._stretches, np.exp(x[..., 2 : self._own]) * units)
+
+    def slope_at_rest(self, x: Float) -> Float:
+        """(…) slope of the equilibrium stress at rest, kPa, of x (…, P)."""
+        return _take_slope(self._stretch_law(x))
+
+    def gamma(self, x: Float) -> Float:
+        """(…) modulus of the branch, kPa, of x (…, P)."""
+        return np.asarray(self.unit * np.exp(x[..., 0]))
+
+    def severity(self, x: Float) -> Mapping[str, Float]:
+        """(…) severity by key, of x (…, P)."""
+        if self.mechanism is None:
+            return {}
+        return self.mechanism.severity(x[..., self._own :], float(self.cycle.stretch.max() - 1))
 
     def elsewhere(self, time_s: Float, stretch: Float) -> CycleModel:
         """The same model over another test of the same film, (m,) s and stretch, whose largest stretch is the same."""
         other = copy(self)
-        other.cycle = replace(self.cycle, time_s=time_s, stretch=stretch, stress=np.zeros(time_s.size))
-        other._ladder = Ladder.of(other.cycle)
+        other._put_on(replace(self.cycle, time_s=time_s, stretch=stretch, stress=np.zeros(time_s.size)))
         return other
 
     def stress(self, x: Float) -> Float:
-        """(m,) kPa."""
-        parts, values = self.split(x)
-        return parts.total if self.mechanism is None else self.mechanism.stress(parts, values)
+        """(…, m) kPa, of x (…, P)."""
+        rows, samples = x.reshape(-1, x.shape[-1]), self.cycle.time_s.size
+        each = max(_AT_ONCE // samples, 1)
+        parts = [self._simulate(rows[first : first + each]) for first in range(0, len(rows), each)]
+        return np.concatenate(parts).reshape(*x.shape[:-1], samples)
 
     def fit(self, seen: Bool) -> Fitted:
         """The least squares over a part of the cycle.
@@ -372,12 +390,18 @@ class CycleModel:
         measured = self.cycle.stress[seen]
 
         def residual(x: Float) -> Float:
-            return np.asarray(self.stress(x)[seen] - measured) / self.unit
+            return np.asarray(self.stress(x)[..., seen] - measured) / self.unit
+
+        def evaluate_all(_: object, points: Iterable[Float]) -> Iterable[Float]:
+            """All differences of a Jacobian by one simulation."""
+            return residual(np.array(list(points)))
 
         ends: list[OptimizeResult] = []
         for own in extra:
             start = np.clip(np.concatenate([self._start, own]), low + 1e-6, high - 1e-6)
-            end = least_squares(residual, start, bounds=(low, high), x_scale="jac", max_nfev=_MOST_STEPS)
+            end = least_squares(
+                residual, start, bounds=(low, high), x_scale="jac", max_nfev=_MOST_STEPS, workers=evaluate_all
+            )
             if np.isfinite(end.cost):
                 ends.append(end)
         if not ends:
@@ -389,6 +413,11 @@ class CycleModel:
         if unseen and mechanism is not None:
             x[self._own :] = mechanism.neutral
         return Fitted(self, seen, x, residual(x) * self.unit, best.jac * self.unit, unseen)
+
+
+def _take_slope(law: Float) -> Float:
+    """(…) slope at rest from stresses (…, m + 2), of which the last two are around it."""
+    return np.asarray((law[..., -1] - law[..., -2]) / (2 * _AROUND))
 
 
 def make_cycle(
