@@ -12,7 +12,7 @@ from typing import ClassVar
 from markupsafe import Markup
 
 from reports.names import Verbatim, short, visible
-from schemas.numbers import ABSENT
+from schemas.numbers import ABSENT, percent
 
 Piece = str | Markup
 
@@ -271,13 +271,13 @@ def bold(text: Piece) -> Markup:
     return Markup("<b>{}</b>").format(text)
 
 
-def bar(share: float, *, chosen: bool) -> Markup:
-    """A share from 0 to 1 as text and a horizontal bar."""
+def bar(share: float, *, chosen: bool, text: str = "") -> Markup:
+    """A share from 0 to 1 as text (percent unless another is given) and a horizontal bar."""
     width = min(1.0, max(0.0, share)) * 100
     colour = "#00735a" if chosen else "#9aa2ab"
     return Markup(
-        '{}\u00a0%<svg width="100%" height="11" aria-hidden="true"><rect width="{}%" height="11" fill="{}"/></svg>'
-    ).format(round(100 * share), f"{max(width, 0.5):.1f}", colour)
+        '{}<svg width="100%" height="11" aria-hidden="true"><rect width="{}%" height="11" fill="{}"/></svg>'
+    ).format(text or percent(share), f"{max(width, 0.5):.1f}", colour)
 
 
 def flow(*parts: Piece) -> Markup:

@@ -54,7 +54,11 @@ def headline(standing: Standing) -> Markup:
     if standing.negative:
         return flow(who, ": ", short(standing.negative.partition(":")[0], 120), ", as of no film")
     if d and d["verdict"] == "named":
-        removes = "" if d["gain"] is None else f" Correcting it removes {removed(d['gain'])} of the held-out error."
+        removes = (
+            ""
+            if d["gain"] is None
+            else f" Correcting it removes {removed(d['gain'], d['gain_lower'])} of the held-out error."
+        )
         return flow(who, f": {what_is_wrong(standing)}.{removes}")
     if d and has_unnamed_beside(d):
         return flow(who, f": {what_is_wrong(standing)}")

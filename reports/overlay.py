@@ -126,8 +126,8 @@ def list_quantities(items: Sequence[Item]) -> list[Quantity]:
     found = []
     low, high = _shared_reach(items)
     for f in (f for f in _AT_HZ if low <= f <= high):
-        found.append(Quantity(f"|k| at {f:g} Hz", "N/mm", tuple(_at(own, f, phase=False) for own in fits)))
-        found.append(Quantity(f"phase at {f:g} Hz", "°", tuple(_at(own, f, phase=True) for own in fits)))
+        found.append(Quantity(f"|k| at {compact(f)} Hz", "N/mm", tuple(_at(own, f, phase=False) for own in fits)))
+        found.append(Quantity(f"phase at {compact(f)} Hz", "°", tuple(_at(own, f, phase=True) for own in fits)))
     found.append(Quantity("modulus", "MPa", tuple(_moduli(own) for own in fits)))
     orders = {(f["model_order"], f["loading"]) for own in fits for f in own}
     columns = [("main spring k₀", "N/mm", "k0_n_per_mm")] if len({loading for _, loading in orders}) == 1 else []

@@ -38,16 +38,25 @@ def _digest(script: str) -> str:
 
 
 _CODE_OR_TEXT = re.compile(r"(<code>.*?</code>|<[^<>]*>)|([^<]+)", re.S)
-_QUANTITY = re.compile(r"(?<=\d) (?=(?:%|(?:Hz|kV|mN|mm|N|pF|s|ms|min|h|SD|MPa|kg)\b))")
+_QUANTITY = re.compile(
+    r"(?<=\d) (?=%|°C|Ω|(?:[kmµn]?(?:N|V|m|s|g|W|J)|[kMG]?(?:Hz|Pa|Ω)|[pn]F|min|h|d|K|eV|SD)\b)|(?<=\bln) (?=[A-Za-z]\b)"
+)
+_RANGE = re.compile(r"(?<=\d)–(?=\d)")
+_JOINER = "\u2060"
+"""A browser may break a line after the dash of `6.40–7.00`, but not before this."""
 
 
 def unbroken(value: object) -> object:
-    """No-break spaces between numbers and units; code, markup and what must stay as typed (`Verbatim`) are left alone."""
+    """Numbers kept on one line with their units and ranges; code, markup and what must stay as typed (`Verbatim`) are left alone."""
     if not isinstance(value, str) or isinstance(value, Verbatim):
         return value
     if isinstance(value, Markup):
-        return Markup(_CODE_OR_TEXT.sub(lambda m: m[1] or _QUANTITY.sub("\u00a0", m[2]), value))  # noqa: S704
-    return _QUANTITY.sub("\u00a0", value)
+        return Markup(_CODE_OR_TEXT.sub(lambda m: m[1] or _join(m[2]), value))  # noqa: S704
+    return _join(value)
+
+
+def _join(text: str) -> str:
+    return _RANGE.sub(f"–{_JOINER}", _QUANTITY.sub("\u00a0", text))
 
 
 @functools.cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from reports.names import visible
+from schemas.numbers import true_minus
 
 FOLLOWED = {
     "k0_n_per_mm": "main spring k₀",
@@ -69,6 +70,11 @@ def test(name: str | None) -> str:
     """A statistical test by its proper name."""
     text = visible(name or "test")
     return _TESTS.get(text, text[:1].upper() + text[1:])
+
+
+def remark(text: str | None) -> str:
+    """A remark of an analysis, stored as plain text, as it is shown: with true minus signs; empty without one."""
+    return true_minus(visible(text or ""))
 
 
 def plain(name: str) -> str:

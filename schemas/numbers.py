@@ -244,21 +244,46 @@ _NINES = (0.9999, 0.999, 0.99)
 
 
 def removed(share: float | None, lower: float | None = None, upper: float | None = None) -> str:
-    """`97 % (95 % interval 96 % to 98 %)`; of what is nearly all, what it surely exceeds: `more than 99.9 %`."""
+    """`97 % (95 % interval 96 % to 98 %)`; of what is nearly all, what it surely exceeds: `more than 99.9 %`.
+
+    Shares end at 1, where nothing but noise is left: there the lower limit alone says how much it is.
+    """
     if share is None or not math.isfinite(share):
         return ABSENT
+    known = sorted(e for e in (lower, upper) if e is not None and math.isfinite(e))
     least = share if lower is None or not math.isfinite(lower) else min(share, lower)
     exceeded = next((n for n in _NINES if least > n), None)
-    if _NEARLY_ALL <= share < 1 and exceeded is not None:
+    if share >= 1 and not known:
+        return "all but noise"
+    if share >= _NEARLY_ALL and exceeded is not None:
         return f"more than {100 * exceeded:g}{NBSP}%"
+    if share >= 1:
+        return f"at least {percent(least)}"
     text = percent(share)
-    known = sorted(e for e in (lower, upper) if e is not None and math.isfinite(e))
     if len(known) < 2:
         return text
     first, second = percent(known[0]), percent(known[1])
     if first == second:
         return f"{text} (95{NBSP}% interval within rounding)"
     return f"{text} (95{NBSP}% interval {first} to {second})"
+
+
+def gained(share: float | None, lower: float | None = None) -> str:
+    """As `removed`, without its interval, for a column of a table: `> 99.9 %`, `≥ 97 %`."""
+    return removed(share, lower).replace("more than ", f">{NBSP}").replace("at least ", f"≥{NBSP}")
+
+
+_SURELY = 1e-4
+"""Probabilities nearer to 0 or 1 than this are a bound: they rest on approximations that hold no further."""
+
+
+def probability(p: float | None) -> str:
+    """A probability as percent: nothing is certain or impossible, `> 99.99 %` and `< 0.01 %` are as far as it goes."""
+    if p is None or not math.isfinite(p):
+        return ABSENT
+    if p < _SURELY:
+        return f"<{NBSP}{100 * _SURELY:g}{NBSP}%"
+    return f">{NBSP}{100 * (1 - _SURELY):g}{NBSP}%" if p > 1 - _SURELY else percent(p)
 
 
 def seconds(value: float | None) -> str:
@@ -313,4 +338,9 @@ def symbols(text: str) -> str:
     """`k₃` for `k3`, `τ₁` for `tau1`, in sentences that were stored without typography, and true minus signs."""
     text = re.sub(r"\btau(\d)\b", r"τ\1", text)
     text = re.sub(r"\b([kcτ])(\d)\b", lambda m: m[1] + chr(ord("₀") + int(m[2])), text)
+    return true_minus(text)
+
+
+def true_minus(text: str) -> str:
+    """The text with a true minus sign before numbers; hyphens of names and dates stay."""
     return re.sub(r"(?<![\w.)\]-])-(?=\d)", MINUS, text)

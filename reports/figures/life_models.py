@@ -13,6 +13,7 @@ from reports.figures.picture import pictured
 from reports.figures.scale import Scale, linear, logarithmic, symmetric
 from reports.names import short
 from schemas.arrays import Bool, Float
+from schemas.numbers import bounds, significant
 
 _ROW = 26.0
 _Z = 1.96
@@ -93,7 +94,7 @@ def forest(rows: Sequence[Effect], *, alt: str) -> Drawing:
     height = 2 * _ROW * len(rows)
     drawing = Drawing(WIDE, 84 + height)
     ends = [v for r in rows for v in (r.low, r.high, 1.0, *(r.by_cox[1:] if r.by_cox else ())) if 1e-9 < v < 1e9]
-    panel = Panel(drawing, 176, 26, 190, height, logarithmic(ends, margin=0.06), Scale(len(rows) - 0.5, -0.5))
+    panel = Panel(drawing, 176, 26, 164, height, logarithmic(ends, margin=0.06), Scale(len(rows) - 0.5, -0.5))
     one = float(panel.px(1.0))
     drawing.line([(one, panel.top), (one, panel.bottom)], RULE, 1.0)
     panel.axes("", "Life multiplied by", y_ticks=[], x_most=5)
@@ -103,7 +104,7 @@ def forest(rows: Sequence[Effect], *, alt: str) -> Drawing:
         label_y = float(panel.py(i))
         drawing.write(panel.left - 10, label_y - 3, short(row.label, 22), size=11.3, anchor="end", bold=True)
         note(drawing, panel.left - 10, label_y + 11, short(row.contrast, 28), anchor="end")
-        drawing.write(panel.right + 12, label_y + 4, f"× {row.factor:.3g}", size=11.3)
+        drawing.write(panel.right + 12, label_y + 4, f"× {bounds(row.factor, row.low, row.high)}", size=11.3)
         if row.by_cox:
             _bar(panel, float(panel.py(i + 0.22)), *row.by_cox[1:], row.by_cox[0], MODEL, open_=True)
     if any(row.by_cox for row in rows):
@@ -143,7 +144,7 @@ def intervals(rows: Sequence[Limits], title: str, *, alt: str) -> Drawing:
         _bar(panel, y, row.low, row.high, row.value, INK)
         drawing.write(panel.left - 10, y - 1, short(row.label, 24), size=11.3, anchor="end", bold=True)
         note(drawing, panel.left - 10, y + 12, short(row.words, 26), anchor="end")
-        drawing.write(panel.right + 12, y + 4, f"× {row.high / row.low:.3g}", size=11.3)
+        drawing.write(panel.right + 12, y + 4, f"× {significant(row.high / row.low)}", size=11.3)
     return drawing.told(alt)
 
 

@@ -11,7 +11,7 @@ from textwrap import wrap
 import numpy as np
 
 from reports.figures.palette import BAND, INK, RULE, SECOND, Group
-from reports.figures.panel import WIDE, Drawing, Panel, note
+from reports.figures.panel import WIDE, Drawing, Panel, note, pointer
 from reports.figures.picture import pictured
 from reports.figures.scale import Scale, logarithmic, symmetric, tick_text
 from reports.names import short
@@ -23,6 +23,10 @@ _ALONG = 60
 """Points along a fitted line."""
 _COVERED = 1e4
 """What a covered point of a curve costs, in px of distance from its own curve."""
+_MISTAKEN = 4.0
+"""What a px costs by which another curve is nearer than the own one."""
+_NEAR = 16.0
+"""So many px from its curve a name still belongs to it by sight; from farther away a thin line leads there."""
 _AT_RISK_LETTERS = 24
 """Letters of a line beside the numbers at risk; a name has two or three."""
 _FEW = 3
@@ -136,7 +140,8 @@ def _names(panel: Panel, groups: Sequence[GroupCurve]) -> None:
             continue
         lines = [*wrap(short(g.name, 44), 22), f"{g.failed} of {g.total} failed"]
         lines = lines if len(groups) <= _FEW else [short(g.name, 22)]
-        _write_name(panel, g, lines, own, np.vstack(paths), taken)
+        others = [path for path in paths if path is not own]
+        _write_name(panel, g, lines, own, others, taken)
 
 
 def _write_name(
@@ -144,12 +149,19 @@ def _write_name(
     g: GroupCurve,
     lines: Sequence[str],
     own: Float,
-    curves: Float,
+    others: Sequence[Float],
     taken: list[tuple[float, float, float, float]],
 ) -> None:
     """Lines of text where there is room near a group's curve; the place is added to those that are taken."""
-    box = _find_room(panel, 6.6 * max(len(line) for line in lines), 14.0 * len(lines), own, curves, taken)
+    box = _find_room(panel, 6.6 * max(len(line) for line in lines), 14.0 * len(lines), own, others, taken)
     taken.append(box)
+    away = _distances(box, own)
+    there = own[int(np.argmin(away))]
+    nearest = min((float(_distances(box, other).min()) for other in others), default=np.inf)
+    if away.min() > _NEAR or away.min() > nearest:
+        left, right, top, bottom = box
+        at = (float(np.clip(there[0], left, right)), float(np.clip(there[1], top, bottom)))
+        pointer(panel.drawing, at, (float(there[0]), float(there[1])), g.drawn.colour)
     for i, line in enumerate(lines):
         panel.drawing.write(box[0], box[2] + 11 + 14 * i, line, size=11.3, colour=g.drawn.colour, bold=True)
 
@@ -159,26 +171,35 @@ def _find_room(
     wide: float,
     high: float,
     own: Float,
-    curves: Float,
+    others: Sequence[Float],
     taken: Sequence[tuple[float, float, float, float]],
 ) -> tuple[float, float, float, float]:
-    """Left, right, top and bottom of a name in px, as near to its own curve (n, 2) as other names and all curves (m, 2) leave room."""
+    """Left, right, top and bottom of a name in px, as near to its own curve (n, 2) as other names and curves leave room.
+
+    A place nearer to another curve than to its own is taken only where there is no other: there it would be read as that one's name.
+    """
+    x, y = np.vstack([own, *others]).T
 
     def rate(left: float, top: float) -> float:
         right, bottom = left + wide, top + high
-        x, y = curves.T
         covered = np.sum((x > left - _ROOM) & (x < right + _ROOM) & (y > top - _ROOM) & (y < bottom + _ROOM))
         hidden = sum(left < d and c < right and top < f and e < bottom for c, d, e, f in taken)
-        away = np.hypot(
-            np.maximum(np.maximum(left - own[:, 0], own[:, 0] - right), 0.0),
-            np.maximum(np.maximum(top - own[:, 1], own[:, 1] - bottom), 0.0),
-        )
-        return float(away.min()) + _COVERED * float(covered) + _COVERED**2 * hidden
+        box = (left, right, top, bottom)
+        away = float(_distances(box, own).min())
+        nearest = min((float(_distances(box, other).min()) for other in others), default=np.inf)
+        return away + _MISTAKEN * max(away - nearest, 0.0) + _COVERED * float(covered) + _COVERED**2 * hidden
 
     lefts = np.arange(panel.left + 6, max(panel.right + 24 - wide, panel.left + 7), 6.0)
     tops = np.arange(panel.top + 16, panel.bottom - high - 4, 6.0)
     left, top = min(((float(x), float(y)) for x in lefts for y in tops), key=lambda place: rate(*place))
     return left, left + wide, top, top + high
+
+
+def _distances(box: tuple[float, float, float, float], points: Float) -> Float:
+    """From a box (left, right, top, bottom) to points (n, 2), px; 0 within it."""
+    left, right, top, bottom = box
+    across = np.maximum(np.maximum(left - points[:, 0], points[:, 0] - right), 0.0)
+    return np.hypot(across, np.maximum(np.maximum(top - points[:, 1], points[:, 1] - bottom), 0.0))
 
 
 def _trace(panel: Panel, g: GroupCurve) -> Float:
@@ -263,7 +284,9 @@ def _name_lines(
     taken: list[tuple[float, float, float, float]] = []
     for (g, line), own in zip(fitted, lines, strict=True):
         words = [*wrap(short(g.name, 44), 24), line.words][: None if len(fitted) <= _FEW else 1]
-        _write_name(panel, g, words, own if own.size else np.vstack(dots), np.vstack([*lines, *dots]), taken)
+        mine = next(d for d, (h, _, _) in zip(dots, points, strict=True) if h is g)
+        others = [one for one in (*lines, *dots) if one is not own and one is not mine and one.size]
+        _write_name(panel, g, words, np.vstack([own, mine]), others, taken)
 
 
 def _w(share: float) -> float:

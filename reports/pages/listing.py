@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from reports.blocks import Fold, Head, Piece, Row, Table, Text, code, flow, name, tag
-from reports.names import short, visible
+from reports.names import short
 from reports.results import Query, day
 from reports.results import Row as Record
 from reports.site import Site
+from reports.words import remark
 from schemas.numbers import ABSENT, compact, seconds, significant, with_unit
 
 
@@ -101,7 +102,7 @@ def lifetimes(
         Row(
             (
                 site.specimen(r["specimen_id"], root), name(r["configuration"]), compact(r["voltage_kv"]),
-                significant(None if r["lifetime_s"] is None else unit[0] * r["lifetime_s"]), _end(r), ABSENT if r["probability_failed"] is None else f"{r['probability_failed']:.2f}", _place(r), visible(r["warnings"] or ""), site.recording(r["recording_id"], root),
+                significant(None if r["lifetime_s"] is None else unit[0] * r["lifetime_s"]), _end(r), ABSENT if r["probability_failed"] is None else f"{r['probability_failed']:.2f}", _place(r), remark(r["warnings"]), site.recording(r["recording_id"], root),
             )
         )
         for r in found

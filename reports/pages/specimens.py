@@ -7,7 +7,7 @@ from reports.names import short
 from reports.results import Query
 from reports.site import Site
 from schemas.mechanisms import plain_name
-from schemas.numbers import ABSENT, percent, pm, significant
+from schemas.numbers import ABSENT, gained, pm, significant
 
 _SPECIMEN_SQL = """WITH used AS (
     SELECT specimen_id, min(material) AS material, count(*) AS recordings
@@ -21,7 +21,7 @@ _SPECIMEN_SQL = """WITH used AS (
     FROM model_fits WHERE selected AND coalesce(extension, '') = ''
 )
 SELECT used.specimen_id, used.material, used.recordings, fit.model_order, fit.k0_n_per_mm, fit.k0_n_per_mm_sd,
-       fit.modulus_mpa, fit.reduced_chi2, d.verdict, d.mechanisms, d.gain
+       fit.modulus_mpa, fit.reduced_chi2, d.verdict, d.mechanisms, d.gain, d.gain_lower
 FROM used
 LEFT JOIN fit ON fit.specimen_id = used.specimen_id AND fit.preference = 1
 LEFT JOIN diagnoses AS d ON d.specimen_id = used.specimen_id
@@ -53,7 +53,7 @@ def specimen_table(
             cells += [
                 tag(r["verdict"]) if r["verdict"] else "not diagnosed",
                 ", ".join(plain_name(m) for m in r["mechanisms"] or []) or ABSENT,
-                percent(r["gain"]),
+                gained(r["gain"], r["gain_lower"]),
             ]
         rows.append(Row(tuple(cells)))
     heads = [

@@ -279,6 +279,33 @@ def test_a_gain_of_nearly_all_is_told_in_a_few_digits() -> None:
 
 
 @pytest.mark.parametrize(
+    ("share", "lower", "told", "in_a_cell"),
+    [
+        (1.0, 0.97, "at least 97 %", "≥ 97 %"),
+        (1.0, 0.99991, "more than 99.99 %", "> 99.99 %"),
+        (1.0, None, "all but noise", "all but noise"),
+        (0.9997, None, "more than 99.9 %", "> 99.9 %"),
+        (0.97, 0.93, "97 %", "97 %"),
+    ],
+)
+def test_no_gain_is_a_hundred_percent(share: float, lower: float | None, told: str, in_a_cell: str) -> None:
+    """A gain ends at 1, where nothing but noise is left: the limit says what it is."""
+    assert plain(numbers.removed(share, lower)) == told
+    assert plain(numbers.removed(share, lower, None if lower is None else 1.0)).startswith(told)
+    assert plain(numbers.gained(share, lower)) == in_a_cell
+
+
+@settings(deadline=None)
+@given(SHARES)
+def test_no_probability_is_certain_or_impossible(share: float) -> None:
+    text = plain(numbers.probability(share))
+    assert text not in ("0 %", "100 %")
+    assert "10⁻" not in text
+    if text[0] not in "<>":
+        assert read(text) / 100 == pytest.approx(share, rel=0.051)
+
+
+@pytest.mark.parametrize(
     ("value", "sd", "expected"),
     [
         (0.001, 0.03, "< 0.060 N"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import inspect
 import io
 import itertools
 import json
@@ -14,9 +15,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from PIL import Image
 
-from reports.figures import film, recording, survival
+from reports.figures import film, life_models, recording, survival
 from reports.figures.backend import DENSE, write_svg
 from reports.figures.drawn import drawn_before
 from reports.figures.palette import group, misfit
@@ -246,6 +249,53 @@ def test_names_at_risk_are_whole() -> None:
     assert "…" not in " ".join(texts)
     for name in names:
         assert " ".join(texts).count(name.split()[-1]) >= 2, "beside the curve and beside its numbers"
+
+
+def curves_of_lives(scales: tuple[float, ...]) -> list[survival.GroupCurve]:
+    """Groups of 24 lives each, of one law but for its scale, all failed: step curves that lie close to each other."""
+    left, ones = np.arange(24, 0, -1), np.ones(24, dtype=int)
+    groups = []
+    for i, scale in enumerate(scales):
+        time = scale * (-np.log((left - 0.5) / 24)) ** (1 / 1.4)
+        alive = (left - 1) / 24
+        band = np.clip(alive - 0.1, 0, 1), np.clip(alive + 0.1, 0, 1)
+        groups.append(survival.GroupCurve(f"{i + 4} kV", group(i), time, alive, *band, left, 0 * ones, ones))
+    return groups
+
+
+@pytest.mark.parametrize("scales", [(1300.0, 600.0, 250.0), (600.0, 500.0, 450.0), (3000.0, 100.0, 90.0)])
+def test_the_name_of_a_curve_is_nearer_to_it_than_to_others_or_a_line_leads_there(scales: tuple[float, ...]) -> None:
+    groups = curves_of_lives(scales)
+    drawing = inspect.unwrap(survival.kaplan_meier)(groups, "Time, s", alt="a")
+    (plot,) = drawing.plots
+    left, top, width, height = plot.box
+    steps = [s for s in plot.series if s.kind == "t"]
+    paths = []
+    for s in steps:
+        x, y = np.repeat(s.x, 2)[1:], np.repeat(s.y, 2)[:-1]
+        fine = np.linspace(0, 1, 200)[:, None]
+        h, v = left + width * Scale(*plot.x).share(np.maximum(x, plot.x[0])), top + height * (1 - y / plot.y[1])
+        at = np.column_stack([h, v])
+        paths.append(np.vstack([a + fine * (b - a) for a, b in itertools.pairwise(at)]))
+    leading = [
+        np.column_stack(line.get_data()) for line in drawing.figure.findobj(Line2D) if len(line.get_xdata()) == 2
+    ]
+    for i, g in enumerate(groups):
+        (words,) = (t for t in drawing.figure.findobj(Text) if t.get_text() == g.name and t.get_position()[0] > left)
+        x, y = words.get_position()
+        box = (x, x + 6.6 * len("24 of 24 failed"), y - 11, y + 17)
+        away = [float(survival._distances(box, path).min()) for path in paths]
+        led = any(
+            survival._distances(box, one).min() < 1 and np.hypot(*(paths[i] - one[1]).T).min() < 2 for one in leading
+        )
+        assert int(np.argmin(away)) == i or led, (g.name, away)
+        assert away[i] <= 16 or led, (g.name, away)
+
+
+def test_effects_say_their_limits() -> None:
+    effects = [life_models.Effect("voltage", "6 kV over 4 kV", 0.163, 0.118, 0.225, None)]
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", markup(life_models.forest(effects, alt="a")))
+    assert "× 0.163\u00a0(0.118–0.225)" in texts
 
 
 def test_a_jump_of_the_points_is_found_where_it_is() -> None:

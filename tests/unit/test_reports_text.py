@@ -107,3 +107,10 @@ def test_quantities_are_kept_together_and_sql_is_not_touched() -> None:
     assert unbroken("5 % of 3 kV") == "5\u00a0% of 3\u00a0kV"
     assert unbroken(Markup("<b>5 s</b> <code>run 5 s.csv</code>")) == "<b>5\u00a0s</b> <code>run 5 s.csv</code>"
     assert unbroken(Verbatim("SELECT 5 % 3")) == "SELECT 5 % 3"
+    assert unbroken("2Δ ln L of 40 µm, 3 Pa") == "2Δ ln\u00a0L of 40\u00a0µm, 3\u00a0Pa"
+    assert unbroken("5 days, 3 models") == "5 days, 3 models"
+
+
+def test_ranges_stay_on_one_line_and_dashes_between_words_do_not_join_them() -> None:
+    assert unbroken("from 6.70 (6.40–7.00) kV") == "from 6.70 (6.40–\u20607.00) kV"
+    assert unbroken("Kaplan–Meier") == "Kaplan–Meier"

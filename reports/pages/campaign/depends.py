@@ -16,6 +16,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.arrays import Bool, Float
 from schemas.numbers import (
     ABSENT,
@@ -114,7 +115,7 @@ def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
     found = _Found({name: draft.results.rows(query) for name, query in queries.items()}, queries)
     if not found.rows["regressions"]:
         return None
-    refused = visible("; ".join(r["warnings"] for r in found.rows["regressions"] if r["warnings"]))
+    refused = remark("; ".join(r["warnings"] for r in found.rows["regressions"] if r["warnings"]))
     if found.chosen is None:
         told = Text(f"No regression of the lives on what was varied: {refused or 'no reason was kept'}.")
         only: list[Block | Fold] = [told, *([_batch_table(found)] if found.rows["batches"] else [])]
@@ -316,7 +317,7 @@ def _coefficient_table(found: _Found, below: str) -> Table:
     scatter = ""
     if best is not None:
         scatter = f"Scatter of ln t {bounds(best['sigma'], best['sigma_lower'], best['sigma_upper'])}; limits: {best['method']}. "
-        scatter += f"{capital(_in_words(visible(best['tests'])))}. " if best["tests"] else ""
+        scatter += f"{capital(_in_words(remark(best['tests'])))}. " if best["tests"] else ""
     meaning = _meanings(found.effects)
     caption = f"Regression of the lives: {_family(best)}" if best is not None else "Regression of the lives"
     below = meaning + scatter + _limit_in_words(found) + _proportionality_in_words(found) + below
@@ -432,7 +433,7 @@ def _family_table(found: _Found) -> Table:
         Row(
             (
                 _family(r), compact(r["aic"], 5), bounds(r["sigma"], r["sigma_lower"], r["sigma_upper"]),
-                ABSENT if r["shape"] is None else bounds(r["shape"], r["shape_lower"], r["shape_upper"]), p_value(r["p_value"]), _in_words(visible(r["tests"] or ABSENT)),
+                ABSENT if r["shape"] is None else bounds(r["shape"], r["shape_lower"], r["shape_upper"]), p_value(r["p_value"]), _in_words(remark(r["tests"] or ABSENT)),
             ),
             "sel" if r["chosen"] else "",
         )

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from reports.blocks import Block, Head, Row, Table, Text, bold, flow
-from reports.names import short, visible
+from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.numbers import ABSENT, bounds, percent, significant
 
 _LAW_SQL = """SELECT layouts, failures, reference_mv_per_m, life_s, life_s_lower, life_s_upper, exponent, exponent_lower,
@@ -72,7 +73,7 @@ def _designs(draft: Draft) -> Table | None:
 
 def _law(law: Record) -> Text:
     if law["life_s"] is None:
-        return Text(flow(bold("Life from the film."), f" No law: {visible(law['warnings'] or 'no reason was kept')}."))
+        return Text(flow(bold("Life from the film."), f" No law: {remark(law['warnings'] or 'no reason was kept')}."))
     life, exponent, shape = (
         bounds(law[name], law[f"{name}_lower"], law[f"{name}_upper"]) for name in ("life_s", "exponent", "shape")
     )
@@ -81,7 +82,7 @@ def _law(law: Record) -> Text:
             bold("Life from the film."),
             f" Each mm² by its own field, the weakest one first, from {law['failures']} failures in the film of all layouts:"
             f" 1 mm² lives {life} s at {significant(law['reference_mv_per_m'])} MV/m, life over field has the exponent"
-            f" {exponent}, Weibull shape {shape}. Assumed: {visible(law['warnings'] or 'nothing')}.",
+            f" {exponent}, Weibull shape {shape}. Assumed: {remark(law['warnings'] or 'nothing')}.",
         )
     )
 
@@ -90,7 +91,7 @@ def _table(query: Query, rows: Sequence[Record]) -> Table:
     made = []
     for r in rows:
         if r["predicted_median_s"] is None:
-            reason = f"no prediction: {visible(r['warnings'] or 'no reason was kept')}"
+            reason = f"no prediction: {remark(r['warnings'] or 'no reason was kept')}"
             made.append(Row((short(r["configuration"] or ABSENT, 60), *[ABSENT] * 5, reason)))
             continue
         median = bounds(r["predicted_median_s"], r["predicted_median_s_low"], r["predicted_median_s_high"])

@@ -13,7 +13,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
-from reports.words import plain
+from reports.words import plain, remark
 from schemas.arrays import Float
 from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, p_equals, p_value, significant
 
@@ -40,7 +40,7 @@ def voltage_life(draft: Draft, unit: tuple[float, str]) -> Section | None:
     blocks: list[Block | Fold] = []
     drawn = _drawn(laws, residuals, unit[0])
     if drawn:
-        words = "; ".join(visible(law["statement"]) for law in laws if law["statement"])
+        words = "; ".join(remark(law["statement"]) for law in laws if law["statement"])
         blocks.append(
             Figure(
                 against_voltage(drawn, unit[1], alt=f"Life against voltage. {words}"),
@@ -100,7 +100,7 @@ def _law_table(query: Query, laws: Sequence[Record]) -> Table:
             (
                 short(r["configuration"] or ABSENT, 60), str(r["specimens"]), str(r["failures"]),
                 bounds(r["exponent"], r["exponent_lower"], r["exponent_upper"]), bounds(r["sigma"], r["sigma_lower"], r["sigma_upper"]),
-                p_value(r["p_value"]), visible("; ".join(t for t in (r["statement"], r["warnings"]) if t)),
+                p_value(r["p_value"]), remark("; ".join(t for t in (r["statement"], r["warnings"]) if t)),
             )
         )
         for r in laws
@@ -152,7 +152,7 @@ def distributions(draft: Draft) -> Fold | None:
             (
                 f"{short(r['configuration'] or '', 40)}, {compact(r['voltage_kv'])}{NBSP}kV", _LAWS.get(r["distribution"], visible(r["distribution"] or "")),
                 _PARAMETERS.get(r["parameter"], plain(r["parameter"] or "")), bounds(r["value"], r["lower_95"], r["upper_95"]), compact(r["aic"], 4),
-                p_value(r["p_value"]), visible(r["statement"] or ""),
+                p_value(r["p_value"]), remark(r["statement"]),
             )
         )
         for r in found

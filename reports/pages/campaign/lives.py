@@ -30,6 +30,7 @@ from schemas.numbers import (
     capital,
     compact,
     digits,
+    joined,
     p_equals,
     p_value,
     pm,
@@ -341,11 +342,7 @@ def groups(draft: Draft, lives: Lives) -> Section | None:
         Head("Weibull shape", "n"), Head(f"Weibull scale, {unit}", "n"), Head(end, "n"),
     )  # fmt: skip
     others = sorted({s["campaign"] for s in lives.summaries if s["campaign"]})
-    limits = [
-        f"{lives.label((s['configuration'], s['voltage_kv']))}: {visible(s['warnings'])}."
-        for s in lives.summaries
-        if s["warnings"]
-    ]
+    limits = _remarks(lives)
     if len(others) > 1:
         limits.append(
             f"Configurations are compared over all campaigns that have them: {short('; '.join(others), 200)}."
@@ -370,12 +367,31 @@ def groups(draft: Draft, lives: Lives) -> Section | None:
     return Section("groups", "Groups and their comparison", "Groups", tuple(blocks))
 
 
+def _remarks(lives: Lives) -> list[str]:
+    """What the analysis remarks on groups, each remark once, with the groups that it is about unless it is about all."""
+    about: dict[str, list[str]] = {}
+    for s in lives.summaries:
+        for text in filter(None, (s["warnings"] or "").split("; ")):
+            about.setdefault(text, []).append(lives.label((s["configuration"], s["voltage_kv"])))
+    everyone = len(lives.summaries)
+    return [
+        f"{words.remark(text)}." if len(who) == everyone > 1 else f"{joined(who)}: {words.remark(text)}."
+        for text, who in about.items()
+    ]
+
+
 def _notes(lives: Lives) -> list[Block | Fold]:
     """What was left out or contradicts itself, and what these lives cannot tell, where it does not stand with a group."""
     if not lives.notes:
         return []
     rows = tuple(
-        Row((visible(r["specimen_id"] or "several"), short(r["configuration"] or ABSENT, 44), visible(r["statement"])))
+        Row(
+            (
+                visible(r["specimen_id"] or "several"),
+                short(r["configuration"] or ABSENT, 44),
+                words.remark(r["statement"]),
+            )
+        )
         for r in lives.notes
     )
     heads = (Head("Specimen"), Head("Configuration"), Head("What, and why", "text"))
@@ -412,7 +428,7 @@ def _comparison_table(lives: Lives, shown: Sequence[Record], query: Query, capti
             pair += f", {with_unit(compact(c['voltage_kv']), 'kV')}"
         statistic = write_bounds(c, "statistic")
         cells = (pair, words.test(c["test"]), statistic, p_value(c["p_value"]), p_value(c["p_value_holm"]))
-        rows.append(Row((*cells, visible(c["warnings"] or ""))))
+        rows.append(Row((*cells, words.remark(c["warnings"]))))
     heads = (
         Head("Pair"), Head("Test"), Head("Statistic (times in s)", "n"), Head("p", "n"), Head("p, Holm", "n"), Head("What limits it"),
     )  # fmt: skip

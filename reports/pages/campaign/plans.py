@@ -8,10 +8,11 @@ import numpy as np
 
 from reports.blocks import Block, Figure, Fold, Head, Pair, Row, Section, Table, Text, bold, code, flow
 from reports.figures.life_models import Limits, intervals
-from reports.names import short, visible
+from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, digits, percent, significant
 
 _SQL = """SELECT configuration, plan, voltage_kv, duration_s, specimens, expected_failures, rig_hours, use_kv,
@@ -35,7 +36,7 @@ def section(draft: Draft, unit: tuple[float, str]) -> Section | None:
         blocks.append(Pair(tuple(_figure(own, data, unit) for own in groups)))
         blocks += [_table(query, own, unit) for own in groups]
     for r in refused:
-        blocks.append(Text(f"No plan{_of(r['configuration'])}: {visible(r['warnings'] or 'no reason was kept')}."))
+        blocks.append(Text(f"No plan{_of(r['configuration'])}: {remark(r['warnings'] or 'no reason was kept')}."))
     if not blocks:
         return None
     return Section("plan", _heading(planned), "What to test next", tuple(blocks))

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 from reports.blocks import Head, Row, Section, Table, flow, link
 from reports.figures.curves import rig
-from reports.names import visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from reports.site import CONTROL, stated_rig
-from reports.words import followed
+from reports.words import followed, remark
 from schemas.numbers import ABSENT, capital, pm, significant, with_unit
 
 _SQL = """SELECT c.recording_id, c.quantity, c.unit, c."value", c.sd, c.repeats, c.warnings, r.started_at
@@ -58,7 +57,7 @@ def _section(draft: Draft, query: Query) -> Section | None:
         Row(
             (
                 draft.site.recording(r["recording_id"]), capital(followed(r["quantity"])), r["unit"] or "", pm(r["value"], r["sd"]),
-                expected.get(r["quantity"], ABSENT), str(r["repeats"] or ABSENT), visible(r["warnings"] or ""),
+                expected.get(r["quantity"], ABSENT), str(r["repeats"] or ABSENT), remark(r["warnings"]),
             )
         )
         for r in found[-200:]

@@ -35,7 +35,7 @@ from reports.pages.specimen import distorted, relaxing
 from reports.pages.specimen.film import over
 from reports.results import Query, Row, moment
 from reports.site import RECORDINGS, Site, flat_metadata
-from reports.words import plain, protocol
+from reports.words import plain, protocol, remark
 from schemas.numbers import ABSENT, NBSP, capital, compact, digits, seconds, significant, span, whole, with_unit
 from schemas.quantities import QUANTITIES
 
@@ -335,7 +335,7 @@ def _steps(draft: Draft) -> Section | None:
                 str(r["cycle"]), compact(r["voltage_kv"]), significant(None if r["force_step_n"] is None else 1e3 * r["force_step_n"]),
                 significant(r["capacitance_step_pf"]), significant(None if r["capacitive_strain"] is None else 100 * r["capacitive_strain"]),
                 significant(r["rise_time_s"], 2), significant(r["settling_time_s"], 2), significant(r["recovery_time_s"], 2),
-                "wrinkled" if r["wrinkled"] else "", visible(r["warnings"] or ""),
+                "wrinkled" if r["wrinkled"] else "", remark(r["warnings"]),
             )
         )
         for r in found

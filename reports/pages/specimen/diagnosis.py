@@ -37,11 +37,24 @@ from reports.pages.draft import Draft
 from reports.pages.specimen import comparing_models, explanations, unnamed
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.corrections import write_corrections
 from schemas.explanations import tell_doubt
 from schemas.mechanisms import amount, candidate, main, nested, parameter_words, plain_name
 from schemas.mechanisms import severity as severity_words
-from schemas.numbers import ABSENT, capital, compact, digits, never_negative, p_value, percent, significant, whole
+from schemas.numbers import (
+    ABSENT,
+    capital,
+    compact,
+    digits,
+    gained,
+    never_negative,
+    p_value,
+    percent,
+    probability,
+    significant,
+    whole,
+)
 from schemas.places import list_negative, list_wrong
 
 _DECISIVE = 9.2
@@ -112,8 +125,8 @@ def _faults(draft: Draft) -> list[Block | Fold]:
         Row(
             (
                 draft.site.recording(r["recording_id"]), flow(plain_name(r["cause"]), Markup("<br>"), code(r["cause"])),
-                visible(r["finding"]), ABSENT if r["key"] is None else code(r["key"]), visible(r["value_now"] or ABSENT),
-                visible(r["value_proposed"] or ABSENT), percent(r["probability"]),
+                remark(r["finding"]), ABSENT if r["key"] is None else code(r["key"]), visible(r["value_now"] or ABSENT),
+                visible(r["value_proposed"] or ABSENT), probability(r["probability"]),
                 ABSENT if r["left_per_value"] is None else significant(r["left_per_value"], 3), r["treatment"],
             )
         )
@@ -154,7 +167,7 @@ def _wrong(draft: Draft, d: Record) -> list[Block | Fold]:
         rows = [
             Row(
                 (
-                    draft.site.recording(r["recording_id"]), visible(r["statement"] or r["where_found"] or ""),
+                    draft.site.recording(r["recording_id"]), remark(r["statement"] or r["where_found"]),
                     significant(r["chi2"]), compact(r["degrees_of_freedom"]), p_value(r["p_value"]),
                 )
             )
@@ -303,7 +316,7 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
             Row(
                 (
                     flow(plain_name(r["mechanism"]), Markup("<br>"), code(r["mechanism"])),
-                    percent(r["probability"]), significant(r["likelihood_ratio"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),
+                    probability(r["probability"]), significant(r["likelihood_ratio"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),
                 ),
                 "sel" if chosen else "dim",
             )
@@ -341,7 +354,7 @@ def _places(d: Record, found: Sequence[Record], query: Query) -> list[Block]:
             Row(
                 (
                     flow(plain_name(r["mechanism"]), Markup("<br>"), visible(r["form"]) if r["form"] else code(r["mechanism"])),
-                    significant(r["held_out_error"], 3), percent(r["gain"]),
+                    significant(r["held_out_error"], 3), gained(r["gain"], r["gain_lower"]),
                     f"{percent(r['gain_lower'])} to {percent(r['gain_upper'])}",
                     ABSENT if r["explained"] is None else bar(r["explained"], chosen=chosen),
                     candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),

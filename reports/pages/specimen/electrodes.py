@@ -9,6 +9,7 @@ from reports.figures import sensing as figures
 from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
+from reports.words import remark
 from schemas.numbers import NBSP, bounds, capital, compact, p_equals, percent, pm, significant
 
 
@@ -38,7 +39,7 @@ def coverage(draft: Draft) -> Section | None:
             f" Likeliest form: {visible(fit['form'])}."
         )
         if fit["warnings"]:
-            words += f" {capital(visible(fit['warnings']))}."
+            words += f" {capital(remark(fit['warnings']))}."
     figure = Figure(
         figures.coats(number, capacitance, full, cover, alt=f"Capacitance of {short(draft.item, 40)} over its coats. {words}"),
         flow(bold("Electrode coverage."), f" {words} Band: 95{NBSP}% limits."),

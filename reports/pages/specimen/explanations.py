@@ -9,7 +9,7 @@ from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from schemas.mechanisms import plain_name
-from schemas.numbers import capital, percent
+from schemas.numbers import capital, probability
 
 _TOLD = 0.99
 """Probability that the rows of the table hold together."""
@@ -36,17 +36,17 @@ def blocks(draft: Draft, d: Record) -> list[Block]:
     rows: list[Row] = []
     total = 0.0
     for name, p in sorted(known.items(), key=lambda item: -item[1])[:_ROWS]:
-        rows.append(Row((capital(describe(name)), percent(p), bar(p, chosen=not rows)), "" if rows else "sel"))
+        rows.append(Row((capital(describe(name)), bar(p, chosen=not rows, text=probability(p))), "" if rows else "sel"))
         total += p
         if total >= _TOLD:
             break
-    heads = (Head("Explanation"), Head("Probability", "n"), Head("Share", "barcell"))
+    heads = (Head("Explanation"), Head("Probability", "barcell"))
     below = (
         "All explanations are compared under one likelihood that allows each a form that is not quite right; the plain model"
         " counts among them."
     )
     query = Query(_SQL, {"specimen": draft.item})
-    note = f"{len(rows)} of {len(known)} that were compared hold {percent(total)}"
+    note = f"{len(rows)} of {len(known)} that were compared hold {probability(total)}"
     return [
         Heading("Why: the causes, ranked"),
         Table("What may be behind it", heads, tuple(rows), query.shown(), note, below),

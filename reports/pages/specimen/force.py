@@ -10,10 +10,11 @@ import numpy as np
 from reports.blocks import Block, Figure, Fold, Head, Row, Section, Table, Text, bold, flow
 from reports.figures import steps as figures
 from reports.figures.steps import ForceSeries
-from reports.names import short, visible
+from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.numbers import ABSENT, bounds, capital, compact, pm, significant
 
 _DRAWN, _LISTED, _FEW = 6, 12, 2
@@ -38,7 +39,7 @@ def section(draft: Draft, where: str, value: str) -> Section | None:
     best = max((r for r in found if r["force_n"] is not None), key=lambda r: abs(r["force_n"]), default=None)
     blocks: list[Block | Fold] = [_figure(draft, found, fits, axis, best)]
     blocks += [
-        Text(flow(f"{short(f['specimen_id'] or '', 40)}: ", visible(f["statement"]), "."))
+        Text(flow(f"{short(f['specimen_id'] or '', 40)}: ", remark(f["statement"]), "."))
         for f in _maps(fits)[:_DRAWN]
         if f["statement"]
     ]

@@ -12,6 +12,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.numbers import NBSP, capital, compact, pm, significant
 
 _SQL = """SELECT l.*, r.started_at
@@ -48,7 +49,7 @@ def section(draft: Draft) -> Section | None:
     tried = [_gains(draft, found, proposal) for proposal in proposals]
     drawn = [f for f in (_compared(draft, found), *tried) if f is not None]
     blocks += [Pair(tuple(drawn[i : i + 2])) for i in range(0, len(drawn), 2)]
-    blocks += [Text(flow(bold("Gains."), f" {capital(visible(p['statement']))}.")) for p in proposals]
+    blocks += [Text(flow(bold("Gains."), f" {capital(remark(p['statement']))}.")) for p in proposals]
     table = _table(draft, query, found)
     blocks.append(Fold(f"All {len(found)} closed loops", (table,)) if len(found) > 6 else table)
     return Section("loop", _heading(found), "Closed loop", tuple(blocks))

@@ -18,6 +18,7 @@ from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from reports.site import flat_metadata
+from reports.words import remark
 from schemas.mechanisms import model_name
 from schemas.numbers import (
     ABSENT,
@@ -342,5 +343,5 @@ def weightings(draft: Draft) -> Section | None:
 
 def without_model(fits: Sequence[Record]) -> Text | None:
     """Why no fit was chosen, where fits were tried."""
-    warnings = sorted({visible(f["warnings"]) for f in fits if f["warnings"]})
+    warnings = sorted({remark(f["warnings"]) for f in fits if f["warnings"]})
     return Text("No order was selected: " + "; ".join(warnings), "sub") if warnings else None

@@ -9,11 +9,12 @@ import numpy as np
 from reports.blocks import Block, Figure, Fold, Head, Pair, Piece, Row, Section, Table, Text, bold, filled, flow
 from reports.figures import steps as figures
 from reports.figures.steps import Trace
-from reports.names import short, visible
+from reports.names import short
 from reports.pages.campaign import comparing
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, percent, pm, significant
 
 _STEPS_SQL = """SELECT s.recording_id, round(s.voltage_kv, 1) AS voltage_kv, count(*) AS steps, avg(s.force_step_n) AS force_n,
@@ -372,7 +373,7 @@ def sensing(draft: Draft) -> Section | None:
     rows = [row for row in rows if row[2] != ABSENT]
     table = Table(
         "Self-sensing", (Head("Quantity"), Head("Unit"), Head("Value", "n")), tuple(Row(r) for r in rows), query.shown(),
-        below=f"The fit warns: {visible(fit['warnings'])}." if fit["warnings"] else "", kind="narrow",
+        below=f"The fit warns: {remark(fit['warnings'])}." if fit["warnings"] else "", kind="narrow",
     )  # fmt: skip
     cycles = draft.results.columns(Query(_CYCLES_SQL, {"specimen": draft.item}))
     strain, force = 100 * cycles["capacitive_strain"].astype(float), 1e3 * cycles["force_step_n"].astype(float)

@@ -14,6 +14,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
+from reports.words import remark
 from schemas.arrays import Float
 from schemas.numbers import NBSP, bounds, capital, counted, fixed, p_value, percent, significant, with_unit
 
@@ -53,7 +54,7 @@ def section(draft: Draft) -> Section | None:
     drawn.append(_misfits(draft, curve, shifts))
     blocks: list[Block] = [Pair(tuple(drawn[i : i + 2])) for i in range(0, len(drawn), 2)]
     if curve["warnings"]:
-        blocks.insert(0, Text(flow(bold("Warning."), f" {capital(visible(curve['warnings']))}.")))
+        blocks.insert(0, Text(flow(bold("Warning."), f" {capital(remark(curve['warnings']))}.")))
     blocks += [_law_table(laws), _shift_table(draft, shifts)]
     blocks += [Text(text) for text in _tell_returns(shifts)]
     if turned:
