@@ -15,8 +15,18 @@ from scipy.signal import lfilter
 from pipeline.diagnose.judge import judge_predictions
 from pipeline.diagnose.results import NAMED, NONE
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
-from pipeline.diagnose.single.oscillator import DELAY, Oscillator, SystemRecord, make_linear
-from pipeline.diagnose.single.oscillator_fit import find_linear_start
+from pipeline.diagnose.single.oscillator import (
+    ARM,
+    BAND_LIMITED,
+    CUBIC,
+    DELAY,
+    HOLDS,
+    RATE,
+    Oscillator,
+    SystemRecord,
+    make_linear,
+)
+from pipeline.diagnose.single.oscillator_fit import LinearStarts
 from pipeline.diagnose.single.system_diagnosis import list_system_discrepancies
 from pipeline.diagnose.single.system_mechanisms import SystemQuestion, ask_system
 from schemas.errors import NotIdentifiableError
@@ -222,10 +232,27 @@ def test_too_few_samples_are_said_so(size: int) -> None:
         ask_system([_noisy(size, 0.0)])
 
 
+@pytest.mark.parametrize("finer", [1, 3])
+@pytest.mark.parametrize("hold", HOLDS)
+def test_a_linear_system_is_filtered_as_it_is_stepped(hold: str, finer: int) -> None:
+    """A cube that is as good as nothing makes it one that is stepped, from sample to sample."""
+    oscillator = Oscillator([_noisy(300, 2.0)], 1.0, 60.0, 0.2, hold=hold, finer=finer)
+    plain = make_linear(0.3, 1.7)
+    relaxing, gone = plain.copy(), plain.copy()
+    relaxing[[ARM, RATE]] = 0.4, -1.0
+    gone[ARM] = 0.4
+    stepped = np.array([plain, relaxing, gone])
+    stepped[:, CUBIC] = 1e-300
+    (both,) = oscillator(np.array([plain, relaxing, gone, *stepped]).T)
+    assert np.ptp(both[0]) > 0.1
+    assert both[:3] == pytest.approx(both[3:], abs=1e-10 * float(np.ptp(both)))
+    assert not np.allclose(both[0], both[1], atol=1e-3)
+
+
 @pytest.mark.parametrize("spike", [50.0, 1e6, 1e9])
 def test_a_spike_sends_the_linear_start_nowhere(spike: float) -> None:
     record = _noisy(2000, spike)
-    (mode,) = find_linear_start([record])
+    (mode,) = LinearStarts([record]).find(1, BAND_LIMITED)
     omega, ratio = mode.angular_frequency, mode.ratio
     lowest, highest = 2 * np.pi / (2000 * 0.01), np.pi / 0.01
     assert 0.49 * lowest < omega < 2.01 * highest

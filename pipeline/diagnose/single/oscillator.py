@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import resample
+from scipy.signal import lfilter, resample
 
 from schemas.arrays import Bool, Complex, Float
 
@@ -204,27 +204,30 @@ class Oscillator:
             for rows in FURTHER:
                 chosen = np.flatnonzero(parameters[rows[2]] != 0)
                 if chosen.size:
-                    x[..., chosen] += self._respond(*parameters[list(rows)][:, chosen])
-            x = x / np.sqrt(1 + parameters[CEILING] * x**2)
+                    stiffness, damping, gain = parameters[list(rows)][:, chosen]
+                    courses, which = np.unique(np.array([stiffness, damping]), axis=1, return_inverse=True)
+                    x[chosen] += gain[:, None, None] * self._respond(*courses)[which]
+            bent = np.flatnonzero(parameters[CEILING] != 0)
+            x[bent] /= np.sqrt(1 + parameters[CEILING, bent, None, None] * x[bent] ** 2)
             return self._read(x, parameters[DELAY] / self.angular_frequency)
 
-    def _respond(self, stiffness: Float, damping: Float, gain: Float) -> Float:
-        """(L, K, C) of a linear mode at the samples of all stretches, from its frequency response; (C,) each."""
+    def _respond(self, stiffness: Float, damping: Float) -> Float:
+        """(C, K, L) of a linear mode of gain 1 at the samples of all stretches, from its frequency response; (C,) each."""
         found = []
         for record in self.records:
             n = record.input.size
             size = n if record.periodic else 2 * n
             w = 2 * np.pi * np.fft.rfftfreq(size, record.interval_s) / self.angular_frequency
             spectrum = np.fft.rfft(self._drive(record), size)
-            response: Complex = np.zeros((gain.size, w.size), dtype=complex)
+            response: Complex = np.zeros((stiffness.size, w.size), dtype=complex)
             interval = float(self.angular_frequency * record.interval_s)
             for v, passed in pass_hold(np.asarray(w), interval, self.hold):
-                response += gain[:, None] * passed / (stiffness[:, None] - v**2 + 1j * damping[:, None] * v)
+                response += passed / (stiffness[:, None] - v**2 + 1j * damping[:, None] * v)
             values = np.fft.irfft(response * spectrum, size)[:, :n]
             count = -(-n // self._length)
-            padded = np.zeros((gain.size, count * self._length))
+            padded = np.zeros((stiffness.size, count * self._length))
             padded[:, :n] = values
-            found.append(padded.reshape(gain.size, count, self._length).transpose(2, 1, 0))
+            found.append(padded.reshape(stiffness.size, count, self._length))
         return np.concatenate(found, axis=1)
 
     def _drive(self, record: SystemRecord) -> Float:
@@ -232,12 +235,12 @@ class Oscillator:
         return np.asarray((record.input if record.from_rest else record.input - record.input.mean()) / self.amplitude)
 
     def _read(self, y: Float, delay_s: Float) -> list[Float]:
-        """(C, n) of every record from the stretches (L, K, C), late by (C,)."""
+        """(C, n) of every record from the stretches (C, K, L), late by (C,)."""
         found, first = [], 0
         for record, count in zip(self.records, self._count, strict=True):
             mine = y[:, first : first + count]
             first += count
-            out = self.amplitude * mine.transpose(2, 1, 0).reshape(y.shape[2], -1)[:, : record.input.size]
+            out = self.amplitude * mine.reshape(len(y), -1)[:, : record.input.size]
             out = self._late(out, delay_s / record.interval_s, record.periodic)
             found.append(out if record.from_rest else out - out[:, self.compared(record)].mean(axis=1, keepdims=True))
         return found
@@ -256,45 +259,165 @@ class Oscillator:
         return result
 
     def _integrate(self, parameters: Float) -> Float:
-        """(L, K, C) positions y at the samples of all stretches.
-
-        The classical method of Runge and Kutta; q half a step aside, exact for the speed between (Strang 1968), so that
-        no slider is too stiff.
-        """
-        stretches, sets = self._input.shape[1], parameters.shape[1]
-        # Expanded, so that every operation below is one loop over contiguous memory.
-        full = np.ascontiguousarray(np.broadcast_to(parameters[:, None], (PARAMETERS, stretches, sets)))
-        k, d, g, k2, k3, c, a = full[: ARM + 1]
-        r, s = np.exp(full[RATE]), np.exp(full[SLIP])
-        armed = bool(np.any(parameters[ARM] != 0))
-
-        def force(u: Float, y: Float, v: Float) -> Float:
-            return np.asarray(g * u - y * (k + y * (k2 + k3 * y)) - v * (d + c * np.abs(v)))
-
-        h, half, sixth = self._h, self._h / 2, self._h / 6
-        y, v, q = np.zeros((3, stretches, sets))
-        pull: Float | float = 0.0
-        out = np.empty((self._length, stretches, sets))
-        u = self._input[:, :, None]
-        last, fine, held = len(u) - 1, 2 * self._steps, self.hold == HELD
-        for sample in range(self.run_in + self._length):
-            if sample >= self.run_in:
-                out[sample - self.run_in] = y
-            for i in range(sample * fine, (sample + 1) * fine, 2):
-                if armed:
-                    passed = h * (r + s * np.abs(v)) + 1e-12
-                    left = np.exp(-passed)
-                    q = q * left + h * v * ((1 - left) / passed)
-                    pull = a * q
-                # A held input changes after the end of the step.
-                middle, end = u[i + 1], u[i + 1 if held else min(i + 2, last)]
-                f1 = force(u[i], y, v) - pull
-                v2 = v + half * f1
-                f2 = force(middle, y + half * v, v2) - pull
-                v3 = v + half * f2
-                f3 = force(middle, y + half * v2, v3) - pull
-                v4 = v + h * f3
-                f4 = force(end, y + h * v3, v4) - pull
-                y = y + sixth * (v + 2 * (v2 + v3) + v4)
-                v = v + sixth * (f1 + 2 * (f2 + f3) + f4)
+        """(C, K, L) positions y at the samples of all stretches."""
+        bends = (parameters[[QUADRATIC, CUBIC, DRAG]] != 0).any(axis=0)
+        slips = (parameters[ARM] != 0) & ~np.isneginf(parameters[SLIP])
+        linear = ~(bends | slips)
+        out = np.empty((parameters.shape[1], self._input.shape[1], self._length))
+        for chosen, simulate in ((linear, self._filter), (~linear, self._march)):
+            # Fits that differ in what they are fitted to begin alike.
+            sets, which = np.unique(parameters[: SLIP + 1, chosen], axis=1, return_inverse=True)
+            out[chosen] = simulate(sets)[which]
         return out
+
+    def _filter(self, parameters: Float) -> Float:
+        """(C, K, L) of linear systems: the same steps, each of them the same linear map, as a recursive filter.
+
+        With M and B of a step s ← M s + B u, the positions are the first entry of (z − M)⁻¹ B u, and by Faddeev and LeVerrier
+        det(z − M) = z³ + p₁ z² + …, adj(z − M) = z² + N₁ z + N₂.
+        """
+        gain = parameters[GAIN]
+        alike = parameters[[STIFFNESS, DAMPING, ARM, RATE]]
+        alike[3, alike[2] == 0] = -np.inf
+        courses, which = np.unique(alike, axis=1, return_inverse=True)
+        sets = make_linear(1.0, 1.0)[: SLIP + 1, None].repeat(courses.shape[1], axis=1)
+        sets[[STIFFNESS, DAMPING, ARM, RATE]] = courses
+        first, middle = (np.ascontiguousarray(self._input[place::2].T) for place in (0, 1))
+        last = middle if self.hold == HELD else np.append(first[:, 1:], first[:, -1:], axis=1)
+        found = np.empty((courses.shape[1], len(first), self._length))
+        for number, (move, push) in enumerate(zip(*_map_steps(sets, self._h), strict=True)):
+            size = 3 if courses[2, number] else 2
+            adjugate, poly, taps = np.eye(size), [1.0], [np.zeros(3)]
+            for order in range(1, size + 1):
+                taps.append(adjugate[0] @ push[:size])
+                adjugate = adjugate @ move[:size, :size]
+                poly.append(-float(np.trace(adjugate)) / order)
+                adjugate += poly[-1] * np.eye(size)
+            y = sum(lfilter(b, poly, u) for b, u in zip(np.transpose(taps), (first, middle, last), strict=True))
+            found[number] = y[:, self.run_in * self._steps :: self._steps]
+        return np.asarray(found[which] * gain[:, None, None])
+
+    def _march(self, parameters: Float) -> Float:
+        """(C, K, L) of systems whose steps are not all alike, one step of all after the other."""
+        # Terms that few have are those of neighbours then.
+        order = np.lexsort(parameters[[ARM, DRAG, CUBIC, QUADRATIC]] != 0)
+        steps = _Steps(parameters[:, order], self._input.shape[1], self._h)
+        out = np.empty((self._length, *steps.y.shape))
+        u, fine, held = self._input, 2 * self._steps, self.hold == HELD
+        last = len(u) - 1
+        for sample in range(self.run_in + self._length if order.size else 0):
+            if sample >= self.run_in:
+                out[sample - self.run_in] = steps.y
+            for i in range(sample * fine, (sample + 1) * fine, 2):
+                # A held input changes after the end of the step.
+                steps.go(u[i], u[i + 1], u[i + 1 if held else min(i + 2, last)])
+        found = np.empty((order.size, out.shape[2], self._length))
+        found[order] = out.transpose(1, 2, 0)
+        return found
+
+
+class _Steps:
+    """Steps of oscillators of C sets of parameters (SLIP + 1, C) on K courses, all at once and in place.
+
+    The classical method of Runge and Kutta, for a second derivative (Nyström's form); q half a step aside, exact for the
+    speed between (Strang 1968), so that no slider is too stiff.
+    """
+
+    def __init__(self, parameters: Float, courses: int, h: float) -> None:
+        sets = parameters.shape[1]
+        # Expanded, so that every operation below is one loop over contiguous memory.
+        full = np.ascontiguousarray(np.broadcast_to(parameters[:, :, None], (len(parameters), sets, courses)))
+        self.y, self.v, self.q = np.zeros((3, sets, courses))
+        # Arrays, for numbers are made into some at every operation.
+        self._h, self._half, self._sixth, self._half_square, self._quarter_square, self._sixth_square, self._two = (
+            np.array(x) for x in (h, h / 2, h / 6, h * h / 2, h * h / 4, h * h / 6, 2.0)
+        )
+        self._gain = full[GAIN]
+        self._bent, self._dragged, self._armed = (
+            _span((parameters[rows] != 0).any(axis=0)) for rows in ([QUADRATIC, CUBIC], [DRAG], [ARM])
+        )
+        self._k, self._k2, self._k3 = (full[row][self._bent] for row in (STIFFNESS, QUADRATIC, CUBIC))
+        self._d, self._c = (full[row][self._dragged] for row in (DAMPING, DRAG))
+        self._a = full[ARM][self._armed]
+        # So much passes in a step; nothing is divided by nothing.
+        self._rest = h * np.exp(full[RATE][self._armed]) + 1e-12
+        self._slip = h * np.exp(full[SLIP][self._armed])
+        self._stiffness, self._damping = full[STIFFNESS].copy(), full[DAMPING].copy()
+        self._f = np.empty((4, sets, courses))
+        self._free = np.empty((5, sets, courses))
+
+    def go(self, first: Float, middle: Float, last: Float) -> None:
+        """One step, with the input (K,) at its ends and its middle."""
+        y, v, (f1, f2, f3, f4) = self.y, self.v, self._f
+        stage_y, stage_v, ahead, push, some = self._free
+        pull = self._yield() if self._a.size else self._a
+        self._accelerate(np.multiply(self._gain, first, out=push), y, v, pull, f1)
+        np.multiply(self._gain, middle, out=push)
+        np.multiply(v, self._half, out=ahead)
+        np.add(y, ahead, out=stage_y)
+        np.add(v, np.multiply(f1, self._half, out=some), out=stage_v)
+        self._accelerate(push, stage_y, stage_v, pull, f2)
+        stage_y += np.multiply(f1, self._quarter_square, out=some)
+        np.add(v, np.multiply(f2, self._half, out=some), out=stage_v)
+        self._accelerate(push, stage_y, stage_v, pull, f3)
+        ahead *= self._two
+        y += ahead
+        np.add(y, np.multiply(f2, self._half_square, out=some), out=stage_y)
+        np.add(v, np.multiply(f3, self._h, out=some), out=stage_v)
+        self._accelerate(np.multiply(self._gain, last, out=push), stage_y, stage_v, pull, f4)
+        f2 += f3
+        f1 += f2
+        y += np.multiply(f1, self._sixth_square, out=some)
+        f1 += f2
+        f1 += f4
+        f1 *= self._sixth
+        v += f1
+
+    def _yield(self) -> Float:
+        """Forces of the arms half a step on."""
+        q, v = self.q[self._armed], self.v[self._armed]
+        passed = np.abs(v)
+        passed *= self._slip
+        passed += self._rest
+        left = np.exp(-passed)
+        q *= left
+        np.subtract(1, left, out=left)
+        left /= passed
+        left *= v
+        left *= self._h
+        q += left
+        return np.asarray(self._a * q)
+
+    def _accelerate(self, push: Float, y: Float, v: Float, pull: Float, out: Float) -> None:
+        """g u − y (κ + y (β₂ + β₃ y)) − v (δ + c |v|) − a q."""
+        if self._k.size:
+            own, bent = self._stiffness[self._bent], y[self._bent]
+            np.multiply(self._k3, bent, out=own)
+            own += self._k2
+            own *= bent
+            own += self._k
+        if self._c.size:
+            own = self._damping[self._dragged]
+            np.abs(v[self._dragged], out=own)
+            own *= self._c
+            own += self._d
+        np.multiply(self._stiffness, y, out=out)
+        np.subtract(push, out, out=out)
+        out -= self._damping * v
+        if pull.size:
+            out[self._armed] -= pull
+
+
+def _span(chosen: Bool) -> slice:
+    """The shortest slice that holds all chosen places."""
+    places = np.flatnonzero(chosen)
+    return slice(int(places[0]), int(places[-1]) + 1) if places.size else slice(0, 0)
+
+
+def _map_steps(parameters: Float, h: float) -> tuple[Float, Float]:
+    """(C, 3, 3) each: M and B of a step (y, v, q) ← M (y, v, q) + B (u at its beginning, middle, end) of linear systems."""
+    steps, inputs = _Steps(parameters, 6, h), np.eye(6)[3:]
+    steps.y[:], steps.v[:], steps.q[:] = np.eye(6)[:3]
+    steps.go(*inputs)
+    both = np.stack([steps.y, steps.v, steps.q], axis=1)
+    return both[..., :3], both[..., 3:]

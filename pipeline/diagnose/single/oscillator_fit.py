@@ -6,7 +6,7 @@ Does not belong here: which fits are asked for, and what follows from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from scipy.optimize import minimize
 
 from pipeline.diagnose.single.oscillator import (
     ARM,
-    BAND_LIMITED,
     CEILING,
     CUBIC,
     DAMPING,
@@ -22,6 +21,7 @@ from pipeline.diagnose.single.oscillator import (
     DRAG,
     FURTHER,
     GAIN,
+    HOLDS,
     PARAMETERS,
     QUADRATIC,
     RATE,
@@ -125,6 +125,8 @@ def fit_all(oscillator: Oscillator, measured: Float, problems: Sequence[Problem]
         rows, own = list(problem.free), slice(len(problem.free))
         starts[number, own], low[number, own], high[number, own] = problem.start[rows], LOWER[rows], UPPER[rows]
 
+    best: dict[int, Fit] = {}
+
     def evaluate(points: Float, numbers: Int) -> tuple[Float, Float]:
         """Residuals (K, M) over the size of what was measured, 0 where nothing is fitted, and Jacobians (K, M, P)."""
         asked = [problems[i] for i in numbers]
@@ -133,17 +135,21 @@ def fit_all(oscillator: Oscillator, measured: Float, problems: Sequence[Problem]
             np.zeros((len(points), measured.size)),
             np.zeros((len(points), measured.size, points.shape[1])),
         )
-        for i, (problem, one) in enumerate(zip(asked, found, strict=True)):
+        for i, (number, problem, one) in enumerate(zip(numbers.tolist(), asked, found, strict=True)):
             fitted = problem.fitted
             residual[i, fitted] = (one.simulated - measured)[fitted] / size
             jacobian[i, fitted, : len(problem.free)] = one.jacobian[fitted] / size
-            if not np.isfinite(jacobian[i]).all():
-                residual[i] = np.inf
+            with np.errstate(over="ignore", invalid="ignore"):
+                cost, slope = float(np.sum(residual[i] ** 2)), float(np.sum(jacobian[i] ** 2))
+            if not np.isfinite(cost + slope):
+                residual[i], cost = np.inf, np.inf
+            if number not in best or cost < best[number].cost:
+                best[number] = replace(one, cost=cost)
         return residual, jacobian
 
-    ends = minimise_each(evaluate, list(starts), low, high, _OPTIONS)
-    found = _simulate(oscillator, problems, np.array([end.x for end in ends]))
-    return [replace(fit, cost=end.chi2 * size**2) for fit, end in zip(found, ends, strict=True)]
+    # A search ends at the best of the points that it has asked for.
+    minimise_each(evaluate, list(starts), low, high, _OPTIONS)
+    return [replace(best[number], cost=best[number].cost * size**2) for number in range(len(problems))]
 
 
 def _simulate(oscillator: Oscillator, problems: Sequence[Problem], entries: Float) -> list[Fit]:
@@ -165,8 +171,23 @@ def _simulate(oscillator: Oscillator, problems: Sequence[Problem], entries: Floa
     return found
 
 
-def find_linear_start(records: Sequence[SystemRecord], modes: int = 1, hold: str = BAND_LIMITED) -> tuple[Mode, ...]:
-    """Resonances y″ + 2ζω y′ + ω² y = g u side by side, from spectra under a window of Hann, the one of most output first.
+class LinearStarts:
+    """Linear starts of the same records, of which none is searched twice."""
+
+    def __init__(self, records: Sequence[SystemRecord]) -> None:
+        self._searches = {hold: _search_resonances(records, hold) for hold in HOLDS}
+        self._found: dict[str, list[tuple[Mode, ...]]] = {hold: [] for hold in HOLDS}
+
+    def find(self, modes: int, hold: str) -> tuple[Mode, ...]:
+        """So many resonances side by side, the one of most output first, for what the input does between samples."""
+        found = self._found[hold]
+        while len(found) < modes:
+            found.append(next(self._searches[hold]))
+        return found[modes - 1]
+
+
+def _search_resonances(records: Sequence[SystemRecord], hold: str) -> Iterator[tuple[Mode, ...]]:
+    """One, two and more resonances y″ + 2ζω y′ + ω² y = g u side by side, from spectra under a window of Hann, the one of most output first.
 
     The response error |Y − Σ g U/D|², with the best g: one resonance after the other on a grid of ω and ζ beside those
     that are there, and all on from the least. Beyond half the lowest and twice the highest frequency of the records every
@@ -194,7 +215,7 @@ def find_linear_start(records: Sequence[SystemRecord], modes: int = 1, hold: str
     limits = np.log([(lowest, highest), (_LEAST_RATIO, _LARGEST_RATIO)])
     grid = np.log([(o, r) for o in np.geomspace(lowest, highest, _FREQUENCIES) for r in _RATIOS])
     found = np.zeros(0)
-    for _ in range(modes):
+    while True:
         x = min(
             (np.concatenate([found, one]) for one in _shortlist(grid, found, respond, target)),
             key=lambda x: fit_gains(x)[2],
@@ -207,11 +228,12 @@ def find_linear_start(records: Sequence[SystemRecord], modes: int = 1, hold: str
             bounds=np.tile(limits, (x.size // 2, 1)),
             options={"initial_simplex": simplex, "maxfev": 200 * x.size},
         ).x
-    columns, gains, _ = fit_gains(found)
-    output = np.linalg.norm(columns * gains, axis=0)
-    return tuple(
-        Mode(float(np.exp(found[2 * i])), float(np.exp(found[2 * i + 1])), float(gains[i])) for i in np.argsort(-output)
-    )
+        columns, gains, _ = fit_gains(found)
+        output = np.linalg.norm(columns * gains, axis=0)
+        yield tuple(
+            Mode(float(np.exp(found[2 * i])), float(np.exp(found[2 * i + 1])), float(gains[i]))
+            for i in np.argsort(-output)
+        )
 
 
 def _shortlist(grid: Float, found: Float, respond: Callable[[Float], Float], target: Float) -> Float:
@@ -221,11 +243,11 @@ def _shortlist(grid: Float, found: Float, respond: Callable[[Float], Float], tar
         basis = np.linalg.qr(respond(found))[0]
         left = target - basis @ (basis.T @ target)
     taken = []
-    for one in grid:
-        column = respond(one)[:, 0]
-        column = column - basis @ (basis.T @ column)
-        taken.append(float(column @ left) ** 2 / max(float(column @ column), _TINY))
-    return np.asarray(grid[np.argsort(taken)[-_TRIED:]])
+    for some in np.array_split(grid, _RATIOS.size):
+        columns = respond(some.ravel())
+        columns -= basis @ (basis.T @ columns)
+        taken.append((left @ columns) ** 2 / np.maximum(np.einsum("ij,ij->j", columns, columns), _TINY))
+    return np.asarray(grid[np.argsort(np.concatenate(taken))[-_TRIED:]])
 
 
 def _compute_spectra(record: SystemRecord, hold: str) -> tuple[Float, Complex, Complex]:

@@ -17,6 +17,7 @@ from pipeline.diagnose.mechanisms import MECHANISMS
 from pipeline.diagnose.results import AMBIGUOUS, NAMED, NONE, Diagnosis, Discrepancy, Residuals
 from pipeline.diagnose.single.comparison import Comparison, compare_predictions
 from pipeline.diagnose.single.oscillator import BAND_LIMITED, SystemRecord
+from pipeline.diagnose.single.oscillator_fit import LinearStarts
 from pipeline.diagnose.single.report import (
     Details,
     Films,
@@ -59,8 +60,9 @@ def diagnose_system(
     -------
     The diagnosis, and the comparison of the mechanisms behind it
     """
+    starts = LinearStarts(records)
     for resonances in range(1, MOST_RESONANCES + 1):
-        question = ask_system(records, resonances)
+        question = ask_system(records, resonances, starts=starts)
         comparison = compare_models(question)
         verdict = judge_predictions(comparison)
         if verdict == NONE or not _is_further_better(question):

@@ -62,9 +62,9 @@ from pipeline.diagnose.single.oscillator_fit import (
     LOWER,
     UPPER,
     Fit,
+    LinearStarts,
     Problem,
     clip_parameters,
-    find_linear_start,
     fit_all,
     join_compared,
 )
@@ -297,7 +297,12 @@ def list_asked() -> frozenset[str]:
 
 
 def ask_system(
-    records: Sequence[SystemRecord], resonances: int = 1, *, sd: float | None = None, hold: str | None = None
+    records: Sequence[SystemRecord],
+    resonances: int = 1,
+    *,
+    sd: float | None = None,
+    hold: str | None = None,
+    starts: LinearStarts | None = None,
 ) -> SystemQuestion:
     """Models of one system's records, fitted to everything and to each of two parts.
 
@@ -307,6 +312,7 @@ def ask_system(
     resonances : of the plain model
     sd : standard deviation of the noise of one output, where the caller knows it, for instance from periods that repeat
     hold : what the input does between samples; None: what fits the records best
+    starts : of the records, where they are asked more than once
 
     Raises
     ------
@@ -326,9 +332,15 @@ def ask_system(
             f"a value as large as {largest:.3g}",
             expected=f"values below {_LARGEST:g}, whose squares can still be added up",
         )
-    hold = _find_hold(records, resonances) if hold is None else hold
-    more = find_linear_start(records, resonances + 1, hold) if resonances < MOST_RESONANCES else ()
-    oscillator, start = _start_plain(records, resonances, more, hold)
+    starts = LinearStarts(records) if starts is None else starts
+    begun = _begin_holds(records, resonances, starts) if hold is None else {}
+    hold = _choose_hold(begun) if hold is None else hold
+    more = starts.find(resonances + 1, hold) if resonances < MOST_RESONANCES else ()
+    beside = _recall_beside(records, more)
+    if hold in begun and begun[hold].oscillator.run_in * records[0].interval_s >= beside:
+        oscillator, start = begun[hold].oscillator, begun[hold].parameters
+    else:
+        oscillator, start = _start_plain(records, starts.find(resonances, hold), beside, hold)
     known, noise = (sd, "given") if sd is not None else estimate_noise_sd(records)
     steps = _measure_steps(oscillator, start)
     if steps > known:
@@ -347,9 +359,9 @@ def ask_system(
     if more:
         asked.append((_express(more, oscillator.angular_frequency), _list_linear_rows(resonances + 1), ((),), None))
     problems, owners = [], []
-    for number, (begin, rows, starts, term) in enumerate(asked):
+    for number, (begin, rows, tries, term) in enumerate(asked):
         own = term.rows if term else ()
-        for given in starts:
+        for given in tries:
             theta = begin.copy()
             theta[list(own)] = given
             for fold, fitted in enumerate((everything, ~loud, loud)):
@@ -427,36 +439,54 @@ def _express(modes: Sequence[Mode], omega: float) -> Float:
     return clip_parameters(start)
 
 
-def _find_hold(records: Sequence[SystemRecord], resonances: int) -> str:
-    """What the input does between samples: that with which so many linear resonances simulate the records best; band-limited where nothing tells."""
-    misfit: dict[str, float] = {}
+@dataclass(frozen=True)
+class _Begun:
+    """A linear fit to everything: its oscillator, parameters (PARAMETERS,), and mean square error."""
+
+    oscillator: Oscillator
+    parameters: Float
+    misfit: float
+
+
+def _begin_holds(records: Sequence[SystemRecord], resonances: int, starts: LinearStarts) -> dict[str, _Begun]:
+    """So many linear resonances fitted to everything, by what the input does between samples; without those that the records do not tell."""
+    found: dict[str, _Begun] = {}
     for hold in HOLDS:
         try:
-            oscillator, theta = _start_plain(records, resonances, (), hold)
+            oscillator, theta = _start_plain(records, starts.find(resonances, hold), 0.0, hold)
         except NotIdentifiableError:
             continue
         measured = join_compared(oscillator, [_centre_output(oscillator, r) for r in records])
         simulated = join_compared(oscillator, [values[0] for values in oscillator(theta[:, None])])
-        misfit[hold] = float(np.mean((simulated - measured) ** 2))
+        found[hold] = _Begun(oscillator, theta, float(np.mean((simulated - measured) ** 2)))
+    return found
+
+
+def _choose_hold(begun: Mapping[str, _Begun]) -> str:
+    """What the input does between samples: that with which the records are simulated best; band-limited where nothing tells."""
+    misfit = {hold: one.misfit for hold, one in begun.items()}
     best = min(misfit, key=lambda hold: misfit[hold], default=BAND_LIMITED)
     worth = RULES.single.other_hold * misfit.get(BAND_LIMITED, np.inf)
     return best if misfit.get(best, np.inf) < worth or (BAND_LIMITED not in misfit and misfit) else BAND_LIMITED
 
 
-def _start_plain(
-    records: Sequence[SystemRecord], resonances: int, more: Sequence[Mode], hold: str
-) -> tuple[Oscillator, Float]:
-    """The oscillator in units of the linear fit to everything, and its parameters (PARAMETERS,).
+def _recall_beside(records: Sequence[SystemRecord], more: Sequence[Mode]) -> float:
+    """Seconds for which the resonances of a further model remember their start; 0 where the records are too short for that."""
+    last = sum(r.input.size for r in records) * records[0].interval_s
+    beside = max((_recall(mode) for mode in more), default=0.0)
+    return beside if beside < RULES.single.run_in * last else 0.0
 
-    Its run-in is long enough for the resonances of a further model, too, where the records are.
+
+def _start_plain(
+    records: Sequence[SystemRecord], modes: Sequence[Mode], beside: float, hold: str
+) -> tuple[Oscillator, Float]:
+    """The oscillator in units of the linear fit to everything from resonances, and its parameters (PARAMETERS,).
+
+    Its run-in lasts at least `beside`, in seconds.
 
     Raises `NotIdentifiableError` where the records do not tell a resonance.
     """
     amplitude = max(float(np.abs(r.output - (0 if r.from_rest else r.output.mean())).max()) for r in records)
-    modes = list(find_linear_start(records, resonances, hold))
-    last = sum(r.input.size for r in records) * records[0].interval_s
-    beside = max((_recall(mode) for mode in more), default=0.0)
-    beside = beside if beside < RULES.single.run_in * last else 0.0
     for _ in range(2):
         for mode in modes:
             _check_memory(records, mode)
@@ -466,12 +496,12 @@ def _start_plain(
         oscillator = Oscillator(records, amplitude, omega, _SAFETY * 2 * main.ratio, memory=memory, hold=hold)
         start = _express(modes, omega)
         measured = join_compared(oscillator, [_centre_output(oscillator, r) for r in records])
-        problem = Problem(start, _list_linear_rows(resonances), np.ones(measured.size, dtype=bool))
+        problem = Problem(start, _list_linear_rows(len(modes)), np.ones(measured.size, dtype=bool))
         theta = fit_all(oscillator, measured, [problem])[0].parameters
         frequency = float(np.sqrt(theta[STIFFNESS]))
         if abs(frequency - 1) < 0.1:
             break
-        modes = [_read_mode(theta[list(rows)], omega) for rows in _list_modes(resonances)]
+        modes = [_read_mode(theta[list(rows)], omega) for rows in _list_modes(len(modes))]
     return oscillator, theta
 
 
