@@ -98,6 +98,17 @@ class Findings:
     block: ClassVar[str] = "findings"
     items: tuple[Finding, ...]
 
+    @property
+    def lone(self) -> frozenset[int]:
+        """Places of findings without a figure that have no neighbour beside them: they take the whole width."""
+        found, before = set(), 0
+        for i, item in enumerate(self.items):
+            before = 0 if item.figure is not None else before + 1
+            last = i + 1 == len(self.items) or self.items[i + 1].figure is not None
+            if before % 2 and last:
+                found.add(i)
+        return frozenset(found)
+
 
 @dataclass(frozen=True)
 class Head:
@@ -241,8 +252,9 @@ _SIGNS = {
 def tag(kind: str, word: str = "") -> Markup:
     """A verdict or status: sign and word together, never colour alone."""
     style = "refused" if kind == "quarantined" else kind
+    word = word or style
     return Markup('<span class="tag {}">{}</span>').format(
-        style if style in _SIGNS else "", f"{_SIGNS.get(kind, '')} {word or kind}".strip()
+        style if style in _SIGNS else "", f"{_SIGNS.get(kind, '')} {word}".strip()
     )
 
 

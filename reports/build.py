@@ -21,7 +21,7 @@ from reports.digests import digests
 from reports.figures.drawn import drawn_before
 from reports.ledger import Ledger, batches
 from reports.names import short
-from reports.plan import Planned, make, plan
+from reports.plan import Planned, further_paths, make, plan
 from reports.render import html
 from reports.results import DATABASE, MEMORY, Results, short_of_memory
 from reports.site import INDEX, Site
@@ -199,8 +199,8 @@ def _write(folder: Path, site: Site, planned: Planned, force: bool) -> Made:
     """Makes a page; figures that it had already from the same data are taken over, unless `force`."""
     problem = ""
     try:
-        before = None if force else folder / planned.path
-        with drawn_before(before, with_values=site.interactive):
+        before = () if force else tuple(folder / path for path in (planned.path, *further_paths(site, planned)))
+        with drawn_before(*before, with_values=site.interactive):
             page = make(site, planned)
         entries = site.entries() if site.interactive and planned.kind == "index" else ()
         text = html(page, interactive=site.interactive, site=entries)

@@ -186,7 +186,8 @@ def what_next(diagnosis: Row | None) -> Next | None:
     """The recording that would decide."""
     if not diagnosis or not diagnosis["next_recording"]:
         return None
-    return Next("Next recording to make", name_causes(str(diagnosis["next_recording"])))
+    text = capital(name_causes(str(diagnosis["next_recording"])))
+    return Next("Next recording to make", f"{text.rstrip('.')}.")
 
 
 _CAUSES = re.compile(r"\b(?:" + "|".join(sorted((m for m in MECHANISMS if "_" in m), key=len, reverse=True)) + r")\b")

@@ -76,7 +76,7 @@ def find_exhibits(site: Site, thing: str) -> list[Exhibit]:
     counts: dict[str, int] = {}
     found = []
     for page in pages:
-        for figure in _figures(page):
+        for figure in (f for part in (page, *(further for _, further in page.further)) for f in _figures(part)):
             picture = figure.image
             if not isinstance(picture, Picture) or picture.kind not in PRINTED or picture.options.get("phase"):
                 continue

@@ -53,6 +53,11 @@ def make(site: Site, planned: Planned) -> Page:
     return lists.page(site, planned.kind, int(planned.item))
 
 
+def further_paths(site: Site, planned: Planned) -> tuple[str, ...]:
+    """Addresses of pages that are made with this one where it would be too long."""
+    return site.parts_of(planned.item) if planned.kind == "campaign" else ()
+
+
 def plan(site: Site, digests: Digests) -> Iterator[tuple[Planned, str]]:
     """All pages of the site with their digests, the index first so that it is the first to be there."""
 

@@ -23,6 +23,9 @@ RECORDINGS = "recordings.html"
 SPECIMENS = "specimens.html"
 REFUSED = "refused.html"
 CONTROL = "control.html"
+PARTS = ("failures", "forces", "checks")
+"""Parts of a campaign with pages of their own, by their folder: what lives depend on and where films fail, force and sensing, and the
+publication that the campaign follows against its own numbers and ours."""
 _ENTRIES = 5000
 """Specimens, and recordings, that a search in the whole site finds; beyond, the lists have their own."""
 
@@ -97,9 +100,13 @@ class Site:
     def campaign_path(self, campaign: str) -> str:
         return f"campaigns/{self._campaign_file(campaign)}.html"
 
-    def checks_path(self, campaign: str) -> str:
-        """The page on which a campaign's publication is checked against its own numbers and ours."""
-        return f"checks/{self._campaign_file(campaign)}.html"
+    def part_path(self, campaign: str, part: str) -> str:
+        """The page of a part of a campaign (`PARTS`) that would make its own page too long."""
+        return f"{part}/{self._campaign_file(campaign)}.html"
+
+    def parts_of(self, campaign: str) -> tuple[str, ...]:
+        """Addresses that parts of a campaign may have."""
+        return tuple(self.part_path(campaign, part) for part in PARTS)
 
     def data_path(self, kind: str, item: str, figure: str) -> str:
         """Address of the CSV file of a figure."""

@@ -34,13 +34,15 @@ _BEFORE: ContextVar[Mapping[str, Drawn]] = ContextVar("_BEFORE", default=_NONE)
 
 
 @contextmanager
-def drawn_before(page: Path | None, *, with_values: bool) -> Iterator[None]:
-    """Within it, figures of that page as it is on disk are taken over; `with_values` where the new page needs their values."""
-    try:
-        text = page.read_text(encoding="utf-8") if page else ""
-    except (OSError, ValueError):
-        text = ""
-    token = _BEFORE.set(_read(text, with_values=with_values))
+def drawn_before(*pages: Path, with_values: bool) -> Iterator[None]:
+    """Within it, figures of those pages as they are on disk are taken over; `with_values` where the new page needs their values."""
+    found: dict[str, Drawn] = {}
+    for page in pages:
+        try:
+            found |= _read(page.read_text(encoding="utf-8"), with_values=with_values)
+        except (OSError, ValueError):
+            continue
+    token = _BEFORE.set(found)
     try:
         yield
     finally:
@@ -73,8 +75,8 @@ def digest_data(*what: Any) -> str | None:
 
 
 def digest_result(html: str) -> str:
-    """The digest of a figure's HTML, the same with the no-break spaces that a page puts into it."""
-    return hashlib.sha256(str(html).replace("\u00a0", " ").encode()).hexdigest()[:16]
+    """The digest of a figure's HTML, the same with what a page puts into it to keep quantities and ranges on one line."""
+    return hashlib.sha256(str(html).replace("\u00a0", " ").replace("\u2060", "").encode()).hexdigest()[:16]
 
 
 def mark(html: Markup, digest: str | None) -> Markup:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from reports.figures.palette import BAND, BETTER, INK, LOWER, MODEL, RAW, SECOND, WRONG, group
-from reports.figures.panel import WIDE, Drawing, Panel, note
+from reports.figures.panel import WIDE, Drawing, Panel, note, pointer
 from reports.figures.picture import pictured
-from reports.figures.scale import Scale, linear, logarithmic
+from reports.figures.scale import Scale, apart, linear, logarithmic
 from schemas.arrays import Bool, Float
 from schemas.numbers import compact
 
@@ -128,13 +128,26 @@ def agreement(
     panel.curve([scale.low, scale.high], [scale.low, scale.high], MODEL, 1.6)
     panel.label(scale.high, scale.high, "as predicted", MODEL, anchor="end", dx=-6, dy=-6)
     panel.bars(predicted, low, high, SECOND)
-    entries = []
-    for i, name in enumerate(names):
+    for i in range(len(names)):
         panel.dots([predicted[i]], [measured[i]], INK if i == shown else SECOND, 5.4, open_=i != shown)
-        entries.append((float(measured[i]), name, INK if i == shown else SECOND, i == shown))
-    panel.names(entries)
+    _name_points(panel, names, predicted, measured, shown)
     panel.axes("Sensitivity measured", "Sensitivity predicted from the geometry")
     return drawing.told(alt)
+
+
+def _name_points(panel: Panel, names: Sequence[str], x: Float, y: Float, shown: int | None) -> None:
+    """Names right of their points (n,), pushed apart where they meet; a line leads to those that had to move."""
+    at = np.column_stack([panel.px(x), panel.py(y)])
+    order = np.argsort(at[:, 1], kind="stable").tolist()
+    places = apart(at[order, 1].tolist(), 14.5, panel.top, panel.bottom)
+    for i, place in zip(order, places, strict=True):
+        across, down = at[i].tolist()
+        moved = abs(place - down) > 7
+        left = across + (22 if moved else 9)
+        if moved:
+            pointer(panel.drawing, (left - 3, place), (across + 4, down), SECOND)
+        colour = INK if i == shown else SECOND
+        panel.drawing.write(left, place + 4, names[i], colour=colour, bold=i == shown)
 
 
 @dataclass(frozen=True)

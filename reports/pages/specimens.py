@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from reports.blocks import Head, Piece, Row, Table, tag
 from reports.names import short
 from reports.results import Query
 from reports.site import Site
 from schemas.mechanisms import plain_name
-from schemas.numbers import ABSENT, gained, pm, significant
+from schemas.numbers import ABSENT, UNRESOLVED, gained, is_usable, pm, significant
 
 _SPECIMEN_SQL = """WITH used AS (
     SELECT specimen_id, min(material) AS material, count(*) AS recordings
@@ -46,13 +48,13 @@ def specimen_table(
             modulus_sd = r["modulus_mpa"] * r["k0_n_per_mm_sd"] / r["k0_n_per_mm"]
         cells: list[Piece] = [
             site.specimen(r["specimen_id"], root), short(r["material"] or ABSENT, 40), str(r["recordings"]),
-            ABSENT if r["model_order"] is None else str(r["model_order"]), pm(r["k0_n_per_mm"], r["k0_n_per_mm_sd"]),
-            pm(r["modulus_mpa"], modulus_sd), significant(r["reduced_chi2"]),
+            ABSENT if r["model_order"] is None else str(r["model_order"]), _known(r["k0_n_per_mm"], r["k0_n_per_mm_sd"]),
+            _known(r["modulus_mpa"], modulus_sd), significant(r["reduced_chi2"]),
         ]  # fmt: skip
         if diagnosed:
             cells += [
                 tag(r["verdict"]) if r["verdict"] else "not diagnosed",
-                ", ".join(plain_name(m) for m in r["mechanisms"] or []) or ABSENT,
+                _causes(r["mechanisms"] or [], r["verdict"]),
                 gained(r["gain"], r["gain_lower"]),
             ]
         rows.append(Row(tuple(cells)))
@@ -66,3 +68,17 @@ def specimen_table(
         " Gain: share of the removable held-out error that the extension removes." if diagnosed else ""
     )
     return Table(caption, tuple(heads), tuple(rows), query.shown(), below=below)
+
+
+def _known(value: float | None, sd: float | None) -> str:
+    """Value ± SD; a word for what the recordings do not resolve, such as a parameter at its bound."""
+    return pm(value, sd) if value is None or is_usable(sd) else UNRESOLVED
+
+
+def _causes(mechanisms: Sequence[str], verdict: str | None) -> str:
+    """The most probable explanation in words; where others are as good, that there are others."""
+    if not mechanisms:
+        return ABSENT
+    first, *more = (plain_name(m) for m in mechanisms)
+    text = " + ".join([first, *(f"{m[:1].lower()}{m[1:]}" for m in more)])
+    return f"{text}, or others" if verdict == "ambiguous" else text

@@ -22,12 +22,14 @@ from PIL import Image
 from pipeline import Lab
 from pipeline.cli import main
 from reports import gallery
+from reports.blocks import Page
 from reports.figures import cycle, relaxation
 from reports.figures.cycle import CycleCurve
 from reports.figures.panel import Drawing, Panel
 from reports.figures.paper import WIDTHS_MM, write_figure
 from reports.figures.scale import Scale
 from reports.gallery import PRINTED, Exhibit, find_exhibits
+from reports.pages.campaign import page as campaign_page
 from reports.results import Results
 from reports.site import Site
 from schemas.errors import UsageError
@@ -89,6 +91,40 @@ def test_the_synthetic_lab_shows_many_kinds(exhibits: dict[str, Exhibit]) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("campaign", ["Endurance", "film-dynamics"])
+def test_a_long_campaign_is_split_and_loses_nothing(
+    folder: Path, campaign: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is about single questions moves to pages of its own, each finding a line that leads there; figures are listed from there, too."""
+
+    def sections(page: Page) -> set[str]:
+        return {s.id for s in page.sections}
+
+    def listed() -> list[str]:
+        return [e.name for e in find_exhibits(site, campaign)]
+
+    with Results(folder) as results:
+        site = Site(results)
+        monkeypatch.setattr(campaign_page, "_MOST_BLOCKS", 10**6)
+        whole, figures = campaign_page.page(site, campaign), listed()
+        monkeypatch.setattr(campaign_page, "_MOST_BLOCKS", 0)
+        first = campaign_page.page(site, campaign)
+        assert listed() == figures
+    parts = dict(first.further)
+    assert set(parts) <= set(site.parts_of(campaign))
+    moved = {f"../{path}#{s}" for path, part in parts.items() for s in sections(part)}
+    assert moved
+    links = {
+        h
+        for h in re.findall(r'href="([^"]+)"', str(first.sections))
+        if h.startswith(("../failures", "../forces", "../checks"))
+    }
+    assert links == moved
+    everywhere = sections(first).union(*(sections(part) for part in parts.values())) - {"further"}
+    assert everywhere == sections(whole).union(*(sections(p) for _, p in whole.further)) - {"further"}
+    assert first.files.keys() == whole.files.keys()
+
+
 def test_every_kind_is_drawn_in_both_widths(exhibits: dict[str, Exhibit], untouched: None) -> None:
     for place, exhibit in enumerate(exhibits.values()):
         for width, size in list(WIDTHS_MM.items())[place % 2 :]:  # every second one in both

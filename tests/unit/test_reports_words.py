@@ -5,9 +5,13 @@ from __future__ import annotations
 import json
 
 import pytest
+from markupsafe import Markup
 
 from reports import findings
+from reports.blocks import Figure, Finding, Findings
 from reports.evidence import Standing
+from reports.pages import specimens
+from reports.pages.campaign import lives
 from reports.pages.campaign.lives import decisive
 from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
@@ -84,6 +88,38 @@ def test_a_stiffness_that_is_not_resolved_stands_in_no_heading() -> None:
 )
 def test_rig_constants_say_which_and_in_which_direction(severity: dict[str, object], expected: str) -> None:
     assert plain(mechanisms.finding("rig_constants", severity)) == expected
+
+
+def test_the_next_recording_is_a_sentence() -> None:
+    following = findings.what_next({"next_recording": "three voltage steps: tell drive_lag and slack apart"})
+    assert following is not None
+    assert plain(str(following.body)) == "Three voltage steps: tell “lag of the drive” and slack apart."
+
+
+def test_findings_without_a_neighbour_take_the_width() -> None:
+    wide = Finding("w", (), "named", figure=Figure(Markup(""), ""))
+    narrow = Finding("n", (), "named")
+    assert Findings((narrow, wide, narrow, narrow, wide, narrow, narrow, narrow)).lone == {0, 7}
+
+
+def test_remarks_on_groups_are_said_once_and_keep_the_names_of_groups() -> None:
+    """`k1 (patch)` is the name of a group: it begins no sentence of its own, and no remark stands twice."""
+    rows = [
+        {"configuration": name, "voltage_kv": None, "warnings": warnings}
+        for name, warnings in (
+            ("case 1", "short; -3 s is left out"),
+            ("case 2", "short; few"),
+            ("case 3", "short; few"),
+        )
+    ]
+    of = lives.Lives(3, 3, 10.0, [], [], rows, [], [], [], {})
+    assert lives._remarks(of) == ["Short.", "case 1: −3 s is left out.", "case 2 and case 3: few."]
+
+
+def test_the_cause_of_a_doubtful_specimen_is_not_the_only_one() -> None:
+    assert specimens._causes(["slack", "drive_lag"], "ambiguous") == "Slack film + lag of the drive, or others"
+    assert specimens._causes(["slack"], "named") == "Slack film"
+    assert specimens._known(1.8e-17, None) == "unresolved"
 
 
 def test_named() -> None:

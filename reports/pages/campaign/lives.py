@@ -347,7 +347,7 @@ def groups(draft: Draft, lives: Lives) -> Section | None:
         limits.append(
             f"Configurations are compared over all campaigns that have them: {short('; '.join(others), 200)}."
         )
-    below = " ".join(capital(text) for text in limits)
+    below = " ".join(limits)
     blocks: list[Block | Fold] = [
         Table(
             "Lifetimes by configuration",
@@ -373,10 +373,13 @@ def _remarks(lives: Lives) -> list[str]:
     for s in lives.summaries:
         for text in filter(None, (s["warnings"] or "").split("; ")):
             about.setdefault(text, []).append(lives.label((s["configuration"], s["voltage_kv"])))
+    together: dict[tuple[str, ...], list[str]] = {}
+    for text, who in about.items():
+        together.setdefault(tuple(who), []).append(words.remark(text))
     everyone = len(lives.summaries)
     return [
-        f"{words.remark(text)}." if len(who) == everyone > 1 else f"{joined(who)}: {words.remark(text)}."
-        for text, who in about.items()
+        f"{capital('; '.join(texts))}." if len(who) == everyone > 1 else f"{joined(who)}: {'; '.join(texts)}."
+        for who, texts in together.items()
     ]
 
 

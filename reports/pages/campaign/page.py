@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from markupsafe import Markup
 
+from reports import words
 from reports.blocks import (
     Block,
     Figure,
@@ -53,10 +54,12 @@ from reports.results import Row as Record
 from reports.site import Site
 from reports.standings import of_campaign
 from schemas.mechanisms import model_name, plain_name
-from schemas.numbers import ABSENT, capital, compact, counted, digits, joined, percent, significant, with_unit, word
+from schemas.numbers import capital, compact, counted, digits, joined, percent, significant, with_unit, word
 
 MOST = 24
 """Small multiples on one page."""
+_MOST_BLOCKS = 24
+"""Figures, tables and paragraphs of a campaign's page from which on what is about single questions has pages of its own."""
 
 
 def page(site: Site, campaign: str) -> Page:
@@ -74,32 +77,30 @@ def page(site: Site, campaign: str) -> Page:
     used = [r for r in recordings if r["status"] in ("ok", "damaged")]
     standings = of_campaign(site.results, campaign, used)
     fitted = [s for s in standings if s.fit is not None or s.diagnosis is not None]
-    published = [
-        s for s in (*literature.sections(draft, fitted, recordings), conflicts.section(draft)) if s is not None
-    ]
-    sections = [
-        s
-        for s in (
-            _findings(draft, fitted),
-            lives.survival(draft, lived),
-            lives.groups(draft, lived),
-            depends.section(draft, lived.unit),
-            laws.voltage_life(draft, lived.unit),
-            plans.section(draft, lived.unit),
-            places.failures(draft, lived),
-            _specimens(draft, fitted),
-            force.section(
-                draft, "specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $item)", campaign
-            ),
-            comparing.forces(draft),
-            comparing.self_sensing(draft),
-            constraint.section(draft),
-            requirement.of_campaign(draft),
-            _published(draft, published),
-            _recordings(draft, recordings, lived),
-        )
-        if s is not None
-    ]
+    begin = _there(_findings(draft, fitted), lives.survival(draft, lived), lives.groups(draft, lived))
+    failures = _there(
+        depends.section(draft, lived.unit),
+        laws.voltage_life(draft, lived.unit),
+        plans.section(draft, lived.unit),
+        places.failures(draft, lived),
+    )
+    of_films = _there(_specimens(draft, fitted))
+    among = "specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $item)"
+    forces = _there(
+        force.section(draft, among, campaign),
+        comparing.forces(draft),
+        comparing.self_sensing(draft),
+        constraint.section(draft),
+        requirement.of_campaign(draft),
+    )
+    checks = _there(*literature.sections(draft, fitted, recordings), conflicts.section(draft))
+    ends = [_recordings(draft, recordings, lived)]
+    parts = {"checks": checks}
+    if sum(len(s.blocks) for s in (*begin, *failures, *of_films, *forces, *ends)) > _MOST_BLOCKS:
+        parts = {"failures": failures, "forces": forces, **parts}
+        failures = forces = []
+    parts = {part: apart for part, apart in parts.items() if apart}
+    sections = [*begin, *failures, *of_films, *forces, *_further(draft, parts), *ends]
     run_id = _last_run(site, recordings)
     heading, lede = _finding(draft, lived, fitted, recordings)
     return Page(
@@ -113,8 +114,12 @@ def page(site: Site, campaign: str) -> Page:
         sections=tuple(sections),
         provenance=(*site.provenance(run_id), listing.files(recordings[:500], f"{capital(digits(len(recordings), 'file'))} with SHA-256")),
         files=draft.files,
-        further=((site.checks_path(campaign), _checks(draft, published, run_id)),) if published else (),
+        further=tuple((site.part_path(campaign, part), _part(draft, part, apart, run_id)) for part, apart in parts.items()),
     )  # fmt: skip
+
+
+def _there(*sections: Section | None) -> list[Section]:
+    return [s for s in sections if s is not None]
 
 
 _TOLD = 8
@@ -145,35 +150,51 @@ def _findings(draft: Draft, fitted: Sequence[Standing]) -> Section | None:
     return Section("findings", "What to act on", "Findings", (Findings(tuple(items)),)) if items else None
 
 
-def _published(draft: Draft, published: Sequence[Section]) -> Section | None:
-    """The way to the page on which what was published is checked, by what is found there."""
-    if not published:
-        return None
-    address = f"../{draft.site.checks_path(draft.item)}"
-    rows = tuple(Row((link(s.link, f"{address}#{s.id}"), s.heading)) for s in published)
-    return Section(
-        "published",
-        "Against what was published",
-        "Publication",
-        (Table("On a page of its own", (Head("Part"), Head("Finding", "text")), rows, kind="narrow"),),
+_PART_WORDS = {
+    "failures": ("why films fail, and where", "Failures", "What lives depend on, and where on the film they end."),
+    "forces": (
+        "force and sensing",
+        "Force and sensing",
+        "What the films give, what they sense, and what is asked of them.",
+    ),
+    "checks": (
+        "against what was published",
+        "Checks",
+        "Our models beside the published ones, and what in the publication does not follow from its own numbers.",
+    ),
+}
+"""What a part is about, its short name, and the words below its heading."""
+
+
+def _further(draft: Draft, parts: Mapping[str, Sequence[Section]]) -> list[Section]:
+    """The way to what stands on pages of its own, by what is found there."""
+    rows = tuple(
+        Row((link(s.link, f"../{draft.site.part_path(draft.item, part)}#{s.id}"), s.heading, _PART_WORDS[part][1]))
+        for part, sections in parts.items()
+        for s in sections
     )
+    if not rows:
+        return []
+    table = Table("Parts and what they find", (Head("Part"), Head("Finding", "text"), Head("Page")), rows)
+    return [Section("further", "On pages of their own", "Further pages", (table,))]
 
 
-def _checks(draft: Draft, published: Sequence[Section], run_id: str | None) -> Page:
-    """The publication that the campaign follows, against its own numbers and ours."""
+def _part(draft: Draft, part: str, sections: Sequence[Section], run_id: str | None) -> Page:
+    """A part of the campaign on a page of its own."""
     site, campaign = draft.site, draft.item
+    about, called, lede = _PART_WORDS[part]
     return Page(
-        title=f"Campaign {short(campaign, 40)}: the publication checked",
-        heading=flow("Campaign ", name(campaign), " against what was published"),
-        bar=site.bar("../", f"Campaign {short(campaign, 24)}: checks"),
+        title=f"Campaign {short(campaign, 40)}: {about}",
+        heading=flow("Campaign ", name(campaign), f" {about}" if part == "checks" else f": {about}"),
+        bar=site.bar("../", f"Campaign {short(campaign, 24)}: {called[:1].lower()}{called[1:]}"),
         when=site.when(run_id),
         crumbs=(
             Link("Last night", "../index.html"),
             Link(f"Campaign {short(campaign, 40)}", f"../{site.campaign_path(campaign)}"),
-            Link("Checks"),
+            Link(called),
         ),
-        lede="Our models beside the published ones, and what in the publication does not follow from its own numbers.",
-        sections=tuple(published),
+        lede=lede,
+        sections=tuple(sections),
         provenance=site.provenance(run_id),
     )
 
@@ -313,7 +334,7 @@ ORDER BY protocol, loading, kind"""
 
 def _protocol(row: Record) -> str:
     if row["protocol"]:
-        return f"{row['protocol']}, {row['loading'] or ABSENT}"
+        return capital(words.protocol(row["protocol"], row["loading"]))
     return f"table: {str(row['kind'] or 'unknown').replace('_', ' ')}"
 
 

@@ -81,6 +81,7 @@ def clopper_pearson(count: int, total: int) -> tuple[float, float]:
 def _shares(found: Lives, failed: Sequence[Record], expected: Sequence[Record]) -> list[Share]:
     shares = []
     configurations = list(dict.fromkeys(c for c, _ in found.groups))
+    alone = len({r["configuration"] for r in failed if r["failure_region"]}) < 2
     for i, configuration in enumerate(configurations):
         mine = [r for r in failed if r["configuration"] == configuration and r["failure_region"]]
         if not mine:
@@ -98,7 +99,7 @@ def _shares(found: Lives, failed: Sequence[Record], expected: Sequence[Record]) 
             )
             shares.append(
                 Share(
-                    f"{short(configuration or '', 16)}, {region}",
+                    region if alone else f"{short(configuration or '', 16)}, {region}",
                     palette.group(i),
                     count,
                     len(mine),

@@ -1,4 +1,4 @@
-"""The findings of a night: specimens to look at first, then points out of control, groups, and who behaves as simulated."""
+"""The findings of a night: what several specimens share, limits and points out of control, then specimens, groups, and who behaves as simulated."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def section(
     survival: Sequence[tuple[str, lives.Lives]],
     bounds: Sequence[found.Limit] = (),
 ) -> Section | None:
-    """The findings, the first of them what several specimens share, then what bounds the use of films (`bounds`)."""
+    """The findings, the first of them what several specimens share, then what bounds the use of films (`bounds`) and what left its limits."""
     alarms = found.by_rank([s for s in standings if s.alarm])
     items: list[Finding] = []
     shared = found.sharing(alarms)
@@ -60,6 +60,7 @@ def section(
     for group in shared:
         items.append(_shared_finding(site, group, full[group[0].specimen_id], wide=len(items) < _WIDE))
     items += [found.limit_finding(site, limit, "") for limit in bounds[:_LIMITS]]
+    items += _out_of_control(site)
     for standing in (full[s.specimen_id] for s in alone[:_ALARMED]):
         wide = len([i for i in items if i.figure]) < _WIDE
         items.append(_specimen_finding(site, standing, wide=wide))
@@ -71,7 +72,6 @@ def section(
                 "open",
             )
         )
-    items += _out_of_control(site)
     for campaign, lived in survival:
         text = lives.headline(lived)
         if text and len(items) < _MOST:

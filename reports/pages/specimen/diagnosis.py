@@ -84,7 +84,7 @@ def section(draft: Draft, standing: Standing) -> Section | None:
     blocks += _film(draft, d)
     following = what_next(d)
     if following:
-        blocks.append(Next(following.title, flow(_sentence(capital(str(following.body))), _separation(d))))
+        blocks.append(Next(following.title, flow(following.body, _separation(d))))
     blocks += _visible(draft, d)
     return Section("diagnosis", _heading(d, standing), "Diagnosis", tuple(blocks))
 

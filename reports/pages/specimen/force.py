@@ -61,7 +61,8 @@ def finding(found: Sequence[Record], fits: Sequence[Record]) -> str:
     best = max((r for r in found if r["force_n"] is not None), key=lambda r: abs(r["force_n"]), default=None)
     if best is None:
         return ""
-    text = f"static force reaches {_force(best)}"
+    several = len({r.get("specimen_id") for r in found}) > 1
+    text = f"static force reaches {_force(best)}" + (f" ({short(best['specimen_id'] or '', 30)})" if several else "")
     if len(fits) == 1 and fits[0]["relative_permittivity"] is not None:
         fit = fits[0]
         if fit["relative_permittivity_lower"] is not None and fit["relative_permittivity_lower"] <= 0:
