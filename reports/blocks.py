@@ -5,11 +5,12 @@ The templates turn blocks into HTML; every `str` is escaped there, only `Markup`
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from reports.names import Verbatim, short, visible
 from schemas.numbers import ABSENT, percent
@@ -276,6 +277,16 @@ def link(text: Piece, href: str) -> Markup:
 def sub(symbol: str, index: int | str) -> Markup:
     """k with index 1."""
     return Markup("{}<sub>{}</sub>").format(symbol, index)
+
+
+_BRACED, _RAISED = re.compile(r"\^\{([^{}]*)\}"), re.compile(r"\^(\w)")
+_LOWERED = re.compile(r"(?<=\b\w)_(\w+)")
+
+
+def equation(text: str) -> Markup:
+    """An equation that was stored as plain text: `V_max^p` with its index below and its exponent above."""
+    marked = _RAISED.sub(r"<sup>\1</sup>", _BRACED.sub(r"<sup>\1</sup>", str(escape(visible(text)))))
+    return Markup(_LOWERED.sub(r"<sub>\1</sub>", marked))  # noqa: S704
 
 
 def bold(text: Piece) -> Markup:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from schemas.numbers import ABSENT, NBSP, UNRESOLVED, is_usable, ordinal, pm, significant, with_unit
+from schemas.numbers import ABSENT, NBSP, UNRESOLVED, is_usable, ordinal, percent, pm, significant, with_unit
 
 RECORD = "record"
 """The stage of what is wrong with recordings and their metadata."""
@@ -245,8 +245,13 @@ def amount(mechanism: str, parameter: str, value: Any) -> str:
             return str(number)
         return pm(number * shown.factor, None if sd is None else sd * shown.factor, shown.unit)
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return with_unit(significant(value * shown.factor, 2), shown.unit)
+        return _with_its_unit(value * shown.factor, shown.unit)
     return str(value)
+
+
+def _with_its_unit(value: float, unit: str) -> str:
+    """A number to two digits with its unit; what is not all of it is never 100 %."""
+    return percent(value / 100) if unit == "%" and abs(value) < 100 else with_unit(significant(value, 2), unit)
 
 
 def parameter_words(mechanism: str, parameter: str) -> str:

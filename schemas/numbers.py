@@ -178,6 +178,15 @@ def bounds(value: float | None, lower: float | None, upper: float | None, scale:
     return f"{fixed(value, place)}{NBSP}({limit})"
 
 
+def counted_bounds(value: float | None, lower: float | None, upper: float | None) -> str:
+    """As `bounds`, of what is counted, such as cycles: whole numbers, limits outwards: `100 (99–101)`."""
+    if value is None or not math.isfinite(value):
+        return ABSENT
+    if lower is None or upper is None or not (math.isfinite(lower) and math.isfinite(upper)):
+        return whole(round(value))
+    return f"{whole(round(value))}{NBSP}({whole(math.floor(lower))}{ABSENT}{whole(math.ceil(upper))})"
+
+
 _SUREST = 1e-16
 """Below it a p-value says nothing about the world any more, only about the tail of a formula."""
 

@@ -110,6 +110,8 @@ def comparison(data: Compared, *, alt: str) -> Drawing:
     drawing = Drawing(WIDE, 344)
     x = logarithmic(data.x, margin=0.02) if data.x_log else linear(data.x, margin=0.04)
     ticks = [place for place, _ in data.groups] if data.groups else None
+    if ticks is None and not data.x_log and np.array_equal(data.x, np.round(data.x)):  # places in an order
+        ticks = [place for place in x.ticks(8)[0] if float(place).is_integer()]
     shown = {"measured": data.shown(data.measured), "plain": data.shown(data.plain)}
     if data.extended is not None:
         shown["extended"] = data.shown(data.extended)

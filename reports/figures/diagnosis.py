@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from reports.figures.comparison import write_times
 from reports.figures.palette import BAND, BETTER, INK, RULE, SECOND, WRONG, misfit
 from reports.figures.panel import WIDE, Drawing, Panel
 from reports.figures.picture import pictured
@@ -70,10 +71,10 @@ def held_out(names: Sequence[str], before: Sequence[float], after: Sequence[floa
             ends = panel.px([first, second]).tolist()
             drawing.line([(ends[0], y), (ends[1], y)], "#7c8791", 1.0)
         panel.dots([first], [i], WRONG, 8.0, open_=True)
-        text = f"{first:.1f}"
+        text = write_times(first)
         if second is not None:
             panel.dots([second], [i], BETTER, 8.0)
-            text += f" → {second:.1f}"
+            text += f" → {write_times(second)}"
         drawing.write(panel.right + 14, y + 4, text, size=11)
     drawing.write(
         float(panel.px([before[0]])[0]), panel.top - 5, "plain", size=11.3, colour=WRONG, anchor="middle", bold=True

@@ -208,7 +208,7 @@ def sensitivity_map(names: Sequence[str], sensing: Float, rest: Float, measured:
             dx=8,
             dy=4 + 14 * _above(i, sensing, rest),
         )
-    panel.axes("R_d: free rest over active length", "R: sensing over active length")
+    panel.axes("Free rest over active length", "Sensing region over active length")
     return drawing.told(alt)
 
 

@@ -52,7 +52,10 @@ def against_square(
     ticks = sorted({float(v) for v in np.round(voltage, 2)})
     ticks = ticks[:: max(1, -(-len(ticks) // 9))]
     upper.axes(title, x_labels=False, x_ticks=[t**2 for t in ticks])
-    lower.axes("Off the line", "Voltage, kV (spaced as V²)", x_ticks=[], y_ticks=(-nice(reach), 0, nice(reach)))
+    unit = title.rpartition(", ")[2]
+    lower.axes(
+        f"Off the line, {unit}", "Voltage, kV (spaced as V²)", x_ticks=[], y_ticks=(-nice(reach), 0, nice(reach))
+    )
     for t in ticks:
         p = float(lower.px([t**2])[0])
         drawing.segments([(p, lower.bottom, p, lower.bottom + 4.5)], SECOND)

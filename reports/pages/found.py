@@ -6,7 +6,7 @@ stands is decided in `reports.evidence`, its words in `reports.findings`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -14,7 +14,7 @@ from reports.blocks import Finding, flow, link, name
 from reports.results import Query, Results
 from reports.results import Row as Record
 from reports.site import Site
-from schemas.numbers import bounds, counted, percent, with_unit
+from schemas.numbers import bounds, counted, counted_bounds, percent, with_unit
 
 SHARED = 3
 """Specimens with the same cause from which on they have one finding together."""
@@ -70,11 +70,13 @@ WHERE m.onset_cycle IS NOT NULL AND r.status IN ('ok', 'damaged') AND m.{where}
 ORDER BY m.specimen_id, m.onset_cycle"""
 
 
-def limits(results: Results, campaign: str | None = None) -> list[Limit]:
-    """What bounds the use of specimens, of one campaign or of all: films that wrinkle, electrodes that migrate."""
+def limits(results: Results, campaign: str | None = None, *, specimen: str | None = None) -> list[Limit]:
+    """What bounds the use of specimens, of one, of a campaign's or of all: films that wrinkle, electrodes that migrate."""
     where = "specimen_id IS NOT NULL"
     parameters = {}
-    if campaign is not None:
+    if specimen is not None:
+        where, parameters = "specimen_id = $item", {"item": specimen}
+    elif campaign is not None:
         where, parameters = (
             "specimen_id IN (SELECT specimen_id FROM recordings WHERE campaign = $item)",
             {"item": campaign},
@@ -93,13 +95,13 @@ def limits(results: Results, campaign: str | None = None) -> list[Limit]:
         if r["specimen_id"] not in seen:
             seen.add(r["specimen_id"])
             found.append(
-                Limit(r["specimen_id"], f"the electrode migrates from cycle {_onset(r, 'onset_cycle')} on", _distortion(r), "migration")
+                Limit(r["specimen_id"], f"the electrode migrates from cycle {_onset(r, 'onset_cycle', counted_bounds)} on", _distortion(r), "migration")
             )  # fmt: skip
     return found
 
 
-def _onset(row: Record, column: str) -> str:
-    return bounds(*(row[f"{column}{end}"] for end in ("", "_lower", "_upper")))
+def _onset(row: Record, column: str, write: Callable[..., str] = bounds) -> str:
+    return write(*(row[f"{column}{end}"] for end in ("", "_lower", "_upper")))
 
 
 def _distortion(row: Record) -> str:

@@ -30,6 +30,7 @@ from reports.figures.paper import WIDTHS_MM, write_figure
 from reports.figures.scale import Scale
 from reports.gallery import PRINTED, Exhibit, find_exhibits
 from reports.pages.campaign import page as campaign_page
+from reports.pages.specimen import page as specimen_page
 from reports.results import Results
 from reports.site import Site
 from schemas.errors import UsageError
@@ -91,6 +92,13 @@ def test_the_synthetic_lab_shows_many_kinds(exhibits: dict[str, Exhibit]) -> Non
 
 
 @pytest.mark.slow
+def test_what_bounds_the_use_of_a_specimen_is_on_top_of_its_page(folder: Path) -> None:
+    """P-07 has a named cause in its heading, so the voltage from which its film wrinkles is the first sentence below."""
+    with Results(folder) as results:
+        site = Site(results)
+        assert "The film wrinkles from 6.70" in specimen_page.page(site, "P-07").lede
+
+
 @pytest.mark.parametrize("campaign", ["Endurance", "film-dynamics"])
 def test_a_long_campaign_is_split_and_loses_nothing(
     folder: Path, campaign: str, monkeypatch: pytest.MonkeyPatch

@@ -295,6 +295,12 @@ def test_no_gain_is_a_hundred_percent(share: float, lower: float | None, told: s
     assert plain(numbers.gained(share, lower)) == in_a_cell
 
 
+def test_what_is_counted_has_whole_limits() -> None:
+    assert plain(numbers.counted_bounds(100.5, 99.0, 100.6)) == "100 (99–101)"
+    assert numbers.counted_bounds(7.0, None, None) == "7"
+    assert numbers.counted_bounds(None, 1.0, 2.0) == "–"
+
+
 @settings(deadline=None)
 @given(SHARES)
 def test_no_probability_is_certain_or_impossible(share: float) -> None:

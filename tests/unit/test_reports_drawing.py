@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from PIL import Image
 
-from reports.figures import film, life_models, recording, survival
+from reports.figures import comparison, diagnosis, film, life_models, recording, steps, survival
 from reports.figures.backend import DENSE, write_svg
 from reports.figures.drawn import drawn_before
 from reports.figures.palette import group, misfit
@@ -290,6 +290,21 @@ def test_the_name_of_a_curve_is_nearer_to_it_than_to_others_or_a_line_leads_ther
         )
         assert int(np.argmin(away)) == i or led, (g.name, away)
         assert away[i] <= 16 or led, (g.name, away)
+
+
+def test_what_is_left_of_a_line_has_its_unit_and_held_out_errors_few_digits() -> None:
+    volts = np.array([3.0, 4.0, 5.0])
+    shown = markup(steps.against_square(volts, volts**2, np.zeros(3, dtype=bool), 1.1, "Drop of tension, mN", alt="a"))
+    assert "Off the line, mN" in shown
+    assert "980 → 3.2" in markup(diagnosis.held_out(["all together"], [979.63], [3.2], alt="a"))
+
+
+def test_places_in_an_order_have_no_fractions() -> None:
+    four = np.arange(4.0)
+    data = comparison.Compared(four, four + 1, four, None, np.ones(4), "Response, N", "Values in order", False, False)
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", markup(comparison.comparison(data, alt="a")))
+    assert {"0", "1", "2", "3"} <= set(texts)
+    assert not {"0.5", "1.5"} & set(texts)
 
 
 def test_effects_say_their_limits() -> None:

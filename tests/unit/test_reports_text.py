@@ -111,6 +111,13 @@ def test_quantities_are_kept_together_and_sql_is_not_touched() -> None:
     assert unbroken("5 days, 3 models") == "5 days, 3 models"
 
 
+def test_an_equation_has_its_indices_below_and_exponents_above_and_is_escaped() -> None:
+    assert blocks.equation("τ_r V̇ = u − V") == "τ<sub>r</sub> V̇ = u − V"
+    assert blocks.equation("ε (1 − a (E/E_max)^p)") == "ε (1 − a (E/E<sub>max</sub>)<sup>p</sup>)"
+    assert blocks.equation("d (1 − e^{−A_max/a})") == "d (1 − e<sup>−A<sub>max</sub>/a</sup>)"
+    assert blocks.equation("drive_lag <b> 1^") == "drive_lag &lt;b&gt; 1^"
+
+
 def test_ranges_stay_on_one_line_and_dashes_between_words_do_not_join_them() -> None:
     assert unbroken("from 6.70 (6.40–7.00) kV") == "from 6.70 (6.40–\u20607.00) kV"
     assert unbroken("Kaplan–Meier") == "Kaplan–Meier"

@@ -90,6 +90,14 @@ def test_rig_constants_say_which_and_in_which_direction(severity: dict[str, obje
     assert plain(mechanisms.finding("rig_constants", severity)) == expected
 
 
+def test_what_is_not_all_of_it_is_not_a_hundred_percent_of_a_severity() -> None:
+    assert plain(mechanisms.amount("passive_strip", main_of("passive_strip"), 0.9998)) == "99.98 %"
+
+
+def main_of(mechanism: str) -> str:
+    return next(iter(mechanisms._WORDS[mechanism].parameters))
+
+
 def test_the_next_recording_is_a_sentence() -> None:
     following = findings.what_next({"next_recording": "three voltage steps: tell drive_lag and slack apart"})
     assert following is not None

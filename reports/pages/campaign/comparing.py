@@ -166,7 +166,7 @@ def _force_heading(found: Sequence[Record]) -> str:
     first = [r for r in found if r["direction"] == 1 and r["ratio"] is not None]
     if not first:
         return "Static force by configuration"
-    parts = [f"“{short(r['configuration_b'], 32)}” {_change(r)}" for r in first[:2]]
+    parts = [f"“{short(r['configuration_b'], 60)}” {_change(r)}" for r in first[:2]]
     return f"Static force against the other configuration: {'; '.join(parts)}"
 
 

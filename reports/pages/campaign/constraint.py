@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from reports.blocks import Block, Figure, Head, Pair, Row, Section, Table, bold, flow
+from reports.blocks import Block, Figure, Head, Pair, Row, Section, Table, bold, flow, sub
 from reports.figures.sensing import Pairing, constraint, sensitivity_map
 from reports.names import short
 from reports.pages.draft import Draft
@@ -94,7 +94,7 @@ def _outputs(draft: Draft, found: Sequence[Record]) -> Figure:
     words = f"{short(first[1], 20)} over {short(first[0], 20)}: force {significant(force)}, capacitive strain {significant(strain)} times"
     return Figure(
         constraint(pairings, alt=f"{words}."),
-        flow(bold("Held against free."), f" {words}. Line: free times l_tot/(l_tot − l_held)."),
+        flow(bold("Held against free."), f" {words}. Line: free times the whole length over that which is not held."),
         draft.data("constraint", columns),
     )
 
@@ -108,7 +108,7 @@ def _map(draft: Draft) -> Figure | None:
     words = "; ".join(f"{n} {significant(abs(float(m)), 2)}" for n, m in zip(names, measured, strict=True))
     return Figure(
         sensitivity_map(names, sensing, rest, np.abs(measured), alt=f"Sensitivity over geometry. Measured: {words}."),
-        flow(bold("Sensitivity over geometry."), " Lines: 1/(R + R_d), change of the capacitive strain per stretch of the active region"
+        flow(bold("Sensitivity over geometry."), " Lines: 1/(R + R", sub("", "d"), "), R of the sensing region and R", sub("", "d"), " of the free rest: change of the capacitive strain per stretch of the active region"
              " (thesis, eq 5.19 to 5.23). Points: specimens with the value found. Held parts count as no length."),
         draft.data("sensitivity-map", {"specimen_id": names, "r": sensing, "r_d": rest, "sensitivity": measured}),
     )  # fmt: skip

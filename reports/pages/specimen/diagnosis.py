@@ -25,6 +25,7 @@ from reports.blocks import (
     bar,
     bold,
     code,
+    equation,
     flow,
     sub,
 )
@@ -50,7 +51,6 @@ from schemas.numbers import (
     gained,
     never_negative,
     p_value,
-    percent,
     probability,
     significant,
     whole,
@@ -336,12 +336,17 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
     ]
     by_id = {r["mechanism"]: r for r in found}
     for mechanism, parameters in nested(d["severity"]).items():
-        equation = by_id.get(mechanism, {}).get("equation")
+        written = by_id.get(mechanism, {}).get("equation")
         words = [plain_name(mechanism), " (", code(mechanism), "): ", severity_words(mechanism, parameters), "."]
-        blocks.append(Text(flow(*words, f" Equation: {visible(equation)}." if equation else "")))
+        blocks.append(Text(flow(*words, *((" Equation: ", equation(written), ".") if written else ()))))
     for text in d["unexplained"] or ():
         blocks.append(Text(flow(bold("Not explained: "), visible(text))))
     return blocks
+
+
+def _between(lower: float | None, upper: float | None) -> str:
+    """Limits of a gain; one where both read alike."""
+    return " to ".join(dict.fromkeys((gained(lower), gained(upper))))
 
 
 def _places(d: Record, found: Sequence[Record], query: Query) -> list[Block]:
@@ -355,7 +360,7 @@ def _places(d: Record, found: Sequence[Record], query: Query) -> list[Block]:
                 (
                     flow(plain_name(r["mechanism"]), Markup("<br>"), visible(r["form"]) if r["form"] else code(r["mechanism"])),
                     significant(r["held_out_error"], 3), gained(r["gain"], r["gain_lower"]),
-                    f"{percent(r['gain_lower'])} to {percent(r['gain_upper'])}",
+                    _between(r["gain_lower"], r["gain_upper"]),
                     ABSENT if r["explained"] is None else bar(r["explained"], chosen=chosen),
                     candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),
                 ),

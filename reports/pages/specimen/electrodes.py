@@ -10,7 +10,7 @@ from reports.names import short, visible
 from reports.pages.draft import Draft
 from reports.results import Query
 from reports.words import remark
-from schemas.numbers import NBSP, bounds, capital, compact, p_equals, percent, pm, significant
+from schemas.numbers import NBSP, bounds, capital, compact, counted_bounds, p_equals, percent, pm, significant
 
 
 def coverage(draft: Draft) -> Section | None:
@@ -101,7 +101,7 @@ def migration(draft: Draft) -> Section | None:
             (
                 draft.site.recording(r["recording_id"]),
                 str(r["cycles"]),
-                bounds(r["onset_cycle"], r["onset_cycle_lower"], r["onset_cycle_upper"]),
+                counted_bounds(r["onset_cycle"], r["onset_cycle_lower"], r["onset_cycle_upper"]),
                 p_equals(r["p_value"]),
                 percent(r["distortion_before"]),
                 percent(r["distortion_after"]),

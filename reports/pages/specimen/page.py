@@ -12,6 +12,7 @@ from reports.figures.curves import Rig, rig
 from reports.names import short
 from reports.pages import assumed, listing, requirement
 from reports.pages.draft import Draft
+from reports.pages.found import limits as find_limits
 from reports.pages.recording import calibrating
 from reports.pages.specimen import (
     controllers,
@@ -41,7 +42,7 @@ from reports.pages.specimen import (
 from reports.results import Query, Row, days
 from reports.site import SPECIMENS, Site, flat_metadata, stated_rig
 from reports.standings import find_negative
-from schemas.numbers import NBSP, capital, compact, counted, digits, seconds, with_unit
+from schemas.numbers import NBSP, capital, compact, counted, digits, joined, seconds, with_unit
 
 
 def page(site: Site, specimen: str) -> Page:
@@ -107,13 +108,24 @@ def page(site: Site, specimen: str) -> Page:
     curve = temperatures.headline(draft) if not standing.diagnosis and not standing.negative else ""
     if curve:
         headline = flow("Specimen ", name(specimen), f": {curve}")
+    lede = findings.lede(standing)
+    if not (standing.fit or standing.diagnosis or standing.negative):
+        headline = flow("Specimen ", name(specimen), ": ", _life_or_count(draft, used, sections))
+    limits = joined([limit.words for limit in find_limits(results, specimen=specimen)])
+    if limits and (standing.alarm or standing.negative):
+        lede = flow(lede, " " if lede else "", f"{capital(limits)}.")
+    elif limits:  # what bounds the use of a film comes before what it is
+        headline, lede = (
+            flow("Specimen ", name(specimen), f": {limits}"),
+            lede or flow(capital(_life_or_count(draft, used, sections)), "."),
+        )
     return Page(
         title=f"{short(specimen, 40)}: {_title(standing, used)}",
-        heading=headline if standing.fit or standing.diagnosis or standing.negative else flow("Specimen ", name(specimen), ": ", _life_or_count(draft, used, sections)),
+        heading=headline,
         bar=site.bar("../", f"Specimen {short(specimen, 24)}"),
         when=site.when(run_id),
         crumbs=(Link("Last night", "../index.html"), *crumbs, Link("Specimen")),
-        lede=findings.lede(standing),
+        lede=lede,
         sub=_sub(standing, used, metadata),
         opening=(*(Text(r) for r in findings.remarks(standing) if standing.alarm and not standing.diagnosis), *opening, *assumed.blocks(site, "specimen_id", specimen)),
         sections=tuple(sections),
