@@ -10,11 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from scipy.optimize import minimize
 
 from pipeline.transform.holds import HeldRecord
-from schemas.arrays import Bool, Float
+from schemas.arrays import Float
 
 _FLOOR = 1e-6
 """Least share of the displacement's range that a sample's noise is taken for: a curve without noise has no likelihood."""
@@ -47,8 +47,8 @@ def estimate_noise(record: HeldRecord, basis: Float, near: SlowNoise | None = No
 
     `basis` (n, p) are the columns that whatever the film does is made of; it takes its share of the freedom with it.
     """
-    target, columns, rows = _prepare(record, basis)
-    span = float(np.ptp(target)) or 1.0
+    likelihood = _Likelihood(record, basis)
+    span = float(np.ptp(likelihood.target)) or 1.0
     told = record.scatter[record.scatter > 0]
     guess = max(float(np.median(told)) if told.size else 1e-3 * span, _FLOOR * span)
     length = record.end_s - record.history_s[0]
@@ -63,7 +63,7 @@ def estimate_noise(record: HeldRecord, basis: Float, near: SlowNoise | None = No
         return SlowNoise(*np.exp(x + unit).tolist())
 
     def score(x: Float) -> float:
-        return _score(noise_at(x).covariance(record)[np.ix_(rows, rows)], columns, target, restricted=True)
+        return likelihood.score(noise_at(x), restricted=True)
 
     lowest = np.array([math.log(_FLOOR * span / guess), math.log(_LEAST_WALK)])
     highest = np.array([math.log(span / guess), 2 * math.log(span / guess)])
@@ -85,55 +85,67 @@ def estimate_noise(record: HeldRecord, basis: Float, near: SlowNoise | None = No
 
 def best_score(record: HeldRecord, basis: Float, near: SlowNoise) -> float:
     """−2 × the largest log-likelihood of a record over both variances, from `near` on, where `basis` (n, p) is fitted; constants left out."""
-    target, columns, rows = _prepare(record, basis)
+    likelihood = _Likelihood(record, basis)
 
     def score(x: Float) -> float:
         noise = SlowNoise(near.sample_sd * math.exp(x[0]), near.walk * math.exp(x[1]))
-        return _score(noise.covariance(record)[np.ix_(rows, rows)], columns, target, restricted=False)
+        return likelihood.score(noise, restricted=False)
 
     # Beside a model that is wrong both are larger by orders of magnitude: from there a search from `near` does not arrive.
-    square = _mean_square(near.covariance(record)[np.ix_(rows, rows)], columns, target)
+    square = likelihood.mean_square(near)
     start = np.array([0.5, 1.0]) * math.log(max(square, 1.0))
     simplex = start + np.array([[0.0, 0.0], [0.15, 0.0], [0.0, 0.3]])
     options = {"xatol": 0.02, "fatol": 0.005, "maxiter": 80, "initial_simplex": simplex}
     return float(minimize(score, start, method="Nelder-Mead", options=options).fun)
 
 
-def _prepare(record: HeldRecord, basis: Float) -> tuple[Float, Float, Bool]:
-    """Displacements and independent columns of the usable windows, and which these are."""
-    rows = record.usable
-    columns = basis[rows]
-    size = np.linalg.norm(columns, axis=0)
-    columns = columns[:, size > 0] / size[size > 0]
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return record.displacement[rows], u[:, s > 1e-9 * s[0]], rows
+class _Likelihood:
+    """Likelihood of the usable windows of a record under noises, where columns (n, p) are fitted.
 
+    It is asked a hundred times for each of a thousand records: LAPACK is called as it is.
+    """
 
-def _mean_square(covariance: Float, columns: Float, target: Float) -> float:
-    """Mean square of what is left of the target in units of a covariance; 1 where that is none."""
-    try:
-        root = cholesky(covariance, lower=True)
-    except np.linalg.LinAlgError:
-        return 1.0
-    white = solve_triangular(root, np.column_stack([columns, target]), lower=True)
-    left = white[:, -1] - white[:, :-1] @ np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0]
-    return float(np.mean(left**2))
+    def __init__(self, record: HeldRecord, basis: Float) -> None:
+        rows = record.usable
+        columns = basis[rows]
+        size = np.linalg.norm(columns, axis=0)
+        columns = columns[:, size > 0] / size[size > 0]
+        u, s, _ = np.linalg.svd(columns, full_matrices=False)
+        self.target = record.displacement[rows]
+        self._both = np.column_stack([u[:, s > 1e-9 * s[0]], self.target])
+        # Variances are the sum of those of a noise of 1 mm, of a walk of 1 mm²/s, and of what is known.
+        sampled, walked, known = (
+            noise.covariance(record)[np.ix_(rows, rows)]
+            for noise in (SlowNoise(1.0, 0.0), SlowNoise(0.0, 1.0), SlowNoise(0.0, 0.0))
+        )
+        self._sampled, self._known, self._walked = np.diag(sampled - known), np.diag(known), walked - known
 
+    def _whiten(self, noise: SlowNoise) -> tuple[Float, Float] | None:
+        """Diagonal of the root of the covariance, and columns and target in its units; None where it is none."""
+        covariance = noise.walk * self._walked
+        covariance.flat[:: len(covariance) + 1] += noise.sample_sd**2 * self._sampled + self._known
+        # Symmetric: its transpose is in the order that LAPACK works in.
+        root, failed = dpotrf(covariance.T, lower=1, clean=0, overwrite_a=1)
+        return None if failed else (np.diag(root), dtrtrs(root, self._both, lower=1)[0])
 
-def _score(covariance: Float, columns: Float, target: Float, *, restricted: bool) -> float:
-    """−2 × the (restricted) log-likelihood, constants left out."""
-    try:
-        root = cholesky(covariance, lower=True)
-    except np.linalg.LinAlgError:
-        return math.inf
-    white = solve_triangular(root, np.column_stack([columns, target]), lower=True)
-    x, y = white[:, :-1], white[:, -1]
-    gram = x.T @ x
-    try:
-        factor = cho_factor(gram)
-    except np.linalg.LinAlgError:
-        return math.inf
-    rest = y - x @ cho_solve(factor, x.T @ y)
-    freedom = float(rest @ rest)
-    spent = 2 * float(np.log(np.diag(factor[0])).sum()) if restricted else 0.0
-    return 2 * float(np.log(np.diag(root)).sum()) + spent + freedom
+    def mean_square(self, noise: SlowNoise) -> float:
+        """Mean square of what is left of the target in units of a noise; 1 where that is none."""
+        found = self._whiten(noise)
+        if found is None:
+            return 1.0
+        x, y = found[1][:, :-1], found[1][:, -1]
+        return float(np.mean((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
+
+    def score(self, noise: SlowNoise, *, restricted: bool) -> float:
+        """−2 × the (restricted) log-likelihood, constants left out."""
+        found = self._whiten(noise)
+        if found is None:
+            return math.inf
+        diagonal, white = found
+        x, y = white[:, :-1], white[:, -1]
+        factor, failed = dpotrf(x.T @ x, clean=0)
+        if failed:
+            return math.inf
+        rest = y - x @ dpotrs(factor, x.T @ y)[0]
+        spent = 2 * float(np.log(np.diag(factor)).sum()) if restricted else 0.0
+        return 2 * float(np.log(diagonal).sum()) + spent + float(rest @ rest)
