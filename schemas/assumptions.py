@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+BETWEEN_SAMPLES = "input between its samples"
+"""What the diagnosis of a system assumes, which no analysis of a recording alone does."""
+
 
 @dataclass(frozen=True)
 class Assumption:

@@ -59,6 +59,11 @@ def comparison_tables(diagnosis: Diagnosis, comparison: Comparison) -> dict[str,
     tables = diagnosis_tables(diagnosis, ())
     rows = [_place_row(diagnosis, place) for place in comparison.ranked]
     tables["diagnosis_candidates"] = TABLES["diagnosis_candidates"].rows(rows)
+    tables["assumptions"] = TABLES["assumptions"].rows(
+        {"recording_id": name, "specimen_id": diagnosis.specimen_id, **asdict(one)}
+        for name, assumed in diagnosis.assumed.items()
+        for one in assumed
+    )
     if not diagnosis.plain_film.k:  # no film
         tables.pop("model_fits", None)
         tables.pop("diagnosis_parameters")

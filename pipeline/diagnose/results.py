@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.diagnose.faults.fault import Fault
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
+from schemas.assumptions import Assumption
 
 NONE, NAMED, AMBIGUOUS, UNKNOWN = "none", "named", "ambiguous", "unknown"
 
@@ -201,6 +202,7 @@ class Diagnosis:
         none
     faults : what is wrong with recordings and their metadata; their causes come first among the mechanisms, and all
         else is of the recordings without them
+    assumed : recording → what its diagnosis takes for granted of it, beside what its own analyses do
     """
 
     specimen_id: str
@@ -228,6 +230,7 @@ class Diagnosis:
     depends_on: tuple[str, ...] = ()
     terms: tuple[Term, ...] = ()
     faults: tuple[Fault, ...] = ()
+    assumed: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
 
     @property
     def is_extended(self) -> bool:

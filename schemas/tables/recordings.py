@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from schemas.assumptions import BETWEEN_SAMPLES
 from schemas.tables.table import (
     CONFIGURATION,
     RECORDING_ID,
@@ -93,7 +94,10 @@ TABLES: tuple[Table, ...] = (
             text("touches", "results that rest on it"),
         ),
         key=("recording_id", "what"),
-        made_by=(MadeBy("recording"),),
+        made_by=(
+            MadeBy("recording", where=f"what <> '{BETWEEN_SAMPLES}'"),
+            MadeBy("diagnosis", where=f"what = '{BETWEEN_SAMPLES}'"),
+        ),
         pages=("specimen", "recording"),
         result_where="false",
     ),

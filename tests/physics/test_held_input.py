@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from pipeline.analyse.diagnosis_tables import comparison_tables
 from pipeline.diagnose.results import NONE
 from pipeline.diagnose.single.oscillator import SystemRecord
 from pipeline.diagnose.single.system_diagnosis import diagnose_system
@@ -36,3 +37,8 @@ def test_an_input_that_is_held_makes_no_delayed_sensor() -> None:
     assert delay.lower <= 0 <= delay.upper
     assert any("the input is held" in line for line in found.could_not_ask)
     assert found.verdict == NONE
+    (row,) = comparison_tables(found, comparison)["assumptions"].to_pylist()
+    assert (row["recording_id"], row["specimen_id"], row["what"]) == ("a1", "a", "input between its samples")
+    assert row["value"] == "is held"
+    assert "simulated best" in row["because"]
+    assert "delays" in row["touches"]

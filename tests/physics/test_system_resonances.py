@@ -66,6 +66,9 @@ def test_no_cause_stands_beside_unknown() -> None:
     assert row["severity"] is row["gain"] is row["chi2_extended"] is None
     parameters = {r["mechanism"]: r["parameter"] for r in tables["diagnosis_candidates"].to_pylist()}
     assert parameters["sensor_saturation"] == "overload"
+    (assumed,) = tables["assumptions"].to_pylist()
+    assert (assumed["recording_id"], assumed["value"]) == ("record", "is band-limited")
+    assert "no better" in assumed["because"]
     assert "N" not in candidate("sensor_saturation", 0.3, 0.1, "overload")
     assert " 1," not in " ".join((*found.could_not_ask, *found.unexplained))
 

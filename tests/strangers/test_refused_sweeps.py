@@ -82,6 +82,15 @@ def test_a_whole_sweep_has_its_response(lab: Lab, loading: str) -> None:
     assert highest > 50
 
 
+def test_the_hold_that_a_diagnosis_rests_on_is_an_assumption_on_the_page(lab: Lab) -> None:
+    """Made by the diagnosis, beside what the recording's own analyses assume."""
+    asked = "SELECT value, because FROM assumptions WHERE what = 'input between its samples' AND recording_id"
+    ((value, because),) = select(lab, f"{asked} = 'other-whole'")
+    assert because.startswith("no key says it")
+    assert select(lab, f"{asked} LIKE 'electrical%'") == []
+    assert f"Input between its samples: {value}" in read_page(lab, "specimens/film-other-whole")
+
+
 @pytest.mark.parametrize("loading", KINDS)
 def test_a_sweep_whose_response_is_refused_names_no_cause(lab: Lab, loading: str) -> None:
     name = f"{loading}-cut"

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 
 from pipeline.nightly.stages import GROUPS, STAGES
+from schemas.assumptions import BETWEEN_SAMPLES
 from schemas.tables import OWNERS, TABLES, find_references, reference
 from schemas.tables.table import MadeBy, Table, real, text, texts, truth, whole, with_bounds, with_uncertainty
 
@@ -99,7 +100,7 @@ def test_the_rows_of_a_stage_can_be_found_again() -> None:
 
 def test_a_table_of_several_stages_says_which_rows_are_whose() -> None:
     shared = [table for table in TABLES.values() if len(table.made_by) > 1]
-    assert {table.name for table in shared} == {"frequency_responses", "model_fits", "discrepancies"}
+    assert {table.name for table in shared} == {"frequency_responses", "model_fits", "discrepancies", "assumptions"}
     with duckdb.connect() as connection:
         for table in shared:
             connection.execute(table.ddl())
@@ -107,8 +108,11 @@ def test_a_table_of_several_stages_says_which_rows_are_whose() -> None:
                 "frequency_responses": ("stage", ["measured", "corrected", "averaged"]),
                 "model_fits": ("extension", [None, "", "slack"]),
                 "discrepancies": ("where_found", [None, "cycle 1", "sign"]),
+                "assumptions": ("what", ["layers", "rest length", BETWEEN_SAMPLES]),
             }[table.name]
-            connection.executemany(f"INSERT INTO {table.name} ({column}) VALUES (?)", [[value] for value in values])
+            names = [column, *(c.name for c in table.columns if c.required and c.name != column)]
+            command = f"INSERT INTO {table.name} ({', '.join(names)}) VALUES (?{', ?' * (len(names) - 1)})"
+            connection.executemany(command, [[value, *["x"] * (len(names) - 1)] for value in values])
             counts = [
                 connection.execute(f"SELECT count(*) FROM {table.name} WHERE {maker.where}").fetchone()
                 for maker in table.made_by

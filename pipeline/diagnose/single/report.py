@@ -25,6 +25,7 @@ from pipeline.diagnose.rules import RULES
 from pipeline.diagnose.single.comparison import Comparison, RankedModel, TriedModel
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
+from schemas.assumptions import Assumption
 from schemas.mechanisms import UNLISTED, plain_name
 from schemas.numbers import capital, with_unit
 
@@ -50,6 +51,7 @@ class Details:
     films : the film in both models
     smallest : mechanism → key → smallest detectable severity
     unexplained : what is left in words: by the best mechanism, or by the plain model where no mechanism has a name
+    assumed : recording → what is taken for granted of it
     """
 
     specimen_id: str
@@ -63,6 +65,7 @@ class Details:
     could_not_ask: tuple[str, ...] = ()
     unexplained: tuple[str, ...] = ()
     next_recording: NextRecording | None = None
+    assumed: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
 
 
 def report_comparison(
@@ -112,6 +115,7 @@ def report_comparison(
         plain_film=details.films.plain,
         residuals=details.residuals,
         explained=best.explained if found else float("nan"),
+        assumed=details.assumed,
     )
 
 

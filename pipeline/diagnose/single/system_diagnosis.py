@@ -30,6 +30,7 @@ from pipeline.diagnose.single.report import (
 from pipeline.diagnose.single.system_mechanisms import MOST_RESONANCES, SystemQuestion, ask_system, list_asked
 from pipeline.physics.film import RelaxationModel
 from schemas.arrays import Float
+from schemas.assumptions import BETWEEN_SAMPLES, Assumption
 from schemas.mechanisms import plain_name
 from schemas.numbers import with_unit
 from schemas.places import is_beyond_noise
@@ -130,6 +131,7 @@ def _collect_details(
             describe_what_stays(words, model.whole - question.measured, question.sd, unit),
             *(() if named else describe_closest(found)),
         ),
+        assumed={name: (_assume_hold(question),) for name in question.names},
     )
 
 
@@ -137,6 +139,16 @@ def _tell_hold(question: SystemQuestion) -> str:
     if question.hold == BAND_LIMITED:
         return f"Between samples the input is taken to be one that {BAND_LIMITED}: as a straight or a held one it simulates the records no better"
     return f"Between samples the input {question.hold}: with that the records are simulated best"
+
+
+def _assume_hold(question: SystemQuestion) -> Assumption:
+    because = (
+        "no key says it, and held or straight it simulates the records no better"
+        if question.hold == BAND_LIMITED
+        else "no key says it, and so the records are simulated best"
+    )
+    touches = "diagnosis of the system: delays of half an interval, resonances near half the sampling rate"
+    return Assumption(BETWEEN_SAMPLES, question.hold, because, touches)
 
 
 def _tell_untried(question: SystemQuestion) -> tuple[str, ...]:
