@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.lab.lab import Lab
 from schemas.alike import ask_meant
 from schemas.errors import UsageError
+from schemas.numbers import is_usable
 
 if TYPE_CHECKING:
     from pipeline.transform.prony import PronySeries
@@ -69,11 +70,13 @@ def _read_fit(specimen: str, fit: dict[str, Any]) -> PronySeries:
             )
         arms.append((c / k, k * per))
     arms.sort(reverse=True)
-    about = (
+    about: tuple[str, ...] = (
         f"Maxwell-Wiechert model of order {fit['model_order']}, {fit['loading']}, {fit['method']}; "
         f"fitted from {fit['frequency_low_hz']:.4g} to {fit['frequency_high_hz']:.4g} Hz",
         "Moduli are incremental ones about the pre-stretch: stiffness times stretched length over stretched section.",
     )
+    if not is_usable(fit["k0_n_per_mm_sd"]):
+        about += ("The recordings do not resolve the long-term modulus: no uncertainty is known of it.",)
     return PronySeries(specimen, fit["modulus_mpa"], tuple(e for _, e in arms), tuple(tau for tau, _ in arms), about)
 
 
@@ -97,7 +100,7 @@ def _read_curve(
         raise UsageError(
             f"the series of {specimen} has no main spring, or a pure damper", expected="springs in all terms"
         )
-    about = (
+    about: tuple[str, ...] = (
         f"Prony series of {len(arms)} terms of its master curve; moduli of the file are {modulus} moduli in {unit}",
     )
     shift = Wlf(laws[0]["reference_c"], laws[0]["c1"], laws[0]["c2_k"]) if laws else None

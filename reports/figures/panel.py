@@ -424,7 +424,7 @@ class Panel:
             down, up = (np.where(ends, np.append(np.nan, v[:-1]), v) for v in (down, up))
         self.on.fill_between(
             across, down, up, color=colour, alpha=float(opacity), linewidth=0, step="post" if steps else None,
-            zorder=self._next(),
+            zorder=self._next() if float(opacity) < 1 else 2.2,  # what hides what is behind it lies behind the axes
         )  # fmt: skip
 
     def area(self, points: Sequence[tuple[float, float]], colour: str, opacity: str = ".18") -> None:

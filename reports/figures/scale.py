@@ -82,6 +82,15 @@ def _linear_ticks(low: float, high: float, most: int) -> list[float]:
     raw = (high - low) / max(1, most)
     decade = 10.0 ** math.floor(math.log10(raw))
     step = next(s * decade for s in (1, 2, 5, 10) if s * decade >= raw * (1 - 1e-9))
+    places = _multiples(low, high, step)
+    for finer in (5, 2, 1, 0.5):  # one label says where an axis is, not how long it is
+        if len(places) > 1 or finer * decade >= step:
+            continue
+        places = _multiples(low, high, finer * decade)
+    return places
+
+
+def _multiples(low: float, high: float, step: float) -> list[float]:
     first = math.ceil(low / step - 1e-9)
     return [round(i * step, 12) for i in range(first, math.floor(high / step + 1e-9) + 1)]
 
@@ -102,6 +111,8 @@ def _log_ticks(low: float, high: float, most: int) -> tuple[list[float], list[fl
     decades = [v for m, v in inside if m == 1]
     while len(labelled) > most:
         labelled = labelled[:: math.ceil(len(labelled) / most)]
+    if len(labelled) < 2:
+        labelled = _linear_ticks(low, high, max(2, most))
     minor = every if len(decades) <= 4 else decades
     return labelled, [v for v in minor if v not in labelled]
 

@@ -158,6 +158,15 @@ def test_the_fit_to_use_is_written(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "*MATERIAL, NAME=PA_1" in deck.read_text()
 
 
+@pytest.mark.parametrize(("sd", "said"), [(0.01, False), (None, True)])
+def test_a_long_term_modulus_that_is_not_resolved_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], sd: float | None, said: bool
+) -> None:
+    lab = make_lab(tmp_path / "lab", k0_n_per_mm_sd=sd)
+    assert main(["export", "PA.1", "--as", "abaqus", "--lab", str(lab)]) == 0
+    assert ("do not resolve the long-term modulus" in capsys.readouterr().out) == said
+
+
 def test_a_master_curve_is_written_in_the_moduli_of_its_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from PIL import Image
 
-from reports.figures import comparison, diagnosis, film, life_models, recording, steps, survival
+from reports.figures import comparison, control, diagnosis, film, life_models, recording, steps, survival
 from reports.figures.backend import DENSE, write_svg
 from reports.figures.drawn import drawn_before
 from reports.figures.palette import group, misfit
@@ -88,6 +88,14 @@ def test_scales_survive_data_that_have_no_extent() -> None:
     ):
         assert scale.high > scale.low
         assert np.isfinite(scale.share([scale.low, scale.high])).all()
+
+
+@settings(deadline=None)
+@given(st.floats(1e-3, 1e3), st.floats(1.05, 1e4), st.integers(2, 8), st.booleans())
+def test_an_axis_has_two_labels_at_least(low: float, ratio: float, most: int, log: bool) -> None:
+    """One label, such as 1 on an axis from 0.9 to 1.1, says nothing about its length."""
+    labelled, _ = Scale(low, low * ratio, log).ticks(most)
+    assert len(labelled) >= 2
 
 
 @pytest.mark.parametrize(("value", "expected"), [(3.7, 2), (0.1, 0.1), (0.0499, 0.02), (900, 500)])
@@ -297,6 +305,16 @@ def test_what_is_left_of_a_line_has_its_unit_and_held_out_errors_few_digits() ->
     shown = markup(steps.against_square(volts, volts**2, np.zeros(3, dtype=bool), 1.1, "Drop of tension, mN", alt="a"))
     assert "Off the line, mN" in shown
     assert "980 → 3.2" in markup(diagnosis.held_out(["all together"], [979.63], [3.2], alt="a"))
+
+
+def test_limits_hide_no_axis() -> None:
+    """A band that reaches the edge is drawn before the axis line, not over it."""
+    flat = np.full(3, 20.0)
+    item = control.Chart(["a", "b", "c"], flat, np.ones(3), flat, flat - 90, flat + 90, np.array([False, True, False]))
+    drawing = inspect.unwrap(control.chart)(item, "Stiffness, N/mm", "Specimen", alt="a")
+    (axes,) = drawing.figure.axes
+    (band,) = axes.collections[:1]
+    assert band.get_zorder() < axes.spines["bottom"].get_zorder()
 
 
 def test_places_in_an_order_have_no_fractions() -> None:

@@ -15,7 +15,7 @@ from reports.pages.draft import Draft
 from reports.results import Query
 from reports.results import Row as Record
 from reports.words import remark
-from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, percent, pm, significant
+from schemas.numbers import ABSENT, NBSP, bounds, capital, compact, percent, pm, significant, with_unit
 
 _STEPS_SQL = """SELECT s.recording_id, round(s.voltage_kv, 1) AS voltage_kv, count(*) AS steps, avg(s.force_step_n) AS force_n,
        stddev_samp(s.force_step_n) AS force_sd_n, avg(s.capacitance_step_pf) AS capacitance_pf,
@@ -119,6 +119,13 @@ def _slope(voltage: np.ndarray, step: np.ndarray, kept: np.ndarray) -> float | N
     return float(square @ step[kept] / (square @ square)) if square.any() else None
 
 
+def _slope_sd(voltage: np.ndarray, step: np.ndarray, kept: np.ndarray, slope: float) -> float | None:
+    """Standard error of such a slope, from the scatter of the steps around it; None with fewer than three."""
+    square, n = voltage[kept] ** 2, int(kept.sum())
+    rest = step[kept] - slope * square
+    return float(np.sqrt(rest @ rest / (n - 1) / (square @ square))) if n > 2 else None
+
+
 def _square(
     draft: Draft,
     cycles: dict[str, np.ndarray],
@@ -137,7 +144,10 @@ def _square(
     slope = _slope(voltage, step, ~wrinkled)
     levels, means = _levels(voltage, step, wrinkled)
     off = float(np.max(np.abs(means - slope * levels**2))) if slope is not None and levels.size > 1 else None
-    words = f"{significant(slope, 3)}{NBSP}{unit}/kV²" if slope is not None else "no slope"
+    words = "no slope"
+    if slope is not None:
+        sd = _slope_sd(voltage, step, ~wrinkled, slope)
+        words = with_unit(significant(slope), f"{unit}/kV²") if sd is None else pm(slope, sd, f"{unit}/kV²")
     text = f" {words} through zero" + (
         f"; the means at each voltage are off it by {significant(off, 2)}{NBSP}{unit} at most."
         if off is not None
@@ -210,7 +220,10 @@ def finding(cycles: dict[str, np.ndarray]) -> str:
             square = "" if abs(power[0] - 2) <= _FAR * power[1] else ", not as V²"
             parts.append(f"{label} goes with V to the power {pm(*power)}{square}")
         elif levels.size:
-            parts.append(f"{label} changes by {significant(means[-1])}{NBSP}{unit} at {compact(levels[-1], 2)}{NBSP}kV")
+            last = step[good][np.isclose(np.round(voltage[good], 1), levels[-1])]
+            scatter = float(np.std(last, ddof=1)) if last.size > 1 else 0.0
+            change = pm(means[-1], scatter, unit) if scatter > 0 else with_unit(significant(means[-1]), unit)
+            parts.append(f"{label} changes by {change} at {compact(levels[-1], 2)}{NBSP}kV")
     if voltage.size and not np.isfinite(cycles["force_step_n"].astype(float)).any():
         parts.insert(0, "no force step can be read beside the load's own movement or noise")
     text = "; ".join(parts) or "steps"
