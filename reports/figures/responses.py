@@ -231,7 +231,9 @@ def _captions(
     panel.drawing.write(panel.left + 6, place + 13.5, "and load cell, ±2 SD", size=11.3)
     raw = np.degrees(np.angle(recorded.value)) if phase else np.log(np.abs(recorded.value))
     film = np.interp(recorded.frequency, lines.frequency, value if phase else np.log(value))
-    j = int(np.argmax(np.where(np.isfinite(raw), np.abs(raw - film), 0)))
+    height = panel.py(raw if phase else np.exp(raw))
+    seen = np.isfinite(raw) & (height >= panel.top + 8) & (height <= panel.bottom - 8)  # the name stands at a point
+    j = int(np.argmax(np.where(seen, np.abs(raw - film), 0)))
     y_raw = float(np.clip(panel.py([raw[j] if phase else np.exp(raw[j])])[0], panel.top + 14, panel.bottom - 34))
     x_raw = float(panel.px(recorded.frequency[[j]])[0])
     words = "as recorded" if phase else "as recorded, |F/x|"

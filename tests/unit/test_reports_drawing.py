@@ -471,6 +471,24 @@ def test_a_page_takes_over_the_figures_that_it_had_from_the_same_data(tmp_path: 
     assert drawn == [1.0, 1.0, 2.0]
 
 
+def test_the_name_of_what_was_recorded_stands_at_one_of_its_points() -> None:
+    """Where the phase leaves the panel far below, its name stood beside the curve's steep part, on its points."""
+    data = lines(40)
+    falls = 170 * np.clip((data.frequency - 20) / 60, 0, 1)
+    recorded = Lines(
+        data.frequency, data.value * np.exp(-1j * np.radians(falls)), data.error, data.usable, data.amplification
+    )
+    drawing = inspect.unwrap(response)(data, recorded, [], phase=True, alt="x")
+    plot = drawing.plots[0]
+    (name,) = (t for t in drawing.figure.findobj(Text) if t.get_text() == "as recorded")
+    points = np.column_stack([plot.box[0] + plot.box[2] * Scale(*plot.x).share(data.frequency),
+                              plot.box[1] + plot.box[3] * (1 - Scale(*plot.y).share(np.degrees(np.angle(recorded.value))))])  # fmt: skip
+    x, y = name.get_position()
+    assert np.hypot(*(points - [x, y - 4]).T).min() < 12
+    inside = (points[:, 0] > x - 66) & (points[:, 0] < x) & (np.abs(points[:, 1] - y + 4) < 5)
+    assert not inside.any()
+
+
 def test_points_far_to_the_right_have_their_name() -> None:
     """A film whose first usable lines lie beyond the words that name them: there was no page."""
     data = lines(40)

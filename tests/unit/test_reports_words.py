@@ -8,13 +8,14 @@ import pytest
 from markupsafe import Markup
 
 from reports import findings
-from reports.blocks import Figure, Finding, Findings
+from reports.blocks import Figure, Finding, Findings, Fold, Head, Row, Table
 from reports.evidence import Standing
 from reports.pages import specimens
 from reports.pages.campaign import lives
 from reports.pages.campaign.lives import decisive
 from reports.pages.index.page import end_in_words, tally
 from reports.pages.index.trouble import reason
+from reports.pages.specimen import diagnosis as diagnosis_page
 from reports.pages.specimen import models
 from schemas import explanations, mechanisms
 from schemas.tables import TABLES
@@ -128,6 +129,16 @@ def test_the_cause_of_a_doubtful_specimen_is_not_the_only_one() -> None:
     assert specimens._causes(["slack", "drive_lag"], "ambiguous") == "Slack film + lag of the drive, or others"
     assert specimens._causes(["slack"], "named") == "Slack film"
     assert specimens._known(1.8e-17, None) == "unresolved"
+
+
+def test_smallest_effects_stand_open_only_where_they_are_the_evidence() -> None:
+    table = Table("Smallest effects", (Head("Cause"),), tuple(Row((str(i),)) for i in range(20)))
+    assert diagnosis_page._told_by(table, "none") is table
+    folded = diagnosis_page._told_by(table, "named")
+    assert isinstance(folded, Fold)
+    assert folded.summary == "Smallest effects: 20 causes"
+    short = Table("Smallest effects", table.heads, table.rows[:3])
+    assert diagnosis_page._told_by(short, "named") is short
 
 
 def test_named() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from reports.blocks import Head, Piece, Row, Section, Table, Text
+from reports.blocks import Head, Piece, Row, Section, Table, Text, equation
 from reports.names import short
 from reports.pages.draft import Draft
 from reports.results import Query
@@ -78,8 +78,10 @@ def _factor(draft: Draft, fits: list[Record]) -> Row | None:
     return Row(
         (
             "Eq 5.16",
-            "ΔF = w h Y (l_tot/l_AR − 1)(1 − λ_cap). The factor must not be there: load cell and sensing region carry the same"
-            " tension.",
+            equation(
+                "ΔF = w h Y (l_tot/l_AR − 1)(1 − λ_cap). The factor must not be there: load cell and sensing region carry the same"
+                " tension."
+            ),
             f"Without it {significant(without[0])} and {significant(without[1])}{NBSP}MPa (8 and 11{NBSP}kV), near the"
             f" 0.16{NBSP}MPa of its chapter 4; with it {significant(without[0] / printed, 2)} and"
             f" {significant(without[1] / printed, 2)}{NBSP}MPa.",
@@ -96,7 +98,9 @@ def _sign(fits: list[Record], signs: list[Record]) -> Row | None:
     right = sum(r["loops"] for r in separate if r["error_sign"] == 1)
     wrong = sum(r["loops"] for r in separate if r["error_sign"] == -1)
     names = joined(list(dict.fromkeys(short(r["specimen_id"], 20) for r in separate)))
-    text = f"{names}: in {right} of {right + wrong} loops the voltage rose because C was above C_d."
+    text = (
+        f"{names}: in {right} of {right + wrong} loops the voltage rose because the capacitance was above its demand."
+    )
     shared = [r for r in signs if r["sensing_region"] == "active" and r["error_sign"] == -1]
     if shared:
         text += (
@@ -105,9 +109,11 @@ def _sign(fits: list[Record], signs: list[Record]) -> Row | None:
     return Row(
         (
             "Eq 5.17, 5.18",
-            "V = K_p E + K_i ∫E with E = C_d − C and positive gains.",
-            f"Its figure 5-6 raises the voltage while C is above C_d. And K_p = 10{NBSP}V/pF with K_i = 2{NBSP}V/pF/s give"
-            f" 0.75{NBSP}kV at once and 0.15{NBSP}kV/s for 0.05{NBSP}pF: not the 8.5{NBSP}kV within 0.5{NBSP}s that it shows.",
+            equation("V = K_p E + K_i ∫E with E = C_d − C and positive gains."),
+            equation(
+                f"Its figure 5-6 raises the voltage while C is above C_d. And K_p = 10{NBSP}V/pF with K_i = 2{NBSP}V/pF/s give"
+                f" 0.75{NBSP}kV at once and 0.15{NBSP}kV/s for 0.05{NBSP}pF: not the 8.5{NBSP}kV within 0.5{NBSP}s that it shows."
+            ),
             text,
         )
     )

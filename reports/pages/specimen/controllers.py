@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from reports.blocks import Figure, Head, Row, Section, Table, bold, flow
+from reports.blocks import Figure, Head, Row, Section, Table, bold, equation, flow
 from reports.figures.controllers import Course, controllers
 from reports.names import short
 from reports.pages.draft import Draft
@@ -102,11 +102,12 @@ def _table(query: Query, found: Sequence[Record]) -> Table:
         Head("Goal"), Head("Controller"), Head("Kp, V/pF; Ki, V/pF/s", "n"), Head("Phase margin, °", "n"), Head("Gain margin", "n"),
         Head("Rise, s", "n"), Head("Settled, s", "n"), Head("Over­shoot, %", "n"), Head("Force over­shoot, %", "n"), Head("Peak, kV", "n"),
     )  # fmt: skip
-    below = (
+    below = flow(
         f"A step of {significant(found[0]['demand_step_pf'], 2)}{NBSP}pF, simulated with the film as fitted; in brackets 95 % limits"
         " over the films that the fit leaves possible, without noise. Margins are those that 95 % of these keep. Designed gains are"
-        " those of a square-root drive (V² = u V_largest). Predictive is the ceiling: it plans at each decision."
-        f" {capital(found[0]['note'] or '')}."
+        " those of a square-root drive (",
+        equation("V² = u V_largest"),
+        f"). Predictive is the ceiling: it plans at each decision. {capital(found[0]['note'] or '')}.",
     )
     return Table("Controllers designed on the model", heads, rows, query.shown(), below=below, kind="wide")
 

@@ -61,6 +61,8 @@ _DECISIVE = 9.2
 """2Δ ln L by which a cause must lead to stand alone."""
 _WORST, _ROWS = 6, 40
 _MAPPED = 32
+_OPEN_ROWS = 8
+"""Rows up to which what would have been seen stands open below a finding about something else."""
 _PARTS = 13
 """Parts left out that are drawn, all of them together first; the others are in the figure's data."""
 
@@ -311,12 +313,13 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
     rows = []
     for r in found:
         chosen = r["mechanism"] in (d["mechanisms"] or [])
-        share: Piece = ABSENT if r["explained"] is None else bar(r["explained"], chosen=chosen)
+        silent = chosen and not r["likelihood_ratio"]
+        share: Piece = ABSENT if r["explained"] is None or silent else bar(r["explained"], chosen=chosen)
         rows.append(
             Row(
                 (
                     flow(plain_name(r["mechanism"]), Markup("<br>"), code(r["mechanism"])),
-                    probability(r["probability"]), significant(r["likelihood_ratio"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),
+                    probability(r["probability"]), ABSENT if silent else significant(r["likelihood_ratio"]), share, candidate(r["mechanism"], r["severity"], r["severity_sd"], r["parameter"]),
                 ),
                 "sel" if chosen else "dim",
             )
@@ -330,6 +333,8 @@ def _candidates(draft: Draft, d: Record) -> list[Block]:
         "Probability: of this cause alone, among all explanations. Fall of χ²: in the search, under weights that allow every form a"
         " share of what is missed; it does not decide."
     )
+    if any(r["mechanism"] in (d["mechanisms"] or []) and not r["likelihood_ratio"] for r in found):
+        below += " –: under those weights the cause alone does not fall below the plain model, and shows nothing of its share."
     blocks: list[Block] = [
         Heading("The listed causes, one by one"),
         Table("Each cause alone, refitted together with the film", heads, tuple(rows), query.shown(), note, below),
@@ -462,7 +467,7 @@ def _or_absent(value: float | None, sd: float | None) -> str:
     return never_negative(value, sd)
 
 
-def _visible(draft: Draft, d: Record) -> list[Block]:
+def _visible(draft: Draft, d: Record) -> list[Block | Fold]:
     """What would have been seen, what these recordings cannot show, and what could not be asked."""
     smallest = nested(d["smallest_detectable"])
     invisible = list(d["invisible"] or [])
@@ -475,17 +480,24 @@ def _visible(draft: Draft, d: Record) -> list[Block]:
         for p, value in main(m, parameters).items()
     ]
     rows += [Row((flow(plain_name(m), Markup("<br>"), code(m)), "cannot be seen", ABSENT), "dim") for m in invisible]
-    blocks: list[Block] = []
+    blocks: list[Block | Fold] = []
     if rows:
         heads = (Head("Cause"), Head("Severity"), Head("Of"))
         table = Table(
             "Smallest effects that these recordings would have shown", heads, tuple(rows), query.shown(),
             "with 80 % probability at the false-alarm level in use", kind="narrow",
         )  # fmt: skip
-        blocks += [Heading("What would have been seen, and what could not"), table]
+        blocks += [Heading("What would have been seen, and what could not"), _told_by(table, d["verdict"])]
     if d["could_not_ask"]:
         blocks.append(Text(flow(bold("Not asked. "), " ".join(_sentence(text) for text in d["could_not_ask"]))))
     return blocks
+
+
+def _told_by(table: Table, verdict: str) -> Table | Fold:
+    """The smallest effects: the evidence of a verdict that nothing is wrong, else what one may open."""
+    if verdict == "none" or len(table.rows) <= _OPEN_ROWS:
+        return table
+    return Fold(f"{table.caption}: {whole(len(table.rows))} causes", (table,))
 
 
 def _sentence(text: str) -> str:
