@@ -118,7 +118,7 @@ def fit_batch_scatter(
             f"{names.size} batches for {between} coefficients of what is the same within each batch",
             expected="more batches, or covariates that vary within them",
         )
-    without, start = log_likelihood_of(lives, design.x, family)
+    without, start, _ = log_likelihood_of(lives, design.x, family)
     model = _Integrated(lives, design.x, place.astype(np.int64), family)
     best = model.climb(model.begin(start))
     top = model.value(best) - lives.log_jacobian

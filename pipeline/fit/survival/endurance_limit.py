@@ -80,11 +80,15 @@ def find_endurance_limit(lives: Lives, covariates: Sequence[Covariate], family: 
         raise NotIdentifiableError(f"{lives.distinct_failures} distinct failure times for {needed} parameters")
     end = float(tested[0]) * (1 - _NEAREST)
 
+    # The likelihood has one maximum at each limit: that of the last one is near.
+    near: Float | None = None
+
     def profile(limit: float) -> tuple[float, float]:
+        nonlocal near
         above = values > limit
         x = np.column_stack((np.log(values[above] - limit), columns[above, 1:]))
         kept = lives if above.all() else lives.keep(above)
-        value, coefficients = log_likelihood_of(kept, x, family)
+        value, coefficients, near = log_likelihood_of(kept, x, family, near)
         return value, float(coefficients[1])
 
     grid = _grid(end, values)

@@ -241,16 +241,23 @@ def fit_life_regression(
     )
 
 
-def log_likelihood_of(lives: Lives, x: Float, family: str) -> tuple[float, Float]:
-    """Largest log-likelihood of lives, in s, with columns `x` (n, p) beside the intercept, and its (1 + p,) coefficients.
+def log_likelihood_of(lives: Lives, x: Float, family: str, start: Float | None = None) -> tuple[float, Float, Float]:
+    """Largest log-likelihood of lives, in s, with columns `x` (n, p) beside the intercept, its (1 + p,) coefficients, and where it was found.
+
+    Parameters
+    ----------
+    lives, x, family : the model
+    start : where that of lives and columns nearby was found
 
     Raises
     ------
     NotIdentifiableError
         The likelihood has no maximum.
     """
-    best = _Model(lives, x, family).maximum()
-    return best.log_likelihood - lives.log_jacobian, best.coefficients
+    model = _Model(lives, x, family)
+    best = model.maximum(start)
+    found = np.append(1.0, np.linalg.solve(model.to_plain, best.coefficients)) / best.sigma
+    return best.log_likelihood - lives.log_jacobian, best.coefficients, found
 
 
 def refit(log_limits: tuple[Float, Float], x: Float, family: str) -> Float:
@@ -301,9 +308,10 @@ class _Model:
         self.design = np.column_stack((np.ones(x.shape[0]), (x - self.centre) / self.scale))
         self.held_sigma = 1.0 if family == EXPONENTIAL else None
 
-    def maximum(self) -> _Best:
+    def maximum(self, begin: Float | None = None) -> _Best:
+        """From (1/σ, c/σ) where they are given; the generalised gamma begins where it does."""
         if self.family != GENERALISED_GAMMA:
-            return self._best(ERRORS[self.family], float("nan"))
+            return self._best(ERRORS[self.family], float("nan"), begin)
         sample = self._sample()
         shape, start = sample.search_shape()
         if sample is not self:
