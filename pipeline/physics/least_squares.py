@@ -67,7 +67,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -227,6 +227,11 @@ def with_prior(evaluate: Evaluate, mean: Float, root: Float) -> Evaluate:
         return residual, jacobian
 
     return known
+
+
+def differ_at_once(residuals: Residuals) -> Callable[[object, Iterable[Float]], Iterable[Float]]:
+    """`workers` of scipy's `least_squares`: all differences of a Jacobian by one evaluation of residuals (B, M) of several x (B, P)."""
+    return lambda _, points: residuals(np.array(list(points)))
 
 
 def tie(evaluate: Evaluate, origin: Float, directions: Float) -> Evaluate:

@@ -9,7 +9,7 @@ them is in `cycle_diagnosis`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,6 +26,7 @@ from pipeline.diagnose.rules import RULES
 from pipeline.fit.relaxation.time_domain import GONE, CycleFits, fit_cycle
 from pipeline.physics.film import integrate_arms
 from pipeline.physics.hyperelastic import LAWS
+from pipeline.physics.least_squares import differ_at_once
 from schemas.arrays import Bool, Float
 from schemas.errors import NotIdentifiableError
 
@@ -392,15 +393,16 @@ class CycleModel:
         def residual(x: Float) -> Float:
             return np.asarray(self.stress(x)[..., seen] - measured) / self.unit
 
-        def evaluate_all(_: object, points: Iterable[Float]) -> Iterable[Float]:
-            """All differences of a Jacobian by one simulation."""
-            return residual(np.array(list(points)))
-
         ends: list[OptimizeResult] = []
         for own in extra:
             start = np.clip(np.concatenate([self._start, own]), low + 1e-6, high - 1e-6)
             end = least_squares(
-                residual, start, bounds=(low, high), x_scale="jac", max_nfev=_MOST_STEPS, workers=evaluate_all
+                residual,
+                start,
+                bounds=(low, high),
+                x_scale="jac",
+                max_nfev=_MOST_STEPS,
+                workers=differ_at_once(residual),
             )
             if np.isfinite(end.cost):
                 ends.append(end)

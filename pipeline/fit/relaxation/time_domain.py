@@ -20,6 +20,7 @@ from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import Candidate, LinearProblem
 from pipeline.physics.film import integrate_arms
 from pipeline.physics.hyperelastic import LAWS, NON_AFFINE, Law
+from pipeline.physics.least_squares import differ_at_once
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.numbers import counted
@@ -298,6 +299,7 @@ class _Cycle:
             xtol=1e-12,
             ftol=1e-12,
             max_nfev=MOST_STEPS,
+            workers=differ_at_once(residual),
         )
         order = np.argsort(-found.x[n : 2 * n])
         index = np.concatenate([order, n + order, np.arange(2 * n, found.x.size)]).astype(int)
@@ -319,9 +321,16 @@ class _Cycle:
         return values
 
     def _stress(self, x: Float, n: int) -> Float:
-        equilibrium = self.fixed if self.fixed is not None else self._equilibrium(x, n)
-        q = integrate_arms(self.t, self.lam, np.exp(x[n : 2 * n])) @ np.exp(x[:n])
-        return np.asarray(self.law.stress(self.lam, equilibrium) + q)
+        """(…, m) of x (…, P)."""
+        gamma, tau = np.exp(x[..., :n]), np.exp(x[..., n : 2 * n])
+        arms = integrate_arms(self.t, self.lam, tau.ravel()).reshape(-1, *tau.shape)
+        q = np.einsum("m...n,...n->...m", arms, gamma)
+        if self.fixed is not None:
+            return np.asarray(self.law.stress(self.lam, self.fixed) + q)
+        entries = x[..., 2 * n :]
+        if self.law.shape:
+            entries = np.concatenate([entries[..., :-1], np.exp(entries[..., -1:])], axis=-1)
+        return np.asarray(self.law.stress_of(self.lam, entries) + q)
 
     def stress(self, solution: _Solution) -> Float:
         """Stress (m,) of a fitted model on this cycle."""
