@@ -20,9 +20,6 @@ const drawn = (tag, attributes = {}, text = "") => {
   return made;
 };
 
-// The text of an element as somebody would type it: without what keeps a range on one line.
-const said = (element) => element.textContent.replace(/\u2060/g, "");
-
 // ---- numbers -----------------------------------------------------------------------------------------------------
 
 const power = (text) => Number([...text].map((c) => (c === "⁻" ? "-" : SUPERSCRIPT.indexOf(c))).join(""));
@@ -100,7 +97,7 @@ const openTable = (region, place) => {
     const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
     let kept = 0;
     for (const row of rows) {
-      const text = said(row).toLowerCase();
+      const text = row.textContent.toLowerCase();
       row.hidden = !words.every((word) => text.includes(word));
       kept += row.hidden ? 0 : 1;
     }
@@ -122,7 +119,7 @@ const openSearch = () => {
   const site = document.getElementById("site");
   const entries = site ? JSON.parse(site.textContent).map(([text, href]) => ({ text, href })) : [];
   document.querySelectorAll("main h2, main h3, main figcaption, main tbody tr").forEach((where) => {
-    entries.push({ text: said(where).replace(/\s+/g, " ").trim(), where });
+    entries.push({ text: where.textContent.replace(/\s+/g, " ").trim(), where });
   });
   const go = (entry) => {
     if (entry.href) {

@@ -41,22 +41,28 @@ _CODE_OR_TEXT = re.compile(r"(<code>.*?</code>|<[^<>]*>)|([^<]+)", re.S)
 _QUANTITY = re.compile(
     r"(?<=\d) (?=%|°C|Ω|(?:[kmµn]?(?:N|V|m|s|g|W|J)|[kMG]?(?:Hz|Pa|Ω)|[pn]F|min|h|d|K|eV|SD)\b)|(?<=\bln) (?=[A-Za-z]\b)"
 )
-_RANGE = re.compile(r"(?<=\d)–(?=\d)")
-_JOINER = "\u2060"
-"""A browser may break a line after the dash of `6.40–7.00`, but not before this."""
+_PROSE = re.compile(r"<(h[1-3]|p|figcaption)\b[^>]*>.*?</\1>", re.S)
+_RANGE = re.compile(r"\(?−?\d[\d.\u202f]*–\d[\d.\u202f]*\)?")
 
 
 def unbroken(value: object) -> object:
-    """Numbers kept on one line with their units and ranges; code, markup and what must stay as typed (`Verbatim`) are left alone."""
+    """No-break spaces between numbers and units; code, markup and what must stay as typed (`Verbatim`) are left alone."""
     if not isinstance(value, str) or isinstance(value, Verbatim):
         return value
     if isinstance(value, Markup):
-        return Markup(_CODE_OR_TEXT.sub(lambda m: m[1] or _join(m[2]), value))  # noqa: S704
-    return _join(value)
+        return Markup(_CODE_OR_TEXT.sub(lambda m: m[1] or _QUANTITY.sub("\u00a0", m[2]), value))  # noqa: S704
+    return _QUANTITY.sub("\u00a0", value)
 
 
-def _join(text: str) -> str:
-    return _RANGE.sub(f"–{_JOINER}", _QUANTITY.sub("\u00a0", text))
+def keep_ranges(page: str) -> str:
+    """The page with ranges such as `(6.40–7.00)` in its prose kept on one line: a browser breaks it after the dash. Cells are kept anyway."""
+
+    def keep(found: re.Match[str]) -> str:
+        return _CODE_OR_TEXT.sub(
+            lambda m: m[1] or _RANGE.sub(lambda r: f'<span class="one">{r[0]}</span>', m[2]), found[0]
+        )
+
+    return _PROSE.sub(keep, page)
 
 
 @functools.cache
@@ -80,4 +86,4 @@ def html(page: Page, *, interactive: bool = False, site: Sequence[tuple[str, str
     style = _style("style.css", "interactive.css") if interactive else _style("style.css")
     entries = json.dumps(site, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c") if site else ""
     template = _environment(_script() if interactive else "").get_template("page.html.j2")
-    return template.render(page=page, style=style, entries=Markup(entries))  # noqa: S704
+    return keep_ranges(template.render(page=page, style=style, entries=Markup(entries)))  # noqa: S704

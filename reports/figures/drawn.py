@@ -75,8 +75,8 @@ def digest_data(*what: Any) -> str | None:
 
 
 def digest_result(html: str) -> str:
-    """The digest of a figure's HTML, the same with what a page puts into it to keep quantities and ranges on one line."""
-    return hashlib.sha256(str(html).replace("\u00a0", " ").replace("\u2060", "").encode()).hexdigest()[:16]
+    """The digest of a figure's HTML, the same with the no-break spaces that a page puts into it."""
+    return hashlib.sha256(str(html).replace("\u00a0", " ").encode()).hexdigest()[:16]
 
 
 def mark(html: Markup, digest: str | None) -> Markup:
