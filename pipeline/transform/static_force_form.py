@@ -169,24 +169,32 @@ def fit_form(windows: Windows, whitener: Whitener, searched: Searched, start: Fl
     1971); what is searched by Laplace's method (Tierney and Kadane 1986). The search is one of
     least squares (`least_squares`) for a noise that follows from where the last one ended: at its end both are most probable.
     """
-    at = _Point.of(windows, whitener, searched, start)
+    seen: dict[bytes, _Point] = {}
+
+    def look(scaled: Float) -> _Point:
+        # A search begins where the one before has ended, and ends where it has been.
+        if (key := scaled.tobytes()) not in seen:
+            seen[key] = _Point.of(windows, whitener, searched, searched.mean + searched.sd * scaled)
+        return seen[key]
+
     wide = np.full(start.size, _WITHIN_SD)
+    place = np.clip((start - searched.mean) / searched.sd, -wide, wide)
+    at = look(place)
     for _ in range(_ROUNDS):
         noise, before = at.noise, at.loss
 
         def lose(points: Float, _: Int, noise: float = noise) -> tuple[Float, Float]:
             (scaled,) = points
-            here = _Point.of(windows, whitener, searched, searched.mean + searched.sd * scaled)
-            columns = -here.project(here.differentiate()) * searched.sd / math.sqrt(noise)
-            return here.residual[None] / math.sqrt(noise), columns[None]
+            here = look(scaled)
+            return here.residual[None] / math.sqrt(noise), -here.beside[None] * searched.sd / math.sqrt(noise)
 
         likely = with_prior(lose, np.zeros(start.size), np.eye(start.size))
-        (found,) = minimise_each(likely, [(at.x - searched.mean) / searched.sd], -wide, wide, _SEARCH)
-        at = _Point.of(windows, whitener, searched, searched.mean + searched.sd * found.x)
+        (found,) = minimise_each(likely, [place], -wide, wide, _SEARCH)
+        place = found.x
+        at = look(place)
         if before - at.loss < _ENOUGH:
             break
-    jacobian = at.differentiate()
-    beside = at.project(jacobian)
+    jacobian, beside = at.jacobian, at.beside
     hessian = beside.T @ beside / at.noise + np.diag(searched.sd**-2.0)
     volume = np.sum(np.log(np.abs(np.diag(at.r)))) + 0.5 * np.linalg.slogdet(hessian)[1] + np.sum(np.log(searched.sd))
     whole = np.column_stack([jacobian, at.design])
@@ -236,13 +244,15 @@ class _Point:
         """Variance of a window's noise."""
         return max(float(self.residual @ self.residual), np.finfo(float).tiny) / self.freedom
 
-    def differentiate(self) -> Float:
+    @cached_property
+    def jacobian(self) -> Float:
         """(m, k) derivatives of the model by what is searched."""
         return np.asarray(self.whitener.matrix @ differentiate_design(self.windows, self.x, self.linear))
 
-    def project(self, columns: Float) -> Float:
-        """(m, k) what the linear parameters leave of columns."""
-        return columns - self.q @ (self.q.T @ columns)
+    @cached_property
+    def beside(self) -> Float:
+        """(m, k) what the linear parameters leave of them."""
+        return np.asarray(self.jacobian - self.q @ (self.q.T @ self.jacobian))
 
 
 def build_design(windows: Windows, x: Float) -> Float:
