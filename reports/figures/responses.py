@@ -232,7 +232,7 @@ def _captions(
     raw = np.degrees(np.angle(recorded.value)) if phase else np.log(np.abs(recorded.value))
     film = np.interp(recorded.frequency, lines.frequency, value if phase else np.log(value))
     height = panel.py(raw if phase else np.exp(raw))
-    seen = np.isfinite(raw) & (height >= panel.top + 8) & (height <= panel.bottom - 8)  # the name stands at a point
+    seen = np.isfinite(raw) & (height >= panel.top - 1) & (height <= panel.bottom - 34)  # the name stands at a point
     j = int(np.argmax(np.where(seen, np.abs(raw - film), 0)))
     y_raw = float(np.clip(panel.py([raw[j] if phase else np.exp(raw[j])])[0], panel.top + 14, panel.bottom - 34))
     x_raw = float(panel.px(recorded.frequency[[j]])[0])

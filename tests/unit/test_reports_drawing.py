@@ -471,10 +471,11 @@ def test_a_page_takes_over_the_figures_that_it_had_from_the_same_data(tmp_path: 
     assert drawn == [1.0, 1.0, 2.0]
 
 
-def test_the_name_of_what_was_recorded_stands_at_one_of_its_points() -> None:
+@pytest.mark.parametrize("fall", [60.0, 100.0, 170.0])
+def test_the_name_of_what_was_recorded_stands_at_one_of_its_points(fall: float) -> None:
     """Where the phase leaves the panel far below, its name stood beside the curve's steep part, on its points."""
     data = lines(40)
-    falls = 170 * np.clip((data.frequency - 20) / 60, 0, 1)
+    falls = fall * np.clip((data.frequency - 20) / 60, 0, 1)
     recorded = Lines(
         data.frequency, data.value * np.exp(-1j * np.radians(falls)), data.error, data.usable, data.amplification
     )
