@@ -45,22 +45,23 @@ from ingest.draft_files import (
 from ingest.draft_parts import find_parts, find_runs, join_shapes, name_parts
 from ingest.draft_tables import (
     CLOCKS_OF,
+    ask_censored_modes,
     ask_outcomes,
     find_clock,
+    find_modes,
     is_written_once,
     say_frequency,
     select_isotherms,
     select_sweeps,
-    tells_modes,
 )
 from ingest.draft_text import toml_text
 from ingest.draft_times import ask_order, find_date_format, find_other_order, make_time_keys, prefer_order
 from ingest.excel_reader import SHEET
 from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
-from ingest.mapping import FILLED_DOWN, FileMapping
+from ingest.mapping import FILLED_DOWN, WORDS, FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, MEAN, RECORDING, RELAXATION, TAN_DELTA
 from ingest.meanings import TIME, GuessedColumn, counts_rows, is_sensor_unit
-from ingest.questions import Question, ask_unit, make_place, make_unit_keys
+from ingest.questions import Question, ask_unit, make_place, make_unit_keys, name_column
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
 from schemas.errors import DealabError, RefusedError
@@ -69,7 +70,6 @@ from schemas.protocols import PROTOCOLS
 from schemas.quantities import QUANTITIES
 from schemas.units import conversion
 
-_WORDS = ("failed", "censored", "configuration", "specimen_id", "count")
 _ANY_SCALE = 2.0
 """Stands for the scale of a sensor that is not known yet: the shape of a trace does not depend on it."""
 _LONGEST_NAME = 60
@@ -122,7 +122,7 @@ class Draft:
     def as_toml(self) -> str:
         """The text of the TOML; what has to be checked is marked `CHECK`."""
         asked = {q.key: q.text for q in self.questions}
-        unmapped = [(c.column, c.unit) for c in self.unmapped]
+        unmapped = [(c.column, c.unit, c.name) for c in self.unmapped]
         return toml_text(self.path.name, self.content, self.remarks, asked, unmapped, self.about)
 
 
@@ -205,6 +205,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     questions: list[Question] = []
     columns: dict[str, dict[str, Any]] = {}
     usual = {"lifetime": "s", "voltage": "kV", "test_duration": "s", "frequency": "Hz", "time": "s", "phase": "deg"}
+    usual |= {"alive_at": "s", "entered": "s", "breakdown_voltage": "kV", "humidity": "1"}
     usual |= {
         TAN_DELTA: "1",
         "temperature": "degC",
@@ -217,11 +218,16 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     for name, column in chosen.items():
         entry: dict[str, Any] = make_place(column)
         if name in ("failed", "censored"):
-            entry |= find_meanings(column, opened, chosen.get("lifetime"))
+            entry |= find_meanings(column, opened, [chosen[own] for own in ("lifetime", "ended") if own in chosen])
             questions.append(ask_outcomes(f"columns.{name}.failed_values", entry))
         elif name in ("started", "ended"):
             cells = [cell for cell in opened.cells(column) if str(cell).strip()]
-            entry["format"] = str(find_date_format(cells))
+            written = find_date_format(cells)
+            if written is None:
+                raise RefusedError(
+                    f"{name_column(column)} is said to be {name}", where=opened.path.name, expected="a column of dates"
+                )
+            entry["format"] = written
             if (other := find_other_order(cells, entry["format"])) is not None:
                 entry["format"] = prefer_order(entry["format"], other, opened)
                 questions.append(ask_order(f"columns.{name}.format", cells[0], entry["format"]))
@@ -232,7 +238,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
             entry["unit"] = unit
             if "frequency" not in chosen:
                 columns["frequency"] = say_frequency(opened, remarks, questions)
-        elif name not in _WORDS:
+        elif name not in (*WORDS, "count"):
             entry["unit"] = column.unit or usual[name]
             if not column.unit and name != TAN_DELTA:
                 questions.append(ask_unit(f"columns.{name}", column, usual[name]))
@@ -240,8 +246,14 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
             entry["fill_down"] = True
             remarks[f"columns.{name}.fill_down"] = "written once for each block of rows"
         columns[name] = entry
-    if kind == LIFETIMES and "failure_mode" not in columns and tells_modes(columns.get("failed", {})):
-        columns["failure_mode"] = {"column": columns["failed"]["column"]}
+    if kind == LIFETIMES and "failure_mode" not in columns:
+        of_modes = find_modes(opened, chosen, columns.get("failed", {}))
+        if of_modes is not None:
+            chosen = {**chosen, "failure_mode": of_modes}
+            columns["failure_mode"] = make_place(of_modes)
+    if "failure_mode" in columns and (ask := ask_censored_modes(opened, chosen, columns)) is not None:
+        columns["failure_mode"]["censored_modes"] = ask.suggestion
+        questions.append(ask)
     about: dict[str, Any] = {"recording_id": _own_name(opened.path)}
     each, repeated, remark = (
         select_isotherms(opened, chosen) if kind in (FREQUENCY_RESPONSE, RELAXATION) else (None, False, "")

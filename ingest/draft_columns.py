@@ -277,19 +277,46 @@ _MOST_WORDS = 40
 """Different texts of a column that is taken for one of outcomes: remarks of a whole list may all begin with one of a few words."""
 
 
-def find_meanings(failed: GuessedColumn, opened: Opened, life: GuessedColumn | None = None) -> dict[str, list[Any]]:
+def find_meanings(failed: GuessedColumn, opened: Opened, lives: Sequence[GuessedColumn] = ()) -> dict[str, list[Any]]:
     """The values of a column of failures, as they seem to be meant: which ones depends on the table.
 
-    An empty cell beside a life has the meaning that no other value has: people mark the one kind alone.
+    An empty cell beside a life has the meaning that no other value has: people mark the one kind alone. A mark of failures that never
+    stands beside a life is of what was never tested.
+
+    Parameters
+    ----------
+    failed, opened : the column, and the file
+    lives : the columns that say how long a specimen lived: of lives, of ends
     """
-    found = _meanings(failed, opened)
-    if life is None or "unknown" in found or bool(found["failed_values"]) == bool(found["censored_values"]):
+    found = _set_aside_untested(_meanings(failed, opened), failed, opened, lives)
+    if not lives or "unknown" in found or bool(found["failed_values"]) == bool(found["censored_values"]):
         return found
-    pairs = zip(opened.cells(failed), opened.cells(life), strict=False)
+    pairs = zip(opened.cells(failed), opened.cells(lives[0]), strict=False)
     if any(not _plain(cell) and _plain(lived) for cell, lived in pairs):
         lacking = "censored_values" if found["failed_values"] else "failed_values"
         return {**found, lacking: [""]}
     return found
+
+
+def _set_aside_untested(
+    found: dict[str, list[Any]], failed: GuessedColumn, opened: Opened, lives: Sequence[GuessedColumn]
+) -> dict[str, list[Any]]:
+    """The same meanings, with marks of failures and unknown ones that stand beside no life at all among those of no test."""
+    marks = [_plain(cell) for cell in opened.cells(failed)]
+    lived: set[str] = set()
+    for column in lives:
+        cells = [_plain(cell) for cell in opened.cells(column)]
+        lived |= {mark for mark, cell in zip(marks, cells, strict=False) if cell and not re.fullmatch(_NOWHERE, cell)}
+    untested = {mark for mark in marks if mark} - lived
+    if not lives or not lived or not untested:
+        return found
+    told = dict(found)
+    for key in ("failed_values", "unknown"):
+        void = [value for value in told.get(key, []) if _plain(value) in untested]
+        if void:
+            told[key] = [value for value in told[key] if value not in void]
+            told["no_test_values"] = [*told.get("no_test_values", []), *void]
+    return {key: values for key, values in told.items() if values or key != "unknown"}
 
 
 _LISTS: Mapping[str, str] = {FAILED: "failed_values", ALIVE: "censored_values", NO_TEST: "no_test_values"}

@@ -17,7 +17,7 @@ from ingest.columns import ColumnFile
 from ingest.compressed import TEXTS, find_held_suffix, is_compressed, read_plain_content
 from ingest.encodings import guess_encoding
 from ingest.formats import list_formats
-from ingest.harvest import Fact, by_key, harvest_hdf5, harvest_lines, harvest_rows
+from ingest.harvest import Fact, by_key, harvest_columns, harvest_hdf5, harvest_lines, harvest_rows
 from ingest.heads import join_heads
 from ingest.mapping import FileMapping, format_of, format_of_suffix
 from ingest.mapping_keys import RECORDING
@@ -242,7 +242,7 @@ def _open_sheet(path: Path, sheet: str, rows: Sequence[Sequence[Any]], said: Map
     skip = start - (len(header) > 0) - (len(units) > 0)
     options = {"sheet": sheet, "skip_rows": skip, "header": bool(header), "unit_row": bool(units)}
     options |= {} if decimal == "." else {"decimal": decimal}
-    facts = harvest_rows(rows[:skip])
+    facts = (*harvest_rows(rows[:skip]), *harvest_columns(rows[:skip]))
     texts = [[cell.strip() for cell in row if isinstance(cell, str) and cell.strip()] for row in rows]
     filled = [sum(bool(str(cell).strip()) for cell in row) for row in rows]
     pairs = [f"{row[0]} = {row[1]}" for row, count in zip(texts, filled, strict=True) if len(row) == count == 2]

@@ -6,7 +6,7 @@ Does not belong here: which columns a table has (`ingest.draft_columns`), what m
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ingest.draft_columns import find_frequency
@@ -15,11 +15,11 @@ from ingest.isotherms import find_isotherms, has_repeats, has_returns
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import LIFETIMES, RECORDING
 from ingest.meanings import GuessedColumn
-from ingest.questions import Question
+from ingest.questions import Question, label_column
 from ingest.read import open_columns
 from ingest.trios_reader import STEP
 from schemas.errors import DealabError
-from schemas.lifetimes import OTHER, classify_failure_mode
+from schemas.lifetimes import FAILURE_MODES, OTHER, classify_failure_mode
 
 _FEWEST_FREQUENCIES = 3
 """Different frequencies of a step that goes over them."""
@@ -73,10 +73,59 @@ def is_written_once(column: GuessedColumn, opened: Opened, kind: str) -> bool:
     return bool(texts) and bool(texts[0]) and 2 * len(filled) <= len(texts)
 
 
-def tells_modes(failed: Mapping[str, Any]) -> bool:
-    """Whether the marks of failures say as well how specimens failed, in several ways."""
-    words = [str(value) for value in failed.get("failed_values", [])]
-    return len({classify_failure_mode(word) for word in words} - {OTHER}) > 1
+_SAYS_HOW = r"bemerk|anmerk|kommentar|beobacht|remark|comment|note|observ|cause|ursache|grund|reason|mode|modus|\bart\b|\bort\b|where|place|site|stelle|lieu|cause"
+"""Names of columns that say how or where a specimen failed, among other things."""
+_NOT_COUNTED = r"z[äa]hl\w* (\w+ )?nicht|nicht als|not count|no failure|not a failure|ne compte|zensier|censor|bis dahin|until then|jusque"
+"""What a legend says of failures that end the watch alone."""
+
+
+def find_modes(opened: Opened, chosen: Mapping[str, GuessedColumn], failed: Mapping[str, Any]) -> GuessedColumn | None:
+    """The column that says how specimens failed, in several ways: that of the marks of failures, or one of remarks; None where there is none.
+
+    Most of what remarks say beside failures has to be a way of failing.
+    """
+    marks = chosen.get("failed")
+    if marks is None:
+        return None
+    meaning = [str(value) for value in failed.get("failed_values", [])]
+    if len(_classify(meaning)) > 1:
+        return marks
+    is_failed = [str(cell).strip() in meaning for cell in opened.cells(marks)]
+    for column in opened.columns:
+        if column in chosen.values() or re.search(_SAYS_HOW, label_column(column)) is None:
+            continue
+        cells = [str(cell).strip() for cell in opened.cells(column)]
+        said = [cell for cell, own in zip(cells, is_failed, strict=False) if own and cell]
+        told = [cell for cell in said if classify_failure_mode(cell) != OTHER]
+        if len(_classify(told)) > 1 and 2 * len(told) > len(said):
+            return column
+    return None
+
+
+def ask_censored_modes(
+    opened: Opened, chosen: Mapping[str, GuessedColumn], columns: Mapping[str, Mapping[str, Any]]
+) -> Question | None:
+    """The question which ways of failing are none of the film; None where there is one way only. What the words beside the table say of
+    them is the suggestion."""
+    modes = _classify([str(cell) for cell in opened.cells(chosen["failure_mode"])])
+    if len(modes) < 2:
+        return None
+    cells = {str(cell).strip() for cell in opened.cells(chosen["failure_mode"])}
+    beside = [word.lower() for word in opened.words if word.strip() not in cells]
+    said = [word[: match.start()] for word in beside if (match := re.search(_NOT_COUNTED, word)) is not None]
+    suggested = [mode for mode in modes if any(mode in _classify(re.findall(r"[^\W\d_]+", word)) for word in said)]
+    return Question(
+        "columns.failure_mode.censored_modes",
+        f"which of {', '.join(modes)} are no failures, but end the watch"
+        f" ({'so the words beside the table' if suggested else 'none: every one counts'})",
+        suggested,
+    )
+
+
+def _classify(words: Sequence[str]) -> list[str]:
+    """The known failure modes that some words name."""
+    found = {classify_failure_mode(word) for word in words}
+    return [mode for mode in FAILURE_MODES if mode in found and mode != OTHER]
 
 
 def say_frequency(opened: Opened, remarks: dict[str, str], questions: list[Question]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ def toml_text(
     content: Mapping[str, Any],
     remarks: Mapping[str, str],
     asked: Mapping[str, str],
-    unmapped: Sequence[tuple[str | int, str | None]],
+    unmapped: Sequence[tuple[str | int, str | None, str]],
     about: Sequence[str] = (),
 ) -> str:
     """A mapping as text.
@@ -45,7 +45,7 @@ def toml_text(
     content : the tables
     remarks : comments by key, such as `recording.protocol`
     asked : keys that are still a question, with it
-    unmapped : names (or numbers) and units of columns that are not mapped
+    unmapped : names (or numbers) and units of columns that are not mapped, and the names of those that have a number
     about : comments of the format's table
     """
     if asked:
@@ -91,13 +91,14 @@ def _pairs(table: str, entries: Mapping[str, Any], remarks: Mapping[str, str], a
     return lines
 
 
-def _others(unmapped: Sequence[tuple[str | int, str | None]]) -> list[str]:
+def _others(unmapped: Sequence[tuple[str | int, str | None, str]]) -> list[str]:
     if not unmapped:
         return []
     lines = ["", "# CHECK: columns that are not mapped. Map them like this where they matter:"]
-    for column, unit in dict.fromkeys(unmapped):
+    for column, unit, name in dict.fromkeys(unmapped):
         written = str(column) if isinstance(column, int) else toml_string(column)
-        lines.append(f"# [columns.<name>]   column = {written}" + (f" in {_one_line(unit)}" if unit else ""))
+        called = f", {toml_string(name)}" if name and isinstance(column, int) else ""
+        lines.append(f"# [columns.<name>]   column = {written}{called}" + (f" in {_one_line(unit)}" if unit else ""))
     return lines
 
 

@@ -7,7 +7,7 @@ the draft with the words that it was read from, so that a person can see it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -31,8 +31,9 @@ _TEXTS: tuple[tuple[str, str], ...] = (
     ("material", r"^(material|werkstoff|mat.riau)$"),
 )  # fmt: skip
 _DATE = (
-    r"^(date|datum|datum ?/ ?uhrzeit|run date|test date|start(ed)?( time| at|zeit)?|date and time|pr.fdatum|t0|date/time"
-    r"|trigger date)$"
+    r"^(date|datum|datum ?/ ?uhrzeit|run date|test date|(test )?start(ed)?( date| time| at|zeit|datum)?|date and time|t0|date/time"
+    r"|date of (test|measurement)|measurement (date|start|time)|acquired|recorded( at| on)?|(pr.f|test|mess|versuchs?)(datum|beginn|start)"
+    r"|beginn( der (pr.fung|messung))?|datum der (pr.fung|messung)|date (de l'|d')?essai|d.but( de l')?( ?essai)?|fecha|data( e ora)?|trigger date)$"
 )
 _INTERVAL = (
     r"sample interval|sampling( interval| period)?$|sample period|^dt$|^delta_?[xt]$|^x_?inc(rement)?$|abtastintervall"
@@ -99,6 +100,37 @@ def harvest_rows(rows: Iterable[Iterable[Any]]) -> tuple[Fact, ...]:
     return harvest_lines("\t".join("" if cell is None else str(cell) for cell in row) for row in rows)
 
 
+def harvest_columns(rows: Sequence[Sequence[str]]) -> tuple[Fact, ...]:
+    """The facts of small tables above the table, as of results: a row of names, perhaps one of units, and one of values.
+
+    Parameters
+    ----------
+    rows : cells of the lines above the table. Several rows of values, of several specimens, tell nothing of one
+    """
+    found: list[Fact] = []
+    plain = [[" ".join(str(cell).split()) for cell in row] for row in rows]
+    for i, names in enumerate(plain):
+        known = [j for j, name in enumerate(names) if any(re.search(p, _bare(name)) for _, p in (*_SIZES, *_TEXTS))]
+        if len([name for name in names if name]) < 2 or not known:
+            continue
+        units, *rest = plain[i + 1 : i + 4] or [[]]
+        if not any(_VALUE.match(cell) for cell in units):
+            values, further = (rest[0] if rest else []), rest[1:]
+        else:
+            units, values, further = [], units, rest[:1]
+        if any(row and len(row) > max(known) and all(row[j] for j in known) for row in further):
+            continue
+        for j in known:
+            unit = units[j].strip("[]() ") if j < len(units) else ""
+            fact = (
+                _fact(f"{names[j]} [{unit}]" if unit else names[j], values[j], f"{names[j]} {values[j]} {unit}".strip())
+                if j < len(values)
+                else None
+            )
+            found += [] if fact is None else [fact]
+    return tuple(found)
+
+
 def harvest_hdf5(path: Path) -> tuple[Fact, ...]:
     """The facts that the attributes of an HDF5 file say."""
     import h5py
@@ -131,7 +163,7 @@ def own_interval(names: Iterable[str], units: Iterable[str]) -> Fact | None:
 def _fact(key: str, value: str, words: str) -> Fact | None:
     plain = key.lower()
     for name, pattern in _SIZES:
-        if re.search(pattern, plain.split("[")[0].split("(")[0].split("/")[0].strip()):
+        if re.search(pattern, _bare(key)):
             size = _size_mm(key, value)
             return None if size is None else Fact(name, size, words)
     for name, pattern in _TEXTS:
@@ -147,6 +179,11 @@ def _fact(key: str, value: str, words: str) -> Fact | None:
         rate = _number(value, "Hz", "Hz")
         return Fact(SAMPLE_RATE, rate, words) if rate else None
     return None
+
+
+def _bare(key: str) -> str:
+    """A key in small letters without the unit behind it."""
+    return key.lower().split("[")[0].split("(")[0].split("/")[0].strip()
 
 
 def _size_mm(key: str, value: str) -> float | None:

@@ -5,7 +5,10 @@ A guess for drafts alone. Does not belong here: a row of units below the names (
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+
+_WITH_UNIT = re.compile(r"(?P<name>.*?)\s*(?P<unit>[\[(][^\[\]()]*[\])])")
 
 
 def join_heads(upper: Sequence[str], lower: Sequence[str]) -> list[str]:
@@ -25,5 +28,11 @@ def join_heads(upper: Sequence[str], lower: Sequence[str]) -> list[str]:
     names, group = [], ""
     for over, under in zip(above, below, strict=True):
         group = over or (group if under else "")
-        names.append(f"{under} {group}".strip())
+        names.append(_join(under, group))
     return names
+
+
+def _join(name: str, group: str) -> str:
+    """`Laufzeit [h]` under `Versuch` is `Laufzeit Versuch [h]`: a unit stands last, where it is looked for."""
+    match = _WITH_UNIT.fullmatch(name)
+    return f"{name} {group}".strip() if match is None else f"{match['name']} {group} {match['unit']}".replace("  ", " ")

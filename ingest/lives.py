@@ -344,10 +344,10 @@ def _flags(table: TableRows, bounds: NDArray[np.int8]) -> tuple[Bool | None, Boo
     return failed, earlier
 
 
-def read_failure_modes(table: TableRows) -> list[tuple[str | None, str | None]]:
-    """The failure mode of each selected row and what the table calls it; (None, None) where it says nothing.
+def read_failure_modes(table: TableRows, failed: Bool) -> list[tuple[str | None, str | None]]:
+    """The failure mode of each selected row and what the table calls it; (None, None) where it says nothing. `failed` (n,) of the rows.
 
-    Words that neither the mapping nor `schemas.lifetimes` knows are `other`, which a note says.
+    Words of failures that neither the mapping nor `schemas.lifetimes` knows are `other`, which a note says.
     """
     if "failure_mode" not in table.mapping.columns:
         return [(None, None)] * int(table.rows.sum())
@@ -368,7 +368,7 @@ def read_failure_modes(table: TableRows) -> list[tuple[str | None, str | None]]:
                 remedy="Correct [columns.failure_mode] in the mapping TOML",
             )
         mode = said[0] if said else classify_failure_mode(written)
-        if mode == OTHER and not said:
+        if mode == OTHER and not said and failed[i]:
             unknown[written] = None
         found.append((mode, written))
     if unknown:

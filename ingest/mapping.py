@@ -79,7 +79,7 @@ class ColumnMapping:
 
     `metadata` holds the channel's own keys (`sensor`, `delay_s`, `resolution`, `filter_hz`) as text, as MCAP has them.
     `value` stands for a column that is the same in every row (tables only); `meanings` says which cell values mean
-    failed, censored and left-censored, or which failure mode (columns of lifetime tables). `law`: how a covariate of the laboratory's
+    failed, censored and left-censored, or which failure mode (columns of lifetime tables), `censored_modes` which modes count as survivors. `law`: how a covariate of the laboratory's
     own enters a regression of lives. `says_scale`: the mapping gives a scale
     or offset, be it 1 or 0.
     """
@@ -98,6 +98,7 @@ class ColumnMapping:
     format: str | None = None
     fill_down: bool = False
     meanings: Mapping[str, tuple[Any, ...]] = dataclass_field(default_factory=dict)
+    censored_modes: tuple[str, ...] = ()
     law: str | None = None
     metadata: Mapping[str, str] = dataclass_field(default_factory=dict)
 
@@ -405,6 +406,9 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         for key in (*_VALUES_OF_FAILED, *_VALUES_OF_MODES)
         if key in entry
     }
+    modes = tuple(entry.get("censored_modes", ()))
+    for mode in modes:
+        choice(mode, f"{name}.censored_modes", FAILURE_MODES, source)
     return ColumnMapping(
         column=entry.get("column"),
         unit=entry.get("unit"),
@@ -420,6 +424,7 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         format=entry.get("format"),
         fill_down=entry.get("fill_down", False),
         meanings=meanings,
+        censored_modes=modes,
         law=entry.get("law"),
         metadata={k: str(entry[k]) for k in CHANNEL_METADATA if k in entry},
     )
@@ -523,7 +528,7 @@ def _unused_of_text(time: Mapping[str, Any]) -> tuple[str, ...]:
 
 _VALUES_OF_FAILED = ("failed_values", "censored_values", "left_censored_values", "no_test_values")
 _VALUES_OF_MODES = tuple(f"{mode}_values" for mode in FAILURE_MODES)
-_WORDS = (
+WORDS = (
     "failed",
     "censored",
     "configuration",
@@ -547,12 +552,12 @@ _AGES = ("lifetime", "alive_at", "entered", "test_duration")
 def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
     """The keys of a table's column that have no effect."""
     unused: list[str] = []
-    if name in (*_WORDS, "count"):
+    if name in (*WORDS, "count"):
         unused += ["unit", "scale", "offset", "overrule_unit"]
     if name not in ("failed", "censored"):
         unused += _VALUES_OF_FAILED
     if name != "failure_mode":
-        unused += _VALUES_OF_MODES
+        unused += [*_VALUES_OF_MODES, "censored_modes"]
     if "value" in column:
         unused += ["index", "overrule_unit", "fill_down", "format"]
     if name not in FILLED_DOWN:

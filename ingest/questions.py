@@ -80,4 +80,11 @@ def unstretched(unit: str) -> float:
 
 
 def ask_unit(label: str, column: GuessedColumn, usual: str) -> Question:
-    return Question(f"{label}.unit", f'unit of "{column.column}": the file does not say', usual)
+    return Question(f"{label}.unit", f"unit of {name_column(column)}: the file does not say", usual)
+
+
+def name_column(column: GuessedColumn) -> str:
+    """A column as a person finds it: by the name that the file has for it, beside its number where a mapping knows it by that."""
+    if isinstance(column.column, str):
+        return f'"{column.column}"'
+    return f'{column.column} ("{column.name}")' if column.name else str(column.column)

@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from ingest.csv_dialect import WHITESPACE, Dialect
 from ingest.encodings import guess_encoding
-from ingest.harvest import Fact, harvest_lines, own_interval
+from ingest.harvest import Fact, harvest_columns, harvest_lines, own_interval
 from ingest.heads import join_heads
 from ingest.meanings import GuessedColumn, guess_columns, guess_joined, is_any_unit
 from ingest.notations import PREFIXES, read_cell
@@ -96,7 +96,8 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     rows = tuple(
         tuple(_split(line, dialect)) for line in lines[start : start + _ROWS] if line.strip() and line.strip() != marks
     )
-    facts = harvest_lines(lines[i] for i in above if i < first)
+    heads = [lines[i] for i in above if i < first]
+    facts = (*harvest_lines(heads), *harvest_columns([_split(line, dialect) for line in heads]))
     interval = own_interval(header, units)
     labels, scope_units = _of_scope([lines[i] for i in above if i < first], dialect, header)
     told, told_units = _of_rows([lines[i] for i in above if i < first], dialect, header)

@@ -115,7 +115,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
         for name in ("configuration", "failure_site", "failure_region")
     }
     _check_places(fixed, where)
-    modes = read_failure_modes(table)
+    modes = read_failure_modes(table, lives.failed)
     conditions = {
         "temperature": table.numbers_or("temperature", "degC", metadata.temperature_c, count),
         "humidity": table.numbers_or("humidity", "1", metadata.humidity, count),
@@ -124,12 +124,15 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
     _check_conditions(table, conditions)
     electrodes, batches = (table.texts_or(name, getattr(metadata, name), count) for name in ("electrode", "batch"))
     covariates = read_covariates(table)
-    rows = []
+    censored_modes = mapping.columns["failure_mode"].censored_modes if "failure_mode" in mapping.columns else ()
+    rows, ended_by = [], 0
     for i in range(count):
         if math.isnan(lives.life_s[i]):
             continue
         name = specimens[i] or f"{stem}-{table.row_numbers[i]}"
-        failed = bool(lives.failed[i])
+        not_counted = bool(lives.failed[i]) and modes[i][0] in censored_modes
+        ended_by += not_counted
+        failed = bool(lives.failed[i]) and not not_counted
         rows += [
             LifetimeRow(
                 specimen_id=specimen,
@@ -139,7 +142,11 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
                 configuration=fixed["configuration"][i],
                 campaign=metadata.campaign,
                 voltage_kv=_number_or_none(voltage[i]),
-                censored_because=None if failed else "censored in the table",
+                censored_because=None
+                if failed
+                else f"failed: {modes[i][0]}"
+                if not_counted
+                else "censored in the table",
                 breakdown_voltage_kv=_number_or_none(breakdown[i]),
                 failure_site=fixed["failure_site"][i],
                 failure_region=fixed["failure_region"][i],
@@ -162,6 +169,10 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
             "no row has a life that says anything", where=where, expected="lives above 0, or failures at 0"
         )
     _check_names(rows, where)
+    if ended_by:
+        table.notes.append(
+            f"{ended_by} failures ({', '.join(censored_modes)}) count as survivors until then: columns.failure_mode.censored_modes"
+        )
     return LifetimeTable(metadata, tuple(rows), *table.remarks, tuple(table.assumptions))
 
 

@@ -96,6 +96,8 @@ _WORDS_OF_MODES: Mapping[str, tuple[str, ...]] = {
     ),
 }
 """The first mode with a word in the text counts: "breakdown at the lead" is one of the lead."""
+_LEAST_OF_COMPOUND = 5
+"""Letters of a word that counts as well where another one begins with it: `Anschlussfehler`, `connectors`."""
 
 
 def classify_failure_mode(written: str) -> str:
@@ -105,8 +107,12 @@ def classify_failure_mode(written: str) -> str:
     ----------
     written : as it stands in the table
     """
-    words = set(re.findall(r"[^\W\d_]+", written.lower()))
-    return next((mode for mode, known in _WORDS_OF_MODES.items() if words & set(known)), OTHER)
+    words = re.findall(r"[^\W\d_]+", written.lower())
+    for mode, known in _WORDS_OF_MODES.items():
+        begins = tuple(word for word in known if len(word) >= _LEAST_OF_COMPOUND)
+        if any(word in known or word.startswith(begins) for word in words):
+            return mode
+    return OTHER
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.time_domain import HELD_OUT, CycleFit, CycleFits, fit_cycle
-from pipeline.transform.loops import find_loops
+from pipeline.transform.loops import Loop, find_loops, measure_modulus
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
@@ -95,54 +97,94 @@ def cycle_loops(recording: Recording) -> pa.Table:
     """Table `cycle_loops` of one recording. Raises `NotIdentifiableError` where no cycle closes."""
     about = recording.metadata
     has_stress = {"stretch", "stress"} <= recording.channels.keys()
-    driven, answer = (
-        recording.channels[n] for n in (("stretch", "stress") if has_stress else ("displacement", "force"))
-    )
-    time, x, y = np.asarray((driven.time_ns - recording.start_ns) * 1e-9), driven.values, _at(answer, driven)
-    good = np.isfinite(x) & np.isfinite(y)
-    time, x, y = time[good], x[good], y[good]
-    section = about.undeformed_section_mm2
-    volume = None if section is None or about.film_length_mm is None else section * about.film_length_mm
-
-    def energy(value: float | None) -> float | None:
-        """A loss in mJ: N mm as recorded, or kJ/m³ of the film's volume."""
-        if value is None or not has_stress:
-            return value
-        return None if volume is None else value * volume / _KPA_PER_MPA
-
-    def density(value: float | None) -> float | None:
-        """A loss in kJ/m³ of undeformed film."""
-        if value is None or has_stress:
-            return value
-        return None if volume is None else value / volume * _KPA_PER_MPA
-
-    def only(value: float, is_there: bool) -> float | None:
-        return value if is_there else None
+    time, lengths, stretches = _pairs(recording)
+    pair = stretches if has_stress else lengths
+    assert pair is not None  # a cycle is recorded as one of the two
+    found = find_loops(time, *pair)
+    by_length, by_stretch = (_find_same(time, pair, found) for pair in (lengths, stretches))
+    rows = list(zip(found, by_length, by_stretch, strict=True))
 
     return TABLES["cycle_loops"].from_objects(
-        enumerate(find_loops(time, x, y), 1),
+        enumerate(rows, 1),
         recording_id=about.recording_id,
         specimen_id=about.specimen_id,
         cycle=lambda one: one[0],
-        unclosed=lambda one: one[1].unclosed,
-        start_s=lambda one: float(time[one[1].first]),
-        end_s=lambda one: float(time[one[1].last]),
-        displacement_low_mm=lambda one: only(one[1].low, not has_stress),
-        displacement_high_mm=lambda one: only(one[1].high, not has_stress),
-        stretch_low=lambda one: only(one[1].low, has_stress),
-        stretch_high=lambda one: only(one[1].high, has_stress),
-        force_low_n=lambda one: only(one[1].least, not has_stress),
-        force_high_n=lambda one: only(one[1].most, not has_stress),
-        stress_low_kpa=lambda one: only(one[1].least, has_stress),
-        stress_high_kpa=lambda one: only(one[1].most, has_stress),
-        loss_mj=lambda one: energy(one[1].loss),
-        loss_kj_per_m3=lambda one: density(one[1].loss),
-        steady_loss_mj=lambda one: energy(one[1].steady_loss),
-        steady_loss_kj_per_m3=lambda one: density(one[1].steady_loss),
-        loss_share=lambda one: one[1].loss_share,
-        secant_n_per_mm=lambda one: only(one[1].secant, not has_stress),
-        secant_kpa=lambda one: only(one[1].secant, has_stress),
+        unclosed=lambda one: one[1][0].unclosed,
+        start_s=lambda one: float(time[one[1][0].first]),
+        end_s=lambda one: float(time[one[1][0].last]),
+        loss_share=lambda one: one[1][0].loss_share,
+        **{
+            name: partial(_tell, place=place, attribute=attribute)
+            for place, of_pair in ((1, _OF_LENGTHS), (2, _OF_STRETCHES))
+            for name, attribute in of_pair.items()
+        },
+        modulus_kpa=lambda one: None if stretches is None else measure_modulus(*stretches, one[1][0]),
     )
+
+
+_OF_LENGTHS = {
+    "displacement_low_mm": "low",
+    "displacement_high_mm": "high",
+    "force_low_n": "least",
+    "force_high_n": "most",
+    "loss_mj": "loss",
+    "steady_loss_mj": "steady_loss",
+    "secant_n_per_mm": "secant",
+}
+"""Columns of `cycle_loops` of displacement and force: what of a loop each is."""
+_OF_STRETCHES = {
+    "stretch_low": "low",
+    "stretch_high": "high",
+    "stress_low_kpa": "least",
+    "stress_high_kpa": "most",
+    "loss_kj_per_m3": "loss",
+    "steady_loss_kj_per_m3": "steady_loss",
+    "secant_kpa": "secant",
+}
+"""The same of stretch and nominal stress."""
+
+
+def _tell(one: tuple[int, tuple[Loop | None, ...]], place: int, attribute: str) -> float | None:
+    """What one of the loops of a cycle is; None where there is none."""
+    loop = one[1][place]
+    value: float | None = None if loop is None else getattr(loop, attribute)
+    return value
+
+
+def _find_same(time: Float, pair: tuple[Float, Float] | None, found: Sequence[Loop]) -> Sequence[Loop | None]:
+    """The same cycles in another pair of quantities; None each where that is not known."""
+    if pair is None:
+        return [None] * len(found)
+    same = find_loops(time, *pair)
+    return same if len(same) == len(found) else [None] * len(found)
+
+
+def _pairs(recording: Recording) -> tuple[Float, tuple[Float, Float] | None, tuple[Float, Float] | None]:
+    """Time in s since the first sample, displacement in mm with force in N, and stretch with nominal stress in kPa, (n,) each, at the samples
+    at which all that is recorded is known.
+
+    Each as the machine gives it, else by the film's sizes; None where these are not all known.
+    """
+    about, channels = recording.metadata, recording.channels
+    has = {names: set(names) <= channels.keys() for names in _PAIRS}
+    driven = channels["stretch" if has["stretch", "stress"] else "displacement"]
+    read = {n: _at(channels[n], driven) for names in _PAIRS if has[names] for n in names}
+    good = np.all([np.isfinite(values) for values in read.values()], axis=0)
+    read = {name: values[good] for name, values in read.items()}
+    zero, length, section = _sizes(about)
+    is_known = section_over_length_mm(about) is not None
+    lengths = (read["displacement"], read["force"]) if has["displacement", "force"] else None
+    stretches = (read["stretch"], read["stress"]) if has["stretch", "stress"] else None
+    if is_known and stretches is None and lengths is not None:
+        stretches = zero + lengths[0] / length, lengths[1] / section
+    elif is_known and lengths is None and stretches is not None:
+        lengths = (stretches[0] - zero) * length, stretches[1] * section
+    time = np.asarray((driven.time_ns - recording.start_ns) * 1e-9)[good]
+    return time, lengths, stretches
+
+
+_PAIRS = ("displacement", "force"), ("stretch", "stress")
+"""What is driven and what answers, as machines give it."""
 
 
 def _fit_rows(group: CycleFits, time_s: Float) -> pa.Table:

@@ -144,12 +144,13 @@ def _ready(
 ) -> tuple[Draft | None, list[str]]:
     """The draft with every question answered and what was recognised; None and what is missing where one is not."""
     from ingest.answers import answered, as_suggested, draft_with
+    from ingest.questions import name_column
 
     draft, placed = draft_with(path, given)
     draft = answered(draft, placed)
     lines = [f"{path.name}: {_recognised(draft)}"]
     lines += [f"  note       {text}" for text in draft.told]
-    lines += [f"  column     {c.column} is not mapped" for c in draft.unmapped]
+    lines += [f"  column     {name_column(c)} is not mapped" for c in draft.unmapped]
     if is_asked and draft.questions and sys.stdin.isatty():
         print("\n".join(lines))
         return _ask_all(draft, ask), []

@@ -22,6 +22,8 @@ STILL = 0.02
 """Share of the whole range that counts as not having left the rest before the first cycle."""
 FEWEST = 8
 """Samples of a cycle: of fewer the area is that of a polygon inside of the loop, more than 5 % too small."""
+ELONGATIONS = 1.02, 1.1
+"""Stretches between which the modulus of the start is taken: below lies what is still slack, beyond bends an elastomer."""
 AROUND = 40
 """Share of a cycle's samples, one in so many, on each side of its ends over which the answer's drift is a mean: of single samples
 their noise would be 2 % of the loss of an acrylic film at 1.6 mN."""
@@ -41,6 +43,7 @@ class Loop:
         longer relaxes from one to the next. None where the cycle begins or ends at rest
     unclosed : cycles before it that end elsewhere than they began, such as a first one from the unloaded film to the lower turning point
     work : ∫ y dx from the lowest to the highest x
+    top : number of the sample at the highest x
     """
 
     first: int
@@ -52,6 +55,7 @@ class Loop:
     loss: float
     steady_loss: float | None
     work: float
+    top: int
     unclosed: int = 0
 
     @property
@@ -127,7 +131,26 @@ def _loop(time: Float, x: Float, y: Float, turns: tuple[int, int, int], drift: f
         loss=_area(own_x, own_y),
         steady_loss=None if drift is None else _area(own_x, own_y - drift * passed),
         work=float(np.trapezoid(own_y[up], own_x[up])),
+        top=top,
     )
+
+
+def measure_modulus(stretch: Float, stress: Float, loop: Loop) -> float | None:
+    """Slope of the straight line through the loading of a cycle from 2 to 10 % elongation, in the unit of the stress.
+
+    Parameters
+    ----------
+    stretch, stress : (n,) samples among which the cycle was found
+
+    Returns
+    -------
+    None where the loading has not `FEWEST` samples there, such as that of a film under pre-stretch
+    """
+    lam, p = (values[loop.first : loop.top + 1] for values in (stretch, stress))
+    inside = (lam >= ELONGATIONS[0]) & (lam <= ELONGATIONS[1])
+    if inside.sum() < FEWEST or lam[0] > ELONGATIONS[0]:
+        return None
+    return float(np.polyfit(lam[inside], p[inside], 1)[0])
 
 
 def _area(x: Float, y: Float) -> float:

@@ -188,13 +188,21 @@ TABLES: tuple[Table, ...] = (
             ),
             real("start_s", "s", "its beginning, since the recording's first sample"),
             real("end_s", "s", "its end"),
-            real("displacement_low_mm", "mm", "lowest displacement; NULL where the machine gives stretch and stress"),
+            real(
+                "displacement_low_mm",
+                "mm",
+                "lowest displacement; NULL where the machine gives stretch and stress, and the film's sizes are not given",
+            ),
             real("displacement_high_mm", "mm", "highest displacement"),
-            real("stretch_low", "", "lowest stretch; NULL where the machine gives displacement and force"),
+            real(
+                "stretch_low",
+                "",
+                "lowest stretch; NULL where the machine gives displacement and force, and the film's sizes are not given",
+            ),
             real("stretch_high", "", "highest stretch"),
             real("force_low_n", "N", "lowest force as recorded"),
             real("force_high_n", "N", "highest force as recorded"),
-            real("stress_low_kpa", "kPa", "lowest nominal stress; NULL where the machine gives force"),
+            real("stress_low_kpa", "kPa", "lowest nominal stress; NULL as stretch_low"),
             real("stress_high_kpa", "kPa", "highest nominal stress"),
             real("loss_mj", "mJ", "area between loading and unloading; NULL of a stress without the film's sizes"),
             real(
@@ -214,6 +222,12 @@ TABLES: tuple[Table, ...] = (
             ),
             real("secant_n_per_mm", "N/mm", "range of the force over range of the displacement"),
             real("secant_kpa", "kPa", "range of the stress over range of the stretch"),
+            real(
+                "modulus_kpa",
+                "kPa",
+                "slope of the straight line through the loading from 2 to 10 % elongation; NULL where it does not pass there or the stretch"
+                " is not known",
+            ),
         ),
         key=("recording_id", "cycle"),
         made_by=(MadeBy("recording"),),

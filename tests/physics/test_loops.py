@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 
-from pipeline.transform.loops import find_loops
+from pipeline.analyse.cycle import cycle_loops
+from pipeline.transform.loops import find_loops, measure_modulus
 from schemas.errors import NotIdentifiableError
+from schemas.metadata import RecordingMetadata
+from tests.helpers.sensing_truth import recording
 
 RATE, SPEED, HALF = 50.0, 3.0, 6.0
 PERIOD = 4 * HALF / SPEED
@@ -95,3 +100,36 @@ def test_cycles_that_end_elsewhere_than_they_began_are_counted() -> None:
     assert [loop.unclosed for loop in found] == [1, 1]
     whole = find_loops(t, np.interp(t, np.linspace(0, 60, 7), [0.0, 20, 0, 20, 0, 20, 0]), 0.1 * x)
     assert [loop.unclosed for loop in whole] == [0, 0, 0]
+
+
+def test_the_modulus_of_the_start_is_the_slope_from_2_to_10_percent() -> None:
+    t = np.arange(0, 40, 0.05)
+    stretch = 1 + np.interp(t, [0, 10, 20, 30, 40], [0, 1, 0, 1, 0])
+    stress = 900 * (stretch - 1) - 400 * (stretch - 1) ** 2
+    first, second = find_loops(t, stretch, stress)
+    known = (stretch >= 1.02) & (stretch <= 1.1) & (t <= 10)
+    expected = np.cov(stretch[known], stress[known])[0, 1] / np.var(stretch[known], ddof=1)
+    assert measure_modulus(stretch, stress, first) == pytest.approx(expected, rel=1e-9)
+    assert measure_modulus(stretch, stress, second) == pytest.approx(expected, rel=1e-2)
+    # under a pre-stretch the loading does not pass there
+    assert measure_modulus(stretch + 0.4, stress, first) is None
+
+
+def test_forces_and_stresses_of_a_machine_that_gives_both_are_both_told() -> None:
+    """The force was there, and only the stress was told."""
+    t = np.arange(0, 20, 0.05)
+    x = np.interp(t, [0, 10, 20], [0, 50, 0])
+    force = 0.04 * x + 0.1 * np.sin(np.pi * t / 10)
+    about = RecordingMetadata(
+        recording_id="a1", started_at=datetime(2026, 3, 2, 9, tzinfo=UTC), specimen_id="a", protocol="cycle",
+        loading="mechanical", film_length_mm=50.0, film_width_mm=20.0, film_thickness_mm=0.5,
+    )  # fmt: skip
+    both = {"displacement": x, "force": force, "stretch": 1 + x / 50, "stress": 100 * force}
+    (told,) = cycle_loops(recording(about, t, **both)).to_pylist()
+    (alone,) = cycle_loops(recording(about, t, displacement=x, force=force)).to_pylist()
+    assert told["force_high_n"] == pytest.approx(force.max())
+    assert told["stress_high_kpa"] == pytest.approx(100 * force.max())
+    assert told["loss_mj"] == pytest.approx(abs(np.trapezoid(force, x)), rel=1e-3)
+    assert told["loss_kj_per_m3"] == pytest.approx(told["loss_mj"] * 1000 / (50 * 20 * 0.5), rel=1e-6)
+    for name, value in told.items():
+        assert alone[name] == (pytest.approx(value) if isinstance(value, float) else value), name

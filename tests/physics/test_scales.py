@@ -209,6 +209,11 @@ def cause_of_cycle(given: Recording) -> Any:
     return comparison.p_value, explained, chosen, estimate_noise_sd(stress)
 
 
+def loops_in_mm(given: Recording) -> Any:
+    """Loops without what counts from an absolute stretch: a displacement in another unit is another stretch of the same film."""
+    return cycle_loops(given).drop_columns(["stretch_low", "stretch_high", "modulus_kpa"])
+
+
 SHARE = 1e-3
 """What searches that end within their tolerance may differ by."""
 CASES: dict[str, tuple[Callable[[], Recording], tuple[str, ...], Measure]] = {
@@ -216,7 +221,7 @@ CASES: dict[str, tuple[Callable[[], Recording], tuple[str, ...], Measure]] = {
     "cycle of force": (forced, ("force",), lambda r: [determined_of_cycle(one) for one in cycle_fits(r).fits]),
     "loops of stress": (cycled, ("stress",), cycle_loops),
     "loops of force": (forced, ("force",), cycle_loops),
-    "loops of displacement": (forced, ("displacement",), cycle_loops),
+    "loops of displacement": (forced, ("displacement",), loops_in_mm),
     "cause of a cycle": (cycled, ("stress",), cause_of_cycle),
     "hold, force": (held, ("force",), answered_and_fitted),
     "hold, displacement": (held, ("displacement",), answered_and_fitted),

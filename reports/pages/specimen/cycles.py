@@ -71,13 +71,13 @@ def loops_of_specimen(draft: Draft) -> Section | None:
     heads = (
         Head("Recording"), Head("Cycle", "n"), Head("From", "n"), Head("to", "n"), Head("Largest", "n"), Head("Loss, mJ", "n"),
         Head("without drift, mJ", "n"), Head("Loss, kJ/m³", "n"), Head("without drift, kJ/m³", "n"), Head("of the work", "n"),
-        Head("Secant", "n"),
+        Head("Secant", "n"), Head("Modulus, kPa", "n"),
     )  # fmt: skip
     below = (
         "From one lowest displacement (mm, or stretch) to the next. Loss: the area between loading and unloading; without drift: after the"
         " force has lost what it changes from a cycle’s beginning to its end, which is relaxation from cycle to cycle and no loss of each."
         " Of the work: loss over the work of loading, force as recorded. Largest: force in N, or stress in kPa; secant: its range over that"
-        " of the displacement."
+        " of the displacement. Modulus: slope of the line through the loading from 2 to 10 % elongation."
     )
     opened = max(int(r["unclosed"] or 0) for r in found)
     if opened:
@@ -103,6 +103,7 @@ def _loop_cells(draft: Draft, r: Record) -> tuple[Piece, ...]:
         *(ABSENT if v is None else significant(v, 4) for v in numbers),
         ABSENT if r["loss_share"] is None else percent(r["loss_share"]),
         with_unit(significant(r[secant], 3), unit),
+        ABSENT if r["modulus_kpa"] is None else significant(r["modulus_kpa"], 3),
     )
 
 

@@ -1,0 +1,128 @@
+"""What a list of lives says beside its numbers: how specimens failed, which failures do not count, and which rows were no test."""
+
+from __future__ import annotations
+
+import tomllib
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ingest.draft import make_draft
+from ingest.mapping import FileMapping
+from ingest.outcomes import FAILED
+from ingest.read import read_raw
+from ingest.tables import LifetimeTable
+from pipeline.cli import main
+from schemas.errors import RefusedError
+from schemas.lifetimes import EDGE, FILM, LEAD, OTHER, classify_failure_mode
+from tests.helpers.xlsx_files import write_xlsx
+
+HEADS = [
+    ["Specimen", None, "Voltage", "Test", None, "State", "Remarks"],
+    ["No.", "Foil", "[kV]", "Begun", "Duration [min]", None, None],
+]
+ROWS: list[list[Any]] = [
+    [1, "x", 6.0, datetime(2026, 3, 2, 9), 12.5, "failed", "at the edge"],
+    [2, "x", None, datetime(2026, 3, 2, 9), 40.0, "failed", "wire contact burnt"],
+    [3, "y", None, datetime(2026, 3, 2, 9), 33.0, "failed", "pinhole"],
+    [4, "y", None, datetime(2026, 3, 2, 9), 60.0, "running", "looks fine"],
+    [5, "x", 7.0, datetime(2026, 3, 3, 9), 4.0, "failed", None],
+    [6, "y", None, None, None, "rejected", "torn when mounted"],
+    [7, "y", None, datetime(2026, 3, 3, 9), 6.5, "failed", "contact lost"],
+]  # fmt: skip
+
+
+def write_list(folder: Path, *legend: str) -> Path:
+    below: list[list[Any]] = [[None] * 7, *([line, *[None] * 6] for line in legend)]
+    title = [["Lives of foils", *[None] * 6], [None] * 7]
+    return write_xlsx(folder / "lives.xlsx", {"Lives": [*title, *HEADS, *ROWS, *below]})
+
+
+def read_drafted(path: Path, changed: dict[str, Any] | None = None) -> LifetimeTable:
+    content = tomllib.loads(make_draft(path).as_toml())
+    content["columns"]["failure_mode"] |= changed or {}
+    found = read_raw(path, FileMapping.parse(content, stem=path.stem, suffix=path.suffix))
+    assert isinstance(found, LifetimeTable)
+    return found
+
+
+def test_a_unit_in_the_lower_of_two_rows_of_heads_is_read(tmp_path: Path) -> None:
+    """The name was joined behind the unit, which then stood nowhere: the unit of the lives was asked for."""
+    draft = make_draft(write_list(tmp_path))
+    assert draft.content["columns"]["lifetime"]["unit"] == "min"
+    assert not [q for q in draft.questions if q.key.endswith("unit")]
+
+
+def test_a_mark_that_stands_beside_no_life_is_no_test(tmp_path: Path) -> None:
+    """It was proposed as one of failures, and the row then refused the table."""
+    columns = make_draft(write_list(tmp_path)).content["columns"]
+    assert columns["failed"]["failed_values"] == [FAILED]
+    assert columns["failed"]["no_test_values"] == ["rejected"]
+    table = read_drafted(write_list(tmp_path))
+    assert len(table.rows) == 6
+    assert any("no test" in note for note in table.notes)
+
+
+def test_remarks_say_how_specimens_failed(tmp_path: Path) -> None:
+    table = read_drafted(write_list(tmp_path))
+    assert [row.failure_mode for row in table.rows] == [EDGE, LEAD, FILM, None, None, LEAD]
+    # what is remarked of a survivor is no failure mode that nothing tells
+    assert not any("count as other" in note for note in table.notes)
+
+
+@pytest.mark.parametrize(
+    ("legend", "suggested"),
+    [
+        ((), []),
+        (("contact failures are not counted as failures of the foil",), ["lead"]),
+        (("Kontaktfehler zählen nicht als Folienausfall",), ["lead"]),
+    ],
+)
+def test_which_failures_count_is_asked(tmp_path: Path, legend: tuple[str, ...], suggested: list[str]) -> None:
+    draft = make_draft(write_list(tmp_path, *legend))
+    (asked,) = [q for q in draft.questions if q.key == "columns.failure_mode.censored_modes"]
+    assert asked.suggestion == suggested
+    assert "film, lead, edge" in asked.text
+
+
+def test_failures_of_modes_that_do_not_count_end_the_watch(tmp_path: Path) -> None:
+    table = read_drafted(write_list(tmp_path), {"censored_modes": ["lead"]})
+    assert [(row.lifetime_s, row.failed) for row in table.rows] == [
+        (750.0, True), (2400.0, False), (1980.0, True), (3600.0, False), (240.0, True), (390.0, False),
+    ]  # fmt: skip
+    assert [row.censored_because for row in table.rows] == [
+        None, "failed: lead", None, "censored in the table", None, "failed: lead",
+    ]  # fmt: skip
+    assert any(note.startswith("2 failures (lead) count as survivors until then") for note in table.notes)
+
+
+def test_a_mode_that_there_is_not_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RefusedError, match='censored_modes is "leed"'):
+        read_drafted(write_list(tmp_path), {"censored_modes": ["leed"]})
+
+
+@pytest.mark.parametrize(
+    ("written", "mode"),
+    [("Anschlussfehler", LEAD), ("connectors loose", LEAD), ("Folienriss", FILM), ("leading", OTHER), ("rim", EDGE)],
+)
+def test_compound_words_name_failure_modes(written: str, mode: str) -> None:
+    assert classify_failure_mode(written) == mode
+
+
+def test_columns_that_a_person_names_are_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A column of words that was said to be a batch ended in a traceback."""
+    path = write_list(tmp_path)
+    assert main(["add", str(path), "--yes", "1=batch", "6=failure_mode"]) == 0
+    content = tomllib.loads((tmp_path / "lives.xlsx.toml").read_text(encoding="utf-8"))
+    assert content["columns"]["batch"] == {"column": 1}
+    assert '"Begun Test"' in capsys.readouterr().out
+    with pytest.raises(RefusedError, match="a column of dates"):
+        make_draft(path, wanted=_wanted({"1": "started", "3": "ended"}))
+
+
+def _wanted(roles: dict[str, str]) -> Any:
+    from ingest.draft import Wanted
+
+    return Wanted(roles=roles)
