@@ -57,10 +57,10 @@ from ingest.draft_tables import (
 from ingest.draft_text import toml_text
 from ingest.draft_times import ask_order, find_date_format, find_other_order, make_time_keys, prefer_order
 from ingest.excel_reader import SHEET
-from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact
+from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact, name_fact
 from ingest.mapping import FILLED_DOWN, WORDS, FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, MEAN, RECORDING, RELAXATION, TAN_DELTA
-from ingest.meanings import TIME, GuessedColumn, counts_rows, is_sensor_unit
+from ingest.meanings import NOTHING, TIME, GuessedColumn, counts_rows, is_sensor_unit
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys, name_column
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
@@ -156,6 +156,7 @@ def make_draft(path: Path, said: Mapping[str, str] = MappingProxyType({}), wante
         )
     if wanted.kind == RECORDING or not kinds:
         draft = _recording(opened)
+        draft = replace(draft, questions=tuple(q for q in draft.questions if q.key not in said))
     else:
         kind = wanted.kind or next(iter(kinds))
         draft = _table(opened, kind, kinds[kind])
@@ -233,7 +234,12 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
                 questions.append(ask_order(f"columns.{name}.format", cells[0], entry["format"]))
         elif name == "lifetime" and (keys := find_clock(column, opened)) is not None:
             entry |= keys
-            remarks[f"columns.{name}.column"] = CLOCKS_OF[keys.get("format", "hh:mm:ss")]
+            clock = keys.get("format", "hh:mm:ss")
+            if clock is None:
+                first = next(str(cell) for cell in opened.cells(column) if str(cell).count(":") == 1)
+                questions.append(Question(f"columns.{name}.format", f"what {first} means", None, ("hh:mm", "mm:ss")))
+            else:
+                remarks[f"columns.{name}.column"] = CLOCKS_OF[clock]
         elif name == "lifetime" and (unit := is_counted(column)) is not None:
             entry["unit"] = unit
             if "frequency" not in chosen:
@@ -326,7 +332,8 @@ def _recording(opened: Opened) -> Draft:
     runs = find_runs(opened, time_of) if one_sheet else []
     tests = runs or (find_parts(opened, time_of) if one_sheet else [])
     tests += [(None, {"column": SHEET, "equals": name}) for name in sheets] if len(sheets) > 1 else []
-    shapes = [_shape(opened, content | {"select": [entry]})[0] for _, entry in tests]
+    rows = [{key: value for key, value in entry.items() if key != "recording"} for _, entry in tests]
+    shapes = [_shape(opened, content | {"select": [entry]})[0] for entry in rows]
     if parts := name_parts(tests, shapes):
         content["select"] = parts
         about["recording_id"] += "-{each}"
@@ -355,6 +362,10 @@ def _recording(opened: Opened) -> Draft:
     if any(c.is_asked for c in opened.columns):
         seen = f"if the columns are what their numbers suggest: {shape.seen}"
         shape = replace(shape, certainty=UNSURE, seen=seen)  # a test seen in columns that may be others is not known
+    unknown = _ask_answers(opened, content["columns"])
+    if unknown:
+        questions += unknown
+        shape = replace(shape, certainty=UNSURE)  # what answers the voltage may be among them
     about |= {"protocol": shape.protocol, "loading": shape.loading}
     remarks["recording.protocol"] = f"{shape.certainty}: {shape.seen}"
     if shape.certainty != SURE:
@@ -388,6 +399,16 @@ def _channels(opened: Opened, asked: Sequence[Question]) -> tuple[dict[str, Any]
         if c.meaning not in (None, TIME)
     }
     return columns, questions
+
+
+def _ask_answers(opened: Opened, mapped: Mapping[str, Any]) -> list[Question]:
+    """What the other channels of a recorder are, where the voltage alone is known: what a film does under it is in one of them, or nowhere."""
+    if set(mapped) != {"voltage"}:
+        return []
+    others = [c for c in opened.columns if c.meaning is None and c.unit is not None and is_sensor_unit(c.unit)]
+    choices = ("force", "displacement", "capacitance", "leakage_current", NOTHING)
+    text = f"what {{}} records: {', '.join(choices[:-1])} or {NOTHING}"
+    return [Question(str(c.column), text.format(name_column(c)), None, choices) for c in others]
 
 
 def _first_of(column: GuessedColumn, opened: Opened) -> dict[str, Any]:
@@ -555,5 +576,5 @@ def _is_even(values: Any) -> bool:
 def _take(facts: Mapping[str, Fact], about: dict[str, Any], remarks: dict[str, str], keys: Sequence[str]) -> None:
     for key in keys:
         if key in facts:
-            about[key] = facts[key].value
+            about[key] = name_fact(facts[key])
             remarks[f"recording.{key}"] = f"the file: {facts[key].words}"

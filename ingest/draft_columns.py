@@ -22,9 +22,9 @@ from ingest.questions import label_column
 from ingest.read import open_columns
 from schemas.errors import DealabError
 
-_STORAGE = r"stor|speicher|^[eg]['1]|[eg]'$|^k'|^[ab]t?_?g'|re\b"
-_LOSS = r"loss|verlust|^[eg](''|\"|2)|^k''|im\b"
-_MAGNITUDE = r"^\|.*\|$|magnitude|betrag|complex modulus|\|?[egk]\*\|?|^k$|dyn.*stiff|amplitude ratio"
+_STORAGE = r"stor|speicher|elasti\w* (comp|anteil)|^[eg]['1]|[eg]'$|^k'|^[ab]t?_?g'|re\b"
+_LOSS = r"loss|verlust|visk?c?os\w* (comp|anteil)|^[eg](''|\"|2)|^k''|im\b"
+_MAGNITUDE = r"^\|.*\|$|magnitude|betrag|(complex|dynamic) (\w+ )?modulus|(komplex|dynamisch)\w* (\w+)?modul|\|?[egk]\*\|?|^k$|dyn.*stiff|amplitude ratio"
 _TAN_DELTA = r"\btan|loss factor|verlustfaktor"
 _PHASE = r"phase|phi|φ|delta|δ|winkel"
 _FREQUENCY = r"freq|omega|ω|^f$"
@@ -32,7 +32,7 @@ _RELAXED = r"relax|^[eg]\s?\(t\)|modul"
 _COMPLIANCE = r"complian|nachgiebigkeit"
 _FAILED = (
     r"[cz]ens|fail|event|status|state|death|broke|^breakdown$|^bd$|runout|durchschlag|ausfall|ausgefallen|defekt|versag"
-    r"|surviv|alive|überleb|lebt|outcome|ergebnis|^results?$|r[ée]sultat|resultado|^end$|^ended|d[ée]faill|claqu|panne"
+    r"|surviv|alive|überleb|lebt|outcome|ergebnis|[ée]tat\b|estado|\bstato\b|zustand|^results?$|r[ée]sultat|resultado|^end$|^ended|d[ée]faill|claqu|panne"
 )
 _LIFE = (
     r"life|lebensdauer|time to (break|fail)|(breakdown|failure) time|寿命|standzeit|laufzeit|ausfallzeit|haltbarkeit"
@@ -45,11 +45,13 @@ _ENDED = r"^(end|stop|finish|fin\b|fine\b|ausgeschaltet|ausgebaut|switched off|b
 _COUNTED = r"zykl|cycles?\b|lastwechsel|lastspiele|schaltspiele|h[üu]be|actuations|bet[äa]tigungen"
 """Names of lives that count cycles; of a machine's record as well, so that outcomes have to stand beside them."""
 _MILLIONS = r"mio\b|million|10\^?6|1e6|10⁶|mcycles|1[., ]?000[., ]?000"
-_THOUSANDS = r"tausend|tsd|thousand|kcycles|\bk\b|[×x*/]\s*1[., ]?000\b|\bin 1[., ]?000\b|10\^?3|1e3|10³"
+_THOUSANDS = (
+    r"tausend|tsd|thousand|milliers?|miles\b|kcycles|\bk\b|[×x*/]\s*1[., ]?000\b|\bin 1[., ]?000\b|10\^?3|1e3|10³"
+)
 _CONFIGURATION = r"config|group|grupo|electrode|[ée]lectrode|electrodo|elektrode|design|layout|bauart|gruppe|^type?$|^typ\b|variante|variant"
 _ALSO_CONFIGURATION = r"^film$|^folie$|^foil$|^membrane?$|mat[ée]ria[lu]|werkstoff|^kind$|^art$|^sorte$"
 """Names of groups where the cells repeat, of specimens where they do not."""
-_SPECIMEN = r"specimen|sample|[ée]chantillon|[ée]prouvette|muestra|probeta|campione|样品|试样|样本|試料|サンプル|probe|pr[üu]fling|muster|^id$|serial|aktor|actuator|device"
+_SPECIMEN = r"specimen|sample|[ée]chantillon|[ée]prouvette|rep[èe]re|muestra|probeta|campione|样品|试样|样本|試料|サンプル|probe|pr[üu]fling|muster|^id$|serial|aktor|actuator|device"
 _MOST_SPECIMENS = 100
 """Specimens of one file of samples."""
 _FEWEST_SAMPLES = 5
@@ -114,6 +116,8 @@ def find_relaxation_columns(columns: Sequence[GuessedColumn]) -> dict[str, Guess
     """The columns of a table of a relaxing modulus over time; empty where it is none."""
     if any(re.search(_COMPLIANCE, label_column(c)) for c in columns):
         return {}  # of a creep test, whose stress over strain is another function of time
+    if _first(columns, _FREQUENCY) is not None:
+        return {}  # of oscillations, whose moduli only have times because they were measured one after the other
     time = next((c for c in columns if c.meaning == TIME), None)
     modulus = _first([c for c in columns if c.unit in _MODULI and c.meaning is None], _RELAXED)
     if time is None or modulus is None:
@@ -134,7 +138,7 @@ def find_frequency(opened: Opened) -> tuple[float, str] | None:
     """The frequency that the words beside a table state, and the words; None where they state none, or several."""
     found = {}
     for text in opened.words:
-        for match in re.finditer(r"(\d+(?:[.,]\d+)?)\s*(k?)Hz\b", text):
+        for match in re.finditer(r"(\d+(?:[.,]\d+)?)[\s;\"]*(k?)Hz\b", text):
             found[float(match[1].replace(",", ".")) * (1000.0 if match[2] else 1.0)] = text
     return next(iter(found.items())) if len(found) == 1 else None
 

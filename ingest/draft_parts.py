@@ -10,7 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ingest.compressed import read_plain_content
+from ingest.csv_dialect import Dialect
 from ingest.draft_files import Opened, map_each_column, read_numbers
+from ingest.harvest import OWN_FACTS, harvest_blocks, name_fact
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import RECORDING
 from ingest.meanings import GuessedColumn
@@ -18,6 +21,7 @@ from ingest.read import open_columns
 from ingest.segments import Segment, find_segments
 from ingest.select import as_number
 from ingest.shapes import SURE, Shape
+from ingest.sniff import count_numbers
 from schemas.errors import DealabError
 
 _DRIVES = ("displacement", "stretch")
@@ -74,10 +78,26 @@ def find_runs(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool 
     if len(begins) == 1:
         return []
     found: list[tuple[bool | None, dict[str, Any]]] = []
-    for first, after in zip(begins, [*begins[1:], count], strict=True):
+    owned = _list_own_facts(opened, len(begins))
+    for first, after, own in zip(begins, [*begins[1:], count], owned, strict=True):
         entry = ({"first_row": first} if first else {}) | ({} if after in (None, count) else {"last_row": after - 1})
-        found.append((None, entry))
+        found.append((None, entry | ({"recording": own} if own else {})))
     return found
+
+
+def _list_own_facts(opened: Opened, runs: int) -> list[dict[str, Any]]:
+    """What a text says above each of its runs and not alike above all: specimen, sizes; nothing where not every run has words of its own."""
+    nothing: list[dict[str, Any]] = [{} for _ in range(runs)]
+    if opened.format != "csv":
+        return nothing
+    text = read_plain_content(opened.path).content.decode(str(opened.options.get("encoding", "utf-8")), "replace")
+    delimiter, decimal = str(opened.options["delimiter"]), str(opened.options["decimal"])
+    dialect = Dialect(delimiter=delimiter, decimal=decimal)
+    blocks = harvest_blocks(text.splitlines(), lambda line: count_numbers(line, dialect) > 0)
+    if len(blocks) != runs:
+        return nothing
+    keys = [key for key in OWN_FACTS if len({block[key].value if key in block else None for block in blocks}) > 1]
+    return [{key: name_fact(block[key]) for key in keys if key in block} for block in blocks]
 
 
 def _find_restarts(times: Any) -> list[int]:
@@ -127,7 +147,11 @@ def name_parts(tests: Sequence[tuple[bool | None, dict[str, Any]]], shapes: Sequ
         own: dict[str, Any] = {} if shape.protocol == shapes[0].protocol else {"protocol": shape.protocol}
         own |= {} if shape.loading == shapes[0].loading else {"loading": shape.loading}
         entries.append(
-            entry | {"part": name if count == 1 else f"{name}-{count}", "recording": own | dict(shape.constants)}
+            entry
+            | {
+                "part": name if count == 1 else f"{name}-{count}",
+                "recording": own | dict(shape.constants) | dict(entry.get("recording", {})),
+            }
         )
     return [{k: v for k, v in entry.items() if v != {}} for entry in entries]
 

@@ -45,10 +45,19 @@ CLOCKS_OF: Mapping[str, str] = {
 """Notations of durations, as a comment says them."""
 
 
-def find_clock(life: GuessedColumn, opened: Opened) -> dict[str, Any] | None:
-    """The keys of a column of lives that are written with colons; None where they are numbers, or two parts without a name for them.
+_CLOCKS: Mapping[str, str] = {
+    "hh:mm": r"\bh{1,2}\s?:\s?m|\bh:min|\bstd\.?\s?:\s?min|\bj:m|(hours?|stunden|heures|horas)\s?:\s?min",
+    "mm:ss": r"\bm{1,2}:s|\bmin\s?:\s?s|min\w*\s?:\s?(sec|sek|seg)",
+}
+"""What a header or the words beside a table call durations of two parts."""
 
-    `64:33:47` says itself what its parts are; of `64:33` the header does (`[hh:mm]`, `min:s`), or hours that no minutes reach.
+
+def find_clock(life: GuessedColumn, opened: Opened) -> dict[str, Any] | None:
+    """The keys of a column of lives that are written with colons, `format` None where nothing tells what two parts are; None where they
+    are numbers.
+
+    `64:33:47` says itself what its parts are; of `64:33` the header does (`[hh:mm]`, `min:s`), the words beside the table, or durations of
+    a workbook beside it that are whole minutes.
     """
     texts = [str(cell).strip().lstrip("<>≤≥= ") for cell in opened.cells(life) if ":" in str(cell)]
     filled = [cell for cell in opened.cells(life) if str(cell).strip()]
@@ -56,10 +65,12 @@ def find_clock(life: GuessedColumn, opened: Opened) -> dict[str, Any] | None:
         return None
     if all(text.count(":") == 2 for text in texts):
         return {"unit": life.unit or "s"}  # each cell has seconds of its own, whatever the header counts in
-    header = f"{life.column} {life.written_unit}".lower()
-    if re.search(r"\bh{1,2}:m|\bh:min|std\.?:min|\bj:m", header):
-        return {"format": "hh:mm"}
-    return {"format": "mm:ss"} if re.search(r"\bm{1,2}:s|\bmin:s", header) else None
+    for said in (f"{life.column} {life.name} {life.written_unit}", *opened.words):
+        for clock, pattern in _CLOCKS.items():
+            if re.search(pattern, said.lower()):
+                return {"format": clock}
+    whole = [text for text in texts if text.count(":") == 2]
+    return {"format": "hh:mm" if len(whole) > 1 and all(text.endswith(":00") for text in whole) else None}
 
 
 def is_written_once(column: GuessedColumn, opened: Opened, kind: str) -> bool:

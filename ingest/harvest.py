@@ -7,7 +7,7 @@ the draft with the words that it was read from, so that a person can see it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -61,6 +61,10 @@ _STAMP = re.compile(
 )
 """A date and hour that stand at the end of a line without a key, as machines begin a block of data."""
 _UNIT_IN_KEY = re.compile(r"^(?P<key>.*?)\s*[\[(/]\s*(?P<unit>[^\])]+?)[\])]?$")
+
+
+OWN_FACTS = ("specimen_id", "film_length_mm", "film_width_mm", "film_thickness_mm", "material")
+"""What each of several runs in one file may have of its own."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,26 @@ def harvest_columns(rows: Sequence[Sequence[str]]) -> tuple[Fact, ...]:
             )
             found += [] if fact is None else [fact]
     return tuple(found)
+
+
+def harvest_blocks(lines: Iterable[str], is_row: Callable[[str], bool]) -> list[Mapping[str, Fact]]:
+    """What is said above each of several runs that one file holds one below the other, by key; blocks that say nothing are none.
+
+    Parameters
+    ----------
+    lines : of the whole file
+    is_row : whether a line is a row of samples
+    """
+    found: list[Mapping[str, Fact]] = []
+    block: list[str] = []
+    for line in lines:
+        if not is_row(line):
+            block.append(line)
+            continue
+        if block and (facts := by_key(harvest_lines(block))):
+            found.append(facts)
+        block = []
+    return found
 
 
 def harvest_hdf5(path: Path) -> tuple[Fact, ...]:
@@ -246,6 +270,13 @@ def _with_hour(day: Fact, clock: Fact | None) -> Fact:
     if clock is None:
         return Fact(STARTED_AT, day.value.replace(_NO_CLOCK, _NOON), f"{day.words} (no hour: noon)")
     return Fact(STARTED_AT, day.value.replace(_NO_CLOCK, f"T{clock.value}"), f"{day.words} {clock.words}")
+
+
+def name_fact(fact: Fact) -> Any:
+    """A fact's value as a draft has it. A specimen that a file only numbers has the file's name before its number: every file has a `1`."""
+    if fact.key == "specimen_id" and re.fullmatch(r"\d{1,4}", str(fact.value)):
+        return f"{{stem}}-{fact.value}"
+    return fact.value
 
 
 def by_key(facts: Iterable[Fact]) -> Mapping[str, Fact]:

@@ -19,7 +19,7 @@ _NO_TEST = (
 )
 _NOT_FAILED = (
     r"(ohne|kein\w*|no|not|nicht|without|non|pas de|sans)\s+(\w+\s+)?(ausfall|ausgefallen|defekt|durchschlag|fail\w*|break\w*|broken|defect"
-    r"|d[ée]faill\w*|claqu\w*|panne|bd)"
+    r"|d[ée]faill\w*|claqu\w*|panne|romp\w*|cass[ée]\w*|rot[oa]s?|fall\w*|gerissen|gebrochen|bd)"
 )
 _NOT_ALIVE = r"\b(not|no|nicht|non|pas|n)\b\.?\s*(ok|okay|good|fine|in ordnung|i\.?\s?o\b|intakt|intact|alive)"
 _FROM_OUTSIDE = (
@@ -37,7 +37,7 @@ _ALIVE = (
 )
 _FAILED = (
     r"ausgef|ausfall|fail|broke|break|burst|rupture|dead|death|tot\b|defekt|defect|kaputt|durchschl|durchgeschl|gerissen|riss\b|tear|torn|versag"
-    r"|kurzschl|short|puncture|pinhole|d[ée]faill|claqu|panne"
+    r"|kurzschl|short|puncture|pinhole|d[ée]faill|claqu|panne|rompu|cass[ée]|\brot[oa]s?\b|fallo"
 )
 _PLACES = (
     r"edge|border|rim|corner|centre|center|middle|area|lead|tab|wire|contact|terminal|hole|rand|kante|ecke|mitte|fl[äa]che|zuleitung|anschluss"

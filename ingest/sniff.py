@@ -27,6 +27,10 @@ _ROWS = 200
 _LAST_LINES = 12
 _FEWEST, _MOST = 4, 0.7
 """Rows of a table with words in it, and their share of all lines: fewer are a text."""
+_NEARLY = 0.75
+"""Share of the cells that rows of a table fill from which a row is one of it."""
+_GAP_OF_TABLE, _SCRAP = 2, 0.1
+"""Lines from one row of a table to the next one at most, a blank one between them; share of the longest table that is one still."""
 _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
@@ -150,7 +154,7 @@ def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, in
             fields, _ = max(widths.items(), key=lambda item: (item[1] * min(item[0], 8), item[0]))
             alike = [(i, row) for i, row in rows if len(row) == fields]
             numbers = [sum(_is_measured(f.strip(), decimal) for f in row) for _, row in alike]
-            start = next((i for (i, _), n in zip(alike, numbers, strict=True) if n), None)
+            start = _first_of_table(alike, numbers)
             share = sum(n > 0 for n in numbers) / len(filled)
             if start is not None and fields > 1 and len(alike) >= _FEWEST and share > _MOST:
                 score = share + sum(numbers) / (fields * len(alike))
@@ -159,9 +163,37 @@ def _with_words(lines: Sequence[str], encoding: str) -> tuple[float, Dialect, in
     return best
 
 
+def _first_of_table(rows: Sequence[tuple[int, Sequence[str]]], numbers: Sequence[int]) -> int | None:
+    """The line in which a table begins: the first one with a number that is filled nearly as rows of the table are, and no scrap of another.
+
+    Lines above a table are padded with delimiters by spreadsheets: they have its width, and a number here and there; a list of channels
+    and their ranges is a small table of the same width.
+
+    Parameters
+    ----------
+    rows : numbers of lines of one width, with their fields
+    numbers : how many fields of each are numbers
+    """
+    filled = [sum(bool(field.strip()) for field in row) for _, row in rows]
+    usual = Counter(count for count, own in zip(filled, numbers, strict=True) if own)
+    if not usual:
+        return None
+    least = _NEARLY * max(usual, key=lambda count: (usual[count], count))
+    kept = [i for (i, _), own, count in zip(rows, numbers, filled, strict=True) if own and count >= least]
+    blocks: list[list[int]] = []
+    for i in kept:
+        if blocks and i - blocks[-1][-1] <= _GAP_OF_TABLE:
+            blocks[-1].append(i)
+        else:
+            blocks.append([i])
+    longest = max(len(block) for block in blocks)
+    least_rows = max(min(2, longest), _SCRAP * longest)  # one line alone is no table beside others
+    return next(block[0] for block in blocks if len(block) >= least_rows)
+
+
 def _score(lines: Sequence[str], dialect: Dialect) -> tuple[float, int, int]:
     """How well a dialect splits lines into numbers; where the rows begin; their number of fields."""
-    numeric = [_numeric_fields(line, dialect) for line in lines]
+    numeric = [count_numbers(line, dialect) for line in lines]
     counts = Counter(n for n in numeric if n)
     if not counts:
         return 0.0, 0, 0
@@ -171,7 +203,7 @@ def _score(lines: Sequence[str], dialect: Dialect) -> tuple[float, int, int]:
     return share * (1.0 + min(fields, 20) / 20 + (fields > 1)), start, fields
 
 
-def _numeric_fields(line: str, dialect: Dialect) -> int:
+def count_numbers(line: str, dialect: Dialect) -> int:
     """Number of fields when the line holds numbers (and empty fields) only, else 0."""
     if not line.strip():
         return 0

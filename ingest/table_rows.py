@@ -6,6 +6,7 @@ What the columns of each kind mean is in `ingest.tables`.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -227,6 +228,20 @@ class TableRows:
         if name not in self.mapping.columns:
             return [default] * count
         return [cell_text(cell) or default for cell in self.cells(name)]
+
+    def groups_or(self, name: str, default: str | None, count: int) -> list[str | None]:
+        """A column of names of groups, as `texts_or`. Names that differ by case or blanks only are one, in the spelling that most rows have,
+        with a note: a group of one that nobody meant would be compared with all others."""
+        found = self.texts_or(name, default, count)
+        spellings: dict[str, Counter[str]] = {}
+        for text in found:
+            if text is not None:
+                spellings.setdefault(" ".join(text.split()).casefold(), Counter())[text] += 1
+        meant = {text: own.most_common(1)[0][0] for own in spellings.values() for text in own}
+        other = [f'"{text}" is read as "{one}"' for text, one in meant.items() if text != one]
+        if other:
+            self.notes.append(f"{name}: {', '.join(other[:5])}{', …' if len(other) > 5 else ''}")
+        return [None if text is None else meant[text] for text in found]
 
     def elastic(self, name: str) -> tuple[Float, str]:
         """A column in MPa or N/mm, and which of the two its unit makes it."""

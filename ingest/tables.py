@@ -111,7 +111,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
     specimens = table.texts_or("specimen_id", None, count)
     copies = _copies(table, count)
     fixed = {
-        name: table.texts_or(name, getattr(metadata, name), count)
+        name: table.groups_or(name, getattr(metadata, name), count)
         for name in ("configuration", "failure_site", "failure_region")
     }
     _check_places(fixed, where)
@@ -122,7 +122,7 @@ def lifetime_table(file: ColumnFile, mapping: FileMapping, *, stem: str, where: 
         "frequency": table.numbers_or("frequency", "Hz", None, count),
     }
     _check_conditions(table, conditions)
-    electrodes, batches = (table.texts_or(name, getattr(metadata, name), count) for name in ("electrode", "batch"))
+    electrodes, batches = (table.groups_or(name, getattr(metadata, name), count) for name in ("electrode", "batch"))
     covariates = read_covariates(table)
     censored_modes = mapping.columns["failure_mode"].censored_modes if "failure_mode" in mapping.columns else ()
     rows, ended_by = [], 0

@@ -126,3 +126,54 @@ def _wanted(roles: dict[str, str]) -> Any:
     from ingest.draft import Wanted
 
     return Wanted(roles=roles)
+
+
+def test_lines_above_a_list_that_have_its_width_are_none_of_it(tmp_path: Path) -> None:
+    """A spreadsheet pads them with delimiters: the first with a number was taken for the first row, and the title for the header."""
+    path = tmp_path / "essais.csv"
+    above = ["Essais de fatigue, film 80 µm;;;", "Fréquence d'essai;20;Hz;", ";;;"]
+    rows = [f"E{i};{3 + i % 2},0;{100 + i},5;{'non rompue' if i == 4 else 'claquage'}" for i in range(8)]
+    path.write_text("\n".join([*above, "Repère;U (kV);Durée de vie (milliers de cycles);État final", *rows]) + "\n")
+    content = tomllib.loads(make_draft(path).as_toml())
+    columns = content["columns"]
+    assert columns["lifetime"] == {"column": "Durée de vie (milliers de cycles)", "unit": "kcycles"}
+    assert columns["frequency"] == {"value": 20.0, "unit": "Hz"}
+    assert columns["specimen_id"] == {"column": "Repère"}
+    assert (columns["failed"]["failed_values"], columns["failed"]["censored_values"]) == (["claquage"], ["non rompue"])
+    found = read_raw(path, FileMapping.parse(content, stem=path.stem, suffix=path.suffix))
+    assert isinstance(found, LifetimeTable)
+    assert [row.lifetime_s for row in found.rows] == pytest.approx([(100 + i + 0.5) * 1000 / 20 for i in range(8)])
+
+
+@pytest.mark.parametrize(
+    ("title", "cells", "format"),
+    [
+        ("Time under voltage", ["2:05:00", "0:07:00", "4:11"], "hh:mm"),
+        ("Time under voltage", ["2:05:07", "0:07:00", "4:11"], None),
+        ("Time under voltage hours:minutes", ["2:05", "0:07", "4:11"], "hh:mm"),
+        ("Time under voltage (minutes:seconds)", ["2:05", "0:07", "4:11"], "mm:ss"),
+    ],
+)
+def test_what_two_parts_of_a_duration_are_is_told_or_asked(
+    tmp_path: Path, title: str, cells: list[str], format: str | None
+) -> None:
+    """Seconds were proposed for hours and minutes."""
+    path = tmp_path / "lives.csv"
+    rows = [f"S{i},{cell},{'failed' if i else 'running'}" for i, cell in enumerate(cells)]
+    path.write_text("\n".join([f"Specimen,{title},Status", *rows]) + "\n")
+    draft = make_draft(path)
+    assert draft.content["columns"]["lifetime"]["format"] == format
+    asked = [q for q in draft.questions if q.key == "columns.lifetime.format"]
+    assert [q.suggestion for q in asked] == ([] if format else [None])
+
+
+def test_groups_whose_names_differ_by_case_are_one(tmp_path: Path) -> None:
+    path = tmp_path / "lives.csv"
+    names = ["Carbon grease", "carbon grease", "Carbon  grease", "Carbon grease", "SWCNT"]
+    rows = [f"S{i},{name},{10 + i},failed" for i, name in enumerate(names)]
+    path.write_text("\n".join(["Specimen,Electrode design,Lifetime [s],Status", *rows]) + "\n")
+    content = tomllib.loads(make_draft(path).as_toml())
+    found = read_raw(path, FileMapping.parse(content, stem=path.stem, suffix=path.suffix))
+    assert isinstance(found, LifetimeTable)
+    assert [row.configuration for row in found.rows] == ["Carbon grease"] * 4 + ["SWCNT"]
+    assert any('configuration: "carbon grease" is read as "Carbon grease"' in note for note in found.notes)

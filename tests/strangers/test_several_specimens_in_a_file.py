@@ -1,0 +1,89 @@
+"""Files that hold more than one test, or a test and other channels: what each is told, and what is asked."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ingest.answers import answered, draft_with
+from ingest.draft import make_draft
+from ingest.shapes import SURE
+
+
+def write_pulls(path: Path, sizes: list[tuple[str, float]]) -> Path:
+    """Pulls of several specimens one below the other, each below its own sizes."""
+    lines = ['"Raw data export"', '"Test Date","2024-04-29 10:00:00"', ""]
+    for name, thickness in sizes:
+        lines += [
+            f'"Specimen","{name}"',
+            '"Width","12.7","mm"',
+            f'"Thickness","{thickness}","mm"',
+            '"Gage Length","25","mm"',
+        ]
+        lines += ['"Time","Crosshead","Load"', '"(s)","(mm)","(N)"']
+        t = np.arange(0, 20, 0.1)
+        force = np.where(t < 18, 2 * np.sqrt(t), 0.002)
+        lines += [f"{a:.3f},{b:.5f},{c:.5f}" for a, b, c in zip(t, 4 * t, force, strict=True)] + [""]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_each_of_several_runs_has_the_sizes_above_it(tmp_path: Path) -> None:
+    """All had those of the first, and one specimen's name, without a word."""
+    path = write_pulls(tmp_path / "lot.txt", [("1", 1.0), ("2", 1.1), ("3", 0.9)])
+    content = tomllib.loads(make_draft(path).as_toml())
+    assert content["recording"]["film_width_mm"] == 12.7
+    own = [entry["recording"] for entry in content["select"]]
+    assert [o["film_thickness_mm"] for o in own] == [1.0, 1.1, 0.9]
+    # a bare number is in every file: the file's own name stands before it
+    assert [o["specimen_id"] for o in own] == ["{stem}-1", "{stem}-2", "{stem}-3"]
+    assert "film_width_mm" not in own[1]
+
+
+def test_a_table_of_oscillations_is_no_relaxation(tmp_path: Path) -> None:
+    """Magnitude and phase of a sweep have times as well, at which they were measured."""
+    path = tmp_path / "sweep.csv"
+    rows = [f"{10 * i},{20 / 1.4**i:.5g},{1e7 / (1 + i):.5g},{25 + i},5.0" for i in range(12)]
+    head = '"Time (s)","Frequency(Hz)","Complex shear modulus(Pa)","Phase angle(°)","Temperature(°C)"'
+    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    content = make_draft(path).content
+    assert content["kind"] == "frequency_response"
+    assert set(content["columns"]) >= {"frequency", "magnitude", "phase"}
+    only = tmp_path / "odd.csv"
+    only.write_text(
+        "\n".join(["Time (s),Frequency (Hz),Dyn. modulus x (Pa)", *[f"{i},{9 - i},{1e6 + i}" for i in range(8)]]) + "\n"
+    )
+    assert make_draft(only).content["kind"] != "relaxation"
+
+
+def write_logger(path: Path) -> Path:
+    t = np.arange(0, 30, 0.02)
+    volts = np.where((t % 10) > 5, np.floor(t / 10) + 1.0, 0.0)
+    cell = 2.0 - 0.02 * volts**2 + 0.001 * np.sin(37 * t)
+    rows = [f"{a:.3f},{b:.4f},{c:.5f}" for a, b, c in zip(t, volts, cell, strict=True)]
+    path.write_text("\n".join(["Time (s),Voltage_0 (V),Voltage_1 (V)", *rows]) + "\n")
+    return path
+
+
+def test_other_channels_beside_a_voltage_are_asked(tmp_path: Path) -> None:
+    """A load cell's volts were left out, and the test was surely one of lifetime."""
+    path = write_logger(tmp_path / "stairs.csv")
+    draft = make_draft(path)
+    asked = next(q for q in draft.questions if q.key == "Voltage_1 (V)")
+    assert asked.suggestion is None
+    assert asked.choices == ("force", "displacement", "capacitance", "leakage_current", "nothing")
+    assert draft.shape is not None
+    assert draft.shape.certainty != SURE
+
+
+@pytest.mark.parametrize(("what", "protocol"), [("force", "step"), ("nothing", "lifetime")])
+def test_an_answer_says_what_a_channel_is(tmp_path: Path, what: str, protocol: str) -> None:
+    path = write_logger(tmp_path / "stairs.csv")
+    scales = {"columns.voltage.scale": "1"} | ({"columns.force.scale": "0.4"} if what == "force" else {})
+    draft, placed = draft_with(path, {"Voltage_1 (V)": what, **scales})
+    draft = answered(draft, placed)
+    assert not [q for q in draft.questions if q.key == "Voltage_1 (V)"]
+    assert draft.content["recording"]["protocol"] == protocol
