@@ -42,7 +42,7 @@ from ingest.draft_files import (
     open_sheets,
     read_numbers,
 )
-from ingest.draft_parts import find_parts, find_runs, join_shapes, name_parts
+from ingest.draft_parts import find_beside, find_parts, find_runs, join_shapes, name_parts
 from ingest.draft_tables import (
     CLOCKS_OF,
     ask_censored_modes,
@@ -61,6 +61,7 @@ from ingest.harvest import SAMPLE_RATE, STARTED_AT, Fact, name_fact
 from ingest.mapping import FILLED_DOWN, WORDS, FileMapping
 from ingest.mapping_keys import FREQUENCY_RESPONSE, LIFETIMES, MEAN, RECORDING, RELAXATION, TAN_DELTA
 from ingest.meanings import NOTHING, TIME, GuessedColumn, counts_rows, is_sensor_unit
+from ingest.parts import content_of_part
 from ingest.questions import Question, ask_unit, make_place, make_unit_keys, name_column
 from ingest.read import open_columns
 from ingest.shapes import SURE, UNSURE, Shape, Trace, find_shape
@@ -330,10 +331,10 @@ def _recording(opened: Opened) -> Draft:
     specimens = find_specimens(opened) if len(sheets) <= 1 else None
     one_sheet = not counts and len(sheets) <= 1 and specimens is None
     runs = find_runs(opened, time_of) if one_sheet else []
-    tests = runs or (find_parts(opened, time_of) if one_sheet else [])
+    beside = find_beside(opened, time_of) if one_sheet and not runs else []
+    tests = runs or beside or (find_parts(opened, time_of) if one_sheet else [])
     tests += [(None, {"column": SHEET, "equals": name}) for name in sheets] if len(sheets) > 1 else []
-    rows = [{key: value for key, value in entry.items() if key != "recording"} for _, entry in tests]
-    shapes = [_shape(opened, content | {"select": [entry]})[0] for entry in rows]
+    shapes = [_shape(opened, content_of_part({**content, "select": [{**e, "part": "-"}]}, "-"))[0] for _, e in tests]
     if parts := name_parts(tests, shapes):
         content["select"] = parts
         about["recording_id"] += "-{each}"
@@ -379,13 +380,15 @@ def _recording(opened: Opened) -> Draft:
         remarks[f"recording.{key}"] = "measured from the trace"
     facts = ("specimen_id", "operator", "material", "film_length_mm", "film_width_mm", "film_thickness_mm")
     _take(opened.facts, about, remarks, facts if specimens is None else facts[1:])
-    if "specimen_id" not in about:
-        about["specimen_id"] = "{stem}"
+    named = all("specimen_id" in part.get("recording", {}) for part in parts) if parts else "specimen_id" in about
+    if not named:
         questions.append(Question("recording.specimen_id", "name of the specimen", find_stem(opened.path)))
+    about.setdefault("specimen_id", "{stem}")
     _ask_start(opened, content, about, remarks, questions, has_dates)
     content["recording"] = about
     mapped = [c for c in opened.columns if c.meaning is not None and not (counts and c is time_of)]
     clocks = {content.get("time", {}).get(key) for key in ("column", "date_column")} - {None}
+    clocks |= {own["column"] for _, e in beside for own in (*e.get("columns", {}).values(), e.get("time")) if own}
     unmapped = tuple(c for c in opened.columns if c not in mapped and c.column not in clocks and c is not specimens)
     return Draft(opened.path, content, remarks, tuple(questions), unmapped, opened.about, shape, unread)
 

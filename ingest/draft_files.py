@@ -32,6 +32,8 @@ _FIRST_CELLS = 2000
 _TABBED = ("lvm", "trios")
 _BEGINNING = 1 << 17
 """Bytes in which a text shows what wrote it: heads of TRIOS take some 20 kB."""
+_FIRST_ROWS = 60
+"""Rows of a sheet in which small tables of sizes are looked for."""
 _PACKED = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """How workbooks begin, new and old ones."""
 
@@ -174,9 +176,9 @@ def open_sheets(path: Path, said: Mapping[str, str]) -> list[Opened]:
         else:
             found[alike] = _below(found[alike], one)
     order = [name for name, _ in read]
-    said_anywhere = by_key(
-        harvest_rows(row for _, rows in read for row in rows if sum(bool(str(c).strip()) for c in row) == 2)
-    )
+    paired = [row for _, rows in read for row in rows if sum(bool(str(c).strip()) for c in row) in (2, 3)]
+    of_tables = [fact for _, rows in read for fact in harvest_columns(rows[:_FIRST_ROWS])]
+    said_anywhere = by_key((*harvest_rows(paired), *of_tables))
     everywhere = tuple(word for one in found for word in one.words)
     joined = [
         replace(_in_order(one, order), facts={**said_anywhere, **one.facts}, words=(*one.words, *everywhere))

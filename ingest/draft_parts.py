@@ -16,7 +16,7 @@ from ingest.draft_files import Opened, map_each_column, read_numbers
 from ingest.harvest import OWN_FACTS, harvest_blocks, name_fact
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import RECORDING
-from ingest.meanings import GuessedColumn
+from ingest.meanings import TIME, GuessedColumn
 from ingest.read import open_columns
 from ingest.segments import Segment, find_segments
 from ingest.select import as_number
@@ -85,6 +85,38 @@ def find_runs(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool 
     return found
 
 
+def find_beside(opened: Opened, time_of: GuessedColumn | None) -> list[tuple[bool | None, dict[str, Any]]]:
+    """The tests of specimens whose columns stand side by side under the same names, as entries with columns of their own; empty where
+    there is one."""
+    places: dict[str, list[GuessedColumn]] = {}
+    for column in opened.columns:
+        places.setdefault(column.name or str(column.column), []).append(column)
+    counts = {len(own) for own in places.values()}
+    wanted = {c.meaning: places[c.name or str(c.column)] for c in opened.columns if c.meaning is not None}
+    if time_of is None or len(counts) != 1 or counts == {1} or len(wanted) < 2:
+        return []
+    mapping = FileMapping(RECORDING, opened.format, dict(opened.options), None, {}, {}, {})
+    found: list[tuple[bool | None, dict[str, Any]]] = []
+    for number in range(counts.pop()):
+        own = {str(meaning): columns[number] for meaning, columns in wanted.items()}
+        try:
+            times = read_numbers(
+                open_columns(opened.path, opened.format, map_each_column(mapping, [own[TIME]])), own[TIME]
+            )
+        except DealabError:
+            return []
+        if times is None or not np.isfinite(times).any():
+            return []
+        last = int(np.flatnonzero(np.isfinite(times))[-1])
+        entry: dict[str, Any] = {"first_row": 0} | ({} if last == times.size - 1 else {"last_row": last})
+        if number:
+            entry["time"] = {"column": own[TIME].column}
+            entry["columns"] = {name: {"column": c.column} for name, c in own.items() if name != TIME}
+        label = f"specimen-{number + 1}"
+        found.append((None, entry | {"part": label, "recording": {"specimen_id": f"{{stem}}-{number + 1}"}}))
+    return found
+
+
 def _list_own_facts(opened: Opened, runs: int) -> list[dict[str, Any]]:
     """What a text says above each of its runs and not alike above all: specimen, sizes; nothing where not every run has words of its own."""
     nothing: list[dict[str, Any]] = [{} for _ in range(runs)]
@@ -141,7 +173,11 @@ def name_parts(tests: Sequence[tuple[bool | None, dict[str, Any]]], shapes: Sequ
     entries: list[dict[str, Any]] = []
     names: list[str] = []
     for (is_hold, entry), shape in pairs:
-        name = str(entry.get("equals", "run")) if is_hold is None else _NAMES.get(shape.protocol, shape.protocol)
+        name = (
+            str(entry.get("part", entry.get("equals", "run")))
+            if is_hold is None
+            else _NAMES.get(shape.protocol, shape.protocol)
+        )
         names.append(name)
         count = names.count(name)
         own: dict[str, Any] = {} if shape.protocol == shapes[0].protocol else {"protocol": shape.protocol}

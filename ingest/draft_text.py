@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ingest.mapping_keys import OF_A_PART
+
 UNANSWERED = "?"
 """What stands for an answer that has to be given: no number and no name, so that the file is refused until it is."""
 
@@ -73,10 +75,12 @@ def toml_text(
             lines += _pairs(table, entries, remarks, asked)
     for entry in content.get("select", ()):
         lines += ["", "[[select]]"]
-        lines += [f"{key} = {toml_value(value)}" for key, value in entry.items() if key != "recording"]
-        own = entry.get("recording", {})
-        lines += ["[select.recording]"] if own else []
-        lines += [f"{key} = {toml_value(value)}" for key, value in own.items()]
+        lines += [f"{key} = {toml_value(value)}" for key, value in entry.items() if key not in OF_A_PART]
+        own = {f"select.{name}": entry.get(name, {}) for name in ("time", "recording")}
+        own |= {f"select.columns.{name}": column for name, column in entry.get("columns", {}).items()}
+        for name, keys in own.items():
+            lines += [f"[{name}]"] if keys else []
+            lines += [f"{key} = {toml_value(value)}" for key, value in keys.items()]
     return "\n".join([*lines, ""])
 
 

@@ -274,8 +274,8 @@ def _with_hour(day: Fact, clock: Fact | None) -> Fact:
 
 def name_fact(fact: Fact) -> Any:
     """A fact's value as a draft has it. A specimen that a file only numbers has the file's name before its number: every file has a `1`."""
-    if fact.key == "specimen_id" and re.fullmatch(r"\d{1,4}", str(fact.value)):
-        return f"{{stem}}-{fact.value}"
+    if fact.key == "specimen_id" and (number := re.fullmatch(r"(\d{1,4})(\.0)?", str(fact.value))):
+        return f"{{stem}}-{number[1]}"
     return fact.value
 
 

@@ -33,6 +33,7 @@ from ingest.mapping_keys import (
     KINDS,
     LIFETIMES,
     MEAN,
+    OF_A_PART,
     RECORDING,
     RELAXATION,
     SELECT,
@@ -635,6 +636,22 @@ def _origin(value: str, source: str) -> str:
     return value
 
 
+def _check_own_columns(entry: Mapping[str, Any], content: Mapping[str, Any], source: str) -> None:
+    """Refuses columns and times of a part that are none, or of a quantity that the mapping does not have."""
+    mapped = table(content, "columns", source)
+    for name, own in table(entry, "columns", source).items():
+        if name not in mapped:
+            raise unknown(source, f"select.columns.{name}", [f"select.columns.{n}" for n in mapped])
+        _column(
+            {**mapped[name], **checked(own, f"select.columns.{name}", COLUMN, source)},
+            f"columns.{name}",
+            COLUMN,
+            source,
+        )
+    if "time" in entry:
+        checked(entry["time"], "select.time", TIME, source)
+
+
 def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...]:
     entries = content.get("select", [])
     if not isinstance(entries, list):
@@ -667,9 +684,11 @@ def _selections(content: Mapping[str, Any], source: str) -> tuple[Selection, ...
         if "part" in found and ways[0] in ("each", "each_of"):
             raise refused(source, f"a select entry has part and {ways[0]}", "one of the two")
         check_keys(found.get("recording", {}), RecordingMetadata, "select.recording", source)
-        if "recording" in found and "part" not in found:
+        _check_own_columns(found, content, source)
+        alone = [name for name in OF_A_PART if name in found and "part" not in found]
+        if alone:
             raise refused(
-                source, "a select entry has recording without part", "the name of the recording that it is for"
+                source, f"a select entry has {alone[0]} without part", "the name of the recording that it is for"
             )
         selections.append(
             Selection(

@@ -219,7 +219,14 @@ SELECT: Mapping[str, Key] = {
         "a name: the rows of this entry (of all entries of that name) make a recording of their own, and `{each}` is the name",
     ),
     "recording": Key((dict,), "beside `part`: the keys of `[recording]` that are others for it, such as `protocol`"),
+    "columns": Key(
+        (dict,),
+        "beside `part`: the tables of `columns` that are others for it, as of specimens side by side: `[select.columns.force]`",
+    ),
+    "time": Key((dict,), "beside `part`: the keys of `[time]` that are others for it, likewise"),
 }
+OF_A_PART = ("recording", "columns", "time")
+"""Tables that an entry of `select` may have for its part alone."""
 MEAN = "mean"
 """What `repeated` may be."""
 EACH = "{each}"

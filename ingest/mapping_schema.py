@@ -96,8 +96,13 @@ def _of_kind(kind: str) -> dict[str, Any]:
 def _selection() -> dict[str, Any]:
     """An entry of `[[select]]`; the keys that a part has for itself are those of `[recording]`."""
     found = _table(SELECT)
-    own = {"anyOf": [_refer("recording"), _refer("table")], "description": SELECT["recording"].meaning}
-    return found | {"properties": {**found["properties"], "recording": own}}
+    own: dict[str, dict[str, Any]] = {
+        "recording": {"anyOf": [_refer("recording"), _refer("table")]},
+        "columns": {"type": "object", "additionalProperties": _refer("channel")},
+        "time": _table(TIME),
+    }
+    said = {name: schema | {"description": SELECT[name].meaning} for name, schema in own.items()}
+    return found | {"properties": {**found["properties"], **said}}
 
 
 def _refer(name: str) -> dict[str, Any]:

@@ -118,7 +118,8 @@ def guess_columns(
                 meaning, raw = None, False
             if meaning is not None:
                 taken.add(meaning)
-            found[i] = GuessedColumn(label, unit or None, meaning, raw, written_unit=written)
+            own = name if isinstance(label, int) else ""  # one of several of that name
+            found[i] = GuessedColumn(label, unit or None, meaning, raw, name=own, written_unit=written)
     return _with_elapsed(tuple(found[i] for i in sorted(found)))
 
 

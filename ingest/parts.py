@@ -17,7 +17,7 @@ import numpy as np
 
 from ingest.columns import ColumnFile
 from ingest.mapping import FileMapping, Selection, column_label, format_of
-from ingest.mapping_keys import EACH
+from ingest.mapping_keys import EACH, OF_A_PART
 from ingest.notations import read_cell
 from ingest.select import selected_rows, split_runs
 from schemas.arrays import Bool
@@ -107,20 +107,28 @@ def name_parts(content: Mapping[str, Any]) -> tuple[str, ...]:
 
 def content_of_part(content: Mapping[str, Any], label: str) -> dict[str, Any]:
     """The tables of a mapping as they are for one part: its rows, its own keys of `[recording]`, and `{each}` replaced."""
-    own: dict[str, Any] = {}
+    own: dict[str, dict[str, Any]] = {name: {} for name in OF_A_PART}
     select = []
     for entry in content["select"]:
         if not isinstance(entry, Mapping) or entry.get("part", label) != label:
             continue
-        if isinstance(entry.get("recording"), Mapping):
-            own |= entry["recording"]
-        kept = {k: v for k, v in entry.items() if k not in ("each", "each_of", "runs", "part", "recording")}
+        for name in OF_A_PART:
+            if isinstance(entry.get(name), Mapping):
+                own[name] |= entry[name]
+        kept = {k: v for k, v in entry.items() if k not in ("each", "each_of", "runs", "part", *OF_A_PART)}
         if entry.get("each") or entry.get("each_of"):
             kept |= _pick(label) if "runs" in entry else {"equals": label}
         select.append(kept)
     found = {**content, "select": select}
-    if isinstance(content.get("recording", {}), Mapping):
-        found["recording"] = {**content.get("recording", {}), **own}
+    for name in ("recording", "time"):
+        if own[name] and isinstance(content.get(name, {}), Mapping):
+            found[name] = {**content.get(name, {}), **own[name]}
+    if own["columns"]:
+        mapped = content.get("columns", {})
+        found["columns"] = {
+            **mapped,
+            **{name: {**mapped.get(name, {}), **more} for name, more in own["columns"].items()},
+        }
     for table in ("recording", "rig"):
         if table in found:
             found[table] = _with_label(found[table], label)

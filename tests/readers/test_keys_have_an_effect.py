@@ -564,6 +564,8 @@ _OF_SELECTIONS: Mapping[str, Sequence[Any]] = {
     "run": [2],
     "part": ["one"],
     "recording": [{"operator": "C"}],
+    "columns": [{"force": {"column": "x"}}],
+    "time": [{"column": "t2"}],
 }
 
 
@@ -653,6 +655,7 @@ _OF_COLUMNS: Mapping[str, Sequence[Any]] = {
     "value": [3.0, "rod"],
     **{f"{name}_values": [[0], [1]] for name in ("failed", "censored", "left_censored", "no_test")},
     **{f"{name}_values": [["a", "b"]] for name in ("film", "lead", "edge", "electrode", "other")},
+    "censored_modes": [["other"]],
     "law": ["category", "inverse power"],
     "format": ["hh:mm", "%d.%m.%Y %H:%M"],
     "fill_down": [True],

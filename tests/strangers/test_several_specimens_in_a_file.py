@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ingest.answers import answered, draft_with
+from ingest.canonical import canonical
 from ingest.draft import make_draft
+from ingest.mapping import FileMapping
+from ingest.parts import list_parts, part_of
+from ingest.read import read_raw
 from ingest.shapes import SURE
+from schemas.errors import RefusedError
 
 
 def write_pulls(path: Path, sizes: list[tuple[str, float]]) -> Path:
@@ -87,3 +93,67 @@ def test_an_answer_says_what_a_channel_is(tmp_path: Path, what: str, protocol: s
     draft = answered(draft, placed)
     assert not [q for q in draft.questions if q.key == "Voltage_1 (V)"]
     assert draft.content["recording"]["protocol"] == protocol
+
+
+def write_side_by_side(path: Path, lengths: tuple[int, int]) -> Path:
+    """Relaxations of two specimens in columns of the same names, the second one shorter."""
+    t = np.arange(max(lengths)) * 0.05
+    moved = np.clip((t - 1) / 0.5, 0, 1) * 5
+    lines = [
+        '"Prüfdatum";"05.06.2024 10:11:12"',
+        '"1 _ 1";"";"";"1 _ 2";"";""',
+        '"Zeit";"Kraft";"Hub";"Zeit";"Kraft";"Hub"',
+        '"s";"N";"mm";"s";"N";"mm"',
+    ]
+    for i in range(t.size):
+        cells = []
+        for number, length in enumerate(lengths):
+            force = (0.1 + 0.05 * number) * moved[i] * (1 + 0.5 * np.exp(-t[i] / 5))
+            here = (t[i], force, moved[i]) if i < length else ("", "", "")
+            cells += [f"{v:.5f}".replace(".", ",") if v != "" else "" for v in here]
+        lines.append(";".join(f'"{cell}"' for cell in cells))
+    path.write_text("\r\n".join(lines) + "\r\n", encoding="cp1252")
+    return path
+
+
+def test_specimens_side_by_side_are_recordings_each(tmp_path: Path) -> None:
+    """The second one was columns that are not mapped."""
+    path = write_side_by_side(tmp_path / "zwei.csv", (400, 300))
+    draft = make_draft(path)
+    assert not draft.unmapped
+    assert "recording.specimen_id" not in [q.key for q in draft.questions]
+    content = tomllib.loads(draft.as_toml())
+    content["time"]["zone"] = "Europe/Berlin"
+    mapping = FileMapping.parse(content, stem=path.stem, suffix=path.suffix)
+    assert list_parts(path, mapping) == ("specimen-1", "specimen-2")
+    one, two = (
+        canonical(read_raw(path, part_of(mapping, label)), where=path.name) for label in list_parts(path, mapping)
+    )
+    assert (one.metadata.specimen_id, two.metadata.specimen_id) == ("zwei-1", "zwei-2")
+    assert (one.channels["force"].values.size, two.channels["force"].values.size) == (400, 300)
+    assert two.channels["force"].values[-1] == pytest.approx(1.5 * one.channels["force"].values[299], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("own", "said"),
+    [
+        ({"columns": {"force": {"column": 4}}}, "columns without part"),
+        ({"part": "b", "columns": {"pressure": {"column": 4}}}, "select.columns.pressure"),
+        ({"part": "b", "columns": {"force": {"colum": 4}}}, "colum"),
+        ({"part": "b", "time": {"colum": 3}}, "colum"),
+    ],
+)
+def test_columns_of_a_part_that_are_none_are_refused(own: dict[str, Any], said: str) -> None:
+    content = {
+        "time": {"column": 0, "unit": "s"},
+        "columns": {"force": {"column": 1, "unit": "N"}, "displacement": {"column": 2, "unit": "mm"}},
+        "recording": {
+            "recording_id": "a-{each}",
+            "protocol": "step",
+            "loading": "mechanical",
+            "started_at": "2024-06-05T10:00:00Z",
+        },
+        "select": [{"first_row": 0, **own}],
+    }
+    with pytest.raises(RefusedError, match=said):
+        FileMapping.parse(content, stem="a", suffix=".csv")

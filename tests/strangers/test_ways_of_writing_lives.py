@@ -117,7 +117,8 @@ def test_durations_of_a_workbook(tmp_path: Path, header: str) -> None:
 
 def test_two_parts_without_a_name_are_asked(tmp_path: Path) -> None:
     draft = make_draft(write_list(tmp_path / "l.csv", "Lifetime", ["64:33", "1:05", "168:00", "2:00"]))
-    assert "columns.lifetime.unit" in [q.key for q in draft.questions]
+    (asked,) = [q for q in draft.questions if q.key == "columns.lifetime.format"]
+    assert (asked.suggestion, asked.choices) == (None, ("hh:mm", "mm:ss"))
 
 
 @pytest.mark.parametrize(
