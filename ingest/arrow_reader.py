@@ -132,6 +132,8 @@ class ArrowFile:
 
 def read_arrow(path: Path, mapping: FileMapping) -> ArrowFile:
     """The columns of a Parquet, Feather or Arrow file. Raises `RefusedError` for a damaged or oversized one."""
+    import pyarrow.parquet  # noqa: F401 - in this process, so that no child has to
+
     parsed = Apart(path)
     rows, listed, problems = parsed(_list_columns, path)
     if not listed:

@@ -97,6 +97,8 @@ def read_mdf(path: Path, mapping: FileMapping) -> MdfFile:
             where=path.name,
             remedy=advise_install("mdf"),
         )
+    import asammdf  # noqa: F401 - in this process, so that no child has to: its time is that of a small file
+
     start_ns, groups, problems = apart(path, _load, path)
     counts = Counter(name for _, channels in groups for name, *_ in channels)
     channels = tuple(

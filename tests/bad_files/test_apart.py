@@ -6,6 +6,8 @@ import contextlib
 import copyreg
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -167,3 +169,44 @@ def test_nothing_of_the_parent_is_lost_or_left(path: Path) -> None:
     if handles:
         assert len(os.listdir("/proc/self/fd")) == handles
     assert find_children() <= before
+
+
+_TELL_IMPORTS = """
+import sys
+from pathlib import Path
+
+import ingest.apart
+from ingest.mapping import FileMapping
+
+inner, libraries = [], ("asammdf", "h5py", "python_calamine", "pyarrow", "scipy", "pandas")
+
+
+def in_place(path, seconds, call):
+    before = set(sys.modules)
+    value = call()
+    inner.extend(sorted(m for m in set(sys.modules) - before if m.split(".")[0] in libraries))
+    return True, value, 0.0
+
+
+ingest.apart._in_child = in_place
+from ingest.read import open_columns
+for name in sys.argv[1:]:
+    path = Path(name)
+    form = {".mf4": "mdf", ".h5": "hdf5", ".parquet": "arrow", ".mat": "matlab", ".xlsx": "excel"}[path.suffix]
+    file = open_columns(path, form, FileMapping("recording", form, {}, None, {}, {}, {}))
+    file.cells(file.names()[0])
+print(*inner)
+"""
+
+
+@pytest.mark.parametrize(
+    "name", ["vehicle_mf4/run.mf4", "hdf5_attributes/run.h5", "table_parquet/run.parquet", "matlab_hold/hold.mat"]
+)
+def test_no_library_is_imported_on_a_childs_time(name: str) -> None:
+    """On a busy machine the import of asammdf alone took longer than a small file may: a sound file was refused."""
+    path = Path(__file__).resolve().parents[1] / "strangers" / "drafted" / name
+    command = [sys.executable, "-c", _TELL_IMPORTS, str(path)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    found = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert found.returncode == 0, found.stderr
+    assert found.stdout.split() == []
