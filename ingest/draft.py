@@ -312,7 +312,9 @@ def _recording(opened: Opened) -> Draft:
     time_of = next((c for c in opened.columns if c.meaning == TIME), None)
     content: dict[str, Any] = {"kind": RECORDING, **make_format_keys(opened)}
     rate = opened.facts.get(SAMPLE_RATE)
-    counts = time_of is not None and time_of.column in ("X", "x") and rate is not None
+    counts = (
+        rate is not None and time_of is not None and (time_of.column in ("X", "x") or _stands_still(opened, time_of))
+    )
     about: dict[str, Any] = {"recording_id": _own_name(opened.path)}
     has_dates = False
     if time_of is not None and not counts:
@@ -402,6 +404,12 @@ def _channels(opened: Opened, asked: Sequence[Question]) -> tuple[dict[str, Any]
         if c.meaning not in (None, TIME)
     }
     return columns, questions
+
+
+def _stands_still(opened: Opened, time_of: GuessedColumn) -> bool:
+    """Whether times are written in steps so coarse that most stand for several samples: hours, minutes and seconds of a fast recorder."""
+    cells = [str(cell).strip() for cell in opened.cells(time_of) if str(cell).strip()]
+    return 2 * len(set(cells)) < len(cells)
 
 
 def _ask_answers(opened: Opened, mapped: Mapping[str, Any]) -> list[Question]:

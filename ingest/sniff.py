@@ -31,6 +31,8 @@ _NEARLY = 0.75
 """Share of the cells that rows of a table fill from which a row is one of it."""
 _GAP_OF_TABLE, _SCRAP = 2, 0.1
 """Lines from one row of a table to the next one at most, a blank one between them; share of the longest table that is one still."""
+_CHANNEL = re.compile(r"(ch|chan|channel|kanal|ai|voie|canal|in|input)[ _-]?\d{1,3}", re.IGNORECASE)
+"""What a recorder calls its inputs."""
 _NUMBER = {
     ".": re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
     ",": re.compile(r"[+-]?(?:\d+,?\d*|,\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE),
@@ -105,7 +107,7 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     interval = own_interval(header, units)
     labels, scope_units = _of_scope([lines[i] for i in above if i < first], dialect, header)
     told, told_units = _of_rows([lines[i] for i in above if i < first], dialect, header)
-    labels, scope_units = labels or told, scope_units or told_units
+    labels, scope_units = labels or told or _of_list(heads, dialect, header), scope_units or told_units
     listed = [] if header else list_columns([lines[i] for i in above], fields)
     known = list(units or scope_units)
     columns = guess_columns(header, known, fields, said)
@@ -113,8 +115,9 @@ def guess_text(content: bytes, said: Mapping[str, str] = MappingProxyType({})) -
     listed = listed or (join_heads(_split(lines[above[-2]], dialect), header) if adjacent else [])
     if listed:
         columns = guess_joined(listed, fields, said)
-    if labels and not said and len(columns) == len(labels):
-        guessed = guess_columns(labels, known, fields)
+    if labels and len(columns) == len(labels):
+        shown = [own if own in said else label for own, label in zip(header, labels, strict=False)]
+        guessed = guess_columns(shown, known, fields, said)
         columns = tuple(replace(g, column=c.column, name=str(g.column)) for g, c in zip(guessed, columns, strict=True))
     if interval is not None:  # the first column counts samples: the interval beside its name makes times of them
         columns = tuple(replace(c, meaning=None) if c.column in ("X", "x") else c for c in columns)
@@ -227,9 +230,19 @@ def _heads(
     rows = [row for row in rows if abs(len(row) - fields) <= 1]
     if not rows:
         return (), ()
-    if len(rows) == 2 and are_units(rows[1]):
+    if len(rows) == 2 and (are_units(rows[1]) or _repeats_units(*rows)):
         return _without_end(rows[0]), rows[1]
     return _without_end(rows[-1]), ()
+
+
+def _repeats_units(names: Sequence[str], row: Sequence[str]) -> bool:
+    """Whether a row says the same unit twice below names that differ: columns are not called so."""
+    places: dict[str, list[int]] = {}
+    for i, cell in enumerate(row):
+        if (unit := cell.strip("[]() ")) and is_any_unit(unit):
+            places.setdefault(unit, []).append(i)
+    above = [[names[i] for i in own if i < len(names)] for own in places.values() if len(own) > 1]
+    return any(all(own) and len(set(own)) == len(own) and not any(is_any_unit(name) for name in own) for own in above)
 
 
 def _without_end(cells: Sequence[str], fields: int = 0) -> tuple[str, ...]:
@@ -309,6 +322,16 @@ def _of_rows(lines: Sequence[str], dialect: Dialect, header: Sequence[str]) -> t
             found.setdefault(kind, ["", *cells[1:], *[""] * len(header)][: len(header)])
     names = [said or own for said, own in zip(found["names"], header, strict=True)] if "names" in found else []
     return names, found.get("units", [])
+
+
+def _of_list(lines: Sequence[str], dialect: Dialect, header: Sequence[str]) -> list[str]:
+    """Names of a logger's columns (`CH1`), as a list above its table says them, a channel in each line; empty where none has one."""
+    said: dict[str, str] = {}
+    for line in lines:
+        name, *rest = [cell.strip() for cell in _split(line, dialect)] or [""]
+        if rest and _CHANNEL.fullmatch(name) and re.search(r"[^\W\d_]{2}", rest[0]):
+            said.setdefault(name, rest[0])
+    return [said.get(name, name) for name in header] if said.keys() & set(header) else []
 
 
 def is_number(text: str, decimal: str) -> bool:

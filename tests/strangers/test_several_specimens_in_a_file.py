@@ -157,3 +157,39 @@ def test_columns_of_a_part_that_are_none_are_refused(own: dict[str, Any], said: 
     }
     with pytest.raises(RefusedError, match=said):
         FileMapping.parse(content, stem="a", suffix=".csv")
+
+
+def write_graphtec(path: Path) -> Path:
+    """A logger that lists its channels, repeats units under their names, and writes times in whole seconds."""
+    t = np.arange(0, 120, 0.1)
+    kv = 5 * (1 - np.abs(1 - (t % 40) / 20))
+    laser = 3.0 - 0.0113 * kv**2 + 2e-4 * np.sin(11 * t)
+    head = [
+        '"Vendor","GRAPHTEC Corporation"', '"Sampling interval","100ms"', '"Start time","2024/10/08 11:17:05"',
+        '"CH","Signal name","Input","Range"', '"CH1","ILD","DC","10V"', '"CH2","HVMON","DC","10V"', '"Data"',
+        '"Number","Date&Time","ms","CH1","CH2","AlarmOut"', '"NO.","Time","ms","V","V","A1234"',
+    ]  # fmt: skip
+    rows = [
+        f'{i + 1},"2024/10/08 11:{17 + int(s + 5) // 60:02d}:{int(s + 5) % 60:02d}",{round(10 * s) % 10 * 100:03d},+  {a:.4f},+  {b / 2:.4f},"LLLL"'
+        for i, (s, a, b) in enumerate(zip(t, laser, kv, strict=True))
+    ]
+    path.write_text("\n".join([*head, *rows]) + "\n")
+    return path
+
+
+def test_a_logger_says_its_channels_and_its_rate_above_the_table(tmp_path: Path) -> None:
+    """Its row of units was taken for names, the list of channels for samples, and times in whole seconds for instants."""
+    path = write_graphtec(tmp_path / "log.csv")
+    draft, placed = draft_with(
+        path, {"CH1": "displacement", "columns.displacement.scale": "-2", "columns.voltage.scale": "2"}
+    )
+    content = dict(answered(draft, placed).content)
+    assert content["csv"]["unit_row"] is True
+    assert content["time"] == {"sample_rate_hz": 10.0, "zone": "UTC"}
+    assert content["columns"]["voltage"]["column"] == "CH2"  # by its signal's name
+    assert content["columns"]["displacement"]["column"] == "CH1"
+    assert content["recording"]["protocol"] == "isotonic"
+    raw = read_raw(path, FileMapping.parse(content, stem=path.stem, suffix=path.suffix))
+    found = canonical(raw, where=path.name)
+    assert found.channels["voltage"].values.size == 1200
+    assert found.channels["voltage"].values.max() == pytest.approx(5.0, abs=0.03)
