@@ -24,8 +24,10 @@ from schemas.mechanisms import (
     plain_name,
     quote_name,
 )
-from schemas.numbers import NBSP, capital, compact, p_equals, pm, removed, significant, symbols, whole, word
+from schemas.numbers import NBSP, capital, compact, p_equals, pm, removed, seconds, significant, symbols, whole, word
 
+_CLEARLY_LONGER = 1.2
+"""Ratio of two lives from which a heading says it."""
 LISTED_CAUSES = len(MECHANISMS)
 _STAGES = {"contact": "clamping of the film", "drift": "force while a recording lasts"}
 """Stages whose name is no word for people."""
@@ -270,10 +272,15 @@ def survival_title(comparison: Row, summaries: Sequence[Row]) -> str:
     who, than = (f"“{short(s['configuration'] or '')}”" for s in (longer, other))
     if longer["failures"] == 0:
         return f"{who}: none of {word(longer['specimens'])} failed; {than}: {word(other['failures'])} of {word(other['specimens'])}"
-    if longer["restricted_mean_s"] and other["restricted_mean_s"]:
-        ratio = longer["restricted_mean_s"] / other["restricted_mean_s"]
-        if ratio >= 1.2:
-            return f"{who}: {significant(ratio, 2)} times the life of {than}"
+    # Over the time in which both groups were watched most of the longer lives have not ended: that ratio is one of means up to then.
+    watched = (
+        f"mean life, up to {seconds(longer['restricted_to_s'])}," if longer.get("restricted_to_s") else "mean life"
+    )
+    for quantity, called in (("median_s", "median life"), ("restricted_mean_s", watched)):
+        if longer.get(quantity) and other.get(quantity):
+            ratio = longer[quantity] / other[quantity]
+            if ratio >= _CLEARLY_LONGER:
+                return f"{who}: {significant(ratio, 2)} times the {called} of {than}"
     return f"{who}: longer lives than {than}"
 
 

@@ -332,7 +332,7 @@ def test_findings_stand_in_the_index(site: Path) -> None:
     assert "Three specimens need a look; four behave as simulated; the other two are fitted, not diagnosed" in index
     assert "the load cell is stiffer than its file says, by 6.3 ± 0.3 %" in index
     assert "none of the 23 listed causes explains it" in index
-    assert "times the life of “single AR”" in index
+    assert "times the median life of “single AR”" in index
     assert "Specimen P-07: the film wrinkles from 6.70 (6.40–7.00) kV on" in index
     assert "one film wrinkles" in index
     assert index.index("the film wrinkles") < index.index("none of the 23 listed causes"), "ranked by what one acts on"

@@ -200,7 +200,14 @@ def test_survival_title_says_who_lives_longer() -> None:
         {**summary, "configuration": "single", "failures": 20, "restricted_mean_s": 40.0},
         {**summary, "configuration": "divided", "failures": 16, "restricted_mean_s": 200.0},
     ]
-    assert findings.survival_title(comparison, groups) == "“divided”: 5.0 times the life of “single”"
+    assert findings.survival_title(comparison, groups) == "“divided”: 5.0 times the mean life of “single”"
+    # up to when both were watched most of the longer lives have not ended: the medians say more
+    groups[0] |= {"median_s": 40.0, "restricted_to_s": 120.0}
+    groups[1] |= {"median_s": None, "restricted_to_s": 120.0}
+    said = findings.survival_title(comparison, groups).replace("\u00a0", " ")
+    assert said == "“divided”: 5.0 times the mean life, up to 2 min, of “single”"
+    groups[1] |= {"median_s": 300.0}
+    assert findings.survival_title(comparison, groups) == "“divided”: 7.5 times the median life of “single”"
     groups[1] |= {"failures": 0, "restricted_mean_s": 240.0}
     assert findings.survival_title(comparison, groups) == "“divided”: none of 20 failed; “single”: 20 of 20"
 
