@@ -49,6 +49,7 @@ from ingest.draft_tables import (
     ask_outcomes,
     find_clock,
     find_modes,
+    find_state,
     is_written_once,
     say_frequency,
     select_isotherms,
@@ -233,6 +234,9 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
             if (other := find_other_order(cells, entry["format"])) is not None:
                 entry["format"] = prefer_order(entry["format"], other, opened)
                 questions.append(ask_order(f"columns.{name}.format", cells[0], entry["format"]))
+            if name == "ended" and (until := find_state(opened)) is not None:
+                entry["open_until"] = until.value
+                remarks["columns.ended.open_until"] = f"the file: {until.words}"
         elif name == "lifetime" and (keys := find_clock(column, opened)) is not None:
             entry |= keys
             clock = keys.get("format", "hh:mm:ss")

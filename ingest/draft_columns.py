@@ -41,7 +41,7 @@ _LIFE = (
 _STARTED = (
     r"^(start|begin|begun|begonn|d[ée]but|inicio|inizio|eingeschaltet|eingebaut|switched on|von$|from$|on$|ein$|开始)"
 )
-_ENDED = r"^(end|stop|finish|fin\b|fine\b|ausgeschaltet|ausgebaut|switched off|broke|fail|ausfall|durchschlag|bis$|to$|until|off$|aus$|结束)"
+_ENDED = r"^(end|stop|finish|fin\b|fine\b|ausgeschaltet|ausgebaut|switched off|broke|fail|ausfall|ausgefallen|durchschlag|bis$|to$|until|off$|aus$|结束)"
 _COUNTED = r"zykl|cycles?\b|lastwechsel|lastspiele|schaltspiele|h[üu]be|actuations|bet[äa]tigungen"
 """Names of lives that count cycles; of a machine's record as well, so that outcomes have to stand beside them."""
 _MILLIONS = r"mio\b|million|10\^?6|1e6|10⁶|mcycles|1[., ]?000[., ]?000"

@@ -11,6 +11,7 @@ from typing import Any
 
 from ingest.draft_columns import find_frequency
 from ingest.draft_files import Opened, map_each_column, read_numbers
+from ingest.harvest import Fact, read_moment
 from ingest.isotherms import find_isotherms, has_repeats, has_returns
 from ingest.mapping import FileMapping
 from ingest.mapping_keys import LIFETIMES, RECORDING
@@ -86,8 +87,20 @@ def is_written_once(column: GuessedColumn, opened: Opened, kind: str) -> bool:
 
 _SAYS_HOW = r"bemerk|anmerk|kommentar|beobacht|remark|comment|note|observ|cause|ursache|grund|reason|mode|modus|\bart\b|\bort\b|where|place|site|stelle|lieu|cause"
 """Names of columns that say how or where a specimen failed, among other things."""
+_STATE = r"\b(stand|as of|state of|état du|estado|situation au)\b[\s:]*(am|vom|au|du|del)?\s*"
+"""What stands before the date of a list."""
 _NOT_COUNTED = r"z[äa]hl\w* (\w+ )?nicht|nicht als|not count|no failure|not a failure|ne compte|zensier|censor|bis dahin|until then|jusque"
 """What a legend says of failures that end the watch alone."""
+
+
+def find_state(opened: Opened) -> Fact | None:
+    """The date and time of the state of a list, as the words beside it say: `Stand 04.11.2024 09:00`; None where they say none."""
+    for text in opened.words:
+        match = re.search(_STATE, text.lower())
+        fact = None if match is None else read_moment(text[match.end() :])
+        if fact is not None:
+            return Fact("open_until", fact, " ".join(text.split())[:100])
+    return None
 
 
 def find_modes(opened: Opened, chosen: Mapping[str, GuessedColumn], failed: Mapping[str, Any]) -> GuessedColumn | None:

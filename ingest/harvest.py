@@ -245,6 +245,16 @@ def _moment(value: str) -> str | None:
     return None
 
 
+def read_moment(text: str) -> str | None:
+    """The date, and hour where there is one, that a text begins with, as ISO 8601; None where there is none."""
+    words = text.replace(",", " ").replace("Uhr", " ").split()
+    for count in (3, 2, 1):
+        moment = _moment(" ".join(words[:count])) if len(words) >= count else None
+        if moment is not None:
+            return moment
+    return None
+
+
 def _stamp(line: str) -> Fact | None:
     """A date and hour at the end of a line; None where there is none."""
     words = " ".join(line.replace('"', "").split())

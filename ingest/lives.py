@@ -74,7 +74,7 @@ def read_lives(table: TableRows) -> Lives:
     entered = table.numbers_or("entered", "s", None, seconds.size) * period["entered"]
     planned = _planned(table, seconds.size) * period["test_duration"]
     lives = seconds.copy()
-    spans = read_spans(table)
+    spans = read_spans(table, failed)
     if spans is not None:
         note_contradictions(table, spans, lives)
         _take_spans(table, spans, lives, cells)

@@ -97,6 +97,7 @@ class ColumnMapping:
     overrule_unit: bool = False
     value: Any = None
     format: str | None = None
+    open_until: str | None = None
     fill_down: bool = False
     meanings: Mapping[str, tuple[Any, ...]] = dataclass_field(default_factory=dict)
     censored_modes: tuple[str, ...] = ()
@@ -391,6 +392,17 @@ def _covariates(content: Mapping[str, Any], kind: str, source: str) -> dict[str,
     return mapped
 
 
+def _moment_or_none(value: str | None, key: str, source: str) -> str | None:
+    """A date and time in ISO 8601, None where there is none."""
+    if value is None:
+        return None
+    try:
+        datetime.fromisoformat(value)
+    except ValueError:
+        raise refused(source, f'{key} is "{value[:80]}"', "a date and time such as 2026-03-02T09:00") from None
+    return value
+
+
 def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> ColumnMapping:
     entry = checked(entry, name, keys, source)
     if ("column" in entry) == ("value" in entry):
@@ -423,6 +435,7 @@ def _column(entry: Any, name: str, keys: Mapping[str, Key], source: str) -> Colu
         overrule_unit=entry.get("overrule_unit", False),
         value=entry.get("value"),
         format=entry.get("format"),
+        open_until=_moment_or_none(entry.get("open_until"), f"{name}.open_until", source),
         fill_down=entry.get("fill_down", False),
         meanings=meanings,
         censored_modes=modes,
@@ -560,9 +573,11 @@ def _unused_of_table(name: str, column: Mapping[str, Any]) -> Container[str]:
     if name != "failure_mode":
         unused += [*_VALUES_OF_MODES, "censored_modes"]
     if "value" in column:
-        unused += ["index", "overrule_unit", "fill_down", "format"]
+        unused += ["index", "overrule_unit", "fill_down", "format", "open_until"]
     if name not in FILLED_DOWN:
         unused.append("fill_down")
+    if name != "ended":
+        unused.append("open_until")
     if name in _DATES:
         unused += ["unit", "scale", "offset", "overrule_unit"]
     elif name not in _AGES:

@@ -159,6 +159,11 @@ TABLE_COLUMN: Mapping[str, Key] = {
         "of `started` and `ended`: how their dates are written, a strptime pattern (absent: ISO 8601, or dates of a workbook);"
         ' of lives and other ages: "hh:mm" or "mm:ss" (hh:mm:ss is understood as it stands)',
     ),
+    "open_until": Key(
+        (str,),
+        "column `ended`: the date and time (ISO 8601) of the state of the list, until which specimens without an end that have not failed"
+        " were under test",
+    ),
     "fill_down": Key(
         (bool,),
         "true: an empty cell has the value of the last filled one above it, as under a name that is written once for a block",
@@ -245,7 +250,7 @@ TABLE_COLUMNS: Mapping[str, Mapping[str, str]] = {
         "entered": "age at which the specimen came under watch, where specimens that failed earlier are not in the table;"
         " an empty cell: from its start",
         "started": "date and time of the start, with `ended`: the life of a row that has none of its own is the time between them",
-        "ended": "see started",
+        "ended": "see started; `open_until` stands for the empty cells of specimens that still run",
         "test_duration": "planned duration: the life of a survivor that has none of its own; absent: `test_duration_s`"
         " of `[recording]`",
         "count": "number of specimens that the row stands for; absent: one",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +58,7 @@ def make_unit_keys(column: GuessedColumn, questions: list[Question]) -> dict[str
         return {"unit": usual, "scale": None} | of_monitor
     if column.unit is None:
         questions.append(ask_unit(label, column, usual))
+        usual = str(questions[-1].suggestion)
     if name == "stretch" and re.search(_STRAIN, label_column(column)):
         return {"unit": column.unit or usual, "offset": unstretched(column.unit or usual)}
     return {"unit": column.unit or usual}
@@ -79,7 +81,18 @@ def unstretched(unit: str) -> float:
         return 1.0
 
 
+_WEIGHTS: Mapping[str, str] = {"g": "gf", "kg": "kgf"}
+"""Masses that machines show for the force of their weight."""
+
+
 def ask_unit(label: str, column: GuessedColumn, usual: str) -> Question:
+    """What unit a column has: the usual one where the file says none, the weight of a mass where it says that of a force."""
+    weight = _WEIGHTS.get(column.written_unit) if usual == QUANTITIES["force"].unit else None
+    if weight is not None:
+        text = (
+            f'unit of {name_column(column)}: the file says "{column.written_unit}", as of a mass; its weight is meant?'
+        )
+        return Question(f"{label}.unit", text, weight)
     return Question(f"{label}.unit", f"unit of {name_column(column)}: the file does not say", usual)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ingest.clocks import DAY, LOST, SECOND, moments
 from ingest.table_rows import TableRows, cell_text
-from schemas.arrays import Float
+from schemas.arrays import Bool, Float
 from schemas.numbers import counted
 
 STARTED, ENDED = "started", "ended"
@@ -29,8 +29,12 @@ class Spans:
     step_s: float
 
 
-def read_spans(table: TableRows) -> Spans | None:
+def read_spans(table: TableRows, failed: Bool) -> Spans | None:
     """The time between `columns.started` and `columns.ended`; None where they are not mapped.
+
+    Parameters
+    ----------
+    failed : (n,) of the rows; those that have not and have no end were under test until `open_until`
 
     Raises
     ------
@@ -56,6 +60,15 @@ def read_spans(table: TableRows) -> Spans | None:
             )
         read[name] = (found, zoned)
     (start, start_zoned), (end, end_zoned) = read[STARTED], read[ENDED]
+    if columns[ENDED].open_until is not None:
+        still = ~failed & (end == LOST) & (start != LOST)
+        (until,), (zoned,), _ = moments([columns[ENDED].open_until], None)
+        end[still], end_zoned[still] = until, zoned
+        if still.any():
+            count = counted(int(still.sum()), "specimen", "specimens")
+            table.notes.append(
+                f"{count} without an end: under test until {columns[ENDED].open_until}, the state of the list"
+            )
     known = (start != LOST) & (end != LOST)
     for i in np.flatnonzero(known & ((end < start) | (start_zoned != end_zoned)))[:1]:
         problem = "ends before it starts" if end[i] < start[i] else "has a zone at one of its dates"

@@ -89,6 +89,7 @@ _WORDS_OF_MODES: Mapping[str, tuple[str, ...]] = {
         "folie",
         "fläche",
         "durchschlag",
+        "durchgeschlagen",
         "riss",
         "loch",
         "mitte",

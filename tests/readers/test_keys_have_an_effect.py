@@ -659,6 +659,7 @@ _OF_COLUMNS: Mapping[str, Sequence[Any]] = {
     "law": ["category", "inverse power"],
     "format": ["hh:mm", "%d.%m.%Y %H:%M"],
     "fill_down": [True],
+    "open_until": ["2026-03-05T00:00"],
 }
 
 
@@ -685,6 +686,7 @@ def _write_table(path: Path, unit_of: str = "", unit: str = "", survivors_withou
     cells = dict(_CELLS)
     if survivors_without_lives:
         cells["life"] = lambda i: 10 * (i + 1) if i % 2 else ""
+        cells["over"] = lambda i: f"2026-03-02T{i:02d}:00" if i % 2 else ""
     units = [unit if name == unit_of else "" for name in cells]
     rows = [";".join(str(cell(i)) for cell in cells.values()) for i in range(16)]
     path.write_text("\n".join([";".join(cells), ";".join(units), *rows, ""]))

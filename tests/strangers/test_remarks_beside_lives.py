@@ -177,3 +177,48 @@ def test_groups_whose_names_differ_by_case_are_one(tmp_path: Path) -> None:
     assert isinstance(found, LifetimeTable)
     assert [row.configuration for row in found.rows] == ["Carbon grease"] * 4 + ["SWCNT"]
     assert any('configuration: "carbon grease" is read as "Carbon grease"' in note for note in found.notes)
+
+
+def write_dated(path: Path, *below: str) -> Path:
+    head = ["Sample,Voltage [kV],switched on,failed / switched off,Result"]
+    rows = [
+        "A1,4.0,2024-06-03 09:00,2024-06-05 09:00,breakdown of the film",
+        "A2,4.0,2024-06-03 09:00,2024-06-04 21:00,flashover at the contact",
+        "A3,4.0,2024-06-03 10:00,,running",
+        *(f"A{i},5.0,2024-06-04 09:00,2024-06-04 {9 + i}:00,breakdown of the film" for i in range(4, 12)),
+    ]
+    path.write_text("\n".join([*head, *rows, *below]) + "\n")
+    return path
+
+
+def test_specimens_without_an_end_run_until_the_state_of_the_list(tmp_path: Path) -> None:
+    path = write_dated(tmp_path / "dated.csv", ",,,,", "As of 2024-06-10 12:00,,,,")
+    content = tomllib.loads(make_draft(path).as_toml())
+    assert content["columns"]["ended"]["open_until"] == "2024-06-10T12:00:00"
+    found = read_raw(path, FileMapping.parse(content, stem=path.stem, suffix=path.suffix))
+    assert isinstance(found, LifetimeTable)
+    lives = {row.specimen_id: (row.lifetime_s / 3600, row.failed) for row in found.rows}
+    later = {f"A{i}": (i, True) for i in range(4, 12)}
+    assert lives == {"A1": (48, True), "A2": (36, True), "A3": (170, False), **later}
+    said = "without an end: under test until 2024-06-10T12:00:00, the state of the list"
+    assert [note for note in found.notes if said in note], found.notes
+
+
+def test_a_state_of_the_list_that_is_no_date_is_refused(tmp_path: Path) -> None:
+    path = write_dated(tmp_path / "dated.csv")
+    content = tomllib.loads(make_draft(path).as_toml())
+    assert "open_until" not in content["columns"]["ended"]
+    content["columns"]["ended"]["open_until"] = "last Monday"
+    with pytest.raises(RefusedError, match='open_until is "last Monday"'):
+        FileMapping.parse(content, stem=path.stem, suffix=path.suffix)
+
+
+def test_a_force_in_grams_is_asked_as_a_weight(tmp_path: Path) -> None:
+    """Newtons were proposed."""
+    path = tmp_path / "pull.csv"
+    rows = [f"{100 * i / (3 + i):.4f},{0.1 * i:.3f},{0.05 * i:.3f}" for i in range(200)]
+    path.write_text("\n".join(["Force,Distance,Time", "g,mm,s", *rows]) + "\n")
+    draft = make_draft(path)
+    (asked,) = [q for q in draft.questions if q.key == "columns.force.unit"]
+    assert asked.suggestion == "gf"
+    assert draft.content["columns"]["force"]["unit"] == "gf"
