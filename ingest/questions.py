@@ -52,7 +52,8 @@ def make_unit_keys(column: GuessedColumn, questions: list[Question]) -> dict[str
     if column.is_asked:
         questions.append(Question(f"{label}.column", f"which column is the {name}", column.column))
     if column.is_raw:
-        text = f"how many {usual} are 1 {column.unit or 'V'} of {column.column} (value = scale × volts + offset)"
+        unit = column.unit or "V"
+        text = f"how many {usual} are 1 {unit} of {column.column} (value in {usual} = scale × value in {unit} + offset)"
         questions.append(Question(f"{label}.scale", text))
         of_monitor = {"overrule_unit": True} if column.unit and is_unit_of(column.unit, usual) else {}
         return {"unit": usual, "scale": None} | of_monitor

@@ -80,6 +80,8 @@ def test_other_channels_beside_a_voltage_are_asked(tmp_path: Path) -> None:
     draft = make_draft(path)
     asked = next(q for q in draft.questions if q.key == "Voltage_1 (V)")
     assert asked.suggestion is None
+    scale = next(q for q in draft.questions if q.key == "columns.voltage.scale")
+    assert scale.text.endswith("(value in kV = scale × value in V + offset)")
     assert asked.choices == ("force", "displacement", "capacitance", "leakage_current", "nothing")
     assert draft.shape is not None
     assert draft.shape.certainty != SURE
