@@ -208,8 +208,11 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
     questions: list[Question] = []
     columns: dict[str, dict[str, Any]] = {}
     usual = {"lifetime": "s", "voltage": "kV", "test_duration": "s", "frequency": "Hz", "time": "s", "phase": "deg"}
-    usual |= {"alive_at": "s", "entered": "s", "breakdown_voltage": "kV", "humidity": "1"}
     usual |= {
+        "alive_at": "s",
+        "entered": "s",
+        "breakdown_voltage": "kV",
+        "humidity": "1",
         TAN_DELTA: "1",
         "temperature": "degC",
         "storage": "MPa",
@@ -262,7 +265,7 @@ def _table(opened: Opened, kind: str, chosen: Mapping[str, GuessedColumn]) -> Dr
         if of_modes is not None:
             chosen = {**chosen, "failure_mode": of_modes}
             columns["failure_mode"] = make_place(of_modes)
-    if "failure_mode" in columns and (ask := ask_censored_modes(opened, chosen, columns)) is not None:
+    if "failure_mode" in chosen and (ask := ask_censored_modes(opened, chosen["failure_mode"])) is not None:
         columns["failure_mode"]["censored_modes"] = ask.suggestion
         questions.append(ask)
     about: dict[str, Any] = {"recording_id": _own_name(opened.path)}

@@ -6,7 +6,7 @@ Does not belong here: which columns a table has (`ingest.draft_columns`), what m
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ingest.draft_columns import find_frequency
@@ -64,13 +64,13 @@ def find_clock(life: GuessedColumn, opened: Opened) -> dict[str, Any] | None:
     filled = [cell for cell in opened.cells(life) if str(cell).strip()]
     if not texts or 2 * len(texts) < len(filled):
         return None
-    if all(text.count(":") == 2 for text in texts):
+    whole = [text for text in texts if text.count(":") == 2]
+    if len(whole) == len(texts):
         return {"unit": life.unit or "s"}  # each cell has seconds of its own, whatever the header counts in
     for said in (f"{life.column} {life.name} {life.written_unit}", *opened.words):
         for clock, pattern in _CLOCKS.items():
             if re.search(pattern, said.lower()):
                 return {"format": clock}
-    whole = [text for text in texts if text.count(":") == 2]
     return {"format": "hh:mm" if len(whole) > 1 and all(text.endswith(":00") for text in whole) else None}
 
 
@@ -85,7 +85,7 @@ def is_written_once(column: GuessedColumn, opened: Opened, kind: str) -> bool:
     return bool(texts) and bool(texts[0]) and 2 * len(filled) <= len(texts)
 
 
-_SAYS_HOW = r"bemerk|anmerk|kommentar|beobacht|remark|comment|note|observ|cause|ursache|grund|reason|mode|modus|\bart\b|\bort\b|where|place|site|stelle|lieu|cause"
+_SAYS_HOW = r"bemerk|anmerk|kommentar|beobacht|remark|comment|note|observ|cause|ursache|grund|reason|mode|modus|\bart\b|\bort\b|where|place|site|stelle|lieu"
 """Names of columns that say how or where a specimen failed, among other things."""
 _STATE = r"\b(stand|as of|state of|état du|estado|situation au)\b[\s:]*(am|vom|au|du|del)?\s*"
 """What stands before the date of a list."""
@@ -126,15 +126,13 @@ def find_modes(opened: Opened, chosen: Mapping[str, GuessedColumn], failed: Mapp
     return None
 
 
-def ask_censored_modes(
-    opened: Opened, chosen: Mapping[str, GuessedColumn], columns: Mapping[str, Mapping[str, Any]]
-) -> Question | None:
-    """The question which ways of failing are none of the film; None where there is one way only. What the words beside the table say of
-    them is the suggestion."""
-    modes = _classify([str(cell) for cell in opened.cells(chosen["failure_mode"])])
+def ask_censored_modes(opened: Opened, of_modes: GuessedColumn) -> Question | None:
+    """The question which ways of failing are none of the film; None where a column says one way only. What the words beside the table say
+    of them is the suggestion."""
+    cells = {str(cell).strip() for cell in opened.cells(of_modes)}
+    modes = _classify(cells)
     if len(modes) < 2:
         return None
-    cells = {str(cell).strip() for cell in opened.cells(chosen["failure_mode"])}
     beside = [word.lower() for word in opened.words if word.strip() not in cells]
     said = [word[: match.start()] for word in beside if (match := re.search(_NOT_COUNTED, word)) is not None]
     suggested = [mode for mode in modes if any(mode in _classify(re.findall(r"[^\W\d_]+", word)) for word in said)]
@@ -146,7 +144,7 @@ def ask_censored_modes(
     )
 
 
-def _classify(words: Sequence[str]) -> list[str]:
+def _classify(words: Iterable[str]) -> list[str]:
     """The known failure modes that some words name."""
     found = {classify_failure_mode(word) for word in words}
     return [mode for mode in FAILURE_MODES if mode in found and mode != OTHER]

@@ -124,13 +124,10 @@ def harvest_columns(rows: Sequence[Sequence[str]]) -> tuple[Fact, ...]:
             units, values, further = [], units, rest[:1]
         if any(row and len(row) > max(known) and all(row[j] for j in known) for row in further):
             continue
-        for j in known:
+        for j in (j for j in known if j < len(values)):
             unit = units[j].strip("[]() ") if j < len(units) else ""
-            fact = (
-                _fact(f"{names[j]} [{unit}]" if unit else names[j], values[j], f"{names[j]} {values[j]} {unit}".strip())
-                if j < len(values)
-                else None
-            )
+            key = f"{names[j]} [{unit}]" if unit else names[j]
+            fact = _fact(key, values[j], f"{names[j]} {values[j]} {unit}".strip())
             found += [] if fact is None else [fact]
     return tuple(found)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,7 +11,7 @@ import numpy as np
 
 from pipeline.fit.relaxation.metrics import Geometry
 from pipeline.fit.relaxation.time_domain import HELD_OUT, CycleFit, CycleFits, fit_cycle
-from pipeline.transform.loops import Loop, find_loops, measure_modulus
+from pipeline.transform.loops import Loop, find_loops, measure_modulus, retell
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata
@@ -101,8 +100,10 @@ def cycle_loops(recording: Recording) -> pa.Table:
     pair = stretches if has_stress else lengths
     assert pair is not None  # a cycle is recorded as one of the two
     found = find_loops(time, *pair)
-    by_length, by_stretch = (_find_same(time, pair, found) for pair in (lengths, stretches))
-    rows = list(zip(found, by_length, by_stretch, strict=True))
+    rows = [
+        (loop, *(None if pair is None else retell(time, *pair, loop) for pair in (lengths, stretches)))
+        for loop in found
+    ]
 
     return TABLES["cycle_loops"].from_objects(
         enumerate(rows, 1),
@@ -149,14 +150,6 @@ def _tell(one: tuple[int, tuple[Loop | None, ...]], place: int, attribute: str) 
     loop = one[1][place]
     value: float | None = None if loop is None else getattr(loop, attribute)
     return value
-
-
-def _find_same(time: Float, pair: tuple[Float, Float] | None, found: Sequence[Loop]) -> Sequence[Loop | None]:
-    """The same cycles in another pair of quantities; None each where that is not known."""
-    if pair is None:
-        return [None] * len(found)
-    same = find_loops(time, *pair)
-    return same if len(same) == len(found) else [None] * len(found)
 
 
 def _pairs(recording: Recording) -> tuple[Float, tuple[Float, Float] | None, tuple[Float, Float] | None]:

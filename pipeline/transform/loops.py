@@ -64,9 +64,9 @@ class Loop:
         return self.loss / self.work if self.work > 0 else None
 
     @property
-    def secant(self) -> float:
-        """Range of y over range of x."""
-        return (self.most - self.least) / (self.high - self.low)
+    def secant(self) -> float | None:
+        """Range of y over range of x; None where x stands still."""
+        return (self.most - self.least) / (self.high - self.low) if self.high > self.low else None
 
 
 def find_loops(time: Float, x: Float, y: Float) -> list[Loop]:
@@ -133,6 +133,12 @@ def _loop(time: Float, x: Float, y: Float, turns: tuple[int, int, int], drift: f
         work=float(np.trapezoid(own_y[up], own_x[up])),
         top=top,
     )
+
+
+def retell(time: Float, x: Float, y: Float, loop: Loop) -> Loop:
+    """A cycle that was found among (n,) samples, in other quantities of the same samples."""
+    drift = None if loop.steady_loss is None else _drift(y, loop.first, loop.last)
+    return replace(_loop(time, x, y, (loop.first, loop.top, loop.last), drift), unclosed=loop.unclosed)
 
 
 def measure_modulus(stretch: Float, stress: Float, loop: Loop) -> float | None:

@@ -192,7 +192,7 @@ ingest.apart._in_child = in_place
 from ingest.read import open_columns
 for name in sys.argv[1:]:
     path = Path(name)
-    form = {".mf4": "mdf", ".h5": "hdf5", ".parquet": "arrow", ".mat": "matlab", ".xlsx": "excel"}[path.suffix]
+    form = {".mf4": "mdf", ".h5": "hdf5", ".parquet": "arrow", ".mat": "matlab"}[path.suffix]
     file = open_columns(path, form, FileMapping("recording", form, {}, None, {}, {}, {}))
     file.cells(file.names()[0])
 print(*inner)

@@ -133,3 +133,19 @@ def test_forces_and_stresses_of_a_machine_that_gives_both_are_both_told() -> Non
     assert told["loss_kj_per_m3"] == pytest.approx(told["loss_mj"] * 1000 / (50 * 20 * 0.5), rel=1e-6)
     for name, value in told.items():
         assert alone[name] == (pytest.approx(value) if isinstance(value, float) else value), name
+
+
+def test_a_displacement_that_stands_still_beside_a_stretch_takes_nothing_from_it() -> None:
+    """The cycles were looked for again in each pair, and a sensor that is not connected lost all of them."""
+    t = np.arange(0, 20, 0.05)
+    stretch = 1 + np.interp(t, [0, 10, 20], [0, 1, 0])
+    about = RecordingMetadata(
+        recording_id="a1", started_at=datetime(2026, 3, 2, 9, tzinfo=UTC), specimen_id="a", protocol="cycle", loading="mechanical",
+    )  # fmt: skip
+    stress = 90 * (stretch - 1) + 10 * np.sin(np.pi * t / 10)
+    given = {"stretch": stretch, "stress": stress, "displacement": np.zeros(t.size), "force": 1e-3 * stress}
+    (told,) = cycle_loops(recording(about, t, **given)).to_pylist()
+    (alone,) = cycle_loops(recording(about, t, stretch=stretch, stress=stress)).to_pylist()
+    assert told["loss_kj_per_m3"] == pytest.approx(alone["loss_kj_per_m3"])
+    assert told["loss_kj_per_m3"] > 0
+    assert told["secant_n_per_mm"] is None
