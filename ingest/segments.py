@@ -29,15 +29,19 @@ _MOST_ROWS = 50_000
 
 @dataclass(frozen=True)
 class Segment:
-    """The rows `first` to `last` of a record; whether they are a step and its hold."""
+    """The rows `first` to `last` of a record; whether they are a step and its hold, and one that begins where the film had come back to rest."""
 
     first: int
     last: int
     is_hold: bool
+    comes_back: bool = False
 
 
 def find_segments(time_s: Float, moved: Float) -> tuple[Segment, ...]:
     """The tests in a record, in their order; empty where it is one test alone.
+
+    A step is a test of its own where the film rests at its first length before it: there it may have gone slack, and what was before is
+    forgotten.
 
     Parameters
     ----------
@@ -48,33 +52,36 @@ def find_segments(time_s: Float, moved: Float) -> tuple[Segment, ...]:
         coarse = find_segments(time_s[::stride], moved[::stride])
         end = (moved.size - 1) // stride
         return tuple(
-            Segment(s.first * stride, moved.size - 1 if s.last == end else s.last * stride, s.is_hold) for s in coarse
+            replace(s, first=s.first * stride, last=moved.size - 1 if s.last == end else s.last * stride) for s in coarse
         )
     span = float(np.ptp(moved)) if moved.size >= 2 * _FEWEST_ROWS else 0.0
     if span <= 0:
         return ()
     holds = list(_find_holds(time_s, moved, span))
     found: list[Segment] = []
-    level, begin, rested = float(moved[0]), 0, 0
+    level, begin, rested, back = float(moved[0]), 0, 0, False
     for first, last in holds:
         middle = float(np.median(moved[first : last + 1]))
         turns = _find_turns(moved[begin : first + 1], span)
-        is_rest = min(abs(middle - level), abs(middle - float(moved[0]))) < _ELSEWHERE * span
+        at_first = abs(middle - float(moved[0])) < _ELSEWHERE * span
+        is_rest = at_first or abs(middle - level) < _ELSEWHERE * span
         if turns.size:
             until = first if is_rest else begin + int(turns[-1])
             found.append(Segment(begin + _skip_return(moved[begin : first + 1], turns), until, False))
             rested = until
         if not is_rest:
-            found.append(Segment(rested, last, True))
-        begin, rested = last, first if is_rest else last
+            found.append(Segment(rested, last, True, comes_back=back))
+        begin, rested, back = last, first if is_rest else last, at_first
         if begin + 1 < moved.size and abs(float(moved[begin + 1] - moved[begin])) > 2 * _WITHIN * span:
-            begin = rested = begin + 1  # the film was brought elsewhere between two blocks
+            begin += 1  # the film was brought elsewhere between two blocks
+            rested = rested if at_first else begin
         level = middle
     turns = _find_turns(moved[begin:], span)
     if turns.size:
         found.append(Segment(begin + _skip_return(moved[begin:], turns), moved.size - 1, False))
     found = [s for s in _join_holds(found) if s.last - s.first >= _FEWEST_ROWS]
-    return tuple(found) if len({s.is_hold for s in found}) == 2 else ()
+    parted = len({s.is_hold for s in found}) == 2 or sum(s.is_hold for s in found) > 1
+    return tuple(found) if parted else ()
 
 
 def _find_holds(time_s: Float, moved: Float, span: float) -> Iterator[tuple[int, int]]:
@@ -136,10 +143,10 @@ def _skip_return(moved: Float, turns: Int) -> int:
 
 
 def _join_holds(found: list[Segment]) -> list[Segment]:
-    """Steps that follow each other are one test with several steps."""
+    """Steps that follow each other without a rest between them are one test with several steps."""
     joined: list[Segment] = []
     for segment in found:
-        if joined and segment.is_hold and joined[-1].is_hold:
+        if joined and segment.is_hold and joined[-1].is_hold and not segment.comes_back:
             joined[-1] = replace(joined[-1], last=segment.last)
         else:
             joined.append(segment)

@@ -42,6 +42,9 @@ _SPREAD = 2.0
 """Standard deviations of its own spread by which what is left of a parabola may exceed the noise."""
 _RINGING = 3.0
 """A window whose samples scatter so many times more than the noise still holds the ringing of the clamp."""
+_UNDERSHOOT = 0.5
+"""Least part of what a held film has relaxed by which its force falls below that of its rest when it is brought back: a linear film does
+so by all of it. Half of that tells film from slack whatever the noise and the drift of a load cell."""
 SETTLED = 0.25
 """Windows closer to the end of a ramp than this share of its duration are not used: a ramp is a straight line by and large only."""
 
@@ -159,6 +162,9 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
     t_x, x = seconds(source.input, origin)
     t_f, force = seconds(source.output, origin)
     step = _find_step(t_x, x, where)
+    whole = step
+    step = _end_before_slack(step, t_f, force)
+    slack = step is not whole
     height = step.after - step.before
     rest = force[t_f < step.start_s]
     again = step.ends_s < t_f[-1]
@@ -218,7 +224,12 @@ def relaxation_curve(recording: Recording) -> tuple[RelaxationCurve, tuple[str, 
         warnings.append(
             "the step begins with the record: the force at the beginning of its ramp is taken for the level from which it relaxes"
         )
-    if again:
+    if slack:
+        warnings.append(
+            f"the film goes slack when it is brought back {step.ends_s - step.start_s:.3g} s after the step: its force is that of its rest, where "
+            "a film under tension would fall below it by what it has relaxed; what comes then is not used: cut the recording into one for each step"
+        )
+    elif again:
         warnings.append(
             f"the film is moved again {step.ends_s - step.start_s:.3g} s after the step: what comes then is not used; a recording of its own "
             "would be"
@@ -335,6 +346,30 @@ def _find_step(time: Float, x: Float, where: str) -> _Step:
     tolerance = max(tolerance * abs(after - before), _CLEARLY * noise)
     ends = _leaves(time, (time > start + later[-1].end_s + later[-1].ramp_s) & (np.abs(x - last) > tolerance))
     return _Step(start, end, start + later[0].start_s, begin, level, noise, later, ends)
+
+
+def _end_before_slack(step: _Step, time: Float, force: Float) -> _Step:
+    """The step without what comes after the film is brought back to where it began and goes slack: it cannot push.
+
+    Slack is a force that is that of the rest where what the hold has relaxed should be missing from it. What was before is forgotten then,
+    and the responses to the ramps no longer add up.
+    """
+    rest = force[time < step.start_s]
+    at_rest = float(rest.mean() if rest.size >= _FEWEST_REST else force[0])
+    reach, level = abs(step.after - step.before), step.after
+    for number, (ramp, (_, end, until)) in enumerate(zip(step.later, step.holds[1:], strict=True)):
+        _, ended, left = step.holds[number]
+        level += ramp.step
+        if abs(level - step.before) > _STILL * reach:
+            continue
+        held, back = force[(time > ended) & (time <= left)], force[(time > end) & (time <= until)]
+        few = max(1, min(held.size, back.size) // _PER_DECADE)
+        relaxed = abs(float(np.median(held[:few]) - np.median(held[-few:])))
+        scatter = float(np.std(np.diff(held))) / np.sqrt(2)
+        missing = abs(float(np.median(back[:few])) - at_rest)
+        if relaxed > _CLEARLY * scatter and missing < _UNDERSHOOT * relaxed:
+            return replace(step, later=step.later[:number], ends_s=left)
+    return step
 
 
 def _leaves(time: Float, left: Bool) -> float:

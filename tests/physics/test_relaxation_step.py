@@ -190,3 +190,22 @@ def test_what_is_no_step_ends_a_staircase_aloud() -> None:
     assert len(curve.later) == 1
     assert curve.window_s[-1, 1] == pytest.approx(76.0, abs=0.1)
     assert any("moved again 76" in warning for warning in warnings)
+
+
+@pytest.mark.parametrize("rest_s", [0.0, 4.0])
+@pytest.mark.parametrize("is_slack", [True, False])
+def test_a_film_that_goes_slack_between_two_steps_ends_its_first_curve(is_slack: bool, rest_s: float) -> None:
+    """It cannot push: what a linear film would remember of the first step is gone. A film under tension keeps both."""
+    rng = np.random.default_rng(seed=5)
+    time = np.arange(0.0, 200.0, 0.02)
+    steps = [(rest_s, 2.0), (rest_s + 60, -2.0), (rest_s + 100, 3.0)]
+    x = sum(height * np.clip((time - start) / 0.4, 0, 1) for start, height in steps)
+    forces = [np.sign(height) * relaxed(time, start, 0.4, abs(height)) for start, height in steps]
+    kept = forces[0] * (time < rest_s + 60) + forces[2] if is_slack else sum(forces)
+    made = {"displacement": x + rng.normal(0, 5e-4, x.size), "force": kept + rng.normal(0, 1e-3, x.size)}
+    curve, warnings = relaxation_curve(recording(made, 50.0, protocol="step"))
+    assert any("goes slack" in warning for warning in warnings) == is_slack
+    assert len(curve.later) == (0 if is_slack else 2)
+    late = (curve.time_s > 1) & (curve.time_s < 59)
+    true = np.interp(curve.time_s[late], time - rest_s, forces[0] / 2.0)
+    np.testing.assert_allclose(curve.stiffness[late], true, atol=5e-3 * true.max())

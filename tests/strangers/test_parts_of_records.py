@@ -45,9 +45,10 @@ def record(*pieces: Float) -> tuple[Float, Float]:
         ((triangles(0, 10, 3), np.zeros(3000), RAMP, HOLD), [(0, 600, False), (600, 9630, True)]),
         ((-REST, -RAMP, -HOLD, -BACK, -triangles(0, 10, 3)), [(0, 6080, True), (6110, 6710, False)]),
         ((RAMP, HOLD, BACK, np.zeros(3000), triangles(0, 10, 1, 200.0)), [(0, 6030, True), (9060, 11060, False)]),
+        ((RAMP, HOLD, BACK, np.zeros(3000), np.linspace(0, 16, 60), 2 * HOLD), [(0, 6030, True), (6060, 15120, True)]),
     ],
 )
-def test_a_record_is_cut_between_its_hold_and_its_cycles(
+def test_a_record_is_cut_between_its_tests(
     pieces: Sequence[Float], expected: list[tuple[int, int, bool]]
 ) -> None:
     found = find_segments(*record(*pieces))
