@@ -158,6 +158,8 @@ def find_lifetime_columns(opened: Opened, roles: Mapping[str, str] = MappingProx
     outcome = _choose_outcome([c for c in others if re.search(_FAILED, label_column(c))], opened)
     if outcome is None and (named is not None or counted is not None or spans):
         outcome = next((c for c in others if c.meaning is None and _holds_outcomes(c, opened)), None)
+    if outcome is None and named is not None and runs and _runs(opened.cells(named), opened.options):
+        return {}  # a machine calls the time since its start by the word for a life (`Laufzeit`)
     if named is None and outcome is not None and counted is not outcome:
         named = counted
     life = named or next((c for c in columns if outcome is not None and c.meaning == TIME and c is not outcome), None)

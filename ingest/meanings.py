@@ -44,8 +44,8 @@ _BY_UNIT = (TIME, "force", "displacement", "voltage", "capacitance", "leakage_cu
 """What a unit alone stands for; a pressure may be a stress, so neither is here."""
 _ELAPSED = ("s", "ms", "min", "h", "sec")
 """Units in which a time has elapsed."""
-_ABSOLUTE = r"absol"
-"""Names of a machine's own position, which stands beside the way from the start of the test."""
+_SECOND = r"absol|demand|command|set ?-?point|setpt|\bsoll|sollwert|consigne|target|programm?ed"
+"""Names of a machine's own position, and of what it was told to do: they stand beside what the film was measured to do."""
 _OF_COUNTS = re.compile(
     r"^(no\.?|nr\.?|lfd\.?( ?nr\.?)?|scan|index|sample|#|sequence|point|interval data:?|cycle count|n[°º]|num[ée]ro|reading|messung|序号|编号|番号)$"
 )
@@ -86,9 +86,7 @@ def guess_columns(
     counts = Counter(header)
     found: dict[int, GuessedColumn] = {}
     taken: set[str] = {meaning for meaning in said.values() if meaning != NOTHING}
-    ways = [i for i, name in enumerate(header) if guess_meaning(split_name(name)[0], "") == "displacement"]
-    absolute = {i for i in ways if re.search(_ABSOLUTE, header[i].lower())}
-    absolute = absolute if len(absolute) < len(ways) else set()
+    second = _find_second(header, units)
     for by_name in (True, False):
         for i in range(fields):
             name = header[i] if i < len(header) else ""
@@ -107,7 +105,7 @@ def guess_columns(
                 )
                 continue
             meaning = guess_meaning(plain if by_name else "", unit) if plain or not by_name else None
-            if by_name and meaning == "displacement" and i in absolute:
+            if by_name and i in second:
                 meaning = None
             raw = by_name and meaning is None and unit.lower() in _SENSOR_UNITS and named_as(plain) in _WITH_SENSOR
             if raw:
@@ -121,6 +119,21 @@ def guess_columns(
             own = name if isinstance(label, int) else ""  # one of several of that name
             found[i] = GuessedColumn(label, unit or None, meaning, raw, name=own, written_unit=written)
     return _with_elapsed(tuple(found[i] for i in sorted(found)))
+
+
+def _find_second(header: Sequence[str], units: Sequence[str]) -> set[int]:
+    """The columns that are named as others are, and are said to be a command or the machine's own: the others come first."""
+    meant: dict[str, list[int]] = {}
+    for i, name in enumerate(header):
+        plain, inside = split_name(name)
+        meaning = guess_meaning(plain, (units[i] if i < len(units) else "").strip("[]() ") or inside.strip("[]() "))
+        if meaning is not None and meaning in _named(plain):
+            meant.setdefault(meaning, []).append(i)
+    found: set[int] = set()
+    for columns in meant.values():
+        second = {i for i in columns if re.search(_SECOND, header[i].lower())}
+        found |= second if len(second) < len(columns) else set()
+    return found
 
 
 def guess_joined(names: Sequence[str], fields: int, said: Mapping[str, str]) -> tuple[GuessedColumn, ...]:

@@ -52,7 +52,8 @@ def find_segments(time_s: Float, moved: Float) -> tuple[Segment, ...]:
         coarse = find_segments(time_s[::stride], moved[::stride])
         end = (moved.size - 1) // stride
         return tuple(
-            replace(s, first=s.first * stride, last=moved.size - 1 if s.last == end else s.last * stride) for s in coarse
+            replace(s, first=s.first * stride, last=moved.size - 1 if s.last == end else s.last * stride)
+            for s in coarse
         )
     span = float(np.ptp(moved)) if moved.size >= 2 * _FEWEST_ROWS else 0.0
     if span <= 0:

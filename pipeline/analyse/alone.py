@@ -29,12 +29,6 @@ def alone_of(recording: Recording) -> Alone | None:
     return _of_cycle(recording) if recording.metadata.protocol == CYCLE else None
 
 
-def lacks_stretch(recording: Recording) -> bool:
-    """Whether a large cycle has no stretch but that of a cube of 1 mm: a law that holds there holds nowhere in the film."""
-    about = recording.metadata
-    return about.protocol == CYCLE and "displacement" in recording.channels and about.film_length_mm is None
-
-
 def _of_cycle(recording: Recording) -> Alone | None:
     try:
         time, stretch, stress = stretch_and_stress(recording)

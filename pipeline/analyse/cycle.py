@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.fit.relaxation.metrics import Geometry
-from pipeline.fit.relaxation.time_domain import HELD_OUT, CycleFit, CycleFits, fit_cycle
+from pipeline.fit.relaxation.time_domain import HELD_OUT, WORTH, CycleFit, CycleFits, fit_cycle
+from pipeline.physics.hyperelastic import LINEAR, NON_AFFINE
 from pipeline.transform.loops import Loop, find_loops, measure_modulus, retell
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -51,20 +53,29 @@ def cycle_fits(recording: Recording) -> Cycle:
     every = max(1, found[0].size // MOST_SAMPLES)
     time, stretch, stress = (values[::every] for values in found)
     given = given_law(about)
-    laws = (None,) if given is None else (given, None)
-    fits = tuple(
-        fit_cycle(
-            time,
-            stretch,
-            stress,
-            equilibrium=law,
-            recording_id=about.recording_id,
-            specimen_id=about.specimen_id,
-            section_over_length_mm=_taken_section_over_length_mm(recording),
-        )
-        for law in laws
+    fit = partial(
+        fit_cycle,
+        time,
+        stretch,
+        stress,
+        recording_id=about.recording_id,
+        specimen_id=about.specimen_id,
+        section_over_length_mm=_taken_section_over_length_mm(recording),
     )
+    fitted = _fit_without_stretch(fit, stretch) if lacks_stretch(recording) else fit()
+    fits = (fitted,) if given is None else (fit(equilibrium=given), fitted)
     return Cycle(time, stretch, stress, fits)
+
+
+def _fit_without_stretch(fit: Callable[..., CycleFits], stretch: Float) -> CycleFits:
+    """The fit of a film whose length is not known: a spring about any level, unless the law of a film 1 mm long predicts better what is left
+    out."""
+    spring = fit(law=LINEAR)
+    if np.nanmin(stretch) <= 0:
+        return spring
+    film = fit(law=NON_AFFINE)
+    better = film.selected.held_out_rmse < (1 - WORTH) * spring.selected.held_out_rmse
+    return film if better else spring
 
 
 def cycle_tables(cycle: Cycle) -> dict[str, pa.Table]:
@@ -239,6 +250,11 @@ def stretch_and_stress(recording: Recording) -> tuple[Float, Float, Float]:
         zero, length, section = _sizes(recording.metadata)
     time = np.asarray((driven.time_ns - recording.start_ns) * 1e-9)
     return time, zero + driven.values / length, _at(answer, driven) / section
+
+
+def lacks_stretch(recording: Recording) -> bool:
+    """Whether a large cycle has no stretch but that of a cube of 1 mm: a law that holds there holds nowhere in the film."""
+    return not {"stretch", "stress"} <= recording.channels.keys() and recording.metadata.film_length_mm is None
 
 
 def section_over_length_mm(about: RecordingMetadata) -> float | None:

@@ -12,12 +12,12 @@ import numpy as np
 
 from ingest.samples import preview
 from ingest.tables import LifetimeTable, RelaxationTable, ResponseTable
-from pipeline.analyse.alone import alone_of, lacks_stretch
+from pipeline.analyse.alone import alone_of
 from pipeline.analyse.analysis import Analysis
 from pipeline.analyse.assumptions import assumption_table, find_assumptions, find_table_assumptions
 from pipeline.analyse.creep import NOT_ASKED as CREEP_NOT_ASKED
 from pipeline.analyse.creep import analyse_creep
-from pipeline.analyse.cycle import cycle_fits, cycle_loops, cycle_tables
+from pipeline.analyse.cycle import cycle_fits, cycle_loops, cycle_tables, lacks_stretch
 from pipeline.analyse.description import join_texts, recording_row, table_row
 from pipeline.analyse.isotonic import NOT_ASKED as ISOTONIC_NOT_ASKED
 from pipeline.analyse.isotonic import analyse_isotonic
@@ -143,7 +143,7 @@ def _find_unanswered(analysis: Analysis, about: RecordingMetadata) -> str:
 
 def session_features(recording: Recording) -> SessionFeatures:
     """The recording's features for the diagnosis of its specimen, or why there are none."""
-    if lacks_stretch(recording):
+    if recording.metadata.protocol == "cycle" and lacks_stretch(recording):
         return SessionFeatures("", "film_length_mm is missing: how far the film was stretched is not known")
     alone = alone_of(recording)
     try:

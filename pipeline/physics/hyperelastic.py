@@ -108,6 +108,7 @@ class Law:
     columns : (stretch (m,), shape parameter, or several at once as (…, 1)) → (…, m, p)
     shape : name of the shape parameter, None without
     range : least and largest shape parameter for a largest stretch λ
+    signed : the moduli that may be negative
     """
 
     name: str
@@ -115,6 +116,7 @@ class Law:
     columns: Callable[[Float, float | Float], Float]
     shape: str | None = None
     range: Callable[[float], tuple[float, float]] = lambda largest: (1.0, 1.0)
+    signed: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -159,6 +161,13 @@ NON_AFFINE = Law(
     "largest_stretch",
     lambda largest: (1.001 * np.sqrt((largest**2 + 2 / largest) / 3), 10.0 * largest),
 )
+LINEAR = Law(
+    "linear",
+    ("modulus", "stress_at_1"),
+    lambda stretch, _: np.stack([stretch - 1, np.ones_like(stretch)], -1),
+    signed=("stress_at_1",),
+)
+"""A spring about any level: of a film whose length is not known, so that its stretch is not either."""
 NEO_HOOKEAN = Law("neo-Hookean", ("shear_modulus",), _neo_hookean)
 OGDEN = Law("Ogden, one term", ("shear_modulus",), _ogden, "exponent", lambda largest: (0.5, 8.0))
-LAWS = {law.name: law for law in (NON_AFFINE, NEO_HOOKEAN, OGDEN)}
+LAWS = {law.name: law for law in (NON_AFFINE, NEO_HOOKEAN, OGDEN, LINEAR)}

@@ -132,7 +132,10 @@ TABLES: tuple[Table, ...] = (
         (
             RECORDING_ID,
             SPECIMEN_ID,
-            text("law", "equilibrium stress: non-affine (crosslinks and entanglements)"),
+            text(
+                "law",
+                "equilibrium stress: non-affine (crosslinks and entanglements); or linear, where the length of the film is not given",
+            ),
             truth(
                 "law_given",
                 "the recording's metadata give the law's parameters; false: fitted with the branches",

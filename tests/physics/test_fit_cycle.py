@@ -17,6 +17,7 @@ from pipeline.physics.hyperelastic import LAWS, NEO_HOOKEAN, NON_AFFINE, OGDEN, 
 from schemas.errors import NotIdentifiableError
 from schemas.metadata import RecordingMetadata, RigConstants
 from schemas.recording import Channel, Recording
+from tests.physics.rig_truth import recording
 
 TIME = np.unique(np.concatenate([np.arange(0, 12, 0.02), [6.01, 6.03]]))
 STRETCH = 1 + np.where(TIME < 6, 0.5 * TIME, 3 - 0.5 * (TIME - 6) * 0.9)
@@ -46,7 +47,8 @@ def test_arms_side_by_side_know_nothing_of_each_other() -> None:
 
 @pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
 def test_laws_are_at_rest_at_stretch_one_and_stiffen_with_their_moduli(law: object) -> None:
-    parameters = dict.fromkeys(law.moduli, 10.0) | ({law.shape: 5.0} if law.shape else {})  # type: ignore[attr-defined]
+    moduli = dict.fromkeys(law.moduli, 10.0) | dict.fromkeys(law.signed, 0.0)  # type: ignore[attr-defined]
+    parameters = moduli | ({law.shape: 5.0} if law.shape else {})  # type: ignore[attr-defined]
     stress = law.stress(np.array([1.0, 1.01, 2.0]), parameters)  # type: ignore[attr-defined]
     assert stress[0] == pytest.approx(0.0, abs=1e-12)
     assert np.all(np.diff(stress) > 0)
@@ -238,3 +240,20 @@ def test_sizes_that_are_not_known_do_not_change_the_stiffness_that_was_measured(
     slope = np.diff(NON_AFFINE.stress(np.array([1 - 1e-5, 1 + 1e-5]), given))[0] / 2e-5
     selected = next(row for row in model_fits_table([], [fits]).to_pylist() if row["selected"])
     assert selected["k0_n_per_mm"] == pytest.approx(1e-3 * 4 * slope / length, rel=0.02)
+
+
+@pytest.mark.parametrize("start_mm", [-3.0, 0.0, 20.0])
+def test_a_cycle_of_a_film_of_unknown_length_has_the_stiffness_of_its_force(start_mm: float) -> None:
+    """Its stretch is not known, so that no law of stretch can hold: a spring about wherever it began."""
+    rng = np.random.default_rng(8)
+    time = np.arange(0, 48, 0.02)
+    moved = 6.0 * (1 - np.abs(2 * (time / 8 % 1) - 1))
+    arms = integrate_arms(time, moved, np.array([1.5, 20.0])) @ np.array([0.1, 0.06])
+    force = 3.36 + 0.18 * moved + arms + rng.normal(0, 2e-3, time.size)
+    made = recording({"displacement": start_mm + moved, "force": force}, 50.0, protocol="cycle")
+    (group,) = cycle_fits(made).fits
+    fit = group.selected
+    assert group.law == "linear"
+    assert group.slope_at_rest(fit) * group.n_per_mm_of_kpa == pytest.approx(0.18, rel=0.02)
+    assert np.array(fit.gamma[:2]) * group.n_per_mm_of_kpa == pytest.approx([0.06, 0.1], rel=0.05)
+    assert not any("bound" in warning or "offset" in warning for warning in fit.warnings + group.warnings)

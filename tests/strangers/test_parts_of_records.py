@@ -48,9 +48,7 @@ def record(*pieces: Float) -> tuple[Float, Float]:
         ((RAMP, HOLD, BACK, np.zeros(3000), np.linspace(0, 16, 60), 2 * HOLD), [(0, 6030, True), (6060, 15120, True)]),
     ],
 )
-def test_a_record_is_cut_between_its_tests(
-    pieces: Sequence[Float], expected: list[tuple[int, int, bool]]
-) -> None:
+def test_a_record_is_cut_between_its_tests(pieces: Sequence[Float], expected: list[tuple[int, int, bool]]) -> None:
     found = find_segments(*record(*pieces))
     assert [s.is_hold for s in found] == [is_hold for *_, is_hold in expected]
     for segment, (first, last, _) in zip(found, expected, strict=True):

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from pipeline.fit.relaxation.starts import candidates
 from pipeline.fit.relaxation.varpro import Candidate, LinearProblem
 from pipeline.physics.film import integrate_arms
-from pipeline.physics.hyperelastic import LAWS, NON_AFFINE, Law
+from pipeline.physics.hyperelastic import LAWS, LINEAR, NON_AFFINE, Law
 from pipeline.physics.least_squares import differ_at_once
 from schemas.arrays import Float
 from schemas.errors import NotIdentifiableError
@@ -145,12 +145,12 @@ def fit_cycle(
     """
     good = np.isfinite(time_s) & np.isfinite(stretch) & np.isfinite(stress)
     t, lam, p = time_s[good], stretch[good], stress[good]
-    _check(t, lam, recording_id)
+    _check(t, lam, law, recording_id)
     warnings = []
     # Searched in units of its own scatter: what a search takes for small must not depend on the unit of the stress.
     unit = float(np.std(p)) or 1.0
     own, given = p / unit, None if equilibrium is None else law.in_units(equilibrium, 1 / unit)
-    if abs(p[0]) > 0.005 * np.ptp(p):
+    if abs(p[0]) > 0.005 * np.ptp(p) and law is not LINEAR:
         warnings.append(f"stress starts at {p[0]:.3g}, not at 0: an offset of the load cell stays in the fit")
     gaps = np.diff(t)
     if gaps.max() > 1.5 * np.median(gaps):
@@ -189,12 +189,12 @@ def fit_cycle(
     )
 
 
-def _check(t: Float, lam: Float, where: str) -> None:
+def _check(t: Float, lam: Float, law: Law, where: str) -> None:
     if t.size < FEWEST:
         raise NotIdentifiableError(f"{t.size} samples", where=where, expected=f"at least {FEWEST} of a load cycle")
     if not (np.diff(t) > 0).all():
         raise NotIdentifiableError("times do not rise", where=where, expected="ascending times")
-    if np.ptp(lam) < 1e-3 or lam.min() <= 0:
+    if np.ptp(lam) < 1e-3 or (lam.min() <= 0 and law is not LINEAR):
         raise NotIdentifiableError(
             f"stretch from {lam.min():.4g} to {lam.max():.4g}", where=where, expected="a cycle of some percent"
         )
@@ -277,7 +277,7 @@ class _Cycle:
             base = self.law.columns(self.lam, self.shape)
             rest = self.p - integrate_arms(self.t, self.lam, tau) @ gamma
             start += list(np.linalg.lstsq(base, rest, rcond=None)[0])
-            limits += [(0.0, np.inf)] * len(self.law.moduli)
+            limits += [(-np.inf if name in self.law.signed else 0.0, np.inf) for name in self.law.moduli]
             names += self.law.moduli
             if self.law.shape:
                 start.append(np.log(self.shape))
@@ -323,7 +323,7 @@ class _Cycle:
     def _stress(self, x: Float, n: int) -> Float:
         """(…, m) of x (…, P)."""
         gamma, tau = np.exp(x[..., :n]), np.exp(x[..., n : 2 * n])
-        arms = integrate_arms(self.t, self.lam, tau.ravel()).reshape(-1, *tau.shape)
+        arms = integrate_arms(self.t, self.lam, tau.ravel()).reshape(self.t.size, *tau.shape)
         q = np.einsum("m...n,...n->...m", arms, gamma)
         if self.fixed is not None:
             return np.asarray(self.law.stress(self.lam, self.fixed) + q)
@@ -359,7 +359,8 @@ class _Cycle:
                 warnings.append(
                     f"branch {i + 1}: stiffness or relaxation time not resolved by a cycle of {np.ptp(self.t):.3g} s"
                 )
-        gone = [m for m in self.law.moduli if self.fixed is None and solution.equilibrium[m] < GONE]
+        bounded = [m for m in self.law.moduli if m not in self.law.signed]
+        gone = [m for m in bounded if self.fixed is None and solution.equilibrium[m] < GONE]
         if gone:
             warnings.append(f"{' and '.join(gone).replace('_', ' ')} at its bound 0")
         if held_out > np.abs(self.p).max():
